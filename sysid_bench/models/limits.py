@@ -1,0 +1,46 @@
+"""Limits per degree of freedom: the manifest first, then the model, then what is usual."""
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from sysid_bench.models.manifest import Limits, Manifest
+from sysid_bench.models.robot import Joint, JointLimits
+
+if TYPE_CHECKING:
+    import mujoco
+
+# Where neither manifest nor model says anything: a careful arm. rad, rad/s, rad/s^2 and m, m/s, m/s^2.
+USUAL: Final = {"hinge": (np.pi, 2.0, 10.0), "slide": (0.2, 0.5, 2.5)}
+# Faster than this no robot joint moves: such a figure in a model file is a placeholder.
+PLACEHOLDER: Final = {"hinge": 30.0, "slide": 10.0}
+FLOATING: Final = (1.0, 5.0)  # velocity, acceleration of free and ball joints
+
+
+def limits_of(
+    mj: "mujoco.MjModel", joints: tuple[Joint, ...], manifest: Manifest, velocities: dict[str, float]
+) -> JointLimits:
+    """The limits of every degree of freedom; `velocities` are those that the model's text states."""
+    low, high = np.full(mj.nv, -np.inf), np.full(mj.nv, np.inf)
+    v, a, tau = np.full(mj.nv, FLOATING[0]), np.full(mj.nv, FLOATING[1]), np.full(mj.nv, np.inf)
+    for j, joint in enumerate(joints):
+        if joint.kind not in USUAL:
+            continue
+        reach, usual_v, usual_a = USUAL[joint.kind]
+        told = _told(manifest, joint.name)
+        dof, centre = joint.vadr, mj.qpos0[joint.qadr]
+        span = mj.jnt_range[j] if mj.jnt_limited[j] else (centre - reach, centre + reach)
+        low[dof], high[dof] = told.q if told.q is not None else span
+        written = velocities.get(joint.name, np.inf)
+        v[dof] = told.v or (written if written <= PLACEHOLDER[joint.kind] else usual_v)
+        a[dof] = told.a or usual_a
+        if told.tau is not None:
+            tau[dof] = told.tau
+        elif mj.jnt_actfrclimited[j]:
+            tau[dof] = np.abs(mj.jnt_actfrcrange[j]).min() or np.inf
+    return JointLimits(low, high, v, a, tau)
+
+
+def _told(manifest: Manifest, joint: str) -> Limits:
+    everywhere, own = manifest.limits.get("all", Limits()), manifest.limits.get(joint, Limits())
+    return everywhere.model_copy(update=own.model_dump(exclude_none=True))

@@ -1,0 +1,282 @@
+"""A manifest and a payload become a RobotModel."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from sysid_bench.errors import ModelError, unknown_name
+from sysid_bench.models.limits import limits_of
+from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.mjcf import mjcf_spec
+from sysid_bench.models.payload import PAYLOADS, Payload
+from sysid_bench.models.robot import Joint, JointTerms, RobotModel, TYPE_NAMES
+from sysid_bench.models.tree import FREE, tree_of
+from sysid_bench.models.urdf import Urdf, canonical_urdf, parse_xml
+from sysid_bench.spatial.inertia import phi_of
+from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.types import Array
+
+LARGEST_FILE = 64 * 2**20  # bytes; a model text beyond it is a mistake
+
+
+def load_robot(
+    source: str | Path | Manifest,
+    payload: Payload = PAYLOADS["none"],
+    free_base: bool | None = None,
+    robots_dir: Path | None = None,
+) -> RobotModel:
+    """The robot of a name, file or manifest, with `payload` at its tool.
+
+    `free_base` overrides the manifest. Raises UsageError for an unknown name, ModelError where the
+    file cannot be used, with the reason.
+    """
+    manifest = source if isinstance(source, Manifest) else find_manifest(str(source), robots_dir)
+    free = manifest.free_base if free_base is None else free_base
+    data = _read(manifest.path)
+    root = parse_xml(data, manifest.path.name).tag
+    if root == "robot":
+        urdf = canonical_urdf(data, manifest.path.name, free)
+        spec, text, repairs, velocities = _urdf_spec(urdf, manifest), urdf.text.encode(), urdf.repairs, urdf.velocity_limits
+    elif root == "mujoco":
+        spec, repairs = mjcf_spec(manifest.path)
+        text, velocities, urdf = data, {}, None
+    else:
+        raise ModelError(f"{manifest.path.name} is neither URDF nor MJCF: its root element is <{root}>.")
+    return _assemble(manifest, payload, free, spec, text, "mjcf" if urdf is None else "urdf", repairs, velocities)
+
+
+def _assemble(
+    manifest: Manifest,
+    payload: Payload,
+    free: bool,
+    spec: mujoco.MjSpec,
+    text: bytes,
+    format: str,
+    repairs: tuple[str, ...],
+    velocities: dict[str, float],
+) -> RobotModel:
+    if free:
+        _free_the_base(spec, manifest)
+    if manifest.gravity is not None:
+        spec.option.gravity = manifest.gravity
+    _apply_joint_terms(spec, manifest)
+    _name_all(spec, _compile(spec, manifest))
+    bare = _compile(spec, manifest)
+    names = _body_names(bare)
+    tool, pose = _tool(bare, manifest, names)
+    if payload:
+        _mount(spec, tool + 1, pose, payload, _free_name("payload", names))
+    mj = _compile(spec, manifest) if payload else bare
+    joints = _joints(mj)
+    _check_known(manifest, joints)
+    return RobotModel(
+        name=manifest.name,
+        manifest=manifest,
+        payload=payload,
+        mj=mj,
+        spec=spec,
+        tree=tree_of(mj),
+        body_names=_body_names(mj),
+        joints=joints,
+        phi=_phi(mj),
+        joint_terms=_joint_terms(mj, manifest, joints),
+        limits=limits_of(mj, joints, manifest, velocities),
+        tool_body=_index_of(mj, names[tool]) if payload else tool,
+        payload_body=_payload_body(mj, bare) if payload else None,
+        format=format,
+        text=text,
+        repairs=repairs,
+    )
+
+
+def _read(path: Path) -> bytes:
+    if path.stat().st_size > LARGEST_FILE:
+        raise ModelError(f"{path.name} has {path.stat().st_size} bytes; no robot text is that long.")
+    return path.read_bytes()
+
+
+def _urdf_spec(urdf: Urdf, manifest: Manifest) -> mujoco.MjSpec:
+    try:
+        return mujoco.MjSpec.from_string(urdf.text)
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(f"MuJoCo cannot read {manifest.path.name}: {_one_line(error)}") from error
+
+
+def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
+    try:
+        mj = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(f"MuJoCo cannot compile {manifest.path.name}: {_one_line(error)}") from error
+    if mj.nv == 0:
+        raise ModelError(f"{manifest.path.name} has no joint that moves; there is nothing to identify.")
+    return mj
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _free_the_base(spec: mujoco.MjSpec, manifest: Manifest) -> None:
+    roots = list(spec.worldbody.bodies)
+    if len(roots) != 1:
+        raise ModelError(f"{manifest.name}: a free base needs one root body; there are {len(roots)}.")
+    if any(int(joint.type) == FREE for joint in roots[0].joints):
+        return
+    if list(roots[0].joints):
+        raise ModelError(f"{manifest.name}: the root body already has joints; it cannot float as well.")
+    roots[0].add_freejoint(name="root")
+
+
+def _apply_joint_terms(spec: mujoco.MjSpec, manifest: Manifest) -> None:
+    everywhere = manifest.joints.get("all")
+    for joint in spec.joints:
+        if TYPE_NAMES[int(joint.type)] not in ("hinge", "slide"):
+            continue
+        for terms in (everywhere, manifest.joints.get(joint.name)):
+            if terms is None:
+                continue
+            if terms.viscous is not None:
+                joint.damping = _like(joint.damping, terms.viscous)
+            if terms.coulomb is not None:
+                joint.frictionloss = terms.coulomb
+            if terms.armature is not None:
+                joint.armature = terms.armature
+            if terms.spring is not None:
+                joint.stiffness = _like(joint.stiffness, terms.spring)
+            if terms.spring_reference is not None:
+                joint.springref = terms.spring_reference
+
+
+def _like(old: object, value: float) -> object:
+    """MuJoCo 4 keeps polynomial coefficients of damping and stiffness: the first is the linear one."""
+    if np.ndim(old) == 0:
+        return value
+    new = np.zeros_like(np.asarray(old, dtype=float))
+    new[0] = value
+    return new
+
+
+def _name_all(spec: mujoco.MjSpec, mj: mujoco.MjModel) -> None:
+    """Names what the file leaves unnamed by its place in the bare tree, so that a payload, which
+    takes a place of its own, renames nothing: `body3`, `joint2`; the only free joint is `root`."""
+    free = [joint for joint in spec.joints if int(joint.type) == FREE]
+    taken = {element.name for element in [*spec.bodies, *spec.joints]}
+    for body in spec.bodies:
+        if not body.name:
+            body.name = _free_name(f"body{body.id}", tuple(taken))
+    for joint in spec.joints:
+        if not joint.name:
+            only = len(free) == 1 and int(joint.type) == FREE
+            joint.name = _free_name("root" if only else f"joint{joint.id + 1}", tuple(taken))
+
+
+def _body_names(mj: mujoco.MjModel) -> tuple[str, ...]:
+    return tuple(mj.body(b).name for b in range(1, mj.nbody))
+
+
+def _joints(mj: mujoco.MjModel) -> tuple[Joint, ...]:
+    kinds = [int(kind) for kind in mj.jnt_type]
+    joints = []
+    for j, kind in enumerate(kinds):
+        name = mj.joint(j).name
+        base = "root" if kind == FREE and kinds.count(FREE) == 1 else name
+        dofs = {
+            "free": tuple(f"{base}.{d}" for d in ("vx", "vy", "vz", "wx", "wy", "wz")),
+            "ball": tuple(f"{name}.{d}" for d in "xyz"),
+        }.get(TYPE_NAMES[kind], (name,))
+        joints.append(Joint(name, TYPE_NAMES[kind], int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j]), dofs))
+    return tuple(joints)
+
+
+def _check_known(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
+    names = {joint.name for joint in joints}
+    for table in (manifest.limits, manifest.joints):
+        for name in table:
+            if name != "all" and name not in names:
+                raise ModelError(f"{manifest.name}: {unknown_name('joint', name, names)}")
+
+
+def _phi(mj: mujoco.MjModel) -> Array:
+    rows = []
+    for b in range(1, mj.nbody):
+        R = matrix_of_quaternion(np.array(mj.body_iquat[b]))
+        about_com = R @ np.diag(mj.body_inertia[b]) @ R.T
+        rows.append(phi_of(float(mj.body_mass[b]), np.array(mj.body_ipos[b]), about_com))
+    return np.array(rows)
+
+
+def _joint_terms(mj: mujoco.MjModel, manifest: Manifest, joints: tuple[Joint, ...]) -> JointTerms:
+    viscous = np.array(mj.dof_damping, dtype=float)
+    offset, spring, reference = (np.zeros(mj.nv) for _ in range(3))
+    everywhere = manifest.joints.get("all")
+    for j, joint in enumerate(joints):
+        if joint.kind not in ("hinge", "slide"):
+            continue
+        spring[joint.vadr] = float(np.ravel(mj.jnt_stiffness[j])[0])
+        reference[joint.vadr] = mj.qpos_spring[joint.qadr]
+        for terms in (everywhere, manifest.joints.get(joint.name)):
+            if terms is not None and terms.offset is not None:
+                offset[joint.vadr] = terms.offset
+    return JointTerms(
+        viscous=viscous if viscous.ndim == 1 else viscous[:, 0],
+        coulomb=np.array(mj.dof_frictionloss, dtype=float),
+        offset=offset,
+        armature=np.array(mj.dof_armature, dtype=float),
+        spring=spring,
+        spring_reference=reference,
+    )
+
+
+def _tool(mj: mujoco.MjModel, manifest: Manifest, names: tuple[str, ...]) -> tuple[int, tuple[Array, Array]]:
+    """The body that carries payloads (0: the first body) and the tool frame (p, quaternion) in it."""
+    here = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    if manifest.tool is None:
+        return _end_of_longest_chain(mj), here
+    if manifest.tool in names:
+        return names.index(manifest.tool), here
+    sites = {mj.site(s).name: s for s in range(mj.nsite)}
+    if manifest.tool in sites and mj.site_bodyid[sites[manifest.tool]] > 0:
+        site = sites[manifest.tool]
+        pose = (np.array(mj.site_pos[site]), np.array(mj.site_quat[site]))
+        return int(mj.site_bodyid[site]) - 1, pose
+    raise ModelError(f"{manifest.name}: {unknown_name('tool body or site', manifest.tool, [*names, *sites])}")
+
+
+def _end_of_longest_chain(mj: mujoco.MjModel) -> int:
+    joints = np.zeros(mj.nbody, dtype=int)
+    depth = np.zeros(mj.nbody, dtype=int)
+    for b in range(1, mj.nbody):
+        p = int(mj.body_parentid[b])
+        joints[b] = joints[p] + int(mj.body_jntnum[b])
+        depth[b] = depth[p] + 1
+    return max(range(1, mj.nbody), key=lambda b: (joints[b], depth[b], -b)) - 1
+
+
+def _mount(
+    spec: mujoco.MjSpec, body: int, pose: tuple[Array, Array], payload: Payload, name: str
+) -> None:
+    parent = next(b for b in spec.bodies if b.id == body)
+    load = parent.add_body(name=name, pos=pose[0], quat=pose[1])
+    load.explicitinertial = True
+    load.mass = payload.mass
+    load.ipos = payload.com
+    xx, xy, xz, yy, yz, zz = payload.inertia
+    load.fullinertia = [xx, yy, zz, xy, xz, yz]
+
+
+def _free_name(name: str, taken: tuple[str, ...]) -> str:
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _index_of(mj: mujoco.MjModel, name: str) -> int:
+    return _body_names(mj).index(name)
+
+
+def _payload_body(mj: mujoco.MjModel, bare: mujoco.MjModel) -> int:
+    (new,) = set(_body_names(mj)) - set(_body_names(bare))
+    return _body_names(mj).index(new)
+
+

@@ -1,0 +1,207 @@
+"""A robot as data: `robots/<name>/robot.toml`, or any model file on its own."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from sysid_bench import places
+from sysid_bench.errors import ModelError, UsageError, unknown_name
+
+TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
+"""Joint terms that can be identified beside the inertial parameters."""
+
+MODEL_SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"must be a number, got {value!r}")
+    if not math.isfinite(value):
+        raise ValueError(f"must be finite, got {value!r}")
+    return value
+
+
+def _positive(value: Any) -> Any:
+    if _finite(value) <= 0:
+        raise ValueError(f"must be positive, got {value!r}")
+    return value
+
+
+Finite = Annotated[float, BeforeValidator(_finite)]
+Positive = Annotated[float, BeforeValidator(_positive)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Limits(_Table):
+    """Limits of a joint in rad or m, and N m or N; None comes from the model."""
+
+    q: tuple[Finite, Finite] | None = None
+    v: Positive | None = None
+    a: Positive | None = None
+    tau: Positive | None = None
+
+
+class JointTerms(_Table):
+    """What the simulated joint does beside moving masses; None comes from the model."""
+
+    viscous: Finite | None = None  # N m s/rad
+    coulomb: Finite | None = None  # N m
+    offset: Finite | None = None  # N m
+    armature: Finite | None = None  # kg m^2
+    spring: Finite | None = None  # N m/rad
+    spring_reference: Finite | None = None  # rad
+
+
+class Sensor(_Table):
+    """A force/torque sensor that cuts the robot at a fixed joint, site or body."""
+
+    name: str
+    at: str
+
+
+class Source(_Table):
+    """Where the model comes from."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    licence: str = ""
+
+
+class _Text(_Table):
+    """The file as written."""
+
+    name: str
+    title: str = ""
+    file: str
+    tool: str | None = None
+    free_base: bool = False
+    gravity: tuple[Finite, Finite, Finite] | None = None
+    terms: tuple[str, ...] = ()
+    limits: dict[str, Limits] = Field(default_factory=dict)
+    joints: dict[str, JointTerms] = Field(default_factory=dict)
+    sensor: tuple[Sensor, ...] = ()
+    source: Source = Source()
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """A robot's description; `path` is the model file, `limits` and `joints` go by joint name."""
+
+    name: str
+    path: Path
+    title: str = ""
+    tool: str | None = None
+    free_base: bool = False
+    gravity: tuple[float, float, float] | None = None
+    terms: tuple[str, ...] = ()
+    limits: Mapping[str, Limits] = field(default_factory=dict)
+    joints: Mapping[str, JointTerms] = field(default_factory=dict)
+    sensors: tuple[Sensor, ...] = ()
+    licence: str = ""
+    manifest_file: Path | None = None
+
+
+def find_manifest(source: str, robots_dir: Path | None = None, folder: Path | None = None) -> Manifest:
+    """The robot called `source`: a name, a folder with robot.toml, or a model file.
+
+    Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Raises UsageError for
+    a name or file that does not exist, ModelError for a manifest that cannot be read.
+    """
+    text = source.removeprefix("file:")
+    path = (folder or Path()) / text
+    if source.startswith("file:") or path.suffix in (*MODEL_SUFFIXES, ".toml") or "/" in text:
+        return _from_path(path, source)
+    table = places.robots(robots_dir)
+    if source not in table:
+        raise unknown_name("robot", source, table, "Or give the path of a URDF or MJCF file.")
+    return read_manifest(table[source])
+
+
+def read_manifest(file: Path) -> Manifest:
+    """The manifest in a robot.toml; all its mistakes in one ModelError."""
+    try:
+        written = _Text.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ModelError(f"{file} is no TOML: {error}.") from error
+    except ValidationError as error:
+        lines = "; ".join(_line(problem) for problem in error.errors())
+        raise ModelError(f"{file}: {lines}.") from error
+    for term in written.terms:
+        if term not in TERMS:
+            raise ModelError(f"{file}: {unknown_name('joint term', term, TERMS)}")
+    for name, limits in written.limits.items():
+        if limits.q is not None and not limits.q[0] < limits.q[1]:
+            raise ModelError(f"{file}: limits.{name}.q must be [low, high]; got {list(limits.q)}.")
+    return Manifest(
+        name=written.name,
+        path=_model_path(written.file, file),
+        title=written.title or written.name,
+        tool=written.tool,
+        free_base=written.free_base,
+        gravity=written.gravity,
+        terms=written.terms,
+        limits=written.limits,
+        joints=written.joints,
+        sensors=written.sensor,
+        licence=written.source.licence,
+        manifest_file=file,
+    )
+
+
+def _from_path(path: Path, source: str) -> Manifest:
+    if path.is_dir() and (path / "robot.toml").is_file():
+        return read_manifest(path / "robot.toml")
+    if not path.is_file():
+        known = ", ".join(places.robots())
+        raise UsageError(f"There is no model file {str(path)!r} ({source!r}); named robots: {known}.")
+    if path.suffix == ".toml":
+        return read_manifest(path)
+    return Manifest(name=path.stem, path=path, title=path.stem)
+
+
+def _model_path(written: str, manifest: Path) -> Path:
+    package, colon, rest = written.partition(":")
+    if package == "example-robot-data" and colon:
+        path = places.example_robot_data() / rest
+    elif package == "robot_descriptions" and colon:
+        path = _robot_description(rest, manifest)
+    else:
+        path = manifest.parent / written
+    if not path.is_file():
+        raise ModelError(f"{manifest}: the model file {written!r} is not there (looked at {path}).")
+    return path
+
+
+def _robot_description(name: str, manifest: Path) -> Path:
+    import importlib
+
+    try:
+        module = importlib.import_module(f"robot_descriptions.{name}")
+    except ModuleNotFoundError as error:
+        raise ModelError(
+            f"{manifest}: 'robot_descriptions:{name}' is not installed or not known; "
+            "pip install robot_descriptions, and see its list of names."
+        ) from error
+    return Path(getattr(module, "URDF_PATH", None) or module.MJCF_PATH)
+
+
+def _line(problem: Any) -> str:
+    place = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        known = sorted(_known_keys(problem["loc"]))
+        return f"{place}: {unknown_name('key', str(problem['loc'][-1]), known)}".rstrip(".")
+    return f"{place}: {problem['msg'].removeprefix('Value error, ')}"
+
+
+def _known_keys(place: tuple[Any, ...]) -> set[str]:
+    if len(place) == 1:
+        return set(_Text.model_fields)
+    inner = {"limits": Limits, "joints": JointTerms, "sensor": Sensor}.get(place[0], Source)
+    return set(inner.model_fields)

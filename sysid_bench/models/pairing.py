@@ -1,0 +1,124 @@
+"""A compiled mjModel as a Pinocchio model with the same frames, and the maps between the two.
+
+The rules are those of the engines, met once here: Pinocchio has one joint per joint and lumps
+welded bodies; its free-flyer velocity is all in the body frame, MuJoCo's linear part in the world;
+quaternions are x y z w there and w x y z here. Armature stays outside `pin.Model`, since a free
+joint's armature depends on the frame.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from sysid_bench.models.tree import BALL, FREE, HINGE, SLIDE, gravity_of
+from sysid_bench.spatial.inertia import transport
+from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.types import Array
+
+FROM_PINOCCHIO: Final = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
+"""Places in Pinocchio's m h Ixx Ixy Iyy Ixz Iyz Izz of our m h Ixx Ixy Ixz Iyy Iyz Izz."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """`model`, and how its joints carry MuJoCo's bodies: body b (the world is none) rides on the
+    joint `carrier[b]` (0: the universe), and its parameters act there as X[b] @ phi_b."""
+
+    model: pin.Model
+    carrier: Array
+    X: Array
+    free: tuple[tuple[int, int], ...]  # (q, v) addresses of free joints
+    ball: tuple[tuple[int, int], ...]
+    scalar: tuple[tuple[int, float], ...]  # (q address, qpos0) of hinges and slides
+
+    def configuration(self, q: Array) -> Array:
+        """Pinocchio's q (..., nq) of MuJoCo's q (..., nq)."""
+        out = np.array(q, dtype=float)
+        for address, q0 in self.scalar:
+            out[..., address] -= q0
+        for start in [qa + 3 for qa, _ in self.free] + [qa for qa, _ in self.ball]:
+            wxyz = q[..., start : start + 4] / np.linalg.norm(q[..., start : start + 4], axis=-1, keepdims=True)
+            out[..., start : start + 4] = wxyz[..., [1, 2, 3, 0]]
+        return out
+
+    def rates(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+        """Pinocchio's v and a (N, nv) of MuJoCo's: T v, and T a less w × v for a free joint."""
+        v, a = np.array(v, dtype=float), np.array(a, dtype=float)
+        for qa, va in self.free:
+            R_wb = matrix_of_quaternion(q[..., qa + 3 : qa + 7])
+            lin, ang = slice(va, va + 3), slice(va + 3, va + 6)
+            v[..., lin] = np.einsum("...ji,...j->...i", R_wb, v[..., lin])
+            a[..., lin] = np.einsum("...ji,...j->...i", R_wb, a[..., lin]) - np.cross(v[..., ang], v[..., lin])
+        return v, a
+
+    def rows_to_mujoco(self, q: Array, rows: Array) -> Array:
+        """Torque rows (N, nv, ...) turned from Pinocchio's to MuJoCo's: the force of a free joint
+        goes from body to world axes."""
+        rows = np.array(rows, dtype=float)
+        for qa, va in self.free:
+            R_wb = matrix_of_quaternion(q[..., qa + 3 : qa + 7])
+            rows[:, va : va + 3] = np.einsum("nij,nj...->ni...", R_wb, rows[:, va : va + 3])
+        return rows
+
+
+def pair(mj: mujoco.MjModel) -> Pairing:
+    """The pairing of a compiled model with Pinocchio."""
+    model = pin.Model()
+    model.gravity = pin.Motion(gravity_of(mj), np.zeros(3))
+    carrier = np.zeros(mj.nbody, dtype=int)
+    pose = [pin.SE3.Identity()] * mj.nbody  # of each body in its joint
+    for b in range(1, mj.nbody):
+        p = int(mj.body_parentid[b])
+        carrier[b], pose[b] = _add_body(model, mj, b, int(carrier[p]), pose[p])
+        inertia = _inertia(mj, b)
+        model.appendBodyToJoint(int(carrier[b]), inertia, pose[b])
+    X = [transport(placement.rotation, placement.translation) for placement in pose[1:]]
+    joints = [(int(mj.jnt_type[j]), int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j])) for j in range(mj.njnt)]
+    return Pairing(
+        model=model,
+        carrier=carrier[1:],
+        X=np.stack(X) if X else np.zeros((0, 10, 10)),
+        free=tuple((qa, va) for kind, qa, va in joints if kind == FREE),
+        ball=tuple((qa, va) for kind, qa, va in joints if kind == BALL),
+        scalar=tuple((qa, float(mj.qpos0[qa])) for kind, qa, _ in joints if kind in (HINGE, SLIDE)),
+    )
+
+
+def _add_body(
+    model: pin.Model, mj: mujoco.MjModel, b: int, joint: int, parent_pose: pin.SE3
+) -> tuple[int, pin.SE3]:
+    """Adds the joints of body b below `joint`; the joint that carries b and b's pose in it."""
+    placement = parent_pose * _se3(mj.body_pos[b], mj.body_quat[b])
+    for k in range(int(mj.body_jntnum[b])):
+        j = int(mj.body_jntadr[b]) + k
+        kind = int(mj.jnt_type[j])
+        anchor = pin.SE3(np.eye(3), np.zeros(3) if kind == FREE else np.array(mj.jnt_pos[j]))
+        if kind == FREE:
+            placement = pin.SE3.Identity()  # qpos is absolute
+        joint = model.addJoint(joint, _joint_model(mj, j), placement * anchor, f"joint{j}")
+        placement = anchor.inverse()
+    return joint, placement
+
+
+def _joint_model(mj: mujoco.MjModel, j: int) -> pin.JointModel:
+    kind = int(mj.jnt_type[j])
+    if kind == FREE:
+        return pin.JointModelFreeFlyer()
+    if kind == BALL:
+        return pin.JointModelSpherical()
+    axis = np.array(mj.jnt_axis[j]) / np.linalg.norm(mj.jnt_axis[j])
+    return pin.JointModelRevoluteUnaligned(axis) if kind == HINGE else pin.JointModelPrismaticUnaligned(axis)
+
+
+def _se3(position: Array, quaternion: Array) -> pin.SE3:
+    return pin.SE3(matrix_of_quaternion(np.array(quaternion)), np.array(position))
+
+
+def _inertia(mj: mujoco.MjModel, b: int) -> pin.Inertia:
+    R = matrix_of_quaternion(np.array(mj.body_iquat[b]))
+    return pin.Inertia(
+        float(mj.body_mass[b]), np.array(mj.body_ipos[b]), R @ np.diag(mj.body_inertia[b]) @ R.T
+    )

@@ -1,0 +1,128 @@
+"""Payloads: what is mounted at the tool frame."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.spatial.inertia import matrix_of_six, phi_of
+from sysid_bench.types import Array
+from sysid_bench.units import split_quantity
+
+_METRES: Final = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A rigid load: mass (kg), com (m) from the tool frame's origin in its axes, inertia (kg m^2)
+    about the centre of mass in the same axes, Ixx Ixy Ixz Iyy Iyz Izz."""
+
+    name: str
+    mass: float = 0.0
+    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
+
+    @property
+    def phi(self) -> Array:
+        """The ten parameters (10,) about the tool frame."""
+        return phi_of(self.mass, np.array(self.com), matrix_of_six(np.array(self.inertia)))
+
+    def __bool__(self) -> bool:
+        return self.mass > 0.0
+
+
+def solid(text: str, mass: float) -> tuple[float, float, float, float, float, float]:
+    """Inertia about the centre of "box 0.1 0.1 0.2 m", "sphere 0.05 m" (radius), "rod 0.3 m"
+    (thin, along x) or "point", of uniform density."""
+    word, _, rest = text.strip().partition(" ")
+    sizes = _lengths(text, rest)
+    if any(size <= 0 for size in sizes):
+        raise UsageError(f"The solid {text!r} has a size that is not positive.")
+    match word, sizes:
+        case "point", []:
+            return (0.0,) * 6
+        case "sphere", [radius]:
+            i = 0.4 * mass * radius**2
+            return (i, 0.0, 0.0, i, 0.0, i)
+        case "rod", [length]:
+            i = mass * length**2 / 12
+            return (0.0, 0.0, 0.0, i, 0.0, i)
+        case "box", [x, y, z]:
+            k = mass / 12
+            return (k * (y**2 + z**2), 0.0, 0.0, k * (x**2 + z**2), 0.0, k * (x**2 + y**2))
+    raise UsageError(
+        f"{text!r} is no solid; write 'box X Y Z m', 'sphere RADIUS m', 'rod LENGTH m', 'point', "
+        "or six numbers Ixx Ixy Ixz Iyy Iyz Izz."
+    )
+
+
+def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
+    """A payload from its name or its table {mass, com, inertia, name}; raises UsageError."""
+    if isinstance(spec, str):
+        if spec not in PAYLOADS:
+            advice = "Or give a table { mass = 1.2, com = [0, 0, 0.05], inertia = 'sphere 0.05 m' }."
+            raise unknown_name("payload", spec, PAYLOADS, advice)
+        return PAYLOADS[spec]
+    for key in spec:
+        if key not in ("name", "mass", "com", "inertia"):
+            raise unknown_name("key of a payload", key, ("name", "mass", "com", "inertia"))
+    mass = _numbers(spec, "mass", [spec.get("mass")], 1)[0]
+    if mass <= 0:
+        raise UsageError(f"A payload's mass must be positive (kg); got {mass}.")
+    com = _numbers(spec, "com", spec.get("com", [0.0, 0.0, 0.0]), 3)
+    inertia = spec.get("inertia", "point")
+    six = list(solid(inertia, mass)) if isinstance(inertia, str) else inertia
+    six = _numbers(spec, "inertia", six, 6)
+    name = str(spec.get("name") or f"{mass:g}kg-at-{'-'.join(f'{1e3 * c:g}' for c in com)}mm")
+    _check_possible(name, six)
+    return Payload(name, mass, tuple(com), tuple(six))  # type: ignore[arg-type]
+
+
+def _lengths(text: str, rest: str) -> list[float]:
+    words = rest.split()
+    scale = 1.0
+    if words and words[-1] in _METRES:
+        scale = _METRES[words.pop()]
+    try:
+        return [scale * split_quantity(word)[0] for word in words]
+    except UsageError as error:
+        raise UsageError(f"The solid {text!r}: {error}") from error
+
+
+def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list[float]:
+    good = isinstance(values, (list, tuple)) and len(values) == count
+    if not good or any(isinstance(x, bool) or not isinstance(x, (int, float)) for x in values):
+        raise UsageError(f"A payload's {key} needs {count} number(s) in SI units; got {spec.get(key)!r}.")
+    if not all(math.isfinite(x) for x in values):
+        raise UsageError(f"A payload's {key} must be finite; got {spec.get(key)!r}.")
+    return [float(x) for x in values]
+
+
+def _check_possible(name: str, six: list[float]) -> None:
+    moments = np.linalg.eigvalsh(matrix_of_six(np.array(six)))
+    slack = 1e-9 * max(moments[-1], 1e-12)
+    if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
+        raise UsageError(
+            f"The payload {name!r} cannot exist: its principal moments {moments.tolist()} break the "
+            "triangle inequality; give the inertia about the centre of mass, in kg m^2."
+        )
+
+
+def _make(name: str, mass: float, com: tuple[float, float, float], shape: str) -> Payload:
+    return Payload(name, mass, com, solid(shape, mass))
+
+
+PAYLOADS: Final[Mapping[str, Payload]] = MappingProxyType(
+    {
+        "none": Payload("none"),
+        "point-1kg": _make("point-1kg", 1.0, (0.0, 0.0, 0.0), "point"),
+        "sphere-1kg": _make("sphere-1kg", 1.0, (0.0, 0.0, 0.05), "sphere 0.05 m"),
+        "sphere-offset-1kg": _make("sphere-offset-1kg", 1.0, (0.06, -0.04, 0.08), "sphere 0.05 m"),
+        "box-2kg": _make("box-2kg", 2.0, (0.0, 0.0, 0.06), "box 0.1 0.08 0.12 m"),
+        "rod-1kg": _make("rod-1kg", 1.0, (0.0, 0.0, 0.02), "rod 0.3 m"),
+    }
+)

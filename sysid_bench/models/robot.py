@@ -1,0 +1,127 @@
+"""One robot for both engines: the compiled MuJoCo model, its names, its limits and its truth."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.payload import Payload
+from sysid_bench.models.tree import BALL, FREE, HINGE, SLIDE, Tree
+from sysid_bench.spatial.inertia import NAMES
+from sysid_bench.types import Array, Body
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from sysid_bench.models.pairing import Pairing
+
+TYPE_NAMES: Final = {FREE: "free", BALL: "ball", SLIDE: "slide", HINGE: "hinge"}
+SUFFIX: Final = {"viscous": "fv", "coulomb": "fc", "offset": "offset", "armature": "Ia", "spring": "k"}
+"""Joint terms and the names of their parameters, `<joint>.fv` and so on."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint's name, kind (free ball slide hinge), its places in q and v, and its dof names."""
+
+    name: str
+    kind: str
+    qadr: int
+    vadr: int
+    dofs: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class JointTerms:
+    """What each degree of freedom does beside moving masses, arrays (nv,):
+    tau = viscous v + coulomb sign(v) + offset + armature a + spring (q - spring_reference)."""
+
+    viscous: Array
+    coulomb: Array
+    offset: Array
+    armature: Array
+    spring: Array
+    spring_reference: Array
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """Limits per degree of freedom (nv,); a free or ball joint's positions are unlimited."""
+
+    q_low: Array
+    q_high: Array
+    v: Array
+    a: Array
+    tau: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """A robot, with a payload mounted or not. `phi` (nb, 10) and `joint_terms` are the truth that
+    the plant is built with; methods are given a prior drawn around it, never this."""
+
+    name: str
+    manifest: Manifest
+    payload: Payload
+    mj: "mujoco.MjModel"
+    spec: "mujoco.MjSpec" = field(repr=False)
+    tree: Tree
+    body_names: tuple[str, ...]
+    joints: tuple[Joint, ...]
+    phi: Array
+    joint_terms: JointTerms
+    limits: JointLimits
+    tool_body: int  # index into body_names: the body that carries payloads
+    payload_body: int | None
+    format: str  # "urdf" or "mjcf"
+    text: bytes = field(repr=False)  # the canonical text (URDF) or the file (MJCF)
+    repairs: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Names of the degrees of freedom (nv,)."""
+        return tuple(name for joint in self.joints for name in joint.dofs)
+
+    @property
+    def nv(self) -> int:
+        """Number of degrees of freedom."""
+        return self.tree.nv
+
+    @property
+    def scalar_dofs(self) -> Array:
+        """Degrees of freedom (k,) of hinges and slides: those that can have joint terms."""
+        return np.array([j.vadr for j in self.joints if j.kind in ("hinge", "slide")], dtype=int)
+
+    @property
+    def floating(self) -> bool:
+        """Whether any body moves freely."""
+        return any(joint.kind == "free" for joint in self.joints)
+
+    @property
+    def inertial_columns(self) -> tuple[str, ...]:
+        """`<body>.m` ... `<body>.Izz` of every body, in tree order (10 nb,)."""
+        return tuple(f"{body}.{name}" for body in self.body_names for name in NAMES)
+
+    def term_columns(self, terms: tuple[str, ...]) -> tuple[str, ...]:
+        """`<joint>.fv` ... of the chosen joint terms, term after term."""
+        rows = self.rows
+        return tuple(f"{rows[dof]}.{SUFFIX[term]}" for term in terms for dof in self.scalar_dofs)
+
+    def term_values(self, terms: tuple[str, ...]) -> Array:
+        """The true values of `term_columns(terms)`."""
+        values = [getattr(self.joint_terms, term)[self.scalar_dofs] for term in terms]
+        return np.concatenate(values) if values else np.zeros(0)
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """Every body with the names of its ten columns."""
+        return tuple(Body(b, tuple(f"{b}.{n}" for n in NAMES)) for b in self.body_names)
+
+    @cached_property
+    def pairing(self) -> "Pairing":
+        """The same robot for Pinocchio."""
+        from sysid_bench.models.pairing import pair
+
+        return pair(self.mj)

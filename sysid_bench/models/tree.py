@@ -1,0 +1,132 @@
+"""The kinematic tree of a compiled MuJoCo model as plain constants: no engine needed afterwards.
+
+A *link* is a body that has joints; bodies welded to it (or to the world) are its *riders*, with
+their constant pose folded into `X`. Conventions are MuJoCo's: several joints act in their order on
+one body, each about its own anchor `jnt_pos`, with `q - qpos0`; a free joint has linear velocity in
+the world and angular velocity in the body.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from sysid_bench.spatial.inertia import transport
+from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.types import Array
+
+if TYPE_CHECKING:
+    import mujoco
+
+FREE: Final = 0
+BALL: Final = 1
+SLIDE: Final = 2
+HINGE: Final = 3
+DOFS: Final = {FREE: 6, BALL: 3, SLIDE: 1, HINGE: 1}
+COORDINATES: Final = {FREE: 7, BALL: 4, SLIDE: 1, HINGE: 1}
+
+
+@dataclass(frozen=True, eq=False)
+class TreeJoint:
+    """One joint: `kind`, addresses in q and v, axis and anchor (3,) in the body frame, q0."""
+
+    kind: int
+    qadr: int
+    vadr: int
+    axis: Array
+    anchor: Array
+    q0: float
+
+    @property
+    def dofs(self) -> range:
+        """Its places in v."""
+        return range(self.vadr, self.vadr + DOFS[self.kind])
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A body with joints; `R0` (3, 3), `p0` (3,): its pose in the parent link (or the world) before
+    its own joints move it; `dofs`: every degree of freedom between the world and it."""
+
+    body: int
+    parent: int
+    R0: Array
+    p0: Array
+    joints: tuple[TreeJoint, ...]
+    dofs: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """Links in tree order; body b rides on link `carrier[b]` (-1: the world), and its parameters
+    act there as X[b] @ phi_b, X (nb, 10, 10). `gravity` (3,) in the world."""
+
+    links: tuple[Link, ...]
+    carrier: Array
+    X: Array
+    gravity: Array
+    nq: int
+    nv: int
+
+    @property
+    def joints(self) -> tuple[TreeJoint, ...]:
+        """All joints in tree order."""
+        return tuple(joint for link in self.links for joint in link.joints)
+
+    def lumped(self, phi: Array) -> Array:
+        """Parameters (n_links, 10) of each link with all its riders, from phi (nb, 10)."""
+        total = np.zeros((len(self.links), 10))
+        for b, link in enumerate(self.carrier):
+            if link >= 0:
+                total[link] += self.X[b] @ phi[b]
+        return total
+
+
+def tree_of(mj: "mujoco.MjModel") -> Tree:
+    """The tree of a compiled model; body b here is MuJoCo's body b + 1 (the world is none)."""
+    links: list[Link] = []
+    carrier: list[int] = [-1]
+    pose: list[tuple[Array, Array]] = [(np.eye(3), np.zeros(3))]  # of each body in its carrier
+    X: list[Array] = []
+    for b in range(1, mj.nbody):
+        p = int(mj.body_parentid[b])
+        R_p, p_p = pose[p]
+        R0 = R_p @ matrix_of_quaternion(np.array(mj.body_quat[b]))
+        p0 = p_p + R_p @ np.array(mj.body_pos[b])
+        if mj.body_jntnum[b] == 0:
+            carrier.append(carrier[p])
+            pose.append((R0, p0))
+            X.append(transport(R0, p0))
+            continue
+        joints = tuple(_joint(mj, int(mj.body_jntadr[b]) + k) for k in range(mj.body_jntnum[b]))
+        own = [dof for joint in joints for dof in joint.dofs]
+        before = links[carrier[p]].dofs if carrier[p] >= 0 else np.zeros(0, dtype=int)
+        links.append(Link(b - 1, carrier[p], R0, p0, joints, np.concatenate([before, own]).astype(int)))
+        carrier.append(len(links) - 1)
+        pose.append((np.eye(3), np.zeros(3)))
+        X.append(np.eye(10))
+    stacked = np.stack(X) if X else np.zeros((0, 10, 10))
+    return Tree(tuple(links), np.array(carrier[1:], dtype=int), stacked, gravity_of(mj), mj.nq, mj.nv)
+
+
+def gravity_of(mj: "mujoco.MjModel") -> Array:
+    """Gravity (3,) in the world; zero where the model's flag disables it."""
+    import mujoco
+
+    off = mj.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    return np.zeros(3) if off else np.array(mj.opt.gravity)
+
+
+def _joint(mj: "mujoco.MjModel", j: int) -> TreeJoint:
+    # int(): MuJoCo's enums do not compare equal to numpy integers from this side.
+    kind = int(mj.jnt_type[j])
+    qadr = int(mj.jnt_qposadr[j])
+    moves_by_scalar = kind in (SLIDE, HINGE)
+    return TreeJoint(
+        kind=kind,
+        qadr=qadr,
+        vadr=int(mj.jnt_dofadr[j]),
+        axis=np.array(mj.jnt_axis[j]) if moves_by_scalar else np.zeros(3),
+        anchor=np.zeros(3) if kind == FREE else np.array(mj.jnt_pos[j]),
+        q0=float(mj.qpos0[qadr]) if moves_by_scalar else 0.0,
+    )

@@ -1,0 +1,265 @@
+"""One canonical text per URDF, given to both engines.
+
+Visual and collision shapes go, fixed links stay, and only links that MuJoCo would reject are
+repaired, one by one; each repair is told in words, because it is part of the simulated truth.
+"""
+
+import math
+import xml.etree.ElementTree as ET
+from collections import Counter
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.errors import ModelError
+from sysid_bench.spatial.inertia import matrix_of_six, six_of_matrix
+from sysid_bench.types import Array
+
+_SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_SMALLEST_MOMENT: Final = 1e-13  # kg m^2; MuJoCo rejects moving bodies below 1e-15
+_MASSLESS: Final = 1e-9  # kg
+_TINY = {"mass": 1e-6, "moment": 1e-9}  # what a moving massless link gets: kg, kg m^2
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """A canonical URDF: its text, the repairs in words, and what MuJoCo would not read from it."""
+
+    text: str
+    repairs: tuple[str, ...]
+    velocity_limits: dict[str, float]  # joint -> rad/s or m/s
+    mimic: tuple[str, ...]  # joints that the file couples to another one
+
+
+def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urdf:
+    """The canonical text of a URDF; raises ModelError with `name` for what cannot be mended."""
+    robot = parse_xml(text, name)
+    if robot.tag != "robot":
+        raise ModelError(f"{name} is no URDF: its root element is <{robot.tag}>, not <robot>.")
+    _strip(robot)
+    tree = _Chain.of(robot, name)
+    mimic = tuple(_drop_mimic(robot))
+    if free_base:
+        tree = _without_world(robot, tree, name)
+    repairs = [f"mimic joint {joint!r} treated as independent" for joint in mimic]
+    for link in robot.findall("link"):
+        repairs += _repair_inertia(link, name)
+    repairs += _give_mass_to_moving(tree)
+    compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
+    compiler.set("fusestatic", "false")
+    return Urdf(ET.tostring(robot, encoding="unicode"), tuple(repairs), _velocities(robot, name), mimic)
+
+
+def parse_xml(text: str | bytes, name: str) -> ET.Element:
+    """The root element; DOCTYPE and entities are refused, since they can explode or read files."""
+    data = text.encode() if isinstance(text, str) else text
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        raise ModelError(f"{name} declares a DOCTYPE or entities; robot models need none: remove them.")
+    try:
+        return ET.fromstring(data)
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise ModelError(f"{name} is no well-formed XML: {error}.") from error
+
+
+def _strip(robot: ET.Element) -> None:
+    for link in robot.findall("link"):
+        for tag in ("visual", "collision"):
+            for element in link.findall(tag):
+                link.remove(element)
+    for tag in ("mujoco", "gazebo", "transmission", "material", "sensor"):
+        for element in robot.findall(tag):
+            robot.remove(element)
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Who hangs on whom: links by name, and the joints below each link."""
+
+    links: dict[str, ET.Element]
+    below: dict[str, list[tuple[str, str]]]  # parent -> [(child, joint type)]
+    root: str
+
+    @classmethod
+    def of(cls, robot: ET.Element, name: str) -> "_Chain":
+        for tag in ("link", "joint"):
+            counts = Counter(element.get("name") for element in robot.findall(tag))
+            for key, count in counts.items():
+                if key is None:
+                    raise ModelError(f"{name}: a <{tag}> has no name; give it one.")
+                if count > 1:
+                    raise ModelError(f"{name}: {count} <{tag}> elements are called {key!r}; names must differ.")
+        links = {str(link.get("name")): link for link in robot.findall("link")}
+        below: dict[str, list[tuple[str, str]]] = {}
+        parents: dict[str, str] = {}
+        for joint in robot.findall("joint"):
+            parent, child = (_end(joint, tag, links, name) for tag in ("parent", "child"))
+            if child in parents:
+                raise ModelError(f"{name}: link {child!r} has two parents, {parents[child]!r} and {parent!r}.")
+            parents[child] = parent
+            below.setdefault(parent, []).append((child, str(joint.get("type"))))
+        roots = [link for link in links if link not in parents]
+        if len(roots) != 1:
+            there = f"{len(roots)} root links ({', '.join(roots[:5])})" if roots else "no root link: a cycle"
+            raise ModelError(f"{name} has {there}; a URDF tree has exactly one.")
+        chain = cls(links, below, roots[0])
+        reached = chain.reached(roots[0])
+        if len(reached) != len(links):
+            lost = sorted(set(links) - reached)
+            raise ModelError(f"{name}: the links {', '.join(lost[:5])} form a cycle apart from {roots[0]!r}.")
+        return chain
+
+    def reached(self, start: str) -> set[str]:
+        seen, todo = {start}, [start]
+        while todo:
+            for child, _ in self.below.get(todo.pop(), []):
+                if child not in seen:
+                    seen.add(child)
+                    todo.append(child)
+        return seen
+
+    def rigid_mass(self, link: str) -> float:
+        """Mass (kg) of a link and everything fixed to it."""
+        total, todo = 0.0, [link]
+        while todo:
+            here = todo.pop()
+            total += _mass(self.links[here])
+            todo += [child for child, kind in self.below.get(here, []) if kind == "fixed"]
+        return total
+
+
+def _end(joint: ET.Element, tag: str, links: dict[str, ET.Element], name: str) -> str:
+    element = joint.find(tag)
+    link = None if element is None else element.get("link")
+    if link is None or link not in links:
+        raise ModelError(f"{name}: the {tag} of joint {joint.get('name')!r} is {link!r}, which is no link of it.")
+    return link
+
+
+def _drop_mimic(robot: ET.Element) -> list[str]:
+    dropped = []
+    for joint in robot.findall("joint"):
+        for mimic in joint.findall("mimic"):
+            joint.remove(mimic)
+            dropped.append(str(joint.get("name")))
+    return dropped
+
+
+def _without_world(robot: ET.Element, chain: _Chain, name: str) -> _Chain:
+    """A root link called `world` stands for the ground: a floating robot begins below it."""
+    children = chain.below.get(chain.root, [])
+    if chain.root != "world" or len(children) != 1:
+        return chain
+    robot.remove(chain.links["world"])
+    for joint in robot.findall("joint"):
+        parent = joint.find("parent")
+        if parent is not None and parent.get("link") == "world":
+            robot.remove(joint)
+    return _Chain.of(robot, name)
+
+
+def _repair_inertia(link: ET.Element, name: str) -> list[str]:
+    inertial = link.find("inertial")
+    if inertial is None:
+        return []
+    label = f"{name}: link {link.get('name')!r}"
+    mass = _number(inertial.find("mass"), "value", label)
+    element = inertial.find("inertia")
+    _check_origin(inertial.find("origin"), label)
+    if mass < 0:
+        raise ModelError(f"{label} has the negative mass {mass}; a mass is in kg and at least 0.")
+    if element is None:
+        element = ET.SubElement(inertial, "inertia", {key: "0" for key in _SIX})
+    six = np.array([_number(element, key, label, default=0.0) for key in _SIX])
+    moments = np.linalg.eigvalsh(matrix_of_six(six))
+    if not six.any():
+        return _point_mass(element, mass, link)
+    if moments[0] >= _SMALLEST_MOMENT and moments[0] + moments[1] >= moments[2]:
+        return []
+    nearest = _nearest_possible(matrix_of_six(six))
+    change = np.abs(nearest - matrix_of_six(six)).max() / np.abs(six).max()
+    _write_six(element, six_of_matrix(nearest))
+    return [f"inertia of link {link.get('name')!r} made possible (largest change {change:.2g} of it)"]
+
+
+def _point_mass(element: ET.Element, mass: float, link: ET.Element) -> list[str]:
+    if mass <= 0:
+        return []
+    moment = max(1e-9, 1e-6 * mass)
+    _write_six(element, np.array([moment, 0, 0, moment, 0, moment]))
+    return [f"point mass of link {link.get('name')!r} given the inertia {moment:.2g} kg m^2"]
+
+
+def _nearest_possible(inertia: Array) -> Array:
+    """The inertia whose density covariance has its negative eigenvalues lifted to a small margin."""
+    covariance = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    values, vectors = np.linalg.eigh(covariance)
+    lifted = np.maximum(values, 1e-6 * max(float(np.trace(covariance)), 1e-3))
+    covariance = vectors @ np.diag(lifted) @ vectors.T
+    return np.trace(covariance) * np.eye(3) - covariance
+
+
+def _give_mass_to_moving(chain: _Chain) -> list[str]:
+    repairs = []
+    for children in chain.below.values():
+        for child, kind in children:
+            if kind == "fixed" or chain.rigid_mass(child) >= _MASSLESS:
+                continue
+            link = chain.links[child]
+            for inertial in link.findall("inertial"):
+                link.remove(inertial)
+            inertial = ET.SubElement(link, "inertial")
+            ET.SubElement(inertial, "origin", {"xyz": "0 0 0"})
+            ET.SubElement(inertial, "mass", {"value": repr(_TINY["mass"])})
+            moment = _TINY["moment"]
+            _write_six(ET.SubElement(inertial, "inertia"), np.array([moment, 0, 0, moment, 0, moment]))
+            repairs.append(f"massless moving link {child!r} given {_TINY['mass']:.0e} kg")
+    return repairs
+
+
+def _mass(link: ET.Element) -> float:
+    element = link.find("inertial/mass")
+    return 0.0 if element is None else float(element.get("value", 0.0))
+
+
+def _number(element: ET.Element | None, key: str, label: str, default: float | None = None) -> float:
+    text = None if element is None else element.get(key)
+    if text is None and default is not None:
+        return default
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ModelError(f"{label}: {key} is {text!r}; it must be a finite number.")
+    return value
+
+
+def _check_origin(origin: ET.Element | None, label: str) -> None:
+    for key in ("xyz", "rpy"):
+        words = "0 0 0" if origin is None else origin.get(key, "0 0 0")
+        try:
+            good = len(words.split()) == 3 and all(math.isfinite(float(word)) for word in words.split())
+        except ValueError:
+            good = False
+        if not good:
+            raise ModelError(f"{label}: the inertial origin's {key} is {words!r}; write three finite numbers.")
+
+
+def _write_six(element: ET.Element, six: Array) -> None:
+    for key, value in zip(_SIX, six, strict=True):
+        element.set(key, repr(float(value)))
+
+
+def _velocities(robot: ET.Element, name: str) -> dict[str, float]:
+    found = {}
+    for joint in robot.findall("joint"):
+        limit = joint.find("limit")
+        label = f"{name}: joint {joint.get('name')!r}"
+        for key in ("lower", "upper", "effort", "velocity"):
+            if limit is not None and limit.get(key) is not None:
+                _number(limit, key, label)
+        if limit is not None and float(limit.get("velocity", 0.0)) > 0:
+            found[str(joint.get("name"))] = float(limit.get("velocity", 0.0))
+        _check_origin(joint.find("origin"), label)
+    return found

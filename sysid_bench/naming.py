@@ -1,0 +1,134 @@
+"""A name becomes an object: "ols", "package.module:Thing", "file:mine.py:Thing", entry points.
+
+Built-in names are strings here, so that this file imports nothing of ours and naming a thing costs
+no import; `tests/test_naming.py` holds the table against the folders. Strangers add names with an
+entry point in the group `sysid_bench.<kind>s`, or use "module:object" without any registration.
+"""
+
+import dataclasses
+import importlib
+import importlib.util
+import inspect
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import Any, Final
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.units import quantity
+
+BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
+    {
+        "estimator": {
+            "ols": "sysid_bench.identification.estimators.ols:OLS",
+            "wls": "sysid_bench.identification.estimators.wls:WLS",
+        },
+        "excitation": {
+            "fourier": "sysid_bench.excitation.fourier:Fourier",
+            "fourier-other": "sysid_bench.excitation.fourier:OtherFourier",
+            "multisine": "sysid_bench.excitation.multisine:MultiSine",
+            "ptp": "sysid_bench.excitation.point_to_point:PointToPoint",
+        },
+        "simulation": {
+            "inverse": "sysid_bench.simulation.inverse:Inverse",
+            "closed-loop": "sysid_bench.simulation.closed_loop:ClosedLoop",
+        },
+        "plant": {
+            "matched": "sysid_bench.simulation.effects.matched:Matched",
+            "stribeck": "sysid_bench.simulation.effects.stribeck:Stribeck",
+        },
+    }
+)
+
+
+def known(kind: str) -> dict[str, str]:
+    """Every name of a kind and where it lies ("module:object"), built in and from entry points."""
+    return dict(BUILTIN.get(kind, {})) | {point.name: point.value for point in _points(kind)}
+
+
+def resolve(kind: str, name: str) -> Any:
+    """The object that `name` stands for; raises UsageError with the nearest name."""
+    table = known(kind)
+    target = table.get(name, name)
+    if ":" not in target:
+        advice = f"A {kind} of your own is named 'module:object' or 'file:path.py:object'."
+        raise unknown_name(kind, name, table, advice)
+    place, _, attribute = target.rpartition(":")
+    try:
+        return getattr(_module(place), attribute)
+    except AttributeError as error:
+        raise UsageError(f"{place!r} has no {attribute!r} ({kind} {name!r}).") from error
+
+
+def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
+    """The object of a name, called with its settings; {use = "fourier", period = "5 s"}.
+
+    Settings of a dataclass field with `metadata={"unit": ...}` are read with their unit.
+    """
+    if isinstance(spec, str):
+        spec = {"use": spec}
+    if "use" not in spec:
+        raise UsageError(f"A {kind} needs a name: {{ use = ... }}; got the keys {sorted(spec)}.")
+    make = resolve(kind, spec["use"])
+    settings = {key: value for key, value in spec.items() if key not in ("use", "label")}
+    if not callable(make):
+        if settings:
+            raise UsageError(f"{kind} {spec['use']!r} takes no settings; got {sorted(settings)}.")
+        return make
+    return make(**_settings(kind, spec["use"], make, settings))
+
+
+def _settings(kind: str, name: str, make: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    try:
+        parameters = inspect.signature(make).parameters
+    except (TypeError, ValueError):
+        return dict(given)
+    free = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
+    units = {}
+    if dataclasses.is_dataclass(make):
+        units = {f.name: f.metadata["unit"] for f in dataclasses.fields(make) if "unit" in f.metadata}
+    values = {}
+    for key, value in given.items():
+        if key not in parameters and not free:
+            raise unknown_name(f"setting of the {kind} {name!r}", key, parameters)
+        try:
+            values[key] = quantity(value, units[key]) if key in units else value
+        except UsageError as error:
+            raise UsageError(f"{kind} {name!r}, {key}: {error}") from error
+    missing = [
+        key
+        for key, p in parameters.items()
+        if p.default is p.empty
+        and p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)
+        and key not in values
+    ]
+    if missing:
+        raise UsageError(f"{kind} {name!r} needs the settings {', '.join(missing)}.")
+    return values
+
+
+def _points(kind: str) -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=f"sysid_bench.{kind}s"))
+
+
+def _module(place: str) -> ModuleType:
+    if place.startswith("file:"):
+        return _module_of_file(Path(place.removeprefix("file:")))
+    try:
+        return importlib.import_module(place)
+    except ModuleNotFoundError as error:
+        if error.name is not None and (place == error.name or place.startswith(error.name + ".")):
+            raise UsageError(f"No module is called {place!r} on this Python's path.") from error
+        raise
+
+
+def _module_of_file(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise UsageError(f"There is no file {str(path)!r} to take a plug-in from.")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise UsageError(f"{str(path)!r} is no Python file.")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,69 @@
+"""Where robots, suites and reports are: a checkout, an installed wheel, the user's folders."""
+
+from functools import cache
+from importlib.metadata import PackageNotFoundError, files
+from pathlib import Path
+
+from sysid_bench.errors import UsageError, unknown_name
+
+
+def shipped(kind: str) -> Path:
+    """The folder `robots` or `suites` of this installation (checkout or wheel)."""
+    package = Path(__file__).resolve().parent
+    for folder in (package.parent / kind, package / kind):
+        if folder.is_dir():
+            return folder
+    raise UsageError(f"This installation of sysid_bench has no {kind!r} folder; install it again.")
+
+
+def robot_folders(extra: Path | None = None) -> list[Path]:
+    """Folders that hold <name>/robot.toml, the nearest first: --robots, ./robots, installed."""
+    folders = [] if extra is None else [extra]
+    folders += [Path("robots"), shipped("robots")]
+    return [folder for folder in folders if folder.is_dir()]
+
+
+def robots(extra: Path | None = None) -> dict[str, Path]:
+    """Every robot that can be named, with its manifest."""
+    found: dict[str, Path] = {}
+    for folder in robot_folders(extra):
+        for manifest in sorted(folder.glob("*/robot.toml")):
+            found.setdefault(manifest.parent.name, manifest)
+    return found
+
+
+def suites() -> dict[str, Path]:
+    """Every suite that can be named without a path: ./suites first, then the installed ones."""
+    found: dict[str, Path] = {}
+    for folder in (Path("suites"), shipped("suites")):
+        for file in sorted(folder.glob("*.toml")):
+            found.setdefault(file.stem, file)
+    return found
+
+
+def suite(name: str) -> Path:
+    """A suite's file from its name or path."""
+    path = Path(name)
+    if path.suffix == ".toml" or path.parent != Path("."):
+        if path.is_file():
+            return path
+        raise UsageError(f"There is no suite file {name!r}; named suites: {', '.join(suites())}.")
+    table = suites()
+    if name not in table:
+        raise unknown_name("suite", name, table, "Or give the path of a TOML file.")
+    return table[name]
+
+
+@cache
+def example_robot_data() -> Path:
+    """The folder `robots` of the package example-robot-data, found without importing it."""
+    try:
+        listed = files("example-robot-data") or []
+    except PackageNotFoundError as error:
+        raise UsageError("The package example-robot-data is absent: pip install it.") from error
+    for file in listed:
+        if file.name.endswith(".urdf") and "robots" in file.parts:
+            where = Path(str(file.locate())).resolve()
+            depth = len(file.parts) - file.parts.index("robots") - 2
+            return where.parents[depth]
+    raise UsageError("The package example-robot-data holds no URDF; install it again.")

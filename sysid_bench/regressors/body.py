@@ -1,0 +1,31 @@
+"""The body regressor as printed by `python -m sysid_bench.regressors.derive`; do not edit.
+
+`tests/regressors/test_derive.py` derives it again and compares.
+"""
+
+from sysid_bench.types import Array
+
+# fmt: off
+
+
+def entries(w: Array, alpha: Array, d: Array) -> tuple[tuple[tuple[int, Array], ...], ...]:
+    """The entries of A (6, 10) that are not zero, column by column as (row, value).
+
+    w, alpha, d (3, ...): angular velocity, angular acceleration, and classical acceleration less
+    gravity of the body's origin, in body axes. Rows nx ny nz fx fy fz.
+    """
+    wx, wy, wz = w
+    ax, ay, az = alpha
+    dx, dy, dz = d
+    return (
+        ((3, dx), (4, dy), (5, dz)),  # m
+        ((1, -dz), (2, dy), (3, -wy**2 - wz**2), (4, az + wx*wy), (5, -ay + wx*wz)),  # hx
+        ((0, dz), (2, -dx), (3, -az + wx*wy), (4, -wx**2 - wz**2), (5, ax + wy*wz)),  # hy
+        ((0, -dy), (1, dx), (3, ay + wx*wz), (4, -ax + wy*wz), (5, -wx**2 - wy**2)),  # hz
+        ((0, ax), (1, wx*wz), (2, -wx*wy)),  # Ixx
+        ((0, ay - wx*wz), (1, ax + wy*wz), (2, wx**2 - wy**2)),  # Ixy
+        ((0, az + wx*wy), (1, -wx**2 + wz**2), (2, ax - wy*wz)),  # Ixz
+        ((0, -wy*wz), (1, ay), (2, wx*wy)),  # Iyy
+        ((0, wy**2 - wz**2), (1, az - wx*wy), (2, ay + wx*wz)),  # Iyz
+        ((0, wy*wz), (1, -wx*wz), (2, az)),  # Izz
+    )

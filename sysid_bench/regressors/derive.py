@@ -1,0 +1,92 @@
+"""The 6x10 body regressor, derived with SymPy from the spatial Newton-Euler equation.
+
+    F = G dV - ad(V)^T G V,   V = [w; v],   F = [n; f]
+
+with the spatial inertia G = [[I, [h]x], [-[h]x, m 1]] and ad(V)^T = [[-[w]x, -[v]x], [0, -[w]x]]
+(seed tool "robot-sysid", section Newton-Euler Dynamics; Featherstone 2008, eq. 2.62). Since F is
+linear in phi, A = dF/dphi. In A the linear velocity occurs only in d = dv + w × v, the classical
+acceleration of the body's origin, so the kernel needs w, dw and d alone; gravity enters as d - g.
+
+    python -m sysid_bench.regressors.derive     prints sysid_bench/regressors/body.py
+"""
+
+import sympy as sp
+
+from sysid_bench.spatial.inertia import NAMES
+
+W = sp.Matrix(sp.symbols("wx wy wz"))
+V = sp.Matrix(sp.symbols("vx vy vz"))
+DW = sp.Matrix(sp.symbols("ax ay az"))  # angular acceleration
+DV = sp.Matrix(sp.symbols("dvx dvy dvz"))
+D = sp.Matrix(sp.symbols("dx dy dz"))  # dv + w × v
+PHI = sp.Matrix(sp.symbols(NAMES))
+
+
+def body_regressor() -> sp.Matrix:
+    """A (6, 10) in w, v, dw, dv: rows n then f, columns m hx hy hz Ixx Ixy Ixz Iyy Iyz Izz."""
+    twist, rate = sp.Matrix([W, V]), sp.Matrix([DW, DV])
+    G = spatial_inertia()
+    wrench = G * rate - adjoint_transpose() * G * twist
+    return wrench.jacobian(PHI).applyfunc(sp.expand)
+
+
+def spatial_inertia() -> sp.Matrix:
+    """G (6, 6) of phi for V = [w; v]."""
+    m, hx, hy, hz, xx, xy, xz, yy, yz, zz = PHI
+    inertia = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    h = skew(sp.Matrix([hx, hy, hz]))
+    return sp.Matrix(sp.BlockMatrix([[inertia, h], [-h, m * sp.eye(3)]]))
+
+
+def adjoint_transpose() -> sp.Matrix:
+    """ad(V)^T (6, 6) as the seed prints it."""
+    return sp.Matrix(sp.BlockMatrix([[-skew(W), -skew(V)], [sp.zeros(3), -skew(W)]]))
+
+
+def in_classical_acceleration(A: sp.Matrix) -> sp.Matrix:
+    """A with dv replaced by d - w × v; the velocity v must cancel."""
+    change = dict(zip(DV, D - W.cross(V), strict=True))
+    return A.subs(change).applyfunc(sp.expand)
+
+
+def skew(x: sp.Matrix) -> sp.Matrix:
+    """[x]x (3, 3)."""
+    return sp.Matrix([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
+
+
+def source() -> str:
+    """The text of body.py."""
+    A = in_classical_acceleration(body_regressor())
+    columns = []
+    for c in range(10):
+        rows = [row for row in range(6) if A[row, c] != 0]
+        terms = ", ".join(f"({row}, {sp.pycode(A[row, c])})" for row in rows)
+        columns.append(f"        ({terms}),  # {NAMES[c]}")
+    body = "\n".join(columns)
+    return f'''"""The body regressor as printed by `python -m sysid_bench.regressors.derive`; do not edit.
+
+`tests/regressors/test_derive.py` derives it again and compares.
+"""
+
+from sysid_bench.types import Array
+
+# fmt: off
+
+
+def entries(w: Array, alpha: Array, d: Array) -> tuple[tuple[tuple[int, Array], ...], ...]:
+    """The entries of A (6, 10) that are not zero, column by column as (row, value).
+
+    w, alpha, d (3, ...): angular velocity, angular acceleration, and classical acceleration less
+    gravity of the body's origin, in body axes. Rows nx ny nz fx fy fz.
+    """
+    wx, wy, wz = w
+    ax, ay, az = alpha
+    dx, dy, dz = d
+    return (
+{body}
+    )
+'''
+
+
+if __name__ == "__main__":
+    print(source(), end="")

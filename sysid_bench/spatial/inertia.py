@@ -1,0 +1,71 @@
+"""Inertia of one rigid body: phi (10,) about a frame's origin, in its axes.
+
+phi = [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] with h = m c and I about the origin. The
+pseudo-inertia J = [[tr(I)/2 1 - I, h], [h', m]] (Wensing, Kim, Slotine 2018, eq. 12) is linear in
+phi, and a body can exist iff J is positive semidefinite.
+"""
+
+import numpy as np
+
+from sysid_bench.types import Array
+
+NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def six_of_matrix(matrix: Array) -> Array:
+    """Ixx Ixy Ixz Iyy Iyz Izz (..., 6) of a symmetric matrix (..., 3, 3)."""
+    return np.stack([matrix[..., i, j] for i, j in _PAIRS], axis=-1)
+
+
+def matrix_of_six(six: Array) -> Array:
+    """The symmetric matrix (..., 3, 3) of Ixx Ixy Ixz Iyy Iyz Izz (..., 6)."""
+    matrix = np.zeros((*six.shape[:-1], 3, 3), dtype=six.dtype)
+    for k, (i, j) in enumerate(_PAIRS):
+        matrix[..., i, j] = matrix[..., j, i] = six[..., k]
+    return matrix
+
+
+def phi_of(mass: float, com: Array, inertia: Array) -> Array:
+    """phi (10,) of a mass (kg), centre of mass (3,) (m) and inertia (3, 3) about it (kg m^2)."""
+    com = np.asarray(com, dtype=float)
+    about_origin = inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return np.concatenate([[mass], mass * com, six_of_matrix(about_origin)])
+
+
+def mass_com_inertia(phi: Array) -> tuple[float, Array, Array]:
+    """Mass, centre of mass (3,), inertia (3, 3) about it; the com of a massless body is zero."""
+    mass, h = float(phi[0]), phi[1:4]
+    com = h / mass if mass != 0.0 else np.zeros(3)
+    return mass, com, matrix_of_six(phi[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com))
+
+
+def pseudo_inertia(phi: Array) -> Array:
+    """J (..., 4, 4) of phi (..., 10)."""
+    inertia = matrix_of_six(phi[..., 4:])
+    J = np.zeros((*phi.shape[:-1], 4, 4), dtype=phi.dtype)
+    trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
+    J[..., :3, :3] = 0.5 * trace * np.eye(3) - inertia
+    J[..., :3, 3] = J[..., 3, :3] = phi[..., 1:4]
+    J[..., 3, 3] = phi[..., 0]
+    return J
+
+
+def phi_of_pseudo_inertia(J: Array) -> Array:
+    """phi (..., 10) of J (..., 4, 4)."""
+    second = J[..., :3, :3]
+    trace = np.trace(second, axis1=-2, axis2=-1)[..., None, None]
+    inertia = trace * np.eye(3) - second
+    return np.concatenate([J[..., 3, 3][..., None], J[..., :3, 3], six_of_matrix(inertia)], axis=-1)
+
+
+def transport(R_ab: Array, p_ab: Array) -> Array:
+    """X (10, 10) with phi_a = X phi_b, for frame b at p_ab (3,) with axes R_ab (3, 3) in a."""
+    H = np.eye(4)
+    H[:3, :3], H[:3, 3] = R_ab, p_ab
+    return phi_of_pseudo_inertia(H @ pseudo_inertia(np.eye(10)) @ H.T).T
+
+
+def smallest_eigenvalue(phi: Array) -> Array:
+    """The smallest eigenvalue (...) of the pseudo-inertia of phi (..., 10); >= 0: it can exist."""
+    return np.linalg.eigvalsh(pseudo_inertia(phi))[..., 0]

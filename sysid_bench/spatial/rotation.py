@@ -1,0 +1,85 @@
+"""Unit quaternions (w, x, y, z) and rotation matrices; leading axes are free."""
+
+import numpy as np
+
+from sysid_bench.types import Array
+
+
+def skew(x: Array) -> Array:
+    """[x]_x (..., 3, 3) with [x]_x y = x × y."""
+    zero = np.zeros_like(x[..., 0])
+    rows = [zero, -x[..., 2], x[..., 1], x[..., 2], zero, -x[..., 0], -x[..., 1], x[..., 0], zero]
+    return np.stack(rows, axis=-1).reshape(*x.shape[:-1], 3, 3)
+
+
+def matrix_of_quaternion(quaternion: Array) -> Array:
+    """R (..., 3, 3) of a quaternion (..., 4), which is normalised first."""
+    w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return np.stack(rows, axis=-1).reshape(*quaternion.shape[:-1], 3, 3)
+
+
+def product(left: Array, right: Array) -> Array:
+    """Quaternion product (..., 4): first `right`, then `left`."""
+    a, b, c, d = np.moveaxis(left, -1, 0)
+    w, x, y, z = np.moveaxis(right, -1, 0)
+    parts = [
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    ]
+    return np.stack(parts, axis=-1)
+
+
+def conjugate(quaternion: Array) -> Array:
+    """The inverse rotation (..., 4) of a unit quaternion."""
+    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def quaternion_of_vector(rotation_vector: Array) -> Array:
+    """exp of a rotation vector (..., 3) as a unit quaternion (..., 4)."""
+    angle = np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
+    # np.sinc is sin(pi x)/(pi x): smooth at zero, where a plain quotient is 0/0.
+    half = 0.5 * np.sinc(angle / (2 * np.pi)) * rotation_vector
+    return np.concatenate([np.cos(angle / 2), half], axis=-1)
+
+
+def body_rates(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array]:
+    """Angular velocity and acceleration in the body frame (..., 3) of R = exp([r]_x).
+
+    w = J dr with the right Jacobian J = 1 - c1 [r]_x + c2 [r]_x^2 of SO(3) (Chirikjian 2012,
+    eq. 10.86), c1 = (1 - cos|r|)/|r|^2, c2 = (|r| - sin|r|)/|r|^3; its time derivative by the
+    chain rule. Valid for |r| < 2 pi.
+    """
+    c1, c2, d1, d2 = _jacobian_series(np.linalg.norm(r, axis=-1, keepdims=True))
+    rdot = np.sum(r * dr, axis=-1, keepdims=True)  # d(|r|^2)/dt / 2
+    r_dr, r_ddr = np.cross(r, dr), np.cross(r, ddr)
+    r_r_dr = np.cross(r, r_dr)
+    w = dr - c1 * r_dr + c2 * r_r_dr
+    change = -d1 * rdot * r_dr + d2 * rdot * r_r_dr
+    change = change + c2 * (np.cross(dr, r_dr))  # the product rule's other terms vanish: dr × dr = 0
+    return w, ddr - c1 * r_ddr + c2 * np.cross(r, r_ddr) + change
+
+
+def _jacobian_series(angle: Array) -> tuple[Array, Array, Array, Array]:
+    """c1, c2 and their derivatives by |r|^2, times 2, so that dc/dt = d * (r . dr)."""
+    small = angle < 0.05
+    x = np.where(small, 1.0, angle)
+    s, c, x2 = np.sin(x), np.cos(x), x * x
+    t = np.where(small, angle, 0.0) ** 2
+    c1 = np.where(small, 0.5 - t / 24 + t**2 / 720 - t**3 / 40320, (1 - c) / x2)
+    c2 = np.where(small, 1 / 6 - t / 120 + t**2 / 5040 - t**3 / 362880, (x - s) / x**3)
+    d1 = np.where(
+        small, -1 / 12 + t / 180 - t**2 / 6720 + t**3 / 453600, (x * s - 2 * (1 - c)) / x2**2
+    )
+    d2 = np.where(
+        small,
+        -1 / 60 + t / 1260 - t**2 / 60480 + t**3 / 4989600,
+        (3 * s - x * c - 2 * x) / x**5,
+    )
+    return c1, c2, d1, d2

@@ -1,0 +1,310 @@
+"""The nouns: what one room hands to the next. Arrays and labels only.
+
+Letters: N samples, nq positions, nv velocities (degrees of freedom), p unknown parameters,
+r base parameters. Units are SI; a degree of freedom is an angle (rad, N m) or a length (m, N).
+A method sees `Recording`, `Prior`, `Problem` and `Experiment`; `Oracle` and `Truth` are opened by
+scoring alone, and `tests/test_layers.py` holds that wall.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A motion on a time grid, in the coordinates of the MuJoCo model (free joint: linear
+    velocity in the world, angular velocity in the body)."""
+
+    t: Float[Array, " N"]
+    q: Float[Array, "N nq"]
+    v: Float[Array, "N nv"]
+    a: Float[Array, "N nv"]
+    name: str = ""
+    period: float | None = None  # s; the motion repeats after it
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """The declared joint controller: tau = kp (q_ref - q) + kd (v_ref - v), at `rate`."""
+
+    kp: Float[Array, " nv"]
+    kd: Float[Array, " nv"]
+    rate: float  # Hz
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a robot would give: sensor signals, their rate, the commanded motion, the controller.
+
+    `v` and `a` are absent until a filter has made them from q (or an ideal sensor gave them).
+    """
+
+    t: Float[Array, " N"]
+    q: Float[Array, "N nq"]
+    tau: Float[Array, "N nv"]
+    rate: float  # Hz
+    rows: tuple[str, ...]  # names of the degrees of freedom
+    v: Float[Array, "N nv"] | None = None
+    a: Float[Array, "N nv"] | None = None
+    commanded: Trajectory | None = None
+    controller: Controller | None = None
+    period: float | None = None  # s
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def motion(self) -> Trajectory:
+        """The measured motion; raises ValueError while v and a are absent."""
+        if self.v is None or self.a is None:
+            raise ValueError("This recording has no velocity and acceleration: filter it first.")
+        return Trajectory(self.t, self.q, self.v, self.a, "measured", self.period)
+
+
+@dataclass(frozen=True, eq=False)
+class Oracle:
+    """What really happened in one simulated motion: for scoring only."""
+
+    motion: Trajectory  # exact
+    tau: Float[Array, "N nv"]  # noise-free joint torque
+    unmodelled: Float[Array, "N nv"]  # the part of tau that the identified model cannot express
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The parameters that the plant was built with, in the order of `Problem.parameters`."""
+
+    parameters: tuple[str, ...]
+    theta: Float[Array, " p"]
+
+
+@dataclass(frozen=True, eq=False)
+class Regressor:
+    """Y of tau = Y theta for a whole motion, dense: small motions and witnesses only."""
+
+    Y: Float[Array, "N rows p"]
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class BaseMap:
+    """beta = K theta: what a regressor can tell. `K[:, pivots]` is the identity.
+
+    `rank` counts singular values above 1e-5 of the largest (SI columns, random states), `gap` is
+    the ratio of the last kept to the first dropped, `near_degenerate` how many dropped ones lie
+    above 1e-12.
+    """
+
+    K: Float[Array, "r p"]
+    pivots: Int[Array, " r"]
+    parameters: tuple[str, ...]
+    gap: float
+    near_degenerate: int
+    singular_values: Float[Array, " k"]
+
+    @property
+    def rank(self) -> int:
+        """r, the number of base parameters."""
+        return len(self.pivots)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the pivot parameters, one per base parameter."""
+        return tuple(self.parameters[i] for i in self.pivots)
+
+    def embed(self, beta: Float[Array, " r"]) -> Float[Array, " p"]:
+        """The theta with beta on the pivots and zero elsewhere: the same torques, no more."""
+        theta = np.zeros(self.K.shape[1])
+        theta[self.pivots] = beta
+        return theta
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """R of the QR factorisation of [W_i | b_i], all samples of one row (joint) i.
+
+    `columns` are the base parameters that this row touches; the last column of R is b.
+    """
+
+    row: str
+    columns: Int[Array, " k"]
+    R: Float[Array, "m k1"]
+    samples: int
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What a method is told beforehand: theta0 and the standard deviations it is declared with."""
+
+    theta: Float[Array, " p"]
+    std: Float[Array, " p"]
+
+
+@dataclass(frozen=True)
+class Body:
+    """One body of the parameter vector and the names of its ten columns, `m` ... `Izz`."""
+
+    name: str
+    columns: tuple[str, ...]
+
+
+RowBlock = tuple[Float[Array, "n rows r"], Float[Array, "n rows"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """W beta = b, as per-row R factors; the rows themselves again and again through `blocks()`."""
+
+    parameters: tuple[str, ...]  # p unknowns
+    base: BaseMap
+    rows: tuple[str, ...]
+    factors: tuple[Factor, ...]  # one per row
+    bodies: tuple[Body, ...]
+    blocks: Callable[[], Iterator[RowBlock]] = field(repr=False)
+    samples: int = 0
+    prior: Prior | None = None
+
+    @cached_property
+    def stacked(self) -> tuple[Float[Array, "M r"], Float[Array, " M"]]:
+        """(W, b) of all samples, sample after sample: memory grows with N; prefer `factors`."""
+        parts = list(self.blocks())
+        W = np.concatenate([block.reshape(-1, self.base.rank) for block, _ in parts])
+        return W, np.concatenate([b.ravel() for _, b in parts])
+
+    @property
+    def W(self) -> Float[Array, "M r"]:
+        """The stacked base regressor (N * rows, r)."""
+        return self.stacked[0]
+
+    @property
+    def b(self) -> Float[Array, " M"]:
+        """The stacked right-hand side (N * rows,)."""
+        return self.stacked[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """What an estimator that simulates or knows the noise is given beside its `problem`.
+
+    `regress(motion)` yields blocks of the base regressor (n, rows, r) along any motion;
+    `simulate(theta)` runs the method's own noise-free model with these parameters (p,) under the
+    declared controller along the commanded motion and returns a Recording with exact v and a. It
+    raises UnsupportedError where no controller is declared.
+    """
+
+    problem: Problem
+    recording: Recording  # filtered as the suite says
+    raw: Recording  # as the sensors gave it
+    regress: Callable[[Trajectory], Iterator[Float[Array, "n rows r"]]] = field(repr=False)
+    simulate: Callable[[Float[Array, " p"]], Recording] = field(repr=False)
+
+
+EstimateStatus = Literal["ok", "failed", "unsupported"]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What a method answers. `beta` (r,) are base parameters; `theta` (p,) only where the method
+    claims all of them, and then beta = K theta."""
+
+    beta: Float[Array, " r"] | None = None
+    theta: Float[Array, " p"] | None = None
+    covariance: Float[Array, "r r"] | None = None
+    status: EstimateStatus = "ok"
+    reason: str = ""
+    stats: Mapping[str, float] = field(default_factory=dict)
+
+
+class LinearEstimator(Protocol):
+    """A method that needs W beta = b alone."""
+
+    def solve(self, problem: Problem) -> Estimate: ...
+
+
+class SimulatingEstimator(Protocol):
+    """A method that simulates or knows the noise."""
+
+    def fit(self, experiment: Experiment) -> Estimate: ...
+
+
+@dataclass(frozen=True)
+class Score:
+    """Judgement of one estimate; None where a figure does not apply. See docs of each field.
+
+    Torque errors are held-out and against the noise-free torque (the Oracle), except `rmse_train`.
+    """
+
+    rmse_train: float | None = None  # N m, N: residual on the measured training torque
+    rmse_test: float | None = None  # N m, N: all held-out motions, all joints
+    torque_error: float | None = None  # held-out RMS error / RMS torque, joints scaled first
+    torque_error_by_motion: Mapping[str, float] = field(default_factory=dict)
+    rank: int | None = None  # base parameters of the task
+    data_rank: int | None = None  # of them, excited by the training motion
+    parameters: int | None = None  # p
+    rank_gap: float | None = None
+    near_degenerate: int | None = None
+    condition: float | None = None  # of W, SI columns, left-to-right base set
+    condition_unit: float | None = None  # of W with unit columns
+    d_optimality: float | None = None  # log det of the information about held-out torques
+    parameter_error: float | None = None  # |W (beta - beta*)| / |W beta*|, held-out rows
+    beta_error: float | None = None  # |beta - beta*| / |beta*|, SI columns
+    payload_error: float | None = None  # |phi - phi*| / |phi*|, ten SI numbers of the payload
+    mass_error: float | None = None  # kg, payload and link tasks
+    com_error: float | None = None  # m
+    feasible: bool | None = None
+    min_eigenvalue: float | None = None  # smallest of any body's pseudo-inertia
+    plausible: bool | None = None
+    joints: tuple[Mapping[str, Any], ...] = ()  # per row: name rmse_train rmse_test rms relative small
+
+
+ShapeKind = Literal["mesh", "box", "sphere", "cylinder", "capsule", "ellipsoid"]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """What a body looks like, for pictures alone. `size`: scale of a mesh (3,), half lengths of a
+    box or ellipsoid (3,), (radius, half length) of a cylinder or capsule along z, (radius,)."""
+
+    body: int  # index into Evidence.bodies
+    kind: ShapeKind
+    size: tuple[float, ...]
+    position: Float[Array, "3"]  # m, in the body frame
+    quaternion: Float[Array, "4"]  # w x y z
+    file: str = ""  # of a mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything a picture of one cell needs, made by re-executing it; arrays and labels only."""
+
+    row: Mapping[str, Any]  # the row as stored (Row)
+    motion: Trajectory  # the measured motion
+    measured: Float[Array, "N nv"]
+    predicted: Float[Array, "N nv"] | None
+    rows: tuple[str, ...]
+    singular_values: Float[Array, " k"]
+    gap_map: Float[Array, "rows p"]  # max over samples of |Y - Y_pin|
+    gap_columns: tuple[str, ...]
+    estimate: Estimate | None
+    base: BaseMap | None
+    bodies: tuple[str, ...] = ()
+    parents: tuple[int, ...] = ()  # -1: the world
+    positions: Float[Array, "N bodies 3"] | None = None  # m, world
+    quaternions: Float[Array, "N bodies 4"] | None = None  # w x y z
+    shapes: tuple[Shape, ...] = ()
+
+
+Row = dict[str, Any]
+"""One line of cells/*.jsonl: `id experiment robot payload task excitation simulation noise repeat
+estimator status reason`, then the fields of Score, versions and fingerprint. JSON values only."""

@@ -1,0 +1,58 @@
+"""Quantities as people write them: "5 s", "1 kHz", "20 %", "1e-4 rad", "0.05 N m"."""
+
+import math
+import re
+
+from sysid_bench.errors import UsageError
+
+# One table per dimension; the first name of each is the SI unit that the numbers are turned into.
+_DIMENSIONS: tuple[dict[str, float], ...] = (
+    {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
+    {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
+    {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
+    {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+    {"kg": 1.0, "g": 1e-3},
+    {"N m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN m": 1e-3},
+    {"N": 1.0, "kN": 1e3},
+    {"1": 1.0, "%": 1e-2},
+)
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S.*?)?\s*")
+
+
+def split_quantity(text: str) -> tuple[float, str]:
+    """A text as (number, unit as written); raises UsageError where it is no finite quantity."""
+    match = _QUANTITY.fullmatch(text)
+    if match is None or not math.isfinite(float(match[1])):
+        raise UsageError(f"{text!r} is no quantity; write a number and a unit, as '5 s' or '20 %'.")
+    return float(match[1]), match[2] or ""
+
+
+def quantity(value: object, unit: str) -> float:
+    """`value` in the SI unit of `unit`'s dimension; a bare number is already in `unit`.
+
+    `unit` may list alternatives ("rad|m"): the first whose dimension fits is taken.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise UsageError(f"{value!r} is no quantity; write a number with a unit ({unit}).")
+    if not isinstance(value, str):
+        if not math.isfinite(value):
+            raise UsageError(f"{value!r} is not finite; write a number with a unit ({unit}).")
+        return float(value) * _scale(unit.split("|")[0], unit.split("|")[0])
+    number, written = split_quantity(value)
+    for wanted in unit.split("|"):
+        table = _dimension(wanted)
+        if (written or wanted) in table:
+            return number * _scale(written or wanted, wanted)
+    there = sorted({name for wanted in unit.split("|") for name in _dimension(wanted)})
+    raise UsageError(f"{value!r} has the unit {written!r}; expected one of {', '.join(there)}.")
+
+
+def _dimension(unit: str) -> dict[str, float]:
+    for table in _DIMENSIONS:
+        if unit in table:
+            return table
+    raise UsageError(f"{unit!r} is no unit that is known here.")
+
+
+def _scale(written: str, wanted: str) -> float:
+    return _dimension(wanted)[written]
