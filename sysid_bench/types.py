@@ -77,7 +77,6 @@ class Oracle:
 
     motion: Trajectory  # exact
     tau: Float[Array, "N nv"]  # noise-free joint torque
-    unmodelled: Float[Array, "N nv"]  # the part of tau that the identified model cannot express
 
 
 @dataclass(frozen=True, eq=False)

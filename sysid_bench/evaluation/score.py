@@ -1,0 +1,174 @@
+"""Judgement of one estimate against what really happened."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from sysid_bench.identification.compressed import compress, excited_rank, residual_norms
+from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
+from sysid_bench.types import Array, Estimate, Problem, Score, Truth
+
+SMALL_JOINT: Final = 0.01
+"""A row whose RMS torque is below this share of the largest of its kind is listed apart."""
+
+
+def score(
+    estimate: Estimate, problem: Problem, held_out: Mapping[str, Problem], truth: Truth
+) -> Score:
+    """The figures of one estimate; `held_out` are problems posed with exact signals (the Oracle).
+
+    What does not depend on the estimate (rank, condition) is there even where it failed.
+    """
+    beta = estimate.beta if estimate.status == "ok" else None
+    about_data = data_figures(problem, held_out)
+    if beta is None:
+        return Score(**about_data)
+    beta_true = problem.base.K @ truth.theta
+    tests = list(held_out.values())
+    joints = _joint_figures(problem, tests, beta)
+    return Score(
+        **about_data,
+        rmse_train=_rmse([problem], beta),
+        rmse_test=_rmse(tests, beta) if tests else None,
+        torque_error=_torque_error(tests, beta) if tests else None,
+        torque_error_by_motion={name: _torque_error([test], beta) for name, test in held_out.items()},
+        parameter_error=_parameter_error(tests, beta, beta_true) if tests else None,
+        beta_error=_relative(beta - beta_true, beta_true),
+        joints=tuple(joints),
+        **_body_figures(estimate, problem, truth),
+    )
+
+
+def data_figures(problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
+    """Rank, conditioning and information of the data, whatever the method."""
+    base = problem.base
+    R = compress(problem)[: base.rank, : base.rank]
+    norms = np.linalg.norm(R, axis=0)
+    rank = excited_rank(R)
+    figures: dict[str, Any] = {
+        "rank": base.rank,
+        "data_rank": rank,
+        "parameters": len(problem.parameters),
+        "rank_gap": base.gap if np.isfinite(base.gap) else None,
+        "near_degenerate": base.near_degenerate,
+    }
+    if base.rank == 0 or rank < base.rank:
+        return figures
+    figures["condition"] = float(np.linalg.cond(R))
+    figures["condition_unit"] = float(np.linalg.cond(R / norms))
+    if held_out:
+        figures["d_optimality"] = d_optimality(problem, list(held_out.values()))
+    return figures
+
+
+def d_optimality(problem: Problem, held_out: list[Problem]) -> float:
+    """log det of the information that the training motion gives about the held-out torques.
+
+    With rows scaled by the held-out RMS torque of their joint, R of the training motion and R_h
+    of the held-out ones, the errors of the predicted torques have the covariance R_h (R'R)^-1
+    R_h' up to the noise variance; this is minus the log of its determinant, per mean sample, over
+    the directions that the held-out motions excite at all.
+    """
+    r = problem.base.rank
+    rms = _row_rms(held_out)
+    weights = np.where(rms > 0, 1.0 / np.where(rms > 0, rms, 1.0), 0.0).tolist()
+    train = compress(problem, weights)[:r, :r]
+    tests = np.linalg.qr(np.concatenate([compress(test, weights)[:r, :r] for test in held_out]), mode="r")
+    samples = sum(test.samples for test in held_out)
+    spreads = np.linalg.svd(solve_triangular(train, tests.T, trans="T").T / np.sqrt(samples), compute_uv=False)
+    spreads = spreads[spreads > 1e-9 * spreads[0]]
+    return float(-2 * np.log(spreads).sum())
+
+
+def _row_rms(problems: list[Problem]) -> Array:
+    """RMS of b over all samples of each row (rows,)."""
+    squares = np.array([[np.linalg.norm(f.R[:, -1]) ** 2 for f in p.factors] for p in problems])
+    counts = sum(p.samples for p in problems)
+    return np.sqrt(squares.sum(axis=0) / counts)
+
+
+def _row_errors(problems: list[Problem], beta: Array) -> Array:
+    squares = np.array([residual_norms(p, beta) ** 2 for p in problems])
+    return np.sqrt(squares.sum(axis=0) / sum(p.samples for p in problems))
+
+
+def _rmse(problems: list[Problem], beta: Array) -> float:
+    return float(np.sqrt((_row_errors(problems, beta) ** 2).mean()))
+
+
+def _large(rms: Array) -> Array:
+    return rms >= SMALL_JOINT * rms.max() if rms.any() else np.zeros(len(rms), dtype=bool)
+
+
+def _torque_error(problems: list[Problem], beta: Array) -> float | None:
+    rms = _row_rms(problems)
+    large = _large(rms)
+    if not large.any():
+        return None
+    relative = _row_errors(problems, beta)[large] / rms[large]
+    return float(np.sqrt((relative**2).mean()))
+
+
+def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> float | None:
+    """|W (beta - beta*)| / |W beta*| over the held-out rows."""
+    r = len(beta)
+    R = np.concatenate([compress(problem)[:, :r] for problem in problems])
+    return _relative(R @ (beta - beta_true), R @ beta_true)
+
+
+def _relative(difference: Array, reference: Array) -> float | None:
+    size = float(np.linalg.norm(reference))
+    return float(np.linalg.norm(difference)) / size if size > 0 else None
+
+
+def _joint_figures(problem: Problem, tests: list[Problem], beta: Array) -> list[dict[str, Any]]:
+    train = _row_errors([problem], beta)
+    joints = []
+    rms = _row_rms(tests) if tests else np.zeros(len(train))
+    errors = _row_errors(tests, beta) if tests else rms
+    large = _large(rms)
+    for i, name in enumerate(problem.rows):
+        joints.append(
+            {
+                "name": name,
+                "rmse_train": float(train[i]),
+                "rmse_test": float(errors[i]) if tests else None,
+                "rms": float(rms[i]) if tests else None,
+                "relative": float(errors[i] / rms[i]) if tests and rms[i] > 0 else None,
+                "small": bool(not large[i]),
+            }
+        )
+    return joints
+
+
+def _body_figures(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, Any]:
+    """What can be said of whole bodies: only where all their ten numbers are claimed or known."""
+    theta = estimate.theta
+    if theta is None and problem.base.rank == len(problem.parameters) and estimate.beta is not None:
+        theta = problem.base.embed(estimate.beta)
+    if theta is None or not problem.bodies:
+        return {}
+    places = {name: i for i, name in enumerate(problem.parameters)}
+    phi = np.array([[theta[places[c]] for c in body.columns] for body in problem.bodies])
+    smallest = smallest_eigenvalue(phi)
+    scale = np.abs(phi).max(axis=1)
+    figures: dict[str, Any] = {
+        "min_eigenvalue": float(smallest.min()),
+        # A point mass has a pseudo-inertia of rank one: zero up to rounding is still feasible.
+        "feasible": bool((smallest >= -1e-9 * scale).all()),
+    }
+    if len(problem.bodies) == 1:
+        figures |= _payload_figures(phi[0], truth.theta[[places[c] for c in problem.bodies[0].columns]])
+    return figures
+
+
+def _payload_figures(phi: Array, phi_true: Array) -> dict[str, Any]:
+    mass, com, _ = mass_com_inertia(phi)
+    mass_true, com_true, _ = mass_com_inertia(phi_true)
+    return {
+        "payload_error": _relative(phi - phi_true, phi_true),
+        "mass_error": abs(mass - mass_true),
+        "com_error": float(np.linalg.norm(com - com_true)),
+    }

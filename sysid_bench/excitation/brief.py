@@ -1,0 +1,80 @@
+"""What a designer of motions is told, and how scalar profiles become a motion of the robot."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.models.robot import Joint, RobotModel
+from sysid_bench.spatial.rotation import body_rates, product, quaternion_of_vector
+from sysid_bench.types import Array, Trajectory
+
+MARGIN: Final = 0.98
+"""Share of a limit that a motion may use: sampling between grid points stays inside."""
+
+FLOATING_REACH: Final = (0.3, 0.8)
+"""How far a floating base is moved: metres, and radians of its rotation vector."""
+
+
+@dataclass(frozen=True, eq=False)
+class Brief:
+    """A robot's moves and limits. Each degree of freedom has a scalar profile x: a joint position,
+    or for a free joint the displacement (3) and rotation vector (3) from its reference pose, for a
+    ball joint the rotation vector. Arrays (nv,); `q0` (nq,) is the reference configuration."""
+
+    joints: tuple[Joint, ...]
+    low: Array
+    high: Array
+    v: Array
+    a: Array
+    q0: Array
+    rate: float  # Hz
+
+    @property
+    def nv(self) -> int:
+        """Number of profiles."""
+        return len(self.low)
+
+    def at(self, rate: float) -> "Brief":
+        """The same brief sampled at another rate (Hz)."""
+        return replace(self, rate=rate)
+
+    def times(self, duration: float) -> Array:
+        """The time grid (N,) of a motion; raises UsageError where it has fewer than ten samples."""
+        count = round(duration * self.rate)
+        if count < 10:
+            raise UsageError(f"A motion of {duration} s at {self.rate} Hz has {count} samples; it needs 10.")
+        return np.arange(count) / self.rate
+
+    def trajectory(
+        self, t: Array, x: Array, dx: Array, ddx: Array, name: str, period: float | None = None
+    ) -> Trajectory:
+        """The motion of profiles x, dx, ddx (N, nv)."""
+        q = np.tile(self.q0, (len(t), 1))
+        v, a = dx.copy(), ddx.copy()
+        for joint in self.joints:
+            at, dof = joint.qadr, joint.vadr
+            if joint.kind in ("hinge", "slide"):
+                q[:, at] = x[:, dof]
+                continue
+            if joint.kind == "free":
+                q[:, at : at + 3] += x[:, dof : dof + 3]
+                at, dof = at + 3, dof + 3
+            turn = slice(dof, dof + 3)
+            q[:, at : at + 4] = product(q[:, at : at + 4], quaternion_of_vector(x[:, turn]))
+            v[:, turn], a[:, turn] = body_rates(x[:, turn], dx[:, turn], ddx[:, turn])
+        return Trajectory(t, q, v, a, name, period)
+
+
+def brief_of(robot: RobotModel, rate: float) -> Brief:
+    """The brief of a robot within its own limits."""
+    low, high = robot.limits.q_low.copy(), robot.limits.q_high.copy()
+    for joint in robot.joints:
+        if joint.kind == "free":
+            low[joint.vadr : joint.vadr + 3], high[joint.vadr : joint.vadr + 3] = -FLOATING_REACH[0], FLOATING_REACH[0]
+        if joint.kind in ("free", "ball"):
+            turn = slice(joint.vadr + (3 if joint.kind == "free" else 0), joint.vadr + len(joint.dofs))
+            low[turn], high[turn] = -FLOATING_REACH[1], FLOATING_REACH[1]
+    q0 = np.array(robot.mj.qpos0)
+    return Brief(robot.joints, low, high, robot.limits.v, robot.limits.a, q0, rate)

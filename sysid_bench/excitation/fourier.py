@@ -1,0 +1,54 @@
+"""Finite Fourier series (Swevers et al. 1997), in the form of seed 001, eq. (8):
+
+q_i(t) = q_i0 + sum_l a_l^i / (w_f l) sin(w_f l t) - b_l^i / (w_f l) cos(w_f l t),  w_f = 2 pi / T.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.excitation.brief import Brief
+from sysid_bench.excitation.fit import dense_grid, fit
+from sysid_bench.types import Array, Trajectory
+
+
+@dataclass(frozen=True)
+class Fourier:
+    """Random coefficients a, b scaled into the limits; several cycles of one period."""
+
+    harmonics: int = 5
+    period: float = field(default=5.0, metadata={"unit": "s"})
+    cycles: int = 2
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """A motion of `cycles` periods; raises UsageError for settings that make none."""
+        if self.harmonics < 1 or self.cycles < 1 or not self.period > 0:
+            raise UsageError(f"{self}: harmonics, cycles and period must be positive.")
+        a, b = rng.normal(size=(2, self.harmonics, brief.nv))
+        unit = np.ones(brief.nv), np.zeros(brief.nv)
+        grid = dense_grid(self.period, self.harmonics / self.period)
+        scale, offset = fit(lambda t: series(t, self.period, a, b, *unit), grid, brief, rng)
+        t = brief.times(self.cycles * self.period)
+        x, dx, ddx = series(t, self.period, a, b, scale, offset)
+        return brief.trajectory(t, x, dx, ddx, "fourier", self.period)
+
+
+@dataclass(frozen=True)
+class OtherFourier(Fourier):
+    """Another Fourier motion than the training one: its own coefficients, period and harmonics."""
+
+    harmonics: int = 4
+    period: float = field(default=7.0, metadata={"unit": "s"})
+    cycles: int = 1
+
+
+def series(
+    t: Array, period: float, a: Array, b: Array, scale: Array, offset: Array
+) -> tuple[Array, Array, Array]:
+    """x, dx, ddx (N, nv) of eq. (8) with coefficients a, b (L, nv) times `scale` (nv,)."""
+    w = 2 * np.pi / period * np.arange(1, len(a) + 1)
+    sin, cos = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
+    a, b = a * scale, b * scale
+    x = offset + (sin / w) @ a - (cos / w) @ b
+    return x, cos @ a + sin @ b, (-sin * w) @ a + (cos * w) @ b

@@ -1,0 +1,41 @@
+"""Multi-frequency sinusoids of seed 000, with velocities and accelerations in closed form."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.excitation.brief import Brief
+from sysid_bench.excitation.fit import dense_grid, fit
+from sysid_bench.types import Array, Trajectory
+
+
+@dataclass(frozen=True)
+class MultiSine:
+    """q_i = q_i0 + sum_k A_k sin(2 pi f_k t + phase_k): frequencies of each joint drawn between
+    `lowest` and `highest`, so that the motion does not repeat."""
+
+    sines: int = 5
+    lowest: float = field(default=0.1, metadata={"unit": "Hz"})
+    highest: float = field(default=1.0, metadata={"unit": "Hz"})
+    duration: float = field(default=10.0, metadata={"unit": "s"})
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """A motion of `duration`; raises UsageError for settings that make none."""
+        if self.sines < 1 or not 0 < self.lowest <= self.highest or not self.duration > 0:
+            raise UsageError(f"{self}: sines and duration positive, 0 < lowest <= highest.")
+        size = (self.sines, brief.nv)
+        w = 2 * np.pi * rng.uniform(self.lowest, self.highest, size)
+        # Amplitudes fall with frequency, so that every sine adds a similar velocity.
+        amplitude = rng.uniform(0.5, 1.0, size) / w
+        phase = rng.uniform(0, 2 * np.pi, size)
+
+        def shape(t: Array) -> tuple[Array, Array, Array]:
+            angle = w * t[:, None, None] + phase
+            sin, cos = amplitude * np.sin(angle), amplitude * np.cos(angle)
+            return sin.sum(axis=1), (w * cos).sum(axis=1), (-w * w * sin).sum(axis=1)
+
+        scale, offset = fit(shape, dense_grid(self.duration, self.highest), brief, rng)
+        t = brief.times(self.duration)
+        x, dx, ddx = shape(t)
+        return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, "multisine")

@@ -1,0 +1,46 @@
+"""Point-to-point moves with rests: what a robot does at work, and no Fourier series again."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.excitation.brief import MARGIN, Brief
+from sysid_bench.types import Array, Trajectory
+
+# Peaks of the quintic s(u) = 10 u^3 - 15 u^4 + 6 u^5 on [0, 1]: of s' and of s''.
+_PEAK_RATE = 1.875
+_PEAK_CHANGE = 10 / np.sqrt(3)
+
+
+@dataclass(frozen=True)
+class PointToPoint:
+    """All joints move together between random postures on quintic profiles, as fast as the slowest
+    joint allows, and rest between the moves."""
+
+    moves: int = 6
+    rest: float = field(default=0.2, metadata={"unit": "s"})
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """A motion through `moves` random postures; it starts and ends at rest."""
+        if self.moves < 1 or self.rest < 0:
+            raise UsageError(f"{self}: at least one move, and a rest that is not negative.")
+        margin = 0.5 * (1 - MARGIN) * (brief.high - brief.low)
+        points = rng.uniform(brief.low + margin, brief.high - margin, (self.moves + 1, brief.nv))
+        steps = np.diff(points, axis=0)
+        durations = _durations(steps, brief)
+        starts = np.concatenate([[0.0], np.cumsum(durations + self.rest)])
+        t = brief.times(starts[-1])
+        move = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, self.moves - 1)
+        u = np.minimum((t - starts[move]) / durations[move], 1.0)[:, None]
+        step, T = steps[move], durations[move][:, None]
+        x = points[move] + step * u**3 * (10 - 15 * u + 6 * u**2)
+        dx = step / T * 30 * u**2 * (1 - u) ** 2
+        ddx = step / T**2 * 60 * u * (1 - u) * (1 - 2 * u)
+        return brief.trajectory(t, x, dx, ddx, "ptp")
+
+
+def _durations(steps: Array, brief: Brief) -> Array:
+    by_velocity = (_PEAK_RATE * np.abs(steps) / (MARGIN * brief.v)).max(axis=1)
+    by_acceleration = np.sqrt(_PEAK_CHANGE * np.abs(steps) / (MARGIN * brief.a)).max(axis=1)
+    return np.maximum(by_velocity, by_acceleration)

@@ -1,0 +1,29 @@
+"""Ordinary least squares on the base parameters."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from sysid_bench.identification.compressed import compress, residual_norms, solve
+from sysid_bench.types import Estimate, Problem
+
+
+@dataclass(frozen=True)
+class OLS:
+    """beta = (W'W)^-1 W'b by QR; covariance s^2 (W'W)^-1 with s^2 = |r|^2 / (M - r).
+
+    Atkeson, An, Hollerbach (1986); Gautier and Khalil (1990). Assumes W exact and torque noise
+    white and equal on all rows; physical consistency is not imposed.
+    """
+
+    def solve(self, problem: Problem) -> Estimate:
+        """The estimate; raises EstimationError where the motion does not excite every direction."""
+        R = compress(problem)
+        r = problem.base.rank
+        beta = solve(R)
+        freedom = sum(factor.samples for factor in problem.factors if len(factor.columns)) - r
+        squares = float((residual_norms(problem, beta) ** 2).sum())
+        inverse = solve_triangular(R[:r, :r], np.eye(r))
+        variance = squares / max(freedom, 1)
+        return Estimate(beta, covariance=variance * inverse @ inverse.T)

@@ -1,0 +1,81 @@
+"""What methods are told beforehand: drawn around the truth, never the truth by default."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.models.task import Task
+from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
+from sysid_bench.types import Array, Prior
+from sysid_bench.units import quantity
+
+
+@dataclass(frozen=True)
+class PriorSpread:
+    """Standard deviations of the draw: relative for mass, inertia and joint terms, metres for the
+    centre of mass."""
+
+    mass: float = 0.2
+    com: float = 0.015
+    inertia: float = 0.3
+    terms: float = 0.3
+
+
+def spread_of(spec: Mapping[str, object]) -> PriorSpread:
+    """A prior table of a suite, {mass = "20 %", com = "15 mm", inertia = "30 %", terms = "30 %"}."""
+    units = {"mass": "1", "com": "m", "inertia": "1", "terms": "1"}
+    for key in spec:
+        if key not in units:
+            raise unknown_name("prior setting", key, units)
+    values = {key: quantity(value, units[key]) for key, value in spec.items()}
+    if any(value < 0 for value in values.values()):
+        raise UsageError(f"A prior's spread cannot be negative; got {dict(spec)}.")
+    return PriorSpread(**values)
+
+
+def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -> Prior:
+    """A physically possible prior around a task's truth; None tells the truth itself."""
+    truth = task.truth
+    places = {name: i for i, name in enumerate(truth.parameters)}
+    theta = truth.theta.copy()
+    std = np.zeros_like(theta)
+    inertial = np.zeros(len(theta), dtype=bool)
+    for body in task.bodies:
+        at = [places[column] for column in body.columns]
+        inertial[at] = True
+        if spread is not None:
+            theta[at] = _drawn(truth.theta[at], spread, rng)
+            std[at] = _declared(theta[at], spread)
+    if spread is not None:
+        draws = np.exp(spread.terms * rng.normal(size=(~inertial).sum()))
+        theta[~inertial] *= draws
+        std[~inertial] = spread.terms * np.abs(theta[~inertial])
+    return Prior(theta, std)
+
+
+def _drawn(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Array:
+    """Mass scaled, centre of mass moved, density covariance stretched along drawn axes: every draw
+    is a body that can exist."""
+    z_mass, z_com, z_axes = rng.normal(), rng.normal(size=3), rng.normal(size=3)
+    mass, com, inertia = mass_com_inertia(phi)
+    if mass <= 0:
+        return phi.copy()
+    factor = np.exp(spread.mass * z_mass)
+    covariance = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    stretch = np.diag(np.exp(0.5 * spread.inertia * z_axes))
+    covariance = factor * stretch @ covariance @ stretch
+    inertia = np.trace(covariance) * np.eye(3) - covariance
+    return phi_of(factor * mass, com + spread.com * z_com, inertia)
+
+
+def _declared(phi: Array, spread: PriorSpread) -> Array:
+    """What the method is told of the spread, from the prior itself: (10,)."""
+    mass, com, inertia = mass_com_inertia(phi)
+    size = float(np.trace(inertia)) / 3 + mass * float(com @ com)
+    h = mass * np.sqrt((spread.mass * com) ** 2 + spread.com**2)
+    moments = spread.inertia * size + 2 * mass * np.linalg.norm(com) * spread.com
+    return np.concatenate([[spread.mass * mass], h, np.full(6, moments)])
+
+

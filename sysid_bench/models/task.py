@@ -1,0 +1,95 @@
+"""What is unknown: the parameters of a task, their true values, and what methods take as known."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.errors import UnsupportedError, unknown_name
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.spatial.inertia import transport
+from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.types import Array, Body, Truth
+
+TASKS: Final = ("robot", "payload", "link", "terminal", "wrench")
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A question about a robot. `truth` holds the unknowns; `known_links` (n_links, 10) and
+    `known_terms` (by term, (nv,)) are the parts of the plant that methods are given."""
+
+    name: str
+    bodies: tuple[Body, ...]
+    truth: Truth
+    known_links: Array
+    known_terms: dict[str, Array]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the unknowns (p,)."""
+        return self.truth.parameters
+
+    @property
+    def knows_something(self) -> bool:
+        """Whether a known torque has to be taken from the measured one."""
+        return bool(self.known_links.any() or any(v.any() for v in self.known_terms.values()))
+
+
+def task_of(robot: RobotModel, name: str, terms: tuple[str, ...]) -> Task:
+    """The task `robot` (links and `terms`), `payload` or `link` (ten numbers, the rest known).
+
+    Joint terms that are not identified are known. Raises UnsupportedError where the robot or the
+    payload has no such unknowns.
+    """
+    match name:
+        case "robot":
+            return _robot(robot, terms)
+        case "payload":
+            return _payload(robot)
+        case "link":
+            return _link(robot)
+        case "terminal" | "wrench":
+            raise UnsupportedError(f"The task {name!r} is not available in this version.")
+    raise unknown_name("task", name, TASKS)
+
+
+def _robot(robot: RobotModel, terms: tuple[str, ...]) -> Task:
+    phi = robot.phi.copy()
+    if robot.payload_body is not None:
+        b = robot.payload_body + 1  # MuJoCo counts the world
+        R = matrix_of_quaternion(np.array(robot.mj.body_quat[b]))
+        phi[robot.tool_body] += transport(R, np.array(robot.mj.body_pos[b])) @ phi[robot.payload_body]
+    own = [i for i in range(len(phi)) if i != robot.payload_body]
+    bodies = tuple(robot.bodies[i] for i in own)
+    columns = tuple(column for body in bodies for column in body.columns) + robot.term_columns(terms)
+    theta = np.concatenate([phi[own].ravel(), robot.term_values(terms)])
+    nothing = np.zeros((len(robot.tree.links), 10))
+    return Task("robot", bodies, Truth(columns, theta), nothing, _terms_without(robot, terms))
+
+
+def _payload(robot: RobotModel) -> Task:
+    if robot.payload_body is None:
+        raise UnsupportedError("No payload is mounted: the task 'payload' has nothing to identify.")
+    known = robot.phi.copy()
+    known[robot.payload_body] = 0.0
+    body = robot.bodies[robot.payload_body]
+    truth = Truth(body.columns, robot.phi[robot.payload_body])
+    return Task("payload", (body,), truth, robot.tree.lumped(known), _terms_without(robot, ()))
+
+
+def _link(robot: RobotModel) -> Task:
+    """The composite of the link that carries the tool: with all that is welded to it."""
+    link = int(robot.tree.carrier[robot.tool_body])
+    if link < 0:
+        raise UnsupportedError(f"The tool {robot.body_names[robot.tool_body]!r} does not move.")
+    body = robot.bodies[robot.tree.links[link].body]
+    lumped = robot.tree.lumped(robot.phi)
+    known = lumped.copy()
+    known[link] = 0.0
+    return Task("link", (body,), Truth(body.columns, lumped[link]), known, _terms_without(robot, ()))
+
+
+def _terms_without(robot: RobotModel, identified: tuple[str, ...]) -> dict[str, Array]:
+    every = ("viscous", "coulomb", "offset", "armature", "spring")
+    return {term: getattr(robot.joint_terms, term) for term in every if term not in identified}

@@ -1,0 +1,87 @@
+"""From raw signals to a motion: filter, differentiate, cut the edges."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.models.robot import Joint
+from sysid_bench.signals.filters import Filter, filter_of
+from sysid_bench.spatial.rotation import conjugate, product
+from sysid_bench.types import Array, Recording
+
+
+@dataclass(frozen=True)
+class Processing:
+    """One filter for every signal alike, torque included, so that none is late against another;
+    `differentiate`: v and a from the filtered q, else the recording's own."""
+
+    filter: Filter
+    differentiate: bool
+
+    def apply(self, recording: Recording, joints: tuple[Joint, ...]) -> Recording:
+        """A recording with v and a; raises UsageError where it is too short or v and a are absent."""
+        smooth, rate = self.filter.smooth, recording.rate
+        edge = self.filter.edge(rate) + (2 if self.differentiate else 0)
+        if len(recording) <= 2 * edge + 10:
+            raise UsageError(f"{len(recording)} samples are too few for {self.filter}: it spoils {edge} at each end.")
+        q = _smooth_positions(recording.q, joints, self.filter, rate)
+        if self.differentiate:
+            v = _rates(q, joints, rate, recording.tau.shape[1])
+            a = np.gradient(v, 1.0 / rate, axis=0)
+        elif recording.v is None or recording.a is None:
+            raise UsageError("derivatives = 'exact' needs a recording with v and a; use 'from q'.")
+        else:
+            v, a = smooth(recording.v, rate), smooth(recording.a, rate)
+        tau = smooth(recording.tau, rate)
+        keep = slice(edge, len(recording) - edge)
+        return replace(recording, t=recording.t[keep], q=q[keep], v=v[keep], a=a[keep], tau=tau[keep])
+
+
+def processing_of(spec: Mapping[str, object]) -> Processing:
+    """The processing of a suite's table {filter, derivatives}."""
+    for key in spec:
+        if key not in ("filter", "derivatives"):
+            raise unknown_name("signals setting", key, ("filter", "derivatives"))
+    derivatives = spec.get("derivatives", "exact")
+    if derivatives not in ("exact", "from q"):
+        raise UsageError(f"derivatives = {derivatives!r}: write 'exact' or 'from q'.")
+    return Processing(filter_of(str(spec.get("filter", "none"))), derivatives == "from q")
+
+
+def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> Array:
+    """Quaternions are made continuous in sign before, and of unit length after the filter."""
+    q = q.copy()
+    turns = _quaternions(joints)
+    for turn in turns:
+        flips = np.sum(q[1:, turn] * q[:-1, turn], axis=1) < 0
+        q[1:, turn] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, None]
+    q = filter.smooth(q, rate)
+    for turn in turns:
+        q[:, turn] /= np.linalg.norm(q[:, turn], axis=1, keepdims=True)
+    return q
+
+
+def _rates(q: Array, joints: tuple[Joint, ...], rate: float, nv: int) -> Array:
+    """Central differences (N, nv); for quaternions the body's angular velocity 2 conj(q) dq/dt."""
+    dq = np.gradient(q, 1.0 / rate, axis=0)
+    v = np.empty((len(q), nv))
+    for joint in joints:
+        at, dof = joint.qadr, joint.vadr
+        if joint.kind in ("hinge", "slide"):
+            v[:, dof] = dq[:, at]
+            continue
+        if joint.kind == "free":
+            v[:, dof : dof + 3] = dq[:, at : at + 3]
+            at, dof = at + 3, dof + 3
+        turn = slice(at, at + 4)
+        v[:, dof : dof + 3] = 2 * product(conjugate(q[:, turn]), dq[:, turn])[:, 1:]
+    return v
+
+
+def _quaternions(joints: tuple[Joint, ...]) -> list[slice]:
+    starts = {"free": 3, "ball": 0}
+    return [
+        slice(j.qadr + starts[j.kind], j.qadr + starts[j.kind] + 4) for j in joints if j.kind in starts
+    ]

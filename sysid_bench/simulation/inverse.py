@@ -1,0 +1,62 @@
+"""Inverse simulation: the exact torque along a given motion."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from sysid_bench.simulation.plant import Plant, check_finite
+from sysid_bench.types import Array, Controller, Oracle, Trajectory
+
+CHUNK = 512
+"""Samples that one Batch holds as parallel simulations."""
+
+
+@dataclass(frozen=True)
+class Inverse:
+    """The robot follows the motion exactly: tau = M a + bias + joint terms + effects."""
+
+    def design_rate(self, recording: float) -> float:
+        """Rate (Hz) at which the motion is to be designed for a recording rate."""
+        return recording
+
+    def run(self, plant: Plant, commanded: Trajectory, encoder: Array) -> tuple[Oracle, Controller | None]:
+        """What happens along the motion; encoder noise (N, nv) changes nothing without a controller."""
+        tau = rigid_torque(plant.bench, commanded) + passive_torque(plant, commanded)
+        return Oracle(commanded, check_finite(plant.robot.name, tau, "torque")), None
+
+
+def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
+    """M(q) a + bias(q, v) (N, nv) by MuJoCo, with the armature that M holds."""
+    rows, columns, places = _entries_of_M(mj)
+    tau = np.empty_like(motion.v)
+    batch = Batch(mj, min(CHUNK, len(motion)), nthread=1)
+    q, v, bias, M = (batch.bind(name) for name in ("qpos", "qvel", "qfrc_bias", "M"))
+    for start in range(0, len(motion), batch.nsim):
+        part = slice(start, min(start + batch.nsim, len(motion)))
+        n = part.stop - part.start
+        q[:n], v[:n] = motion.q[part], motion.v[part]
+        batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
+        dense = np.zeros((n, mj.nv, mj.nv))
+        dense[:, rows, columns] = dense[:, columns, rows] = M[:n, places]
+        tau[part] = np.einsum("nij,nj->ni", dense, motion.a[part]) + bias[:n]
+    return tau
+
+
+def passive_torque(plant: Plant, motion: Trajectory) -> Array:
+    """Friction, offset, spring and effects (N, nv): what the motors supply beyond M a + bias."""
+    terms, robot = plant.terms, plant.robot
+    tau = terms.viscous * motion.v + terms.coulomb * np.sign(motion.v) + terms.offset
+    for joint in robot.joints:
+        if joint.kind in ("hinge", "slide"):
+            deflection = motion.q[:, joint.qadr] - terms.spring_reference[joint.vadr]
+            tau[:, joint.vadr] += terms.spring[joint.vadr] * deflection
+    return tau + plant.extra(motion.t, motion.q, motion.v)
+
+
+def _entries_of_M(mj: mujoco.MjModel) -> tuple[Array, Array, Array]:
+    """Rows, columns and places of MuJoCo's sparse lower triangle of M."""
+    rows = np.repeat(np.arange(mj.nv), mj.M_rownnz)
+    places = np.concatenate([np.arange(a, a + n) for a, n in zip(mj.M_rowadr, mj.M_rownnz, strict=True)])
+    return rows, np.array(mj.M_colind)[places], places
