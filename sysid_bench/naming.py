@@ -6,9 +6,11 @@ entry point in the group `sysid_bench.<kind>s`, or use "module:object" without a
 """
 
 import dataclasses
+import hashlib
 import importlib
 import importlib.util
 import inspect
+import sys
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -55,10 +57,10 @@ def resolve(kind: str, name: str) -> Any:
         advice = f"A {kind} of your own is named 'module:object' or 'file:path.py:object'."
         raise unknown_name(kind, name, table, advice)
     place, _, attribute = target.rpartition(":")
-    try:
-        return getattr(_module(place), attribute)
-    except AttributeError as error:
-        raise UsageError(f"{place!r} has no {attribute!r} ({kind} {name!r}).") from error
+    module = _module(place)
+    if not hasattr(module, attribute):
+        raise UsageError(f"{place!r} has no {attribute!r} ({kind} {name!r}).")
+    return getattr(module, attribute)
 
 
 def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
@@ -126,9 +128,12 @@ def _module(place: str) -> ModuleType:
 def _module_of_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise UsageError(f"There is no file {str(path)!r} to take a plug-in from.")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    name = f"sysid_bench_file_{hashlib.sha256(bytes(path.resolve())).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise UsageError(f"{str(path)!r} is no Python file.")
     module = importlib.util.module_from_spec(spec)
+    # Dataclasses look their module up to read postponed annotations; pickling needs it too.
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module

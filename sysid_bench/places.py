@@ -10,7 +10,7 @@ from sysid_bench.errors import UsageError, unknown_name
 def shipped(kind: str) -> Path:
     """The folder `robots` or `suites` of this installation (checkout or wheel)."""
     package = Path(__file__).resolve().parent
-    for folder in (package.parent / kind, package / kind):
+    for folder in (package / kind, package.parent / kind):
         if folder.is_dir():
             return folder
     raise UsageError(f"This installation of sysid_bench has no {kind!r} folder; install it again.")

@@ -35,14 +35,13 @@ def quantity(value: object, unit: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise UsageError(f"{value!r} is no quantity; write a number with a unit ({unit}).")
     if not isinstance(value, str):
-        if not math.isfinite(value):
-            raise UsageError(f"{value!r} is not finite; write a number with a unit ({unit}).")
-        return float(value) * _scale(unit.split("|")[0], unit.split("|")[0])
+        first = unit.split("|")[0]
+        return _finite(value, _dimension(first)[first], value)
     number, written = split_quantity(value)
     for wanted in unit.split("|"):
         table = _dimension(wanted)
         if (written or wanted) in table:
-            return number * _scale(written or wanted, wanted)
+            return _finite(number, table[written or wanted], value)
     there = sorted({name for wanted in unit.split("|") for name in _dimension(wanted)})
     raise UsageError(f"{value!r} has the unit {written!r}; expected one of {', '.join(there)}.")
 
@@ -54,5 +53,11 @@ def _dimension(unit: str) -> dict[str, float]:
     raise UsageError(f"{unit!r} is no unit that is known here.")
 
 
-def _scale(written: str, wanted: str) -> float:
-    return _dimension(wanted)[written]
+def _finite(number: float, scale: float, written: float | str) -> float:
+    try:
+        scaled = float(number) * scale
+    except OverflowError:  # an integer beyond all floats
+        scaled = math.inf
+    if not math.isfinite(scaled):
+        raise UsageError(f"{written!r} is not finite in SI units; write a smaller number.")
+    return scaled

@@ -17,6 +17,11 @@ FLOATING_REACH: Final = (0.3, 0.8)
 """How far a floating base is moved: metres, and radians of its rotation vector."""
 
 
+def is_count(value: object) -> bool:
+    """Whether a setting is a whole number from 1 on."""
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 1
+
+
 @dataclass(frozen=True, eq=False)
 class Brief:
     """A robot's moves and limits. Each degree of freedom has a scalar profile x: a joint position,
@@ -70,11 +75,16 @@ class Brief:
 def brief_of(robot: RobotModel, rate: float) -> Brief:
     """The brief of a robot within its own limits."""
     low, high = robot.limits.q_low.copy(), robot.limits.q_high.copy()
+    v, a = robot.limits.v.copy(), robot.limits.a.copy()
     for joint in robot.joints:
         if joint.kind == "free":
             low[joint.vadr : joint.vadr + 3], high[joint.vadr : joint.vadr + 3] = -FLOATING_REACH[0], FLOATING_REACH[0]
         if joint.kind in ("free", "ball"):
             turn = slice(joint.vadr + (3 if joint.kind == "free" else 0), joint.vadr + len(joint.dofs))
             low[turn], high[turn] = -FLOATING_REACH[1], FLOATING_REACH[1]
+            # One body axis may see the whole rate of the rotation vector, sqrt(3) of a component;
+            # that vector's curvature adds less than half the squared rate to the acceleration.
+            a[turn] = np.maximum(a[turn] - 0.5 * v[turn] ** 2, 0.5 * a[turn]) / np.sqrt(3)
+            v[turn] /= np.sqrt(3)
     q0 = np.array(robot.mj.qpos0)
-    return Brief(robot.joints, low, high, robot.limits.v, robot.limits.a, q0, rate)
+    return Brief(robot.joints, low, high, v, a, q0, rate)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.brief import Brief
+from sysid_bench.excitation.brief import Brief, is_count
 from sysid_bench.excitation.fit import dense_grid, fit
 from sysid_bench.types import Array, Trajectory
 
@@ -23,8 +23,8 @@ class Fourier:
 
     def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
         """A motion of `cycles` periods; raises UsageError for settings that make none."""
-        if self.harmonics < 1 or self.cycles < 1 or not self.period > 0:
-            raise UsageError(f"{self}: harmonics, cycles and period must be positive.")
+        if not (is_count(self.harmonics) and is_count(self.cycles) and self.period > 0):
+            raise UsageError(f"{self}: harmonics and cycles count from 1, the period is positive.")
         a, b = rng.normal(size=(2, self.harmonics, brief.nv))
         unit = np.ones(brief.nv), np.zeros(brief.nv)
         grid = dense_grid(self.period, self.harmonics / self.period)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.brief import Brief
+from sysid_bench.excitation.brief import Brief, is_count
 from sysid_bench.excitation.fit import dense_grid, fit
 from sysid_bench.types import Array, Trajectory
 
@@ -22,8 +22,8 @@ class MultiSine:
 
     def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
         """A motion of `duration`; raises UsageError for settings that make none."""
-        if self.sines < 1 or not 0 < self.lowest <= self.highest or not self.duration > 0:
-            raise UsageError(f"{self}: sines and duration positive, 0 < lowest <= highest.")
+        if not (is_count(self.sines) and 0 < self.lowest <= self.highest and self.duration > 0):
+            raise UsageError(f"{self}: sines from 1 on, 0 < lowest <= highest, a positive duration.")
         size = (self.sines, brief.nv)
         w = 2 * np.pi * rng.uniform(self.lowest, self.highest, size)
         # Amplitudes fall with frequency, so that every sine adds a similar velocity.

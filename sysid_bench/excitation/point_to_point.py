@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.brief import MARGIN, Brief
+from sysid_bench.excitation.brief import MARGIN, Brief, is_count
 from sysid_bench.types import Array, Trajectory
 
 # Peaks of the quintic s(u) = 10 u^3 - 15 u^4 + 6 u^5 on [0, 1]: of s' and of s''.
@@ -23,14 +23,15 @@ class PointToPoint:
 
     def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
         """A motion through `moves` random postures; it starts and ends at rest."""
-        if self.moves < 1 or self.rest < 0:
-            raise UsageError(f"{self}: at least one move, and a rest that is not negative.")
+        if not (is_count(self.moves) and self.rest >= 0):
+            raise UsageError(f"{self}: moves count from 1, and a rest is not negative.")
         margin = 0.5 * (1 - MARGIN) * (brief.high - brief.low)
         points = rng.uniform(brief.low + margin, brief.high - margin, (self.moves + 1, brief.nv))
         steps = np.diff(points, axis=0)
         durations = _durations(steps, brief)
         starts = np.concatenate([[0.0], np.cumsum(durations + self.rest)])
-        t = brief.times(starts[-1])
+        # Two samples more, so that the grid reaches the end of the last move even without a rest.
+        t = brief.times(starts[-1] + 2.0 / brief.rate)
         move = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, self.moves - 1)
         u = np.minimum((t - starts[move]) / durations[move], 1.0)[:, None]
         step, T = steps[move], durations[move][:, None]

@@ -13,8 +13,8 @@ from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import Joint, JointTerms, RobotModel, TYPE_NAMES
 from sysid_bench.models.tree import FREE, tree_of
 from sysid_bench.models.urdf import Urdf, canonical_urdf, parse_xml
-from sysid_bench.spatial.inertia import phi_of
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial.inertia import matrix_of_six, phi_of
+from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_matrix
 from sysid_bench.types import Array
 
 LARGEST_FILE = 64 * 2**20  # bytes; a model text beyond it is a mistake
@@ -261,8 +261,10 @@ def _mount(
     load.explicitinertial = True
     load.mass = payload.mass
     load.ipos = payload.com
-    xx, xy, xz, yy, yz, zz = payload.inertia
-    load.fullinertia = [xx, yy, zz, xy, xz, yz]
+    # Principal moments, since MuJoCo refuses a full inertia with a zero eigenvalue (points, rods).
+    moments, axes = np.linalg.eigh(matrix_of_six(np.array(payload.inertia)))
+    load.inertia = np.maximum(moments, 0.0)
+    load.iquat = quaternion_of_matrix(axes * np.sign(np.linalg.det(axes)))
 
 
 def _free_name(name: str, taken: tuple[str, ...]) -> str:

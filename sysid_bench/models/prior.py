@@ -1,15 +1,12 @@
 """What methods are told beforehand: drawn around the truth, never the truth by default."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.task import Task
 from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
 from sysid_bench.types import Array, Prior
-from sysid_bench.units import quantity
 
 
 @dataclass(frozen=True)
@@ -21,18 +18,6 @@ class PriorSpread:
     com: float = 0.015
     inertia: float = 0.3
     terms: float = 0.3
-
-
-def spread_of(spec: Mapping[str, object]) -> PriorSpread:
-    """A prior table of a suite, {mass = "20 %", com = "15 mm", inertia = "30 %", terms = "30 %"}."""
-    units = {"mass": "1", "com": "m", "inertia": "1", "terms": "1"}
-    for key in spec:
-        if key not in units:
-            raise unknown_name("prior setting", key, units)
-    values = {key: quantity(value, units[key]) for key, value in spec.items()}
-    if any(value < 0 for value in values.values()):
-        raise UsageError(f"A prior's spread cannot be negative; got {dict(spec)}.")
-    return PriorSpread(**values)
 
 
 def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -> Prior:

@@ -73,10 +73,16 @@ def filter_of(text: str) -> Filter:
     match words:
         case ["none"]:
             return NoFilter()
-        case ["butter", order, *cutoff] if order.isdigit() and cutoff and int(order) > 0:
-            return Butterworth(int(order), quantity(" ".join(cutoff), "Hz"))
-        case ["average", window] if window.isdigit() and int(window) % 2 == 1:
+        case ["butter", order, *cutoff] if order.isdecimal() and cutoff and int(order) > 0:
+            return Butterworth(int(order), _positive(quantity(" ".join(cutoff), "Hz"), text))
+        case ["average", window] if window.isdecimal() and int(window) % 2 == 1:
             return MovingAverage(int(window))
     raise UsageError(
         f"{text!r} is no filter; write 'none', 'butter ORDER CUTOFF Hz zero-phase' or 'average N' (N odd)."
     )
+
+
+def _positive(cutoff: float, text: str) -> float:
+    if not cutoff > 0:
+        raise UsageError(f"{text!r}: a cut-off must be positive; got {cutoff} Hz.")
+    return cutoff

@@ -6,10 +6,12 @@ from typing import Final
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
+from scipy.signal import lfilter
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.plant import Plant, bench_flags, check_finite
+from sysid_bench.simulation.gravity import gravity_rms
+from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 STIFF_FRICTION: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])
@@ -19,12 +21,19 @@ joint with Coulomb friction unexplained; with these settings a moving joint leav
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """PD control of every joint at `rate`; gains place each joint's own inertia, taken at the
-    reference posture, at `bandwidth` with `damping`."""
+    """PD control of every joint at `rate`, on encoders with noise.
+
+    Gains place each joint's own inertia, at the reference posture, at `bandwidth` with `damping`,
+    and are raised where the joint's load (gravity, friction) would leave it more than `droop` of
+    its range behind. The velocity that the controller feeds back carries the encoder error's slope
+    through a first-order low-pass at `velocity_cutoff`.
+    """
 
     rate: float = field(default=1000.0, metadata={"unit": "Hz"})
     bandwidth: float = field(default=10.0, metadata={"unit": "Hz"})
     damping: float = 0.7
+    droop: float = field(default=0.005, metadata={"unit": "1"})
+    velocity_cutoff: float = field(default=30.0, metadata={"unit": "Hz"})
 
     def design_rate(self, recording: float) -> float:
         """The control rate (Hz); the recording rate must divide it."""
@@ -41,25 +50,50 @@ class ClosedLoop:
         robot = plant.robot
         if robot.floating or any(joint.kind == "ball" for joint in robot.joints):
             raise UnsupportedError(f"{robot.name}: closed-loop needs a fixed base with hinges and slides.")
-        controller = self.controller(robot)
+        controller = self.controller(plant)
+        return self.track(plant, controller, commanded, encoder), controller
+
+    def track(self, plant: Plant, controller: Controller, commanded: Trajectory, encoder: Array) -> Oracle:
+        """The motion and torques of a plant under a given controller."""
+        robot = plant.robot
+        # The engine takes an input that is not a number for zero, with a warning alone.
+        check_finite(robot.name, encoder, "encoder error")
         mj = controlled_model(plant, controller)
-        control = commands(controller, commanded, encoder, robot)
+        control = commands(controller, commanded, encoder, robot, self.velocity_cutoff)
         steps = _steps_with_laws if plant.laws else _rollout
         q, v, a, tau = steps(plant, mj, commanded, control)
         motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
         for name, array in (("position", q), ("acceleration", a)):
             check_finite(robot.name, array, f"{name} in closed loop")
         _check_tracking(robot, commanded, motion)
-        return Oracle(motion, tau), controller
+        return Oracle(motion, tau)
 
-    def controller(self, robot: RobotModel) -> Controller:
-        """The gains (nv,) of a robot."""
-        data = mujoco.MjData(robot.mj)
-        mujoco.mj_forward(robot.mj, data)
-        M = np.zeros((robot.nv, robot.nv))
-        mujoco.mj_fullM(robot.mj, data, M)
-        w = 2 * np.pi * self.bandwidth
-        return Controller(w**2 * np.diag(M), 2 * self.damping * w * np.diag(M), self.rate)
+    def controller(self, plant: Plant) -> Controller:
+        """The declared gains (nv,) of a plant."""
+        J, load = _own_inertia(plant), typical_load(plant)
+        reach = np.minimum(plant.robot.limits.q_high - plant.robot.limits.q_low, 2 * np.pi)
+        kp = np.maximum((2 * np.pi * self.bandwidth) ** 2 * J, load / (self.droop * reach))
+        # Beyond this the sampled loop rings: half a radian per sample of the inertia, or of the lag
+        # that the joint's own viscous friction makes.
+        kp = np.minimum(kp, np.maximum(J * (0.5 * self.rate) ** 2, plant.terms.viscous * 0.5 * self.rate))
+        return Controller(kp, 2 * self.damping * np.sqrt(kp * J), self.rate)
+
+
+def _own_inertia(plant: Plant) -> Array:
+    """Diagonal of M (nv,) at the reference posture, kg m^2 or kg."""
+    mj = plant.bench
+    data = mujoco.MjData(mj)
+    mujoco.mj_forward(mj, data)
+    M = np.zeros((mj.nv, mj.nv))
+    mujoco.mj_fullM(mj, data, M)
+    return np.diag(M).copy()
+
+
+def typical_load(plant: Plant) -> Array:
+    """RMS gravity torque plus friction at half the velocity limit (nv,)."""
+    gravity = gravity_rms(plant.robot, plant.bench)
+    moving = plant.terms.viscous * 0.5 * plant.robot.limits.v
+    return gravity + moving + plant.terms.coulomb + np.abs(plant.terms.offset)
 
 
 def controlled_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
@@ -78,16 +112,20 @@ def controlled_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
             motor.forcelimited = True
     for joint in spec.joints:
         joint.solref_friction, joint.solimp_friction = STIFF_FRICTION
-    mj = bench_flags(spec.compile())
+    mj = plant.compiled(spec)
     mj.opt.timestep = 1.0 / controller.rate
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     return mj
 
 
-def commands(controller: Controller, commanded: Trajectory, encoder: Array, robot: RobotModel) -> Array:
+def commands(
+    controller: Controller, commanded: Trajectory, encoder: Array, robot: RobotModel, cutoff: float
+) -> Array:
     """Motor inputs u (N, nv) such that kp (u - q) - kd v is the law on what the encoders read:
-    kp (q_ref - q - n) + kd (v_ref - v - dn/dt), with dn/dt the backward difference of the error."""
-    slope = np.diff(encoder, axis=0, prepend=encoder[:1]) * controller.rate
+    kp (q_ref - q - n) + kd (v_ref - v - s), s the low-passed backward difference of the error n."""
+    difference = np.diff(encoder, axis=0, prepend=encoder[:1]) * controller.rate
+    keep = float(np.exp(-2 * np.pi * cutoff / controller.rate))
+    slope = lfilter([1 - keep], [1, -keep], difference, axis=0)
     places = [joint.qadr for joint in robot.joints]
     ratio = controller.kd / controller.kp
     return commanded.q[:, places] - encoder + ratio * (commanded.v - slope)

@@ -8,8 +8,9 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 
-from sysid_bench.errors import SimulationError
+from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.models.robot import JointTerms, RobotModel
+from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array
 
 
@@ -26,16 +27,27 @@ class Effect(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """A robot with its joint terms and the force laws of effects on top."""
+    """A robot with its joint terms and the force laws of effects on top; `phi` (nb, 10) replaces the
+    robot's own inertias where it is given."""
 
     robot: RobotModel
     terms: JointTerms
     laws: tuple[Any, ...] = ()
+    phi: Array | None = None
 
     @cached_property
     def bench(self) -> mujoco.MjModel:
-        """The robot's model with `bench_flags`."""
-        return bench_flags(self.robot.spec.copy().compile())
+        """The plant's model on the bench."""
+        return self.compiled(self.robot.spec.copy())
+
+    def compiled(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
+        """A spec of this robot, compiled with the plant's inertias, joint terms and `bench_flags`."""
+        mj = bench_flags(spec.compile())
+        if self.phi is not None:
+            set_inertias(mj, self.phi)
+            set_joint_terms(mj, self)
+            mujoco.mj_setConst(mj, mujoco.MjData(mj))
+        return mj
 
     def extra(self, t: Array, q: Array, v: Array) -> Array:
         """Torque (..., nv) of the effects."""
@@ -53,11 +65,50 @@ def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
 
 def bench_flags(mj: mujoco.MjModel) -> mujoco.MjModel:
     """Contacts, joint limits and equality constraints off: a robot on an identification bench
-    moves freely, and coupled joints are actuated one by one."""
+    moves freely, and coupled joints are actuated one by one. Forces that are no joint terms are off
+    as well: tendons, gravity compensation, the medium, non-linear springs and dampers."""
     bits = mujoco.mjtDisableBit
-    for bit in (bits.mjDSBL_CONTACT, bits.mjDSBL_LIMIT, bits.mjDSBL_EQUALITY):
+    # Without autoreset a diverged simulation stays NaN instead of starting again from its reference.
+    for bit in (bits.mjDSBL_CONTACT, bits.mjDSBL_LIMIT, bits.mjDSBL_EQUALITY, bits.mjDSBL_AUTORESET):
         mj.opt.disableflags |= int(bit)
+    mj.opt.density = mj.opt.viscosity = 0.0
+    mj.body_gravcomp[:] = 0.0
+    mj.jnt_stiffnesspoly[:] = mj.dof_dampingpoly[:] = 0.0
+    for force in (mj.tendon_stiffness, mj.tendon_stiffnesspoly, mj.tendon_damping):
+        force[:] = 0.0
+    for force in (mj.tendon_dampingpoly, mj.tendon_frictionloss, mj.tendon_armature):
+        force[:] = 0.0
     return mj
+
+
+def set_inertias(mj: mujoco.MjModel, phi: Array) -> None:
+    """Writes phi (nb, 10) into a compiled model; EstimationError for a body that cannot exist."""
+    for b, numbers in enumerate(phi, start=1):
+        mass, com, inertia = mass_com_inertia(numbers)
+        moments, axes = np.linalg.eigh(inertia)
+        if mass < 0 or moments[0] < -1e-9 * max(moments[-1], 1e-12):
+            raise EstimationError(
+                f"Body {mj.body(b).name!r} cannot be simulated with mass {mass:.3g} kg and principal "
+                f"moments {', '.join(f'{m:.3g}' for m in moments)} kg m^2."
+            )
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] *= -1
+        mj.body_mass[b], mj.body_ipos[b] = mass, com
+        mujoco.mju_mat2Quat(mj.body_iquat[b], np.ascontiguousarray(axes).ravel())
+        mj.body_inertia[b] = np.maximum(moments, 0.0)
+
+
+def set_joint_terms(mj: mujoco.MjModel, plant: "Plant") -> None:
+    """Writes viscous and Coulomb friction, armature and springs of hinges and slides."""
+    terms = plant.terms
+    for j, joint in enumerate(plant.robot.joints):
+        if joint.kind not in ("hinge", "slide"):
+            continue
+        dof = joint.vadr
+        mj.dof_damping[dof] = max(terms.viscous[dof], 0.0)
+        mj.dof_frictionloss[dof] = max(terms.coulomb[dof], 0.0)
+        mj.dof_armature[dof] = max(terms.armature[dof], 0.0)
+        mj.jnt_stiffness[j] = terms.spring[dof]
 
 
 def check_finite(name: str, array: Array, what: str) -> Array:

@@ -1,41 +1,28 @@
 """Sensors: what a robot reports of what happened."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.errors import unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial.rotation import product, quaternion_of_vector
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
-from sysid_bench.units import quantity, split_quantity
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of white noise: encoders `q` (rad, m), torque `tau` (N m, N, or as a
-    share of the joint's RMS torque in the noise-free training motion); `quantum` of the encoders."""
+    """Standard deviations of white noise: encoders `q` (rad, m), torque `tau` (N m, N) or
+    `tau_relative` (share of the joint's RMS torque in the noise-free training motion), and the
+    `quantum` that encoders round to (rad, m)."""
 
     q: float = 0.0
     tau: float = 0.0
-    tau_relative: bool = False
+    tau_relative: float = 0.0
     quantum: float = 0.0
 
-
-def noise_of(spec: Mapping[str, object]) -> Noise:
-    """A noise table of a suite, {q = "1e-4 rad", tau = "0.5 %", quantum = "0.001 deg"}."""
-    for key in spec:
-        if key not in ("q", "tau", "quantum"):
-            raise unknown_name("noise setting", key, ("q", "tau", "quantum"))
-    tau = spec.get("tau", 0.0)
-    relative = isinstance(tau, str) and split_quantity(tau)[1] == "%"
-    return Noise(
-        q=quantity(spec.get("q", 0.0), "rad|m"),
-        tau=quantity(tau, "1" if relative else "N m|N"),
-        tau_relative=relative,
-        quantum=quantity(spec.get("quantum", 0.0), "rad|m"),
-    )
+    def torque_std(self, tau: Array) -> Array:
+        """Standard deviation (nv,) of the torque noise for noise-free torques (N, nv)."""
+        return self.tau + self.tau_relative * np.sqrt((tau**2).mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +38,15 @@ def draw(count: int, recorded: int, nv: int, rng: np.random.Generator) -> Draws:
     return Draws(rng.normal(size=(count, nv)), rng.normal(size=(recorded, nv)))
 
 
-def encoder_error(noise: Noise, draws: Draws, q: Array | None = None) -> Array:
-    """Error of every encoder reading (N, nv); with positions q (N, nv) that of rounding as well."""
+def encoder_error(
+    noise: Noise, draws: Draws, q: Array | None = None, rounded: Array | slice = slice(None)
+) -> Array:
+    """Error of every encoder reading (N, nv); with positions q (N, nv) that of rounding as well, in
+    the degrees of freedom `rounded` (an orientation has no encoder that counts)."""
     error = noise.q * draws.encoder
     if noise.quantum > 0 and q is not None:
-        error = np.round((q + error) / noise.quantum) * noise.quantum - q
+        read = q[:, rounded] + error[:, rounded]
+        error[:, rounded] = np.round(read / noise.quantum) * noise.quantum - q[:, rounded]
     return error
 
 

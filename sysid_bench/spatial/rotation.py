@@ -23,6 +23,23 @@ def matrix_of_quaternion(quaternion: Array) -> Array:
     return np.stack(rows, axis=-1).reshape(*quaternion.shape[:-1], 3, 3)
 
 
+def quaternion_of_matrix(R: Array) -> Array:
+    """A unit quaternion (4,) of one rotation matrix (3, 3), w >= 0 (Shepperd 1978)."""
+    squares = np.array([np.trace(R), *np.diag(R)])
+    largest = int(np.argmax(squares))
+    q = np.empty(4)
+    if largest == 0:
+        q[0] = 1 + squares[0]
+        q[1:] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    else:
+        i = largest - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q[0] = R[k, j] - R[j, k]
+        q[1 + i] = 1 + R[i, i] - R[j, j] - R[k, k]
+        q[1 + j], q[1 + k] = R[j, i] + R[i, j], R[k, i] + R[i, k]
+    return q / np.linalg.norm(q) * (1.0 if q[0] >= 0 else -1.0)
+
+
 def product(left: Array, right: Array) -> Array:
     """Quaternion product (..., 4): first `right`, then `left`."""
     a, b, c, d = np.moveaxis(left, -1, 0)

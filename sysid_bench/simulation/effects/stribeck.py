@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.simulation.gravity import gravity_rms
 from sysid_bench.types import Array
 
 
@@ -23,26 +24,12 @@ class Stribeck:
 
     def prepare(self, robot: RobotModel) -> Callable[[Array, Array, Array], Array]:
         """The force law of this robot."""
+        gravity = gravity_rms(robot, robot.mj)
+        gravity = np.maximum(gravity, 1e-3 * gravity.max())
         scale = np.zeros(robot.nv)
-        scale[robot.scalar_dofs] = self.share * _gravity_scale(robot)[robot.scalar_dofs]
+        scale[robot.scalar_dofs] = self.share * gravity[robot.scalar_dofs]
 
         def law(t: Array, q: Array, v: Array) -> Array:
             return scale * np.exp(-((v / self.vs) ** 2)) * np.tanh(v / self.v0)
 
         return law
-
-
-def _gravity_scale(robot: RobotModel) -> Array:
-    import mujoco
-
-    from sysid_bench.models.states import random_states
-
-    postures = random_states(robot, 50, np.random.default_rng(0))
-    data = mujoco.MjData(robot.mj)
-    torque = np.empty((len(postures), robot.nv))
-    for k, q in enumerate(postures.q):
-        data.qpos[:] = q
-        mujoco.mj_forward(robot.mj, data)
-        torque[k] = data.qfrc_bias
-    rms = np.sqrt((torque**2).mean(axis=0))
-    return np.maximum(rms, 1e-3 * rms.max())

@@ -1,0 +1,39 @@
+# make smoke | test | lint | bench | clean. Everything is installed in .venv, pinned by constraints.txt.
+PYTHON ?= python3
+VENV ?= .venv
+# Test processes; 0 runs all tests in one process, which is easier to debug.
+JOBS ?= 2
+
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.sysid_bench_installed
+# One BLAS thread a process: test processes and workers fill the cores already.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+
+.PHONY: smoke test lint bench clean install
+
+install: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -c constraints.txt -e ".[dev]"
+	touch $@
+
+smoke: $(STAMP)
+	$(BIN)/sysid-bench run suites/smoke.toml
+	@echo "The report is $(CURDIR)/reports/smoke/report.html"
+
+test: $(STAMP)
+	$(ONE_THREAD) $(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations=10 \
+		--benchmark-disable --ignore=tests/benchmarks
+
+lint: $(STAMP)
+	$(BIN)/ruff check sysid_bench tests
+	$(BIN)/ruff format --check sysid_bench tests
+	$(BIN)/mypy
+
+bench: $(STAMP)
+	$(ONE_THREAD) $(BIN)/python -m pytest tests/benchmarks --benchmark-only
+
+clean:
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks $(STAMP)
+	find sysid_bench tests -name __pycache__ -type d -prune -exec rm -rf {} +

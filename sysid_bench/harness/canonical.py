@@ -1,0 +1,38 @@
+"""JSON that is the same for the same thing: what ids, seeds and rows are made of."""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+
+def plain(value: Any) -> Any:
+    """`value` as JSON knows it: numpy numbers and arrays, tuples and mappings are turned.
+
+    NaN and infinities become None, so that no reader takes them for a measurement.
+    """
+    if value is None or isinstance(value, (bool, int)):
+        return value
+    if isinstance(value, str):
+        # Half of a surrogate pair, as in the name of a broken file, is no Unicode text.
+        return value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(inner) for inner in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    raise TypeError(f"{value!r} ({type(value).__name__}) is no JSON value; give numbers and texts.")
+
+
+def canonical(value: Any) -> str:
+    """One text per value: sorted keys, no blanks."""
+    return json.dumps(plain(value), sort_keys=True, separators=(",", ":"))
+
+
+def digest(value: Any) -> str:
+    """sha256 of the canonical text, 64 hex digits."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()

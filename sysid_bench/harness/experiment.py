@@ -1,0 +1,116 @@
+"""Executes one experiment with all its estimators: a row each, always."""
+
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from sysid_bench.errors import SysidBenchError, UnsupportedError
+from sysid_bench.evaluation.score import data_figures, score
+from sysid_bench.harness.canonical import plain
+from sysid_bench.harness.prepare import Prepared, prepare
+from sysid_bench.harness.provenance import versions
+from sysid_bench.harness.robots import Subject, subject
+from sysid_bench.harness.spec import ExperimentSpec
+from sysid_bench.identification.identify import identify
+from sysid_bench.naming import build
+from sysid_bench.types import Estimate, Problem, Row, Truth
+
+Emit = Callable[[Row], None]
+
+
+def execute(argument: Mapping[str, Any], emit: Emit) -> None:
+    """Runs the experiment of `argument` (see harness/run.py) and emits a row per estimator."""
+    try:
+        spec = ExperimentSpec.from_json(argument["experiment"])
+        robot = subject(spec.robot, spec.payload, argument["robots_dir"], argument["folder"])
+        verdict = _verdict(robot, argument["crosscheck"])
+    except SysidBenchError as error:
+        _emit_all(argument, emit, {"status": "failed", "reason": str(error)})
+        return
+    if verdict["crosscheck"] == "failed" and argument["crosscheck"]["on_fail"] == "skip-robot":
+        reason = f"cross-check failed: {robot.check.reason(argument['crosscheck']['tolerance'])}"
+        _emit_all(argument, emit, verdict | {"status": "skipped", "reason": reason})
+        return
+    start = time.perf_counter()
+    try:
+        ready = prepare(spec, robot)
+    except SysidBenchError as error:
+        status = "unsupported" if isinstance(error, UnsupportedError) else "failed"
+        _emit_all(argument, emit, verdict | {"status": status, "reason": str(error)})
+        return
+    verdict["seconds_experiment"] = time.perf_counter() - start
+    for estimator in argument["estimators"]:
+        emit(_header(argument, estimator) | verdict | _answer(estimator, ready))
+
+
+def _verdict(robot: Subject, rule: Mapping[str, Any]) -> Row:
+    """What is known of the robot before anything is identified."""
+    check = robot.check
+    return {
+        "gap": check.gap,
+        "closure": check.closure,
+        "native_gap": check.native_gap,
+        "native_reason": check.native_reason,
+        "crosscheck": "ok" if check.ok(rule["tolerance"]) else "failed",
+        "repairs": list(robot.robot.repairs),
+        "nv": robot.robot.nv,
+        "free_base": robot.robot.floating,
+    }
+
+
+def _emit_all(argument: Mapping[str, Any], emit: Emit, outcome: Row) -> None:
+    for estimator in argument["estimators"]:
+        emit(_header(argument, estimator) | outcome)
+
+
+def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
+    cell = estimator["cell"]
+    print_of = argument.get("fingerprints", {}).get(cell)
+    own = {"id": cell, "estimator": estimator["label"], "fingerprint": print_of}
+    return {**argument["labels"], **own, "versions": versions()}
+
+
+def _answer(spec: Mapping[str, Any], ready: Prepared) -> Row:
+    """Status, scores and parameters of one estimator; a stranger's exception is a failed row."""
+    settings = {key: value for key, value in spec.items() if key not in ("cell", "label")}
+    try:
+        estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
+    except SysidBenchError as error:
+        return {"status": "failed", "reason": str(error), **data_figures(ready.problem, ready.held_out)}
+    except Exception as error:
+        return {
+            "status": "failed",
+            "reason": f"{type(error).__name__}: {error}",
+            "traceback": traceback.format_exc(),
+            **data_figures(ready.problem, ready.held_out),
+        }
+    stats = dict(estimate.stats)
+    outcome: Row = {"status": estimate.status, "reason": estimate.reason, "seconds": stats.pop("seconds")}
+    outcome |= asdict(score(estimate, ready.problem, ready.held_out, ready.truth))
+    outcome["stats"] = stats
+    outcome["parameters_table"] = list(_parameters(estimate, ready.problem, ready.truth))
+    return dict(plain(outcome))
+
+
+def _parameters(estimate: Estimate, problem: Problem, truth: Truth) -> Iterator[Row]:
+    """True and estimated base parameters, named by their pivots."""
+    if estimate.status != "ok" or estimate.beta is None:
+        return
+    base = problem.base
+    true = base.K @ truth.theta
+    std = None if estimate.covariance is None else np.sqrt(np.diag(estimate.covariance))
+    for i, name in enumerate(base.names):
+        others = np.abs(np.delete(base.K[i], base.pivots[i])).max(initial=0.0)
+        body, _, parameter = name.rpartition(".")
+        yield {
+            "body": body,
+            "name": parameter,
+            "true": float(true[i]),
+            "estimate": float(estimate.beta[i]),
+            "std": None if std is None else float(std[i]),
+            "identifiable": "identifiable" if others < 1e-9 else "combination",
+        }

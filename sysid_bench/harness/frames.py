@@ -1,0 +1,88 @@
+"""Rows become data frames: one of cells, two long ones of parameters and joints."""
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from sysid_bench.harness.words import LABELS
+from sysid_bench.types import Row
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FIRST_COLUMNS: Final = ("id", "experiment", *LABELS, "repeat", "status", "reason")
+_LONG: Final[Mapping[str, tuple[str, ...]]] = {
+    "joints": ("id", "name"),
+    "parameters_table": ("id", "body", "name", "true", "estimate", "std", "identifiable"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """`cells` has a line per row, `parameters` and `joints` one per parameter or joint of a cell,
+    which `id` names."""
+
+    cells: "pd.DataFrame"
+    parameters: "pd.DataFrame"
+    joints: "pd.DataFrame"
+
+    def write(self, folder: Path) -> None:
+        """cells.parquet, parameters.parquet and joints.parquet, each whole or not at all."""
+        for name in ("cells", "parameters", "joints"):
+            path = folder / f"{name}.parquet"
+            beside = path.with_name(f".{path.name}.{os.getpid()}")
+            getattr(self, name).to_parquet(beside, compression="zstd", index=False)
+            beside.replace(path)
+
+
+def frames_of(rows: Iterable[Row]) -> Frames:
+    """Frames of rows; nested tables of a cell become columns with dotted names."""
+    rows = list(rows)
+    cells = [_flat({key: value for key, value in row.items() if key not in _LONG}) for row in rows]
+    return Frames(
+        _frame(cells, FIRST_COLUMNS),
+        _frame(_long(rows, "parameters_table"), _LONG["parameters_table"]),
+        _frame(_long(rows, "joints"), _LONG["joints"]),
+    )
+
+
+def _long(rows: Iterable[Row], field: str) -> Iterator[Row]:
+    for row in rows:
+        for entry in row.get(field) or ():
+            yield {"id": row["id"], **_flat(entry)}
+
+
+def _flat(row: Mapping[str, Any], prefix: str = "") -> Row:
+    flat: Row = {}
+    for key, value in row.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            # A column of lists has no place in a table that DuckDB and a person both read.
+            flat[prefix + key] = json.dumps(value) if isinstance(value, list) else value
+    return flat
+
+
+def _frame(rows: Iterable[Row], first: tuple[str, ...]) -> "pd.DataFrame":
+    import pandas as pd
+
+    rows = list(rows)
+    columns = dict.fromkeys((*first, *(key for row in rows for key in row)))
+    return pd.DataFrame({column: _column([row.get(column) for row in rows]) for column in columns})
+
+
+def _column(values: list[Any]) -> "pd.Series":
+    """One type per column: Parquet takes no mixture of texts and numbers."""
+    import pandas as pd
+
+    kinds = {type(value) for value in values if value is not None}
+    if int in kinds and any(abs(v) >= 2**63 for v in values if isinstance(v, int)):
+        kinds.add(str)  # no integer column is that wide: keep the digits as a text
+    if kinds <= {int, float} and kinds:
+        return pd.Series(values, dtype="float64" if None in values or float in kinds else "int64")
+    if len(kinds) > 1:
+        values = [v if v is None or isinstance(v, str) else json.dumps(v) for v in values]
+    return pd.Series(values, dtype="object")

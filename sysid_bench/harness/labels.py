@@ -1,0 +1,83 @@
+"""Short texts for the values of a sweep, different for different values."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from sysid_bench.harness.canonical import canonical, digest
+from sysid_bench.harness.names import Names
+from sysid_bench.harness.spec import normal_noise, normal_payload, normal_prior
+from sysid_bench.harness.suite_model import Noise, Plugin, Prior, Suite
+
+
+def distinct(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
+    """canonical(value) -> label, from (value, short text, long text).
+
+    The short text serves where it tells the values apart, then the long one, then a hash.
+    """
+    texts: dict[str, tuple[str, str]] = {}
+    for value, short, long in choices:
+        texts.setdefault(canonical(value), (short, long))
+    labels = {key: short for key, (short, _) in texts.items()}
+    for finer in (lambda key: texts[key][1], lambda key: f"{texts[key][1]} #{digest(key)[:6]}"):
+        met = Counter(labels.values())
+        labels = {key: finer(key) if met[label] > 1 else label for key, label in labels.items()}
+    return labels
+
+
+def plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
+    """Short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
+    use = str(spec["use"])
+    short = label or use.rpartition(":")[2]
+    settings = " ".join(f"{key}={value}" for key, value in spec.items() if key != "use")
+    return short, f"{short} {settings}" if settings else f"{short} ({use})" if ":" in use else short
+
+
+def table_text(written: str | Mapping[str, Any], empty: str) -> str:
+    """ "q 1e-4 rad, tau 0.5 %" of a table of quantities; words stay."""
+    if isinstance(written, str):
+        return written
+    return ", ".join(f"{key} {value}" for key, value in written.items()) or empty
+
+
+def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
+    """axis -> canonical value -> label, unique within the suite."""
+    axes = suite.defaults
+    plugins = {"plant": axes.plant, "excitation": axes.excitation, "simulation": axes.simulation}
+    labels = {
+        axis: distinct((p.spec, *plugin_texts(p.spec)) for p in specs)
+        for axis, specs in plugins.items()
+    }
+    labels["estimator"] = distinct(
+        (e.spec, *plugin_texts(e.spec, e.label)) for e in suite.estimator
+    )
+    labels["robot"] = distinct(
+        (source, names.robot(source, suite.folder).name, source) for _, source in suite.robots
+    )
+    payloads = [payload for entry in suite.robot for payload in entry.payloads]
+    labels["payload"] = distinct(
+        (normal_payload(p), names.payload(p).name, table_text(p, "none")) for p in payloads
+    )
+    labels["noise"] = distinct(_noise_texts(noise) for noise in axes.noise)
+    labels["prior"] = distinct(_prior_texts(prior) for prior in axes.prior)
+    labels["held_out"] = distinct(_motion_texts(motions) for motions in axes.held_out)
+    return labels
+
+
+def _noise_texts(noise: Noise) -> tuple[Any, str, str]:
+    written = noise.model_dump(exclude_none=True)
+    value = normal_noise(written)
+    text = table_text(written, "exact") if value else "exact"
+    return value, text, text
+
+
+def _prior_texts(prior: Prior | str) -> tuple[Any, str, str]:
+    written = prior if isinstance(prior, str) else prior.model_dump()
+    text = table_text(written, "none")
+    return normal_prior(written), text, text
+
+
+def _motion_texts(motions: Sequence[Plugin]) -> tuple[Any, str, str]:
+    texts = [plugin_texts(motion.spec) for motion in motions]
+    value = [motion.spec for motion in motions]
+    return value, ", ".join(short for short, _ in texts), ", ".join(long for _, long in texts)

@@ -1,0 +1,100 @@
+"""What the names in a suite are checked against: robots, payloads, plug-ins."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+from sysid_bench import naming
+from sysid_bench.errors import SysidBenchError, UsageError
+
+
+class Robot(Protocol):
+    """The part of a manifest that planning looks at."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def free_base(self) -> bool: ...
+
+
+class Load(Protocol):
+    """The part of a payload that planning looks at."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def mass(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class Names:
+    """Three functions; each raises an error of sysid_bench.errors for what it does not know.
+
+    `robot(source, folder)`, `payload(name or table)`, and `plugin(kind, {use, settings})`, which
+    builds the thing and so proves its name and its settings.
+    """
+
+    robot: Callable[[str, Path | None], Robot]
+    payload: Callable[[str | Mapping[str, Any]], Load]
+    plugin: Callable[[str, Mapping[str, Any]], object]
+
+
+def installed_names(robots_dir: Path | None = None) -> Names:
+    """Everything this installation knows, with robots of `robots_dir` first."""
+    return Names(partial(_robot, robots_dir), _payload, naming.build)
+
+
+def no_names() -> Names:
+    """Accepts every name: for a frozen suite, which was checked when it was planned."""
+    return Names(_unseen_robot, _unseen_payload, _unseen_plugin)
+
+
+def located(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
+    """A plug-in's spec whose "file:mine.py:Thing" is found from the suite's folder."""
+    use = spec.get("use")
+    if folder is None or not isinstance(use, str) or not use.startswith("file:"):
+        return dict(spec)
+    path, colon, attribute = use.removeprefix("file:").rpartition(":")
+    return {**spec, "use": f"file:{folder / path}{colon}{attribute}"}
+
+
+def complaint(error: Exception) -> str:
+    """What to tell about a name that failed: our own errors speak for themselves."""
+    if isinstance(error, SysidBenchError):
+        return str(error)
+    return f"importing or making it raised {type(error).__name__}: {error}"
+
+
+@dataclass(frozen=True)
+class _Unseen:
+    name: str
+    free_base: bool = False
+    mass: float = 0.0
+
+
+def _unseen_robot(source: str, folder: Path | None) -> Robot:
+    return _Unseen(source)
+
+
+def _unseen_payload(spec: str | Mapping[str, Any]) -> Load:
+    return _Unseen(str(spec))
+
+
+def _unseen_plugin(kind: str, spec: Mapping[str, Any]) -> object:
+    if "use" not in spec:
+        raise UsageError(f"A {kind} needs a name: {{ use = ... }}; got {sorted(spec)}.")
+    return None
+
+
+def _robot(robots_dir: Path | None, source: str, folder: Path | None) -> Robot:
+    from sysid_bench.models.manifest import find_manifest
+
+    return find_manifest(source, robots_dir, folder)
+
+
+def _payload(spec: str | Mapping[str, Any]) -> Load:
+    from sysid_bench.models.payload import parse_payload
+
+    return parse_payload(spec)

@@ -1,0 +1,284 @@
+"""A suite becomes its cells: one experiment and one estimator each."""
+
+import itertools
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.harness.canonical import canonical, digest
+from sysid_bench.harness.expression import Expression
+from sysid_bench.harness.labels import labels_of
+from sysid_bench.harness.names import Names, installed_names
+from sysid_bench.harness.spec import (
+    ExperimentSpec,
+    normal_noise,
+    normal_payload,
+    normal_prior,
+)
+from sysid_bench.harness.suite_model import Prior, Suite
+from sysid_bench.harness.words import CELL_FIELDS, LABELS
+from sysid_bench.units import quantity
+
+# A crude model of the cost, on one core of 2025: set-up and cross-check of a robot, simulation and
+# regressor per sample of a motion, and the reduction and scoring per estimator.
+_SETUP_SECONDS = 0.3
+_SAMPLE_SECONDS = 1e-4
+_ESTIMATOR_SECONDS = 0.05
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One future row. `facts` are the fields that the specification does not hold by itself."""
+
+    spec: ExperimentSpec
+    estimator: Mapping[str, Any]  # {use, settings...} without a label
+    labels: Mapping[str, str]  # words.LABELS -> text
+    facts: Mapping[str, Any]
+    seconds: float  # expected; the share of one estimator in its experiment
+
+    @cached_property
+    def id(self) -> str:
+        """12 hex digits of the experiment and the estimator without its label."""
+        return digest([self.spec.id, self.estimator])[:12]
+
+    @property
+    def experiment(self) -> str:
+        """The experiment's id, shared by its estimators."""
+        return self.spec.id
+
+    @property
+    def head(self) -> dict[str, Any]:
+        """The fields that every row of this cell begins with, whatever became of it."""
+        return {
+            "id": self.id,
+            "experiment": self.experiment,
+            **self.labels,
+            "repeat": self.spec.repeat,
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """One line of plan.jsonl."""
+        return {
+            "id": self.id,
+            "experiment": self.experiment,
+            "labels": dict(self.labels),
+            "facts": dict(self.facts),
+            "seconds": self.seconds,
+            "estimator": dict(self.estimator),
+            "spec": self.spec.to_json(),
+        }
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Every cell in the order of the suite. `excluded` counts cells per reason."""
+
+    cells: tuple[Cell, ...]
+    excluded: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def experiments(self) -> tuple[ExperimentSpec, ...]:
+        """The experiments in the order of their first cell."""
+        return tuple({cell.experiment: cell.spec for cell in self.cells}.values())
+
+    @property
+    def seconds(self) -> float:
+        """Expected cost on one worker."""
+        return sum(cell.seconds for cell in self.cells)
+
+    @property
+    def fields(self) -> frozenset[str]:
+        """What an expression may ask of these cells."""
+        return CELL_FIELDS.union(*(fields(cell) for cell in self.cells))
+
+    def select(self, text: str | None) -> tuple[Cell, ...]:
+        """The cells that meet an expression; all of them where there is none."""
+        if text is None:
+            return self.cells
+        condition = Expression.parse(text, self.fields)
+        return tuple(cell for cell in self.cells if condition.matches(fields(cell)))
+
+    def to_json_lines(self) -> str:
+        """plan.jsonl: a run is resumed from it without the suite."""
+        return "".join(json.dumps(cell.to_json()) + "\n" for cell in self.cells)
+
+    @classmethod
+    def from_json_lines(cls, text: str) -> "Plan":
+        """The cells of a plan.jsonl; what was excluded or noted is not kept in it."""
+        return cls(tuple(_cell_of(number, line) for number, line in _numbered(text)))
+
+
+def expand(suite: Suite, names: Names | None = None) -> Plan:
+    """All cells of a suite, without those that an [[exclude]] names and without duplicates."""
+    cells = _cells(suite, names or installed_names())
+    kept, excluded = _exclude(suite, cells)
+    unique = {cell.id: cell for cell in reversed(kept)}
+    ordered = tuple({cell.id: unique[cell.id] for cell in kept}.values())
+    return Plan(ordered, excluded, tuple(_notes(suite, kept, ordered)))
+
+
+def fields(cell: Cell) -> dict[str, Any]:
+    """The flat mapping that expressions look at; a tuple holds the names that a thing goes by."""
+    spec = cell.spec
+    flat: dict[str, Any] = {
+        **cell.labels,
+        "id": cell.id,
+        "experiment": cell.experiment,
+        "repeat": spec.repeat,
+        "rate": spec.rate,
+        "terms": cell.labels["terms"],
+        **cell.facts,
+        **{f"signals.{key}": value for key, value in spec.signals.items()},
+    }
+    for key, value in spec.noise.items():
+        flat["noise." + key.removesuffix("_relative")] = value
+    if not isinstance(spec.prior, str):
+        flat |= {f"prior.{key}": value for key, value in spec.prior.items()}
+    plugins = {
+        "plant": spec.plant,
+        "excitation": spec.excitation,
+        "simulation": spec.simulation,
+        "estimator": cell.estimator,
+    }
+    for axis, plugin in plugins.items():
+        flat |= {f"{axis}.{key}": value for key, value in plugin.items()}
+        flat[axis] = _names(cell.labels[axis], plugin["use"], plugin["use"].rpartition(":")[2])
+    flat["robot"] = _names(cell.labels["robot"], spec.robot)
+    return flat
+
+
+def _names(*names: str) -> str | tuple[str, ...]:
+    different = tuple(dict.fromkeys(names))
+    return different[0] if len(different) == 1 else different
+
+
+def _exclude(suite: Suite, cells: Iterable[Cell]) -> tuple[list[Cell], dict[str, int]]:
+    rules = [(Expression.parse(rule.when), rule.reason) for rule in suite.exclude]
+    kept, counts = [], {reason: 0 for _, reason in rules}
+    for cell in cells:
+        flat = fields(cell)
+        reason = next((reason for rule, reason in rules if rule.matches(flat)), None)
+        if reason is None:
+            kept.append(cell)
+        else:
+            counts[reason] += 1
+    return kept, counts
+
+
+def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterator[str]:
+    if suite.run.repeats > 1 and any(_repeats_nothing(cell.spec) for cell in unique):
+        yield (
+            "Experiments without noise under the simulation 'inverse' give the same numbers each "
+            f"time: repeat 0 stands for all {suite.run.repeats}."
+        )
+    if len(kept) > len(unique):
+        yield f"{len(kept) - len(unique)} cells were specified twice and are run once."
+
+
+def _repeats_nothing(spec: ExperimentSpec) -> bool:
+    return not spec.noise and spec.simulation["use"] == "inverse"
+
+
+def _cells(suite: Suite, names: Names) -> list[Cell]:
+    label = labels_of(suite, names)
+    drafts = []
+    for entry, source in suite.robots:
+        robot = names.robot(source, suite.folder)
+        for written in entry.payloads:
+            payload = names.payload(written)
+            facts = {"robot.free_base": bool(robot.free_base), "payload.mass": payload.mass}
+            drafts += [(spec, facts) for spec in _specs(suite, source, normal_payload(written))]
+    estimators = [estimator.spec for estimator in suite.estimator]
+    return [
+        Cell(
+            spec, estimator, _labelled(spec, estimator, label), facts, _cost(spec, len(estimators))
+        )
+        for spec, facts in drafts
+        for estimator in estimators
+    ]
+
+
+def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[ExperimentSpec]:
+    axes = suite.defaults
+    for task, terms, plant, prior, excitation, held_out, simulation, rate, noise, signals in (
+        itertools.product(
+            axes.task, axes.terms, axes.plant, axes.prior, axes.excitation, axes.held_out,
+            axes.simulation, axes.rate, axes.noise, axes.signals,
+        )
+    ):  # fmt: skip
+        spec = ExperimentSpec(
+            seed=suite.seed,
+            robot=robot,
+            payload=payload,
+            task=task,
+            terms=terms,
+            plant=plant.spec,
+            prior=normal_prior(_written(prior)),
+            excitation=excitation.spec,
+            held_out=tuple(motion.spec for motion in held_out),
+            simulation=simulation.spec,
+            rate=quantity(rate, "Hz"),
+            noise=normal_noise(noise.model_dump(exclude_none=True)),
+            signals=signals.model_dump(),
+            repeat=0,
+        )
+        repeats = 1 if _repeats_nothing(spec) else suite.run.repeats
+        yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
+
+
+def _written(prior: Prior | str) -> str | dict[str, Any]:
+    return prior if isinstance(prior, str) else prior.model_dump()
+
+
+def _labelled(
+    spec: ExperimentSpec, estimator: Mapping[str, Any], label: Mapping[str, Mapping[str, str]]
+) -> dict[str, str]:
+    plain = {
+        "task": spec.task,
+        "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
+        "rate": f"{spec.rate:.12g} Hz",
+        "signals": f"{spec.signals['filter']}, {spec.signals['derivatives']}",
+        "estimator": label["estimator"][canonical(estimator)],
+    }
+    found = {
+        axis: label[axis][canonical(getattr(spec, axis))] for axis in LABELS if axis not in plain
+    }
+    return {axis: plain.get(axis) or found[axis] for axis in LABELS}
+
+
+def _cost(spec: ExperimentSpec, estimators: int) -> float:
+    period = _number(spec.excitation.get("period"), "s", 5.0)
+    cycles = _number(spec.excitation.get("cycles"), "1", 2.0)
+    samples = period * cycles * spec.rate * (1 + len(spec.held_out))
+    return (_SETUP_SECONDS + _SAMPLE_SECONDS * samples) / estimators + _ESTIMATOR_SECONDS
+
+
+def _number(written: Any, unit: str, default: float) -> float:
+    try:
+        return quantity(written, unit)
+    except SysidBenchError:  # a stranger's excitation may mean something else by this word
+        return default
+
+
+def _numbered(text: str) -> Iterator[tuple[int, str]]:
+    return ((n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip())
+
+
+def _cell_of(number: int, line: str) -> Cell:
+    try:
+        data = json.loads(line)
+        spec = ExperimentSpec.from_json(data["spec"])
+        cell = Cell(spec, data["estimator"], data["labels"], data["facts"], data["seconds"])
+        told = data["id"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"plan.jsonl:{number}: this line is no cell ({error!r}).") from error
+    if cell.id != told:
+        raise UsageError(
+            f"plan.jsonl:{number}: the cell {told} reads as {cell.id} with this version of "
+            "sysid_bench; run the suite into another folder (-o)."
+        )
+    return cell

@@ -1,0 +1,209 @@
+"""One experiment made ready: simulated once, its regressor reduced once, for all its estimators."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from sysid_bench.errors import EstimationError, UnsupportedError
+from sysid_bench.excitation.brief import brief_of
+from sysid_bench.harness.robots import Subject
+from sysid_bench.harness.spec import ExperimentSpec, held_out_seed, motion_seed, noise_seed, prior_seed
+from sysid_bench.models.prior import PriorSpread, prior_of
+from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.task import Task, task_of
+from sysid_bench.naming import build
+from sysid_bench.regressors.fold import dense_blocks, fold
+from sysid_bench.regressors.kernel import newton_euler
+from sysid_bench.regressors.regression import TERM, Regression, regression
+from sysid_bench.signals.process import processing_of
+from sysid_bench.simulation.candidate import Declared, candidate, declared
+from sysid_bench.simulation.closed_loop import ClosedLoop
+from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.plant import Plant, plant_of
+from sysid_bench.simulation.sensors import Noise, draw, encoder_error, sense
+from sysid_bench.types import (
+    Array,
+    BaseMap,
+    Experiment,
+    Oracle,
+    Prior,
+    Problem,
+    Recording,
+    Trajectory,
+    Truth,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Everything about one experiment. Methods get `problem` and `experiment`; `held_out`, posed
+    with exact signals, and `truth` are for scoring."""
+
+    robot: RobotModel
+    task: Task
+    problem: Problem
+    experiment: Experiment
+    held_out: dict[str, Problem]
+    truth: Truth
+    known: Array  # (N, nv) torque of what the task takes as known, along the measured motion
+
+
+def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
+    """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
+    robot = subject.robot
+    terms = robot.manifest.terms if spec.terms is None else spec.terms
+    task = task_of(robot, spec.task, terms)
+    base = subject.base(task.parameters)
+    posing = Posing(robot, task, base, regression(robot, base.names))
+    plant = plant_of(robot, [build("plant", spec.plant)])
+    raw, recording = _record(spec, plant)
+    prior = _prior(spec, task)
+    problem = posing.pose(recording.motion, recording.tau, prior)
+    held_out = {
+        name: posing.pose(oracle.motion, oracle.tau)
+        for name, oracle in _held_out(spec, plant).items()
+    }
+    regress = partial(regressor_blocks, posing.regression)
+    experiment = Experiment(problem, recording, raw, regress, _Simulate(declared(robot, task), raw))
+    return Prepared(
+        robot, task, problem, experiment, held_out, task.truth, posing.known(recording.motion)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Posing:
+    """Turns motions and torques of one robot and task into problems.
+
+    A problem goes to methods, so it never holds this: the task knows the answer.
+    """
+
+    robot: RobotModel
+    task: Task
+    base: BaseMap
+    regression: Regression
+
+    def pose(self, motion: Trajectory, tau: Array, prior: Prior | None = None) -> Problem:
+        """W beta = b along a motion, the known torque taken from tau (N, nv)."""
+        b = tau - self.known(motion)
+
+        return Problem(
+            parameters=self.task.parameters,
+            base=self.base,
+            rows=self.robot.rows,
+            factors=fold(self.regression, motion, b),
+            bodies=self.task.bodies,
+            blocks=partial(dense_blocks, self.regression, motion, b),
+            samples=len(motion),
+            prior=prior,
+        )
+
+    def known(self, motion: Trajectory) -> Array:
+        """Torque (N, nv) of the parts that the task declares known."""
+        if not self.task.knows_something:
+            return np.zeros_like(motion.v)
+        tau = newton_euler(self.robot.tree, self.task.known_links, motion)
+        return tau + known_terms(self.robot, self.task, motion)
+
+
+def regressor_blocks(regression: Regression, motion: Trajectory) -> Iterator[Array]:
+    """Blocks of the base regressor (n, rows, r) along any motion."""
+    for block in regression.blocks(motion):
+        yield block.dense()
+
+
+def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:
+    """Torque (N, nv) of the joint terms that are known."""
+    tau = np.zeros_like(motion.v)
+    deflection = _scalar_positions(robot, motion) - robot.joint_terms.spring_reference
+    for term, values in task.known_terms.items():
+        for dof in np.flatnonzero(values):
+            state = deflection[:, dof], motion.v[:, dof], motion.a[:, dof]
+            tau[:, dof] += values[dof] * TERM[SUFFIX[term]](*state)
+    return tau
+
+
+def _record(spec: ExperimentSpec, plant: Plant) -> tuple[Recording, Recording]:
+    """The recording as sensed and as filtered."""
+    robot, noise = plant.robot, Noise(**spec.noise)
+    simulation = build("simulation", spec.simulation)
+    processing = processing_of(spec.signals)
+    rate = simulation.design_rate(spec.rate)
+    every = round(rate / spec.rate)
+    design = build("excitation", spec.excitation).design
+    commanded = design(brief_of(robot, rate), np.random.default_rng(motion_seed(spec)))
+    rng = np.random.default_rng(noise_seed(spec))
+    draws = draw(len(commanded), len(range(0, len(commanded), every)), robot.nv, rng)
+    error = encoder_error(noise, draws)
+    oracle, controller = simulation.run(plant, commanded, error)
+    if noise.quantum > 0:
+        # Rounding depends on where the robot is: the positions of a first run tell, the second runs
+        # with the loop seeing it.
+        scalar = robot.scalar_dofs
+        error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
+        oracle, controller = simulation.run(plant, commanded, error)
+        # What is recorded is rounded where the robot was then, so that it lies on the encoder's grid.
+        error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
+    raw = sense(
+        robot, oracle, error, noise.torque_std(oracle.tau[::every]), draws, every, commanded, controller,
+        ideal_rates=not processing.differentiate,
+    )  # fmt: skip
+    return raw, processing.apply(raw, robot.joints)
+
+
+def _scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
+    """Positions (N, nv) of hinges and slides; zero elsewhere."""
+    out = np.zeros_like(motion.v)
+    for joint in robot.joints:
+        if joint.kind in ("hinge", "slide"):
+            out[:, joint.vadr] = motion.q[:, joint.qadr]
+    return out
+
+
+def _held_out(spec: ExperimentSpec, plant: Plant) -> dict[str, Oracle]:
+    """Other motions of the same plant, exact: what scoring compares with."""
+    motions: dict[str, Oracle] = {}
+    for place, excitation in enumerate(spec.held_out):
+        rng = np.random.default_rng(held_out_seed(spec, place))
+        motion = build("excitation", excitation).design(brief_of(plant.robot, spec.rate), rng)
+        oracle, _ = Inverse().run(plant, motion, np.zeros_like(motion.v))
+        name = excitation["use"]
+        motions[name if name not in motions else f"{name}-{place}"] = oracle
+    return motions
+
+
+def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
+    if spec.prior == "none":
+        return None
+    spread = None if isinstance(spec.prior, str) else PriorSpread(**spec.prior)
+    return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Simulate:
+    """The method's own model along the commanded motion, under the declared controller."""
+
+    told: Declared
+    raw: Recording
+
+    def __call__(self, theta: Array) -> Recording:
+        controller, commanded = self.raw.controller, self.raw.commanded
+        if controller is None or commanded is None:
+            raise UnsupportedError("This recording declares no controller: nothing to simulate with.")
+        theta, size = np.asarray(theta, dtype=float), len(self.told.parameters)
+        if theta.shape != (size,):
+            raise EstimationError(f"theta has the shape {theta.shape}; expected ({size},).")
+        if not np.isfinite(theta).all():
+            bad = self.told.parameters[int(np.flatnonzero(~np.isfinite(theta))[0])]
+            raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
+        plant = candidate(self.told, theta)
+        oracle = ClosedLoop(rate=controller.rate).track(
+            plant, controller, commanded, np.zeros_like(commanded.v)
+        )
+        every = round(controller.rate / self.raw.rate)
+        kept = slice(None, None, every)
+        motion = oracle.motion
+        return replace(
+            self.raw, t=motion.t[kept], q=motion.q[kept], v=motion.v[kept], a=motion.a[kept], tau=oracle.tau[kept]
+        )

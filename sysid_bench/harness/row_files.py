@@ -1,0 +1,124 @@
+"""Rows on disk: append-only JSON lines, one writer per file, the last row of an id wins."""
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from sysid_bench.harness.canonical import plain
+from sysid_bench.types import Row
+
+SYNC_SECONDS = 1.0
+"""How often rows are forced to the disk: per row costs four times as much as writing it."""
+
+
+@dataclass(frozen=True)
+class StoredRows:
+    """The last row of every id. `torn` counts unfinished last lines, where a writer was killed;
+    `garbled` names every other line that is no row ("file:line")."""
+
+    rows: dict[str, Row]
+    torn: int
+    garbled: tuple[str, ...]
+
+
+class RowWriter:
+    """Appends rows to a file of its own; a row is with the operating system when append returns."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = path.open("ab")
+        self._synced = time.monotonic()
+
+    def append(self, row: Row) -> None:
+        """One line, whole: what is no JSON value raises TypeError before anything is written."""
+        self._file.write(json.dumps(plain(row)).encode() + b"\n")
+        self._file.flush()
+        if time.monotonic() - self._synced > SYNC_SECONDS:
+            self._sync()
+
+    def close(self) -> None:
+        """Forces the rest to the disk; closing twice is allowed."""
+        if not self._file.closed:
+            self._sync()
+            self._file.close()
+
+    def __enter__(self) -> "RowWriter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _sync(self) -> None:
+        os.fsync(self._file.fileno())
+        self._synced = time.monotonic()
+
+
+def new_row_file(folder: Path, writer: str) -> Path:
+    """A fresh empty file, numbered after all that exist: the order of names is that of time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    number = 1 + max((_number(path) for path in _files(folder)), default=0)
+    while True:
+        path = folder / f"{number:06d}-{writer}.jsonl"
+        try:
+            path.touch(exist_ok=False)
+        except FileExistsError:
+            number += 1
+        else:
+            return path
+
+
+def read_rows(folder: Path) -> StoredRows:
+    """All rows of a folder of row files; never fails on what a file holds."""
+    rows: dict[str, Row] = {}
+    torn, garbled = 0, []
+    for path in _files(folder):
+        for number, line, last in _lines(path):
+            row = _row(line)
+            if row is not None:
+                rows.pop(row["id"], None)
+                rows[row["id"]] = row
+            elif last:
+                torn += 1
+            else:
+                garbled.append(f"{path.name}:{number}")
+    return StoredRows(rows, torn, tuple(garbled))
+
+
+def ids_in(path: Path) -> set[str]:
+    """The ids of the whole rows of one file."""
+    rows = (_row(line) for _, line, _ in _lines(path))
+    return {row["id"] for row in rows if row is not None}
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.jsonl"), key=lambda path: (_number(path), path.name))
+
+
+def _number(path: Path) -> int:
+    head = path.name.partition("-")[0]
+    return int(head) if head.isdigit() else 0
+
+
+def _lines(path: Path) -> Iterator[tuple[int, bytes, bool]]:
+    """(number, line, whether it is an unfinished last one)."""
+    pieces = path.read_bytes().split(b"\n")
+    for number, line in enumerate(pieces, 1):
+        if line.strip():
+            yield number, line, number == len(pieces)
+
+
+def _row(line: bytes) -> Row | None:
+    try:
+        row = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return row if isinstance(row, dict) and isinstance(row.get("id"), str) else None

@@ -1,0 +1,121 @@
+"""What an experiment is, in SI numbers; its id, and the seeds that hang on parts of it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.canonical import digest
+from sysid_bench.units import quantity, split_quantity
+
+
+@dataclass(frozen=True)
+class ExperimentSpec:
+    """One simulated recording. JSON values only; plug-ins are {use, settings...} as written.
+
+    `noise` holds q, quantum (rad, m) and tau (N m, N) or tau_relative (share of the joint's RMS
+    torque); `prior` holds mass, inertia, terms (shares) and com (m), or is "truth" or "none".
+    """
+
+    seed: int  # root of the suite's seed tree
+    robot: str  # as written
+    payload: str | Mapping[str, Any]
+    task: str
+    terms: tuple[str, ...] | None  # None: the robot's own
+    plant: Mapping[str, Any]
+    prior: str | Mapping[str, float]
+    excitation: Mapping[str, Any]
+    held_out: tuple[Mapping[str, Any], ...]
+    simulation: Mapping[str, Any]
+    rate: float  # Hz
+    noise: Mapping[str, float]
+    signals: Mapping[str, Any]
+    repeat: int
+
+    @cached_property
+    def id(self) -> str:
+        """12 hex digits of what is specified, and of nothing else."""
+        return digest(asdict(self))[:12]
+
+    def to_json(self) -> dict[str, Any]:
+        """The fields as JSON values; `from_json` reads them back."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> "ExperimentSpec":
+        """Raises UsageError for data of another version of this package."""
+        try:
+            terms = data["terms"]
+            return cls(
+                **{
+                    **data,
+                    "terms": None if terms is None else tuple(terms),
+                    "held_out": tuple(data["held_out"]),
+                }
+            )
+        except (KeyError, TypeError) as error:
+            raise UsageError(
+                f"This is no experiment of this version of sysid_bench ({error}); plan it again "
+                "into another folder (-o)."
+            ) from error
+
+
+def seed_of(suite_seed: int, *parts: Any) -> int:
+    """A 128-bit seed from the suite's and any JSON values."""
+    return int(digest([suite_seed, *parts])[:32], 16)
+
+
+def motion_seed(spec: ExperimentSpec) -> int:
+    """Of the training motion: payloads, tasks, noise and repeats share it."""
+    return seed_of(spec.seed, "motion", spec.robot, spec.excitation)
+
+
+def held_out_seed(spec: ExperimentSpec, place: int) -> int:
+    """Of the held-out motion number `place`: never the training motion, whatever they are."""
+    return seed_of(spec.seed, "held-out", spec.robot, spec.held_out[place], place)
+
+
+def noise_seed(spec: ExperimentSpec) -> int:
+    """Of the sensor noise: the same draw for every payload, level, estimator, prior and plant,
+    so that their comparison is paired."""
+    parts = (spec.robot, spec.task, spec.excitation, spec.simulation, spec.rate, spec.repeat)
+    return seed_of(spec.seed, "noise", *parts)
+
+
+def prior_seed(spec: ExperimentSpec) -> int:
+    """Of what methods are told beforehand: no new prior with each repeat or noise level."""
+    return seed_of(spec.seed, "prior", spec.robot, spec.payload, spec.task)
+
+
+def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
+    """SI numbers of a [noise] table; "0.5 %" of torque becomes tau_relative = 0.005.
+
+    What is zero is left out: {} is exact, however it is written.
+    """
+    noise = {}
+    for key, value in written.items():
+        relative = key == "tau" and isinstance(value, str) and split_quantity(value)[1] == "%"
+        unit = "%" if relative else "N m|N" if key == "tau" else "rad|m"
+        noise["tau_relative" if relative else key] = quantity(value, unit)
+    return {key: value for key, value in noise.items() if value != 0.0}
+
+
+def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, float]:
+    """SI numbers of a prior: shares, and metres for com."""
+    if isinstance(written, str):
+        return written
+    return {key: quantity(value, "mm" if key == "com" else "%") for key, value in written.items()}
+
+
+def normal_payload(written: str | Mapping[str, Any]) -> str | dict[str, Any]:
+    """A payload's table without its name, numbers as floats: what the payload is."""
+    if isinstance(written, str):
+        return written
+    return {key: _floats(value) for key, value in written.items() if key != "name"}
+
+
+def _floats(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [_floats(inner) for inner in value]
+    return float(value) if isinstance(value, (int, float)) else value

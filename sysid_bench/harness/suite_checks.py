@@ -1,0 +1,100 @@
+"""How the values of a suite file are checked: units, words, names, conditions, sweeps."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+from pydantic import BaseModel, BeforeValidator, PlainValidator, ValidationInfo
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.harness.expression import Expression
+from sysid_bench.harness.names import Names, complaint
+from sysid_bench.harness.words import CELL_FIELDS, ROW_FIELDS
+from sysid_bench.units import quantity
+
+
+class Context:
+    """What validators look names up in: one per reading of a suite."""
+
+    def __init__(self, names: Names, folder: Path | None, settings: frozenset[str]) -> None:
+        self.names, self.folder = names, folder
+        self.cell_fields = CELL_FIELDS | settings
+        self.row_fields = ROW_FIELDS | settings
+
+
+def context(info: ValidationInfo) -> Context:
+    return cast(Context, info.context)
+
+
+def proved(check: Callable[[], object]) -> None:
+    """Pydantic collects ValueErrors; whatever a check or a stranger's code raises becomes one."""
+    try:
+        check()
+    except Exception as error:
+        raise ValueError(complaint(error)) from error
+
+
+def measured(unit: str, positive: bool = False) -> PlainValidator:
+    def check(value: Any) -> Any:
+        def sound() -> None:
+            number = quantity(value, unit)
+            if number < 0 or (positive and number == 0):
+                raise UsageError(
+                    f"must be {'positive' if positive else '0 or more'}; got {value!r}."
+                )
+
+        proved(sound)
+        return value
+
+    return PlainValidator(check)
+
+
+def word(kind: str, words: tuple[str, ...]) -> BeforeValidator:
+    def check(value: Any) -> Any:
+        if value not in words:
+            raise ValueError(str(unknown_name(kind, str(value), words)))
+        return value
+
+    return BeforeValidator(check)
+
+
+def items(value: Any) -> Any:
+    """A list is a sweep, anything else a sweep of one."""
+    values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
+    if not values:
+        raise ValueError("an empty sweep leaves nothing to run; give a value or drop the key.")
+    return values
+
+
+def some(value: Any) -> Any:
+    # Not pydantic's min_length: that complains again of a list whose elements are all wrong.
+    if isinstance(value, (list, tuple)) and not value:
+        raise ValueError("a suite needs at least one.")
+    return value
+
+
+def lists(value: Any) -> Any:
+    """Where the value itself is a list: only a list of lists is a sweep."""
+    if isinstance(value, (list, tuple)) and value and all(is_list(item) for item in value):
+        return tuple(tuple(item) if is_list(item) else item for item in value)
+    return (tuple(value) if isinstance(value, (list, tuple)) else value,)
+
+
+def is_list(value: Any) -> bool:
+    return value is None or isinstance(value, (list, tuple))
+
+
+def as_plugin(value: Any) -> Any:
+    return {"use": value} if isinstance(value, str) else value
+
+
+def kind_of(value: Any) -> str:
+    return "table" if isinstance(value, (dict, BaseModel)) else "word"
+
+
+def condition(row: bool, text: Any, info: ValidationInfo) -> str:
+    known = context(info).row_fields if row else context(info).cell_fields
+    if not isinstance(text, str):
+        raise ValueError(f"a condition is a text; got {text!r}.")
+    proved(lambda: Expression.parse(text, known))
+    return text

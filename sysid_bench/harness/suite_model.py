@@ -1,0 +1,265 @@
+"""The keys of a suite file. What is written stays as written; units and names are only checked."""
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PlainValidator,
+    StrictInt,
+    StrictStr,
+    StringConstraints,
+    Tag,
+    ValidationInfo,
+    model_validator,
+)
+
+from sysid_bench.harness.canonical import canonical
+from sysid_bench.harness.names import located
+from sysid_bench.harness.suite_checks import (
+    as_plugin,
+    condition,
+    context,
+    items,
+    kind_of,
+    lists,
+    measured,
+    proved,
+    some,
+    word,
+)
+from sysid_bench.harness.words import (
+    BESTS,
+    INTERVALS,
+    LABELS,
+    METRICS,
+    STATISTICS,
+    TASKS,
+    TERMS,
+)
+
+PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
+RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
+Share = Annotated[Any, measured("%")]
+Length = Annotated[Any, measured("mm")]
+
+
+class Section(BaseModel):
+    """A table of the suite file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Plugin(Section):
+    """A thing that is named, and its settings."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    kind: ClassVar[str] = ""
+    use: StrictStr
+
+    @property
+    def spec(self) -> dict[str, Any]:
+        """{use, settings...}, without a label."""
+        return {"use": self.use, **(self.model_extra or {})}
+
+    @model_validator(mode="after")
+    def known(self, info: ValidationInfo) -> "Plugin":
+        proved(lambda: canonical(self.spec))  # ids need JSON values: no dates
+        spec = located(self.spec, context(info).folder)
+        proved(lambda: context(info).names.plugin(self.kind, spec))
+        return self
+
+
+class Estimator(Plugin):
+    kind = "estimator"
+    label: StrictStr | None = None
+
+    @model_validator(mode="after")
+    def free_of_cell(self) -> "Estimator":
+        if "cell" in (self.model_extra or {}):
+            raise ValueError("'cell' is no possible setting of an estimator: it names the row.")
+        return self
+
+
+class Excitation(Plugin):
+    kind = "excitation"
+
+
+class Simulation(Plugin):
+    kind = "simulation"
+
+
+class Plant(Plugin):
+    kind = "plant"
+
+
+class Noise(Section):
+    """Standard deviations of white noise; `quantum` is the step of the encoder."""
+
+    q: Annotated[Any, measured("rad|m")] = None
+    tau: Annotated[Any, measured("N m|N|%")] = None
+    quantum: Annotated[Any, measured("rad|m")] = None
+
+
+class Prior(Section):
+    """How far the declared parameters are drawn around the truth (standard deviations)."""
+
+    mass: Share = "20 %"
+    com: Length = "15 mm"
+    inertia: Share = "30 %"
+    terms: Share = "30 %"
+
+
+class Signals(Section):
+    filter: StrictStr = "none"
+    derivatives: Annotated[str, word("way to differentiate", ("from q", "exact"))] = "exact"
+
+
+PriorChoice = Annotated[
+    Annotated[Prior, Tag("table")] | Annotated[str, word("prior", ("truth", "none")), Tag("word")],
+    Discriminator(kind_of),
+]
+Named = BeforeValidator(as_plugin)
+Sweep = BeforeValidator(items)
+ListSweep = BeforeValidator(lists)
+
+
+Terms = tuple[Annotated[str, word("joint term", TERMS)], ...] | None
+
+
+def _motions(value: Any) -> Any:
+    values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
+    if not values:
+        raise ValueError("scores need at least one held-out motion; there is 'ptp', for one.")
+    return values
+
+
+class Defaults(Section):
+    """The sweeps: each key holds a tuple of values."""
+
+    task: Annotated[tuple[Annotated[str, word("task", TASKS)], ...], Sweep] = ("robot",)
+    plant: Annotated[tuple[Annotated[Plant, Named], ...], Sweep] = Field(
+        default=("matched",), validate_default=True
+    )
+    terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)  # None: the robot's own
+    prior: Annotated[tuple[PriorChoice, ...], Sweep] = (Prior(),)
+    excitation: Annotated[tuple[Annotated[Excitation, Named], ...], Sweep] = Field(
+        default=("fourier",), validate_default=True
+    )
+    held_out: Annotated[
+        tuple[Annotated[tuple[Annotated[Excitation, Named], ...], BeforeValidator(_motions)], ...],
+        ListSweep,
+    ] = Field(default=(("fourier-other", "ptp"),), validate_default=True)
+    simulation: Annotated[tuple[Annotated[Simulation, Named], ...], Sweep] = Field(
+        default=("inverse",), validate_default=True
+    )
+    rate: Annotated[tuple[Annotated[Any, measured("Hz", positive=True)], ...], Sweep] = ("200 Hz",)
+    noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
+    signals: Annotated[tuple[Signals, ...], Sweep] = (Signals(),)
+
+
+def _robot_name(value: Any, info: ValidationInfo) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"a robot is a name or a path; got {value!r}.")
+    proved(lambda: context(info).names.robot(value, context(info).folder))
+    return value
+
+
+def _payload(value: Any, info: ValidationInfo) -> Any:
+    if not isinstance(value, (str, Mapping)):
+        raise ValueError(f"a payload is a name or a table {{ mass = ... }}; got {value!r}.")
+    proved(lambda: context(info).names.payload(value))
+    return value
+
+
+class RobotEntry(Section):
+    use: Annotated[tuple[Annotated[str, PlainValidator(_robot_name)], ...], Sweep]
+    payloads: Annotated[tuple[Annotated[Any, PlainValidator(_payload)], ...], Sweep] = ("none",)
+
+
+class Exclude(Section):
+    when: PlanCondition
+    reason: StrictStr
+
+
+class Crosscheck(Section):
+    tolerance: Annotated[Any, measured("1", positive=True)] = 1e-12
+    on_fail: Annotated[str, word("answer to a failed cross-check", ("skip-robot", "continue"))] = (
+        "skip-robot"
+    )
+
+
+class TableCells(Section):
+    metric: Annotated[str, word("metric", METRICS)]
+    stat: Annotated[str, word("statistic", STATISTICS)] = "median"
+    interval: Annotated[str, word("interval", INTERVALS)] = "none"
+
+
+Label = Annotated[str, word("label of a cell", (*LABELS, "repeat"))]
+Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
+
+
+class TableEntry(Section):
+    name: Folder
+    title: StrictStr | None = None
+    rows: tuple[Label, ...] = ("robot", "payload")
+    columns: tuple[Label, ...] = ("estimator",)
+    cells: TableCells
+    best: Annotated[str, word("way to mark the best", BESTS)] = "none"
+    select: RowCondition | None = None
+
+
+class Worst(Section):
+    metric: Annotated[str, word("metric", METRICS)]
+    count: StrictInt = Field(default=1, ge=1)
+    per: Label | None = None
+
+
+class Record(Section):
+    when: RowCondition | None = None
+    worst: Worst | None = None
+    max_hz: Annotated[Any, measured("Hz", positive=True)] = 50.0
+
+
+class Run(Section):
+    timeout: Annotated[Any, measured("s", positive=True)] = "60 s"
+    threads: StrictInt = Field(default=1, ge=1)
+    repeats: StrictInt = Field(default=1, ge=1)
+
+
+class Origin(Section):
+    folder: StrictStr
+
+
+class Suite(Section):
+    """A suite as read: every key filled in, sweeps as tuples, quantities as written."""
+
+    schema_: Annotated[Literal[1], Field(alias="schema")]
+    name: Folder
+    title: StrictStr = ""
+    seed: StrictInt = Field(default=0, ge=0)
+    origin: Origin | None = None
+    run: Run = Run()
+    defaults: Defaults = Field(default={}, validate_default=True)  # type: ignore[assignment]
+    robot: Annotated[tuple[RobotEntry, ...], BeforeValidator(some)]
+    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(some)]
+    exclude: tuple[Exclude, ...] = ()
+    crosscheck: Crosscheck = Crosscheck()
+    table: tuple[TableEntry, ...] = ()
+    record: Record | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Where relative robots and plug-in files are looked for."""
+        return Path(self.origin.folder) if self.origin else Path()
+
+    @property
+    def robots(self) -> tuple[tuple[RobotEntry, str], ...]:
+        """Every robot with the table it is named in."""
+        return tuple((entry, source) for entry in self.robot for source in entry.use)

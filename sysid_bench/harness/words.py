@@ -1,0 +1,68 @@
+"""The closed sets of words of suites and rows, as the contract of the command line has them."""
+
+from dataclasses import fields
+from typing import Final
+
+from sysid_bench.types import Score
+
+TASKS: Final = ("robot", "payload", "link", "terminal", "wrench")
+TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
+STATUSES: Final = ("ok", "failed", "timeout", "crash", "unsupported", "skipped")
+FAILURES: Final = ("failed", "timeout", "crash")
+"""Statuses that nobody asked for; `unsupported` and `skipped` are sound answers."""
+
+LABELS: Final = (
+    "robot",
+    "payload",
+    "task",
+    "terms",
+    "plant",
+    "prior",
+    "excitation",
+    "held_out",
+    "simulation",
+    "rate",
+    "noise",
+    "signals",
+    "estimator",
+)
+"""What a row is labelled with: one text per axis of a suite."""
+
+CELL_FIELDS: Final = frozenset(LABELS) | {
+    "id",
+    "experiment",
+    "repeat",
+    "robot.free_base",
+    "payload.mass",
+    "noise.q",
+    "noise.tau",
+    "noise.quantum",
+    "prior.mass",
+    "prior.com",
+    "prior.inertia",
+    "prior.terms",
+    "signals.filter",
+    "signals.derivatives",
+    "plant.use",
+    "excitation.use",
+    "simulation.use",
+    "estimator.use",
+}
+"""What an expression may ask of a planned cell, beside the written settings of its plug-ins."""
+
+_NO_NUMBERS = ("joints", "torque_error_by_motion")
+METRICS: Final = (
+    *(field.name for field in fields(Score) if field.name not in _NO_NUMBERS),
+    "seconds",
+    "gap",
+    "closure",
+    "native_gap",
+)
+"""Columns that hold a number (or yes and no) per cell."""
+
+ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *METRICS}
+"""What an expression may ask of a finished cell."""
+
+STATISTICS: Final = ("median", "mean", "min", "max", "count")
+INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
+BESTS: Final = ("none", "min-bold", "max-bold")

@@ -1,0 +1,44 @@
+"""A progress bar on a terminal, weighted by what cells are expected to cost; silent elsewhere."""
+
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sysid_bench.harness.supervisor import OnEvent
+
+
+@contextmanager
+def progress() -> Iterator["OnEvent"]:
+    """Yields a listener for a run's events."""
+    if not sys.stderr.isatty():
+        yield _silent
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[done]}/{task.fields[cells]} cells"),
+        TimeElapsedColumn(), TimeRemainingColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("running", total=None, done=0, cells=0)
+        costs: dict[str, float] = {}
+        met = {"done": 0, "failed": 0}
+
+        def listen(kind: str, data: Mapping[str, Any]) -> None:
+            if kind == "plan":
+                costs.update(data["seconds"])
+                bar.update(task, total=sum(costs.values()) or 1.0, cells=data["open"])
+            elif kind == "row":
+                met["done"] += 1
+                met["failed"] += data["status"] in ("failed", "timeout", "crash")
+                words = f"running ({met['failed']} failed)" if met["failed"] else "running"
+                bar.update(task, advance=costs.get(data["id"], 0.0), done=met["done"], description=words)
+
+        yield listen
+
+
+def _silent(kind: str, data: Mapping[str, Any]) -> None:
+    pass

@@ -1,0 +1,50 @@
+"""A table as GitHub Markdown."""
+
+import re
+
+from sysid_bench.reporting.numbers import ABSENT
+from sysid_bench.reporting.tables import Entry, Key, Table
+
+_SPECIAL = re.compile(r"([\\|<>*`\[\]&])")
+# An underscore within a word is plain text in Markdown; at its edge it starts an emphasis.
+_LOOSE_UNDERSCORE = re.compile(r"(?<![^\W_])_|_(?![^\W_])")
+
+
+def to_markdown(table: Table) -> str:
+    """Title, caption, a pipe table and its notes; failures stand as words."""
+    header = [*table.row_fields, *(_join(c) or table.metric.title for c in table.columns)]
+    lines = [_line([escape(name) for name in header])]
+    lines.append(_line(["---"] * len(table.row_fields) + ["---:"] * len(table.columns)))
+    for row in table.rows:
+        numbers = [_cell(table, column, table.entry(row, column)) for column in table.columns]
+        lines.append(_line([*map(escape, row), *numbers]))
+    parts = [f"**{escape(table.title)}**", escape(table.caption), "\n".join(lines)]
+    parts += [f"({mark}) {escape(note)}" for note, mark in table.marks.items()]
+    return "\n\n".join([*parts, *map(escape, table.notes)]) + "\n"
+
+
+def escape(text: str) -> str:
+    """Any text as one line of Markdown that prints as it is."""
+    flat = " ".join(str(text).split())
+    return _LOOSE_UNDERSCORE.sub(r"\\_", _SPECIAL.sub(r"\\\1", flat))
+
+
+def _join(key: Key) -> str:
+    return " / ".join(key)
+
+
+def _line(parts: list[str]) -> str:
+    return f"| {' | '.join(parts)} |"
+
+
+def _cell(table: Table, column: Key, entry: Entry | None) -> str:
+    if entry is None:
+        return ABSENT
+    mark = f" ({table.marks[entry.note]})" if entry.note else ""
+    if entry.value is None:
+        return (escape(entry.word) or ABSENT) + mark
+    text = table.notations[column].text
+    value = f"**{text(entry.value)}**" if entry.best else text(entry.value)
+    if entry.low is not None and entry.high is not None:
+        value += rf" \[{text(entry.low)}, {text(entry.high)}\]"
+    return value + mark

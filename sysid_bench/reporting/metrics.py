@@ -1,0 +1,62 @@
+"""What the columns of a row mean: title, unit, digits. Units as people write them, SI."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A numeric column of the cells. `unit` may hold alternatives ("N m|N": rotary|linear);
+    `digits` are significant ones, 0 for whole numbers."""
+
+    name: str
+    title: str
+    unit: str = ""
+    digits: int = 3
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The alternatives of the unit; empty for a pure number."""
+        return tuple(self.unit.split("|")) if self.unit else ()
+
+    @property
+    def heading(self) -> str:
+        """Title and unit in plain text, "Held-out RMSE (N·m, N)"."""
+        units = ", ".join(unit.replace(" ", "·") for unit in self.units)
+        return f"{self.title} ({units})" if units else self.title
+
+
+_TORQUE = "N m|N"
+_ALL: Final = (
+    Metric("rmse_train", "Training RMSE", _TORQUE),
+    Metric("rmse_test", "Held-out RMSE", _TORQUE),
+    Metric("torque_error", "Relative held-out torque error"),
+    Metric("rank", "Base parameters", digits=0),
+    Metric("data_rank", "Excited base parameters", digits=0),
+    Metric("parameters", "Parameters", digits=0),
+    Metric("rank_gap", "Rank gap"),
+    Metric("near_degenerate", "Nearly dependent directions", digits=0),
+    Metric("condition", "Condition number (SI columns)"),
+    Metric("condition_unit", "Condition number (unit columns)"),
+    Metric("d_optimality", "Log-determinant of information"),
+    Metric("parameter_error", "Relative parameter error in torque"),
+    Metric("beta_error", "Relative base-parameter error"),
+    Metric("payload_error", "Relative payload error"),
+    Metric("mass_error", "Mass error", "kg"),
+    Metric("com_error", "Error of the centre of mass", "m"),
+    Metric("feasible", "Share of feasible estimates"),
+    Metric("plausible", "Share of plausible estimates"),
+    Metric("min_eigenvalue", "Smallest pseudo-inertia eigenvalue"),
+    Metric("seconds", "Time", "s"),
+    Metric("gap", "Regressor gap to Pinocchio"),
+    Metric("closure", "Torque closure with MuJoCo"),
+    Metric("native_gap", "Regressor gap to Pinocchio's own parser"),
+)
+METRICS: Final[Mapping[str, Metric]] = MappingProxyType({metric.name: metric for metric in _ALL})
+
+
+def metric_of(name: str) -> Metric:
+    """The metric of a column; a column that is not described here keeps its name as title."""
+    return METRICS.get(name, Metric(name, name))

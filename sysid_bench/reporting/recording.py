@@ -1,0 +1,209 @@
+"""One cell as a Rerun recording: the moving robot, its torques, residuals and regressor."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.reporting.scene import Scene, log_scene, scene_of
+from sysid_bench.reporting.summary import summary
+from sysid_bench.types import Evidence
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+TIMELINE: Final = "sim_time"
+_MEASURED, _PREDICTED = (59, 130, 246), (234, 120, 30)
+_SMALLEST_RATIO = 1e-20  # of the largest: zeros stay on the logarithmic picture
+_PLOTS_PER_PAGE = 9
+
+
+def record(evidence: Evidence, path: Path, max_hz: float = 50) -> Path:
+    """Writes the recording of a cell, written beside and then renamed; seconds on `sim_time`.
+
+    Samples are thinned to at most `max_hz`: pictures need no more, full rates are for data files.
+    Raises UsageError where `max_hz` is not positive or the signals differ in length.
+    """
+    import rerun as rr
+
+    picked = _thinned(evidence, max_hz)
+    scene = scene_of(evidence)
+    beside = path.with_name(path.name + ".part")
+    row = evidence.row
+    # The viewer keeps one layout per application: robots differ in joints, so each is its own.
+    application = f"sysid_bench {row.get('robot', '')}".strip()
+    stream = rr.RecordingStream(application, recording_id=str(row.get("id", path.stem)))
+    try:
+        stream.save(beside, default_blueprint=_blueprint(evidence))
+        _log(stream, scene, picked)
+        stream.flush()
+        stream.disconnect()  # writes the footer that `rerun rrd verify` asks for
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
+    return path
+
+
+def view(path: Path, web: bool = False) -> "subprocess.Popen[bytes]":
+    """Opens the viewer on this machine alone; the process is the caller's to wait for.
+
+    Raises UsageError where the recording or the viewer is absent.
+    """
+    if not path.is_file():
+        raise UsageError(f"There is no recording {str(path)!r}; make it with sysid-bench record.")
+    command = [str(viewer()), "--bind", "127.0.0.1", *(["--web-viewer"] if web else []), str(path)]
+    return subprocess.Popen(command)
+
+
+def viewer() -> Path:
+    """The `rerun` program that belongs to this Python."""
+    folder = Path(sys.executable).parent
+    for name in ("rerun", "rerun.exe", "Scripts/rerun.exe"):
+        if (folder / name).is_file():
+            return folder / name
+    raise UsageError(f"There is no program rerun beside {sys.executable!r}; install rerun-sdk.")
+
+
+def _thinned(evidence: Evidence, max_hz: float) -> np.ndarray:
+    """Indices of the samples to keep: every k-th, evenly, the first among them."""
+    if not max_hz > 0:
+        raise UsageError(f"max_hz is {max_hz!r}; give a positive number of hertz.")
+    times, count = evidence.motion.t, len(evidence.motion)
+    for name in ("measured", "predicted", "positions", "quaternions"):
+        signal = getattr(evidence, name)
+        if signal is not None and len(signal) != count:
+            raise UsageError(f"{name} has {len(signal)} samples, the motion {count}: align them.")
+    if count < 2:
+        return np.arange(count)
+    rate = (count - 1) / (times[-1] - times[0])
+    return np.arange(0, count, max(int(np.ceil(rate / max_hz - 1e-9)), 1))
+
+
+def _log(stream: "rr.RecordingStream", scene: Scene, picked: np.ndarray) -> None:
+    import rerun as rr
+
+    evidence = scene.evidence
+    times = rr.TimeColumn(TIMELINE, duration=evidence.motion.t[picked])
+    log_scene(stream, scene, picked, times)
+    for i, row in enumerate(_row_names(evidence)):
+        measured = evidence.measured[picked, i]
+        _log_series(stream, ["torque", row, "measured"], "measured", _MEASURED, measured, times)
+        if evidence.predicted is None:
+            continue
+        predicted = evidence.predicted[picked, i]
+        residual = measured - predicted
+        _log_series(stream, ["torque", row, "predicted"], "predicted", _PREDICTED, predicted, times)
+        _log_series(stream, ["residual", row], row, _colour(i), residual, times)
+    if len(evidence.singular_values):
+        bars = rr.BarChart(_log10(evidence.singular_values), color=_MEASURED)
+        stream.log("singular_values", bars, static=True)
+    if evidence.gap_map.size:
+        image = rr.Tensor(_log10(evidence.gap_map), dim_names=("row", "parameter"))
+        stream.log("gap", image, static=True)
+    text = rr.TextDocument(summary(evidence, scene.complaints), media_type="text/markdown")
+    stream.log("summary", text, static=True)
+    names = ("id", "robot", "payload", "task", "estimator", "status")
+    known = {name: str(evidence.row[name]) for name in names if name in evidence.row}
+    stream.send_property("sysid", rr.AnyValues(drop_untyped_nones=True, **known))
+
+
+def _log_series(
+    stream: "rr.RecordingStream", parts: list[str], name: str, colour: tuple[int, int, int],
+    values: np.ndarray, times: "rr.TimeColumn",
+) -> None:  # fmt: skip
+    import rerun as rr
+
+    path = rr.new_entity_path(parts)
+    stream.log(path, rr.SeriesLines(names=name, colors=[colour], widths=[1.5]), static=True)
+    stream.send_columns(path, indexes=[times], columns=rr.Scalars.columns(scalars=values))
+
+
+def _log10(values: np.ndarray) -> np.ndarray:
+    """log10 of sizes (any shape); what is zero or not a number lies at the floor."""
+    sizes = np.nan_to_num(np.abs(np.asarray(values, dtype=float)), nan=0.0, posinf=0.0)
+    floor = max(sizes.max(initial=0.0) * _SMALLEST_RATIO, np.finfo(float).tiny)
+    return np.log10(np.maximum(sizes, floor))
+
+
+def _row_names(evidence: Evidence) -> list[str]:
+    return [name or f"row{i}" for i, name in enumerate(evidence.rows)]
+
+
+def _colour(i: int) -> tuple[int, int, int]:
+    palette = (
+        (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0),
+    )  # fmt: skip
+    return palette[i % len(palette)]
+
+
+def _blueprint(evidence: Evidence) -> "rrb.Blueprint":
+    """Robot and summary to the left; one torque plot per joint, residuals, regressor right."""
+    import rerun.blueprint as rrb
+
+    about = rrb.TextDocumentView(name="Summary", origin="/summary")
+    left = rrb.Vertical(_robot_view(evidence), about, row_shares=[3, 2])
+    parts: list[rrb.Container | rrb.View] = [_torque_pages(evidence)]
+    if evidence.predicted is not None:
+        parts.append(rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual"))
+    regressor: list[rrb.View] = []
+    if len(evidence.singular_values):
+        regressor.append(rrb.BarChartView(name="log10 singular values", origin="/singular_values"))
+    if evidence.gap_map.size:
+        regressor.append(rrb.TensorView(name="log10 |Y - Y_pin|", origin="/gap", view_fit="Fill"))
+    if regressor:
+        parts.append(rrb.Horizontal(*regressor))
+    right = rrb.Vertical(*parts, row_shares=[3] + [1] * (len(parts) - 1))
+    return rrb.Blueprint(
+        rrb.Horizontal(left, right, column_shares=[2, 3]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        auto_views=False,
+    )
+
+
+def _robot_view(evidence: Evidence) -> "rrb.View":
+    import rerun.blueprint as rrb
+
+    eye = None
+    if evidence.positions is not None and evidence.positions.size:
+        corners = evidence.positions.reshape(-1, 3)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        centre, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 0.2)
+        # From the front right and a little above, far enough for links beyond the last origin.
+        eye = rrb.EyeControls3D(
+            position=centre + size * np.array([0.9, -0.9, 0.5]), look_target=centre
+        )
+    return rrb.Spatial3DView(
+        name="Robot", origin="/", contents=["/robot/**", "/sticks/**"], eye_controls=eye
+    )
+
+
+def _torque_pages(evidence: Evidence) -> "rrb.Container":
+    """A grid of joints; beyond nine, tabs of grids."""
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    plots = [
+        rrb.TimeSeriesView(
+            name=row,
+            origin=rr.new_entity_path(["torque", row]),
+            plot_legend=rrb.PlotLegend(visible=i == 0),
+        )
+        for i, row in enumerate(_row_names(evidence))
+    ]
+    pages = [plots[i : i + _PLOTS_PER_PAGE] for i in range(0, len(plots), _PLOTS_PER_PAGE)]
+    grids = [
+        rrb.Grid(*page, grid_columns=_columns_for(len(page)), name=f"Torques {i + 1}")
+        for i, page in enumerate(pages)
+    ]
+    return grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
+
+
+def _columns_for(plots: int) -> int:
+    return 1 if plots <= 3 else 2 if plots <= 6 else 3

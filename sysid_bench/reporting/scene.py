@@ -1,0 +1,171 @@
+"""The robot of a recording: bodies that move, their shapes, sticks where a body has none."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from sysid_bench.types import Evidence, Shape
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+MESH_BUDGET: Final = 5_000_000  # bytes of all meshes of one recording
+_MESH_SUFFIXES: Final = (".stl", ".obj", ".glb", ".gltf", ".dae")
+_XYZW: Final = (1, 2, 3, 0)  # MuJoCo writes w first, Rerun last
+_BODY, _STICK, _JOINT, _PAYLOAD = (
+    (148, 163, 184), (100, 116, 139), (37, 99, 235), (234, 120, 30),
+)  # fmt: skip
+_SHORTEST_STICK = 1e-6  # m
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Which shapes of an Evidence can be drawn, and in words why others cannot."""
+
+    evidence: Evidence
+    shapes: tuple[Shape, ...]
+    complaints: tuple[str, ...]
+
+    @property
+    def bare(self) -> list[int]:
+        """Bodies that have nothing to draw: they become joints and sticks."""
+        dressed = {shape.body for shape in self.shapes}
+        return [i for i in range(len(self.evidence.bodies)) if i not in dressed]
+
+
+def scene_of(evidence: Evidence) -> Scene:
+    """Meshes count only where all of them exist, can be read and fit into `MESH_BUDGET` bytes."""
+    meshes = [shape for shape in evidence.shapes if shape.kind == "mesh"]
+    files = [Path(shape.file) for shape in meshes]
+    unreadable = [file.name for file in files if file.suffix.lower() not in _MESH_SUFFIXES]
+    lost = [file.name for file in files if not file.is_file() and file.name not in unreadable]
+    size = sum(file.stat().st_size for file in files if file.is_file())
+    complaints = []
+    if unreadable:
+        complaints.append(f"{_some(unreadable)}: no format that the viewer reads.")
+    if lost:
+        complaints.append(f"{_some(lost)}: no such file.")
+    if size > MESH_BUDGET:
+        complaints.append(f"The meshes have {size / 1e6:.1f} MB, above {MESH_BUDGET / 1e6:g} MB.")
+    drawn = evidence.shapes
+    if complaints:
+        drawn = tuple(shape for shape in evidence.shapes if shape.kind != "mesh")
+    return Scene(evidence, drawn, tuple(complaints))
+
+
+def log_scene(
+    stream: "rr.RecordingStream", scene: Scene, picked: np.ndarray, times: "rr.TimeColumn"
+) -> None:
+    """Logs the samples `picked` of the robot: `robot/<body>` and, for bare bodies, `sticks`."""
+    import rerun as rr
+
+    evidence = scene.evidence
+    if evidence.positions is None or evidence.quaternions is None:
+        return
+    stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    positions = evidence.positions[picked]
+    quaternions = evidence.quaternions[picked][..., _XYZW]
+    for i, path in enumerate(body_paths(evidence.bodies)):
+        pose = rr.Transform3D.columns(translation=positions[:, i], quaternion=quaternions[:, i])
+        stream.send_columns(path, indexes=[times], columns=pose)
+    for number, shape in enumerate(scene.shapes):
+        _log_shape(stream, evidence, shape, number)
+    _log_sticks(stream, scene, positions, times)
+
+
+def body_paths(bodies: Sequence[str]) -> list[str]:
+    """Entity paths of the bodies; names may hold spaces, slashes and dots."""
+    import rerun as rr
+
+    return [rr.new_entity_path(["robot", name or f"body{i}"]) for i, name in enumerate(bodies)]
+
+
+def _log_shape(stream: "rr.RecordingStream", evidence: Evidence, shape: Shape, number: int) -> None:
+    import rerun as rr
+
+    path = f"{body_paths(evidence.bodies)[shape.body]}/shape{number}"
+    scale = shape.size if shape.kind == "mesh" else None
+    colour = _PAYLOAD if "payload" in evidence.bodies[shape.body].lower() else _BODY
+    pose = rr.Transform3D(
+        translation=shape.position,
+        quaternion=rr.Quaternion(xyzw=np.asarray(shape.quaternion)[[*_XYZW]]),
+        scale=scale,
+    )
+    stream.log(path, pose, _geometry(shape, colour), static=True)
+
+
+def _geometry(shape: Shape, colour: tuple[int, int, int]) -> "rr.AsComponents":
+    import rerun as rr
+
+    size, solid = shape.size, rr.components.FillMode.Solid
+    if shape.kind == "mesh":
+        return rr.Asset3D(path=shape.file, albedo_factor=colour)
+    if shape.kind == "box":
+        return rr.Boxes3D(half_sizes=[size], colors=[colour], fill_mode=solid)
+    if shape.kind == "cylinder":
+        length = 2 * size[1]
+        return rr.Cylinders3D(lengths=[length], radii=[size[0]], colors=[colour], fill_mode=solid)
+    if shape.kind == "capsule":
+        # Rerun's capsule starts at the origin and grows along +z; ours is centred.
+        return rr.Capsules3D(
+            lengths=[2 * size[1]], radii=[size[0]], colors=[colour], fill_mode=solid,
+            translations=[(0, 0, -size[1])],
+        )  # fmt: skip
+    half = size if shape.kind == "ellipsoid" else (size[0],) * 3
+    return rr.Ellipsoids3D(half_sizes=[half], colors=[colour], fill_mode=solid)
+
+
+def _log_sticks(
+    stream: "rr.RecordingStream", scene: Scene, positions: np.ndarray, times: "rr.TimeColumn"
+) -> None:
+    """Thick lines between the origins of bare bodies and their neighbours, balls at the joints."""
+    import rerun as rr
+
+    bare, radius = scene.bare, _stick_radius(positions)
+    pairs = _neighbours(scene, positions)
+    for i in bare:
+        ball = rr.Points3D([(0, 0, 0)], radii=[1.6 * radius], colors=[_JOINT])
+        stream.log(f"{body_paths(scene.evidence.bodies)[i]}/joint", ball, static=True)
+    if not pairs:
+        return
+    ends = np.stack([_ends(positions, child, parent) for child, parent in pairs], axis=1)
+    style = rr.LineStrips3D.from_fields(radii=[radius], colors=[_STICK])
+    stream.log("sticks", style, static=True)
+    strips = rr.LineStrips3D.columns(strips=ends.reshape(-1, 2, 3))
+    stream.send_columns(
+        "sticks", indexes=[times], columns=strips.partition([len(pairs)] * len(positions))
+    )
+
+
+def _neighbours(scene: Scene, positions: np.ndarray) -> list[tuple[int, int]]:
+    """(child, parent) pairs to join; a root that stands still is joined to the world (-1)."""
+    bare = set(scene.bare)
+    pairs = []
+    for child, parent in enumerate(scene.evidence.parents):
+        fixed_root = parent < 0 and np.ptp(positions[:, child], axis=0).max() < _SHORTEST_STICK
+        wanted = child in bare if parent < 0 else bool(bare & {child, parent})
+        if wanted and (parent >= 0 or fixed_root):
+            pairs.append((child, parent))
+    return pairs
+
+
+def _ends(positions: np.ndarray, child: int, parent: int) -> np.ndarray:
+    """The two ends of a stick (N, 2, 3)."""
+    start = positions[:, parent] if parent >= 0 else np.zeros_like(positions[:, child])
+    return np.stack([start, positions[:, child]], axis=1)
+
+
+def _stick_radius(positions: np.ndarray) -> float:
+    """A fortieth of the robot's reach: visible for a finger and for a crane."""
+    first = positions[0]
+    reach = float(np.linalg.norm(first - first.mean(axis=0), axis=1).max()) if len(first) else 0.0
+    return max(reach, 0.05) / 40
+
+
+def _some(names: Sequence[str]) -> str:
+    distinct = list(dict.fromkeys(names))
+    rest = f" and {len(distinct) - 3} more" if len(distinct) > 3 else ""
+    return f"{', '.join(distinct[:3])}{rest}"

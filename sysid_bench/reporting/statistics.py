@@ -1,0 +1,80 @@
+"""One number for a group of cells, and how sure it is."""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+STATISTICS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "median": "median",
+        "mean": "mean",
+        "min": "smallest value",
+        "max": "largest value",
+        "count": "number of cells with a value",
+    }
+)
+INTERVALS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "none": "no interval",
+        "iqr": "interquartile range",
+        "std": "plus and minus one standard deviation",
+        "range": "smallest and largest value",
+        "ci95": "95 % bootstrap interval over repeats",
+    }
+)
+Interval = tuple[float | None, float | None]
+# The same resampling for every entry: a number depends on its own cells alone.
+_BOOTSTRAP_SEED, _BOOTSTRAP_DRAWS = 20240229, 2000
+
+
+def statistic_of(stat: str, values: np.ndarray) -> float:
+    """A statistic of finite values (n,), n > 0."""
+    return float(_along_last(stat, values))
+
+
+def interval_of(interval: str, stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
+    """(low, high) for finite values (n,) of the given repeats (n,); (None, None) where two values
+    (or, for "ci95", two repeats) are not there to tell a spread from, and for counts."""
+    if interval == "none" or stat == "count" or len(values) < 2:
+        return None, None
+    if interval == "ci95":
+        return _bootstrap(stat, values, repeats)
+    if interval == "iqr":
+        low, high = np.percentile(values, [25, 75])
+    elif interval == "range":
+        low, high = values.min(), values.max()
+    else:
+        centre, spread = statistic_of(stat, values), values.std(ddof=1)
+        low, high = centre - spread, centre + spread
+    return float(low), float(high)
+
+
+def _bootstrap(stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
+    """Percentile interval; whole repeats are drawn, since cells of one repeat share their noise."""
+    names, which = np.unique(repeats.astype(str), return_inverse=True)
+    if len(names) < 2:
+        return None, None
+    blocks = np.full((len(names), np.bincount(which).max()), np.nan)
+    for i in range(len(names)):
+        own = values[which == i]
+        blocks[i, : len(own)] = own
+    rng = np.random.default_rng(_BOOTSTRAP_SEED)
+    draws = rng.integers(len(names), size=(_BOOTSTRAP_DRAWS, len(names)))
+    resampled = blocks[draws].reshape(_BOOTSTRAP_DRAWS, -1)
+    low, high = np.percentile(_along_last(stat, resampled), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _along_last(stat: str, values: np.ndarray) -> np.ndarray:
+    if stat == "count":
+        return np.isfinite(values).sum(axis=-1)
+    # Blocks of unequal repeats are filled with NaN; every draw holds at least one number.
+    functions: dict[str, Callable[..., np.ndarray]] = {
+        "median": np.nanmedian,
+        "mean": np.nanmean,
+        "min": np.nanmin,
+        "max": np.nanmax,
+    }
+    return np.asarray(functions[stat](values, axis=-1))

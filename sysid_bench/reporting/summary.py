@@ -1,0 +1,64 @@
+"""A cell in words: the text beside the pictures of a recording."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sysid_bench.reporting.markdown import escape
+from sysid_bench.reporting.tables import label
+from sysid_bench.types import Evidence
+
+_IDENTITY = ("robot", "payload", "task", "excitation", "simulation", "noise", "estimator")
+_SCORES = (
+    ("torque_error", "Relative held-out torque error"),
+    ("rmse_test", "Held-out RMSE (N·m, N)"),
+    ("rank", "Base parameters"),
+    ("condition", "Condition number (SI columns)"),
+    ("gap", "Regressor gap to Pinocchio"),
+    ("closure", "Torque closure with MuJoCo"),
+    ("parameter_error", "Relative parameter error in torque"),
+    ("feasible", "Feasible"),
+)
+
+
+def summary(evidence: Evidence, complaints: Sequence[str] = ()) -> str:
+    """Markdown: what was identified, how well, with which parameters, and `complaints`."""
+    row = evidence.row
+    known = [(name, row[name]) for name in _IDENTITY if row.get(name) is not None]
+    scores = [(title, row[name]) for name, title in _SCORES if row.get(name) is not None]
+    status = [("status", row.get("status", "unknown")), ("reason", row.get("reason"))]
+    known += [(name, value) for name, value in status if value]
+    parts = [f"# {escape(label(row.get('robot', 'Cell')))}", _table(("", ""), known)]
+    if scores:
+        parts.append(_table(("score", "value"), scores))
+    parts += _parameters(evidence)
+    parts += [f"Not drawn: {escape(text)}" for text in complaints]
+    return "\n\n".join(parts) + "\n"
+
+
+def _parameters(evidence: Evidence) -> list[str]:
+    """The base parameters that were estimated, each with its standard deviation where known."""
+    estimate, base = evidence.estimate, evidence.base
+    if estimate is None or estimate.beta is None or base is None:
+        return []
+    std = [None] * base.rank
+    if estimate.covariance is not None:
+        std = list(np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0)))
+    rows = [
+        (name, beta, "" if sigma is None else sigma)
+        for name, beta, sigma in zip(base.names, estimate.beta, std, strict=True)
+    ]
+    title = f"## Base parameters: {base.rank} of {len(base.parameters)} unknowns"
+    return [title, _table(("pivot of the combination (SI)", "estimate", "std"), rows)]
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    lines = [head, ["---"] * len(head), *([escape(_short(cell)) for cell in row] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, (float, np.floating)):
+        return f"{value:.4g}"
+    return label(value)

@@ -1,0 +1,298 @@
+"""Rows become a table: one entry per group of cells, and no failed cell dropped in silence."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from string import ascii_lowercase
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.reporting.metrics import Metric, metric_of
+from sysid_bench.reporting.numbers import Notation, notation
+from sysid_bench.reporting.statistics import INTERVALS, STATISTICS, interval_of, statistic_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Key = tuple[str, ...]
+Choose = Callable[[str, Mapping[str, Any]], bool]
+BESTS: Final = ("none", "min-bold", "max-bold")
+_SPEC_KEYS: Final = ("name", "title", "rows", "columns", "cells", "best", "select")
+_CELL_KEYS: Final = ("metric", "stat", "interval")
+# What tells experiments apart; a table that pools over one of these says so.
+_SWEEPABLE: Final = (
+    "robot", "payload", "task", "plant", "excitation", "simulation", "noise", "estimator",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One group of cells. `n` cells gave a value, `failures` counts the others by status,
+    `missing` those that are ok but have no value of this metric."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+    n: int
+    failures: Mapping[str, int]
+    missing: int = 0
+    best: bool = False
+
+    @property
+    def n_failed(self) -> int:
+        """Cells whose status is not ok."""
+        return sum(self.failures.values())
+
+    @property
+    def word(self) -> str:
+        """What stands in place of a number: the most frequent failure; empty where there is one."""
+        if self.value is not None or not self.failures:
+            return ""
+        return max(self.failures, key=lambda kind: self.failures[kind])
+
+    @property
+    def note(self) -> str:
+        """The cells that the printed value or word does not tell about; empty where none."""
+        told = {self.word} if self.word and not self.missing else set()
+        if not set(self.failures) - told and not (self.missing and (self.n or self.failures)):
+            return ""
+        counts = [f"{number} {kind}" for kind, number in self.failures.items()]
+        counts += [f"{self.missing} without a value"] if self.missing else []
+        lost = self.n_failed + self.missing
+        return f"{lost} of {lost + self.n} cells give no number: {', '.join(counts)}."
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Entries by (row key, column key), in the order of first appearance; a key that never
+    occurred has no entry. Keys hold one label per field."""
+
+    name: str
+    title: str
+    metric: Metric
+    stat: str
+    interval: str
+    row_fields: Key
+    column_fields: Key
+    rows: tuple[Key, ...]
+    columns: tuple[Key, ...]
+    entries: Mapping[tuple[Key, Key], Entry]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def caption(self) -> str:
+        """What the numbers are, in one sentence."""
+        spread = f" with {INTERVALS[self.interval]}" if self.interval != "none" else ""
+        return f"{self.metric.heading}: {STATISTICS[self.stat]}{spread}."
+
+    @cached_property
+    def marks(self) -> dict[str, str]:
+        """A letter for every note that an entry carries."""
+        found = (self.entries[key].note for key in self.keys if key in self.entries)
+        return {note: _letters(i) for i, note in enumerate(dict.fromkeys(filter(None, found)))}
+
+    @property
+    def keys(self) -> list[tuple[Key, Key]]:
+        """Every place of the table, row by row."""
+        return [(row, column) for row in self.rows for column in self.columns]
+
+    def entry(self, row: Key, column: Key) -> Entry | None:
+        """The entry at a place, None where no cell was planned."""
+        return self.entries.get((row, column))
+
+    @cached_property
+    def notations(self) -> dict[Key, Notation]:
+        """How the numbers of each column are printed."""
+        digits = 0 if self.stat == "count" else self.metric.digits
+        return {
+            column: notation(
+                [entry.value for key, entry in self.entries.items() if key[1] == column], digits
+            )
+            for column in self.columns
+        }
+
+
+def make_table(
+    cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose | None = None
+) -> Table:
+    """The table of a [[table]] entry of a suite. `spec["select"]` is a mapping of field to value
+    (or list of values), or an expression that `choose(expression, cell)` decides.
+
+    Best entries are sought among estimators where these are rows or columns, else within a row.
+    Raises UsageError for unknown keys, fields, metrics and statistics, and where no cell is left.
+    """
+    _check(spec, cells)
+    wanted = spec["cells"]
+    metric, stat = metric_of(wanted["metric"]), wanted.get("stat", "median")
+    interval = wanted.get("interval", "none")
+    chosen = labelled(_selected(cells, spec, choose))
+    rows, columns = tuple(spec.get("rows", ())), tuple(spec.get("columns", ()))
+    entries = _entries(chosen, rows, columns, metric.name, stat, interval)
+    table = Table(
+        name=str(spec.get("name", metric.name)),
+        title=str(spec.get("title") or metric.title),
+        metric=metric,
+        stat=stat,
+        interval=interval,
+        row_fields=rows,
+        column_fields=columns,
+        rows=_ordered(chosen, rows, (key[0] for key in entries)),
+        columns=_ordered(chosen, columns, (key[1] for key in entries)),
+        entries=entries,
+        notes=_pooling(chosen, rows + columns),
+    )
+    return _with_best(table, spec.get("best", "none"))
+
+
+def label(value: Any) -> str:
+    """A field of a row as text; mappings and lists read as "tau 0.5 %, q 1e-4 rad"."""
+    if isinstance(value, Mapping):
+        parts = [label(v) if k == "use" else f"{k} {label(v)}" for k, v in value.items()
+                 if v is not None]  # fmt: skip
+        return ", ".join(parts) or "none"
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return " ".join(label(v) for v in value)
+    if value is None or (isinstance(value, float) and np.isnan(value)):
+        return "none"
+    return f"{value:g}" if isinstance(value, (float, np.floating)) else str(value)
+
+
+def labelled(cells: "pd.DataFrame") -> "pd.DataFrame":
+    """The same cells with text in every field that can make a row or column."""
+    texts = [c for c in cells.columns if c in (*_SWEEPABLE, "status") or cells[c].dtype == object]
+    return cells.assign(**{name: [label(value) for value in cells[name]] for name in texts})
+
+
+def _check(spec: Mapping[str, Any], cells: "pd.DataFrame") -> None:
+    where = f"table {spec.get('name', '')!r}"
+    for key in spec:
+        if key not in _SPEC_KEYS:
+            raise unknown_name(f"key of {where}", str(key), _SPEC_KEYS)
+    wanted = spec.get("cells", {})
+    for key in wanted:
+        if key not in _CELL_KEYS:
+            raise unknown_name(f"key of cells in {where}", str(key), _CELL_KEYS)
+    if "metric" not in wanted or not spec.get("rows"):
+        raise UsageError(
+            f"The {where} has the keys {', '.join(spec)}; "
+            "give it rows = [...] and cells = { metric = ... }."
+        )
+    fields = [str(name) for name in cells.columns]
+    for field in (*spec["rows"], *spec.get("columns", ()), "status"):
+        if field not in fields:
+            raise unknown_name("field of the cells", str(field), fields, f"Asked by {where}.")
+    if wanted["metric"] not in fields:
+        numeric = [name for name in fields if cells[name].dtype.kind in "bif"]
+        raise unknown_name("metric of the cells", wanted["metric"], numeric, f"Asked by {where}.")
+    _one_of("statistic", wanted.get("stat", "median"), STATISTICS)
+    _one_of("interval", wanted.get("interval", "none"), INTERVALS)
+    _one_of("way to mark the best", spec.get("best", "none"), BESTS)
+
+
+def _one_of(kind: str, name: str, known: Iterable[str]) -> None:
+    if name not in (known := list(known)):
+        raise unknown_name(kind, name, known)
+
+
+def _selected(
+    cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose | None
+) -> "pd.DataFrame":
+    select = spec.get("select")
+    if isinstance(select, str):
+        if choose is None:
+            raise UsageError(f"Nothing here can read the expression {select!r}: give `choose`.")
+        keep = [choose(select, {str(k): v for k, v in row.items()})
+                for row in cells.to_dict("records")]  # fmt: skip
+        cells = cells[keep]
+    for field, value in select.items() if isinstance(select, Mapping) else ():
+        if field not in cells.columns:
+            raise unknown_name("field of the cells", str(field), map(str, cells.columns))
+        allowed = [label(v) for v in (value if isinstance(value, list) else [value])]
+        cells = cells[[label(v) in allowed for v in cells[field]]]
+    if len(cells) == 0:
+        raise UsageError(f"The table {spec.get('name', '')!r} has no cell (select: {select!r}).")
+    return cells
+
+
+def _entries(
+    cells: "pd.DataFrame", rows: Key, columns: Key, metric: str, stat: str, interval: str
+) -> dict[tuple[Key, Key], Entry]:
+    fields, entries = [*rows, *columns], {}
+    for key, group in cells.groupby(fields, sort=False, dropna=False):
+        labels = tuple(label(part) for part in (key if isinstance(key, tuple) else (key,)))
+        entries[labels[: len(rows)], labels[len(rows) :]] = _entry(group, metric, stat, interval)
+    return entries
+
+
+def _entry(group: "pd.DataFrame", metric: str, stat: str, interval: str) -> Entry:
+    ok = group[group["status"] == "ok"]
+    # Parquet and JSON hand whole numbers, booleans and None in one column of objects.
+    values = np.array([_number(value) for value in ok[metric]], dtype=float)
+    repeats = ok["repeat"].to_numpy() if "repeat" in ok else np.arange(len(ok))
+    finite = np.isfinite(values)
+    failures = group.loc[group["status"] != "ok", "status"].value_counts(sort=False)
+    values, repeats = values[finite], repeats[finite]
+    low, high = interval_of(interval, stat, values, repeats)
+    value = statistic_of(stat, values) if len(values) else None
+    counts = {str(kind): int(number) for kind, number in failures.items()}
+    return Entry(value, low, high, len(values), counts, int((~finite).sum()))
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return np.nan
+
+
+def _ordered(cells: "pd.DataFrame", fields: Key, keys: Iterable[Key]) -> tuple[Key, ...]:
+    """Distinct keys by first appearance, field by field, so that groups stay together."""
+    ranks = [{label(v): i for i, v in enumerate(cells[field].unique())} for field in fields]
+    return tuple(
+        sorted(
+            dict.fromkeys(keys),
+            key=lambda key: [rank[part] for rank, part in zip(ranks, key, strict=True)],
+        )
+    )
+
+
+def _pooling(cells: "pd.DataFrame", shown: Sequence[str]) -> tuple[str, ...]:
+    hidden = [f for f in _SWEEPABLE if f in cells.columns and f not in shown]
+    pooled = [f"{cells[f].nunique()} of {f}" for f in hidden if cells[f].nunique() > 1]
+    return (f"Each number pools different settings: {', '.join(pooled)}.",) if pooled else ()
+
+
+def _with_best(table: Table, best: str) -> Table:
+    if best == "none":
+        return table
+    sign = 1 if best == "min-bold" else -1
+    groups: dict[Key, list[tuple[Key, Key]]] = {}
+    for key in table.entries:
+        groups.setdefault(_competition(table, key), []).append(key)
+    winners = {key for keys in groups.values() for key in _winners(table, keys, sign)}
+    marked = {key: replace(entry, best=key in winners) for key, entry in table.entries.items()}
+    return replace(table, entries=marked)
+
+
+def _competition(table: Table, key: tuple[Key, Key]) -> Key:
+    """What is equal for entries that compete: all but the estimator, or the row."""
+    fields = table.row_fields + table.column_fields
+    if "estimator" not in fields:
+        return key[0]
+    return tuple(part for f, part in zip(fields, sum(key, ()), strict=True) if f != "estimator")
+
+
+def _winners(table: Table, keys: list[tuple[Key, Key]], sign: int) -> list[tuple[Key, Key]]:
+    values = {key: v for key in keys if (v := table.entries[key].value) is not None}
+    if len(keys) < 2 or not values:
+        return []
+    first = min(values, key=lambda key: sign * values[key])
+    # Numbers that print alike are equal to the reader: all of them are best.
+    text = table.notations[first[1]].text
+    return [key for key, value in values.items() if text(value) == text(values[first])]
+
+
+def _letters(i: int) -> str:
+    return (_letters(i // 26 - 1) if i >= 26 else "") + ascii_lowercase[i % 26]

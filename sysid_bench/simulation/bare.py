@@ -1,0 +1,60 @@
+"""A robot without its numbers: the kinematics that a method may simulate with its own parameters."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.models.robot import JointTerms, RobotModel
+
+
+def bare_robot(robot: RobotModel) -> RobotModel:
+    """Kinematics, names, limits and spring references of a robot, built anew from nothing else.
+
+    Every body has unit mass and inertia and no joint has friction, so that whoever holds the model
+    has to say what it weighs; the text, the manifest and the payload are left behind.
+    """
+    spec = bare_spec(robot.mj)
+    spec.option = robot.spec.option
+    nothing = {field.name: np.zeros(robot.nv) for field in fields(JointTerms)}
+    nothing["spring_reference"] = robot.joint_terms.spring_reference
+    return replace(
+        robot,
+        manifest=Manifest(robot.name, Path()),
+        payload=PAYLOADS["none"],
+        mj=spec.compile(),
+        spec=spec,
+        phi=np.zeros_like(robot.phi),
+        joint_terms=JointTerms(**nothing),
+        text=b"",
+    )
+
+
+def bare_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
+    """Bodies and joints of a compiled model; no shapes, tendons, inertias or joint terms."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    bodies = [spec.worldbody]
+    for b in range(1, mj.nbody):
+        body = bodies[mj.body_parentid[b]].add_body(
+            name=mj.body(b).name, pos=mj.body_pos[b], quat=mj.body_quat[b]
+        )
+        body.explicitinertial, body.mass, body.inertia = True, 1.0, np.ones(3)
+        for k in range(mj.body_jntnum[b]):
+            _add_joint(body, mj, int(mj.body_jntadr[b]) + k)
+        bodies.append(body)
+    return spec
+
+
+def _add_joint(body: mujoco.MjsBody, mj: mujoco.MjModel, j: int) -> None:
+    kind, at = mujoco.mjtJoint(int(mj.jnt_type[j])), int(mj.jnt_qposadr[j])
+    joint = body.add_joint(name=mj.joint(j).name, type=kind)
+    if kind == mujoco.mjtJoint.mjJNT_FREE:
+        return
+    joint.pos, joint.axis = mj.jnt_pos[j], mj.jnt_axis[j]
+    joint.actfrclimited, joint.actfrcrange = bool(mj.jnt_actfrclimited[j]), mj.jnt_actfrcrange[j]
+    if kind != mujoco.mjtJoint.mjJNT_BALL:
+        joint.ref, joint.springref = mj.qpos0[at], mj.qpos_spring[at]

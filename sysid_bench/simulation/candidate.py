@@ -1,0 +1,55 @@
+"""The model that a method simulates: the robot's kinematics with the method's own parameters."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sysid_bench.models.robot import SUFFIX, JointTerms, RobotModel
+from sysid_bench.models.task import Task
+from sysid_bench.simulation.bare import bare_robot
+from sysid_bench.simulation.plant import Plant
+from sysid_bench.types import Array, Body
+
+
+@dataclass(frozen=True, eq=False)
+class Declared:
+    """What a method is told of a robot: a bare `robot`, the names of its unknowns and the parts
+    that the task takes as known. Nothing of the unknowns' values can be reached from here."""
+
+    robot: RobotModel
+    parameters: tuple[str, ...]
+    bodies: tuple[Body, ...]
+    known_links: Array  # (n_links, 10)
+    known_terms: dict[str, Array]  # by term, (nv,)
+
+
+def declared(robot: RobotModel, task: Task) -> Declared:
+    """What the task tells of the robot."""
+    bare = bare_robot(robot)
+    return Declared(bare, task.parameters, task.bodies, task.known_links, task.known_terms)
+
+
+def candidate(told: Declared, theta: Array) -> Plant:
+    """A plant with the unknowns at theta (p,) and the rest as it is declared known."""
+    robot = told.robot
+    places = {name: i for i, name in enumerate(told.parameters)}
+    phi = np.zeros_like(robot.phi)
+    for link, known in zip(robot.tree.links, told.known_links, strict=True):
+        phi[link.body] += known
+    for body in told.bodies:
+        at = robot.body_names.index(body.name)
+        phi[at] += theta[[places[column] for column in body.columns]]
+    return Plant(robot, _terms(told, theta, places), (), phi)
+
+
+def _terms(told: Declared, theta: Array, places: dict[str, int]) -> JointTerms:
+    robot, values = told.robot, {}
+    for term, suffix in SUFFIX.items():
+        known = told.known_terms.get(term)
+        value = np.zeros(robot.nv) if known is None else known.copy()
+        for dof in robot.scalar_dofs:
+            at = places.get(f"{robot.rows[dof]}.{suffix}")
+            if at is not None:
+                value[dof] = theta[at]
+        values[term] = value
+    return replace(robot.joint_terms, **values)

@@ -1,0 +1,115 @@
+"""Recordings: a cell is executed again and written for the Rerun viewer."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.verbs.runs import find_cell, open_run
+
+if TYPE_CHECKING:
+    import subprocess
+
+    from sysid_bench.harness.store import RunFolder
+
+MOST = 20
+"""Recordings that a run writes of its own accord; ask for more with `record`."""
+
+
+def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> list[Path]:
+    """Recordings of the cell whose id is `what`, or of all cells that meet the expression `what`."""
+    run_folder = open_run(folder)
+    stored = run_folder.rows().rows
+    if all(c in "0123456789abcdef" for c in what):
+        chosen = [find_cell(run_folder, what)]
+    else:
+        chosen = _matching(run_folder, what)
+    if not chosen:
+        raise UsageError(f"No finished cell of {str(folder)!r} meets {what!r}; nothing to record.")
+    max_hz = run_folder.suite.record.max_hz if run_folder.suite.record else 50.0
+    for cell in chosen:
+        if cell not in stored:
+            raise UsageError(f"The cell {cell} has not run yet; run it first, then record it.")
+    return [_write(run_folder, cell, stored[cell], max_hz, robots_dir) for cell in chosen]
+
+
+def record_chosen(
+    run_folder: "RunFolder", expression: str | None = None, robots_dir: Path | None = None
+) -> list[Path]:
+    """The recordings that a suite's [record] (or `expression`) asks for, at most `MOST`; cells that
+    never came to data (skipped, crash, timeout) have nothing to show."""
+    rule = run_folder.suite.record
+    chosen = list(_matching(run_folder, expression)) if expression else list(_by_rule(run_folder))
+    stored = run_folder.rows().rows
+    written = []
+    for cell in [c for c in dict.fromkeys(chosen) if stored[c].get("data_rank") is not None][:MOST]:
+        try:
+            max_hz = rule.max_hz if rule else 50.0
+            written.append(_write(run_folder, cell, stored[cell], max_hz, robots_dir))
+        except SysidBenchError:
+            continue  # the row tells why already; a picture less is no reason to fail a run
+    return written
+
+
+def view(folder: str | Path, identifier: str, web: bool = False) -> "subprocess.Popen[bytes]":
+    """Opens the recording of a cell, written first where it is absent."""
+    from sysid_bench.reporting.recording import view as open_viewer
+
+    run_folder = open_run(folder)
+    path = _path(run_folder, find_cell(run_folder, identifier))
+    if not path.is_file():
+        (path,) = record(folder, find_cell(run_folder, identifier))
+    return open_viewer(path, web)
+
+
+def _matching(run_folder: "RunFolder", expression: str) -> list[str]:
+    from sysid_bench.harness.expression import Expression
+    from sysid_bench.harness.plan import fields
+    from sysid_bench.harness.words import ROW_FIELDS
+
+    condition = Expression.parse(expression, run_folder.plan.fields | ROW_FIELDS)
+    stored = run_folder.rows().rows
+    return [
+        cell.id
+        for cell in run_folder.plan.cells
+        if cell.id in stored and condition.matches({**stored[cell.id], **fields(cell)})
+    ]
+
+
+def _by_rule(run_folder: "RunFolder") -> Iterable[str]:
+    rule = run_folder.suite.record
+    if rule is None:
+        return
+    if rule.worst is not None:
+        yield from _worst(run_folder, rule.worst.metric, rule.worst.count, rule.worst.per)
+    if rule.when is not None:
+        yield from _matching(run_folder, rule.when)
+
+
+def _worst(run_folder: "RunFolder", metric: str, count: int, per: str | None) -> Iterable[str]:
+    rows = run_folder.frames().cells
+    if metric not in rows:
+        return
+    measured = rows[rows[metric].notna()].sort_values(metric, ascending=False, kind="stable")
+    groups = [measured] if per is None else [group for _, group in measured.groupby(per, sort=False)]
+    for group in groups:
+        yield from group["id"].head(count)
+
+
+def _path(run_folder: "RunFolder", cell: str) -> Path:
+    return run_folder.path / "artifacts" / cell / "recording.rrd"
+
+
+def _write(
+    run_folder: "RunFolder", cell: str, row: Mapping[str, Any], max_hz: Any, robots_dir: Path | None
+) -> Path:
+    from sysid_bench.harness.evidence import evidence
+    from sysid_bench.harness.argument import argument_of
+    from sysid_bench.reporting.recording import record as write
+    from sysid_bench.units import quantity
+
+    (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
+    argument = argument_of([planned], run_folder.suite, robots_dir)
+    path = _path(run_folder, cell)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return write(evidence(argument, dict(row)), path, quantity(max_hz, "Hz"))

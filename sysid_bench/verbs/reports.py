@@ -1,0 +1,126 @@
+"""From rows to paper and screen."""
+
+import os
+import shlex
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.verbs.runs import open_run
+
+if TYPE_CHECKING:
+    from sysid_bench.harness.store import RunFolder
+    from sysid_bench.reporting.latex import Origin
+    from sysid_bench.reporting.tables import Table
+
+DEFAULT_TABLE: Mapping[str, Any] = {
+    "name": "main",
+    "title": "Held-out torque error",
+    "rows": ["robot", "payload"],
+    "columns": ["estimator"],
+    "cells": {"metric": "torque_error", "stat": "median", "interval": "iqr"},
+    "best": "min-bold",
+}
+FORMATS = ("md", "csv", "latex")
+
+
+def report(folder: str | Path) -> Path:
+    """Writes tables/, figures/ and report.html of a run from its rows; the report's path."""
+    from sysid_bench.reporting.figures import figure
+    from sysid_bench.reporting.html import RunView, write_report
+    from sysid_bench.reporting.latex import to_macros
+
+    run_folder = open_run(folder)
+    frames = run_folder.frames()
+    if len(frames.cells) == 0:
+        raise UsageError(f"{str(folder)!r} has no rows yet; run it first.")
+    tables, origin = tuple(_tables(run_folder)), _origin(run_folder)
+    for place in ("tables", "figures"):
+        (run_folder.path / place).mkdir(exist_ok=True)
+    for table in tables:
+        for form, suffix in zip(FORMATS, ("md", "csv", "tex"), strict=True):
+            _put(run_folder.path / "tables" / f"{table.name}.{suffix}", _text(table, form, origin))
+        for suffix in ("pdf", "svg"):
+            figure(table, run_folder.path / "figures" / f"{table.name}.{suffix}")
+    _put(run_folder.path / "tables" / "numbers.tex", to_macros(tables, origin))
+    return write_report(
+        RunView(
+            folder=run_folder.path,
+            suite=tomllib.loads((run_folder.path / "run.toml").read_text(encoding="utf-8")),
+            env=run_folder.env,
+            cells=frames.cells,
+            joints=frames.joints,
+            tables=tables,
+            recordings=recordings(run_folder),
+            command=origin.command,
+        )
+    )
+
+
+def table(folder: str | Path, name: str, form: str = "md") -> str:
+    """One table of a run as Markdown, CSV or LaTeX."""
+    if form not in FORMATS:
+        raise unknown_name("format", form, FORMATS)
+    run_folder = open_run(folder)
+    tables = {made.name: made for made in _tables(run_folder)}
+    if name not in tables:
+        raise unknown_name("table", name, tables)
+    return _text(tables[name], form, _origin(run_folder))
+
+
+def printed_tables(folder: str | Path) -> list[str]:
+    """Every table of a run as Markdown, for the terminal."""
+    return [_text(made, "md", _origin(run)) for run in [open_run(folder)] for made in _tables(run)]
+
+
+def recordings(run_folder: "RunFolder") -> dict[str, str]:
+    """Cells that have a recording, with its path relative to the run."""
+    found = sorted((run_folder.path / "artifacts").glob("*/*.rrd"))
+    return {file.parent.name: str(file.relative_to(run_folder.path)) for file in found}
+
+
+def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
+    from sysid_bench.harness.expression import Expression
+    from sysid_bench.reporting.tables import make_table
+
+    def choose(expression: str, cell: Mapping[str, Any]) -> bool:
+        return Expression.parse(expression).matches(cell)
+
+    cells = run_folder.frames().cells
+    suite = run_folder.suite
+    specs = [entry.model_dump(exclude_none=True) for entry in suite.table] or [dict(DEFAULT_TABLE)]
+    for spec in specs:
+        try:
+            yield make_table(cells, spec, choose)
+        except UsageError:
+            if len(cells) == len(run_folder.plan.cells):
+                raise  # with some cells not run, a table may have nothing to show yet
+
+
+def _text(table: "Table", form: str, origin: "Origin") -> str:
+    from sysid_bench.reporting.delimited import to_csv
+    from sysid_bench.reporting.latex import to_latex
+    from sysid_bench.reporting.markdown import to_markdown
+
+    if form == "md":
+        return to_markdown(table)
+    return to_csv(table) if form == "csv" else to_latex(table, origin)
+
+
+def _put(path: Path, text: str) -> None:
+    """The file, whole or not at all."""
+    beside = path.with_name(f"{path.name}.part")
+    beside.write_text(text, encoding="utf-8")
+    beside.replace(path)
+
+
+def _origin(run_folder: "RunFolder") -> "Origin":
+    from sysid_bench.harness.canonical import digest
+    from sysid_bench.reporting.latex import Origin
+
+    cells = sorted(cell.id for cell in run_folder.plan.cells)
+    path = run_folder.path
+    shown = os.path.relpath(path) if path.resolve().is_relative_to(Path.cwd()) else path.name
+    return Origin(path.name, digest(cells)[:12], f"sysid-bench run {shlex.quote(str(shown))}")

@@ -1,0 +1,111 @@
+"""Runs: plan, execute, look at, reproduce."""
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sysid_bench.errors import unknown_name
+
+if TYPE_CHECKING:
+    from sysid_bench.harness.plan import Plan
+    from sysid_bench.harness.run import Rerun, RunResult
+    from sysid_bench.harness.store import RunFolder
+    from sysid_bench.harness.supervisor import OnEvent
+
+
+def plan(
+    suite: str | Path,
+    select: str | None = None,
+    overrides: Mapping[str, str] | None = None,
+    robots_dir: Path | None = None,
+) -> "Plan":
+    """The cells of a suite, every name resolved; nothing runs. Raises UsageError with all errors."""
+    from dataclasses import replace
+
+    from sysid_bench import places
+    from sysid_bench.harness.names import installed_names
+    from sysid_bench.harness.plan import expand
+    from sysid_bench.harness.suite import load_suite
+
+    names = installed_names(robots_dir)
+    whole = expand(load_suite(places.suite(str(suite)), names, overrides), names)
+    return replace(whole, cells=whole.select(select))
+
+
+def run(
+    suite: str | Path,
+    out: str | Path | None = None,
+    jobs: int | None = None,
+    select: str | None = None,
+    limit: int | None = None,
+    timeout: float | str | None = None,
+    rerun: "Rerun | None" = None,
+    fail_fast: bool = False,
+    record: str | None = None,
+    overrides: Mapping[str, str] | None = None,
+    robots_dir: Path | None = None,
+    on_event: "OnEvent | None" = None,
+) -> "RunResult":
+    """Runs a suite (or goes on with a run folder), then writes its tables, figures, recordings and
+    report. `record`: an expression of cells to record instead of the suite's own choice."""
+    from sysid_bench.harness.run import run as execute
+    from sysid_bench.verbs.recordings import record_chosen
+    from sysid_bench.verbs.reports import report
+
+    result = execute(
+        Path(suite) if Path(suite).is_dir() else str(suite),
+        None if out is None else Path(out),
+        jobs=jobs, select=select, limit=limit, timeout=timeout, rerun=rerun, fail_fast=fail_fast,
+        on_event=on_event, robots_dir=robots_dir, overrides=overrides,
+    )  # fmt: skip
+    if result.counts and result.exit_code != 130:
+        record_chosen(result.folder, record, robots_dir)
+        report(result.folder.path)
+    return result
+
+
+def open_run(folder: str | Path) -> "RunFolder":
+    """A run folder: `.cells`, `.parameters`, `.joints` are pandas DataFrames."""
+    from sysid_bench.harness.store import RunFolder
+
+    return RunFolder.open(Path(folder))
+
+
+def status(folder: str | Path) -> dict[str, Any]:
+    """How far a run is: planned cells, rows by status, and reasons with their counts."""
+    from collections import Counter
+
+    run_folder = open_run(folder)
+    stored = run_folder.rows().rows
+    planned = [cell.id for cell in run_folder.plan.cells]
+    rows = [stored[cell] for cell in planned if cell in stored]
+    reasons = Counter((row["status"], row.get("reason") or "") for row in rows if row["status"] != "ok")
+    return {
+        "folder": str(run_folder.path),
+        "cells": len(planned),
+        "open": len(planned) - len(rows),
+        "statuses": dict(Counter(row["status"] for row in rows)),
+        "reasons": [
+            {"status": kind, "reason": reason, "cells": n} for (kind, reason), n in reasons.most_common()
+        ],
+    }
+
+
+def cell(folder: str | Path, identifier: str) -> dict[str, Any]:
+    """One row, with the exact command that reproduces it. A unique beginning of an id will do."""
+    run_folder = open_run(folder)
+    full = find_cell(run_folder, identifier)
+    row = run_folder.rows().rows.get(full, {"id": full, "status": "open", "reason": "has not run yet"})
+    command = f"sysid-bench run {shlex.quote(str(folder))} --select 'id == \"{full}\"' --rerun all"
+    return {**row, "command": command}
+
+
+def find_cell(run_folder: "RunFolder", identifier: str) -> str:
+    """The id that begins with `identifier`; raises UsageError for none or several."""
+    ids = [cell.id for cell in run_folder.plan.cells]
+    found = [i for i in ids if i.startswith(identifier)] if identifier else []
+    if len(found) != 1:
+        what = f"{len(found)} cells begin with it" if found else "no cell has it"
+        raise unknown_name("cell", identifier, found[:20] or ids[:20], f"({what}; of {len(ids)}.)")
+    return found[0]

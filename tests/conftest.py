@@ -1,0 +1,53 @@
+"""What all tests share: shapes of the nouns are enforced, Hypothesis is calm, data is found."""
+
+import os
+import sys
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import settings
+from jaxtyping import install_import_hook
+
+DATA = "SYSID_BENCH_DATA"
+
+if "sysid_bench.types" in sys.modules:
+    raise pytest.UsageError("sysid_bench.types was imported too early: its shapes go unchecked.")
+install_import_hook("sysid_bench.types", "beartype.beartype")
+
+# No deadlines: two test processes on two cores make single examples slow now and then.
+settings.register_profile("here", deadline=None)
+settings.register_profile("ci", deadline=None, derandomize=True, database=None)
+settings.load_profile("ci" if os.environ.get("CI") else "here")
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The folder of recorded robot data; the test skips while the variable is unset."""
+    named = os.environ.get(DATA)
+    if not named:
+        pytest.skip(f"{DATA} is unset; let it name the folder of recorded robot data.")
+    folder = Path(named)
+    if not folder.is_dir():
+        pytest.skip(f"{DATA} names {named!r}, and there is no such folder.")
+    return folder
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    return _no_data_is_a_failure((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    return _no_data_is_a_failure((yield))
+
+
+def _no_data_is_a_failure(report: Any) -> Any:
+    # Whoever sets the variable wants these tests to run: a quiet skip would hide that they did not.
+    reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else ""
+    if os.environ.get(DATA) and report.skipped and reason.startswith(f"Skipped: {DATA}"):
+        report.outcome = "failed"
+        report.longrepr = f"{DATA} is set, so this may not skip: {reason}"
+    return report

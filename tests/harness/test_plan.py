@@ -1,0 +1,225 @@
+"""Laws of planning: what an id and a seed depend on, and that no cell is lost."""
+
+from collections.abc import Callable
+from dataclasses import fields as dataclass_fields
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from harness_world import FULL, NAMES, read, small
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.plan import Plan, expand, fields
+from sysid_bench.harness.spec import (
+    ExperimentSpec,
+    held_out_seed,
+    motion_seed,
+    noise_seed,
+    prior_seed,
+    seed_of,
+)
+from sysid_bench.harness.words import LABELS
+
+
+def plan_of(text: str) -> Plan:
+    return expand(read(text), NAMES)
+
+
+SPEC = plan_of(FULL).cells[-1].spec
+CHANGES: dict[str, Any] = {
+    "seed": 1,
+    "robot": "go2",
+    "payload": "sphere-1kg",
+    "task": "payload",
+    "terms": ("viscous",),
+    "plant": {"use": "stribeck"},
+    "prior": "truth",
+    "excitation": {"use": "fourier", "harmonics": 6},
+    "held_out": ({"use": "ptp"},),
+    "simulation": {"use": "closed-loop"},
+    "rate": 100.0,
+    "noise": {"q": 0.1},
+    "signals": {"filter": "none", "derivatives": "exact"},
+    "repeat": 0,
+}
+SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
+    motion_seed: {"seed", "robot", "excitation"},
+    noise_seed: {"seed", "robot", "task", "excitation", "simulation", "rate", "repeat"},
+    prior_seed: {"seed", "robot", "payload", "task"},
+    lambda spec: held_out_seed(spec, 0): {"seed", "robot", "held_out"},
+}
+
+
+def test_every_part_of_a_specification_is_tried() -> None:
+    assert set(CHANGES) == {field.name for field in dataclass_fields(ExperimentSpec)}
+
+
+@pytest.mark.parametrize("part", CHANGES)
+def test_an_id_depends_on_every_part(part: str) -> None:
+    assert replace(SPEC, **{part: CHANGES[part]}).id != SPEC.id
+
+
+@pytest.mark.parametrize("part", CHANGES)
+@pytest.mark.parametrize("seed", SEEDS, ids=["motion", "noise", "prior", "held-out"])
+def test_a_seed_depends_on_its_parts_alone(
+    seed: Callable[[ExperimentSpec], int], part: str
+) -> None:
+    changed = seed(replace(SPEC, **{part: CHANGES[part]})) != seed(SPEC)
+    assert changed == (part in SEEDS[seed])
+
+
+def test_seeds_of_one_experiment_differ() -> None:
+    same = replace(SPEC, held_out=(SPEC.excitation, SPEC.excitation))
+    seeds = [
+        motion_seed(same),
+        noise_seed(same),
+        prior_seed(same),
+        held_out_seed(same, 0),
+        held_out_seed(same, 1),
+    ]
+    assert len(set(seeds)) == len(seeds)
+
+
+@given(st.integers(0), st.lists(st.text() | st.integers() | st.floats(allow_nan=False)))
+def test_seeds_have_128_bits_and_are_the_same_twice(root: int, parts: list[Any]) -> None:
+    assert 0 <= seed_of(root, *parts) == seed_of(root, *parts) < 2**128
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ('rate = "1 kHz"', "rate = 1000"),
+        ('noise = { tau = "0.5 %" }', 'noise = { tau = "0.50 %", q = 0 }'),
+        ('noise = { q = "1 mrad" }', "noise = { q = 1e-3 }"),
+        ('prior = { com = "15 mm" }', 'prior = { com = "1.5 cm", mass = "20 %" }'),
+        ('excitation = "fourier"', 'excitation = { use = "fourier" }'),
+        ('task = "robot"', 'task = ["robot"]'),
+    ],
+)
+def test_the_same_thing_written_otherwise_is_the_same_cell(one: str, other: str) -> None:
+    a, b = (plan_of(small(f"[defaults]\n{text}")) for text in (one, other))
+    assert [cell.id for cell in a.cells] == [cell.id for cell in b.cells]
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ('noise = { tau = "0.5 %" }', 'noise = { tau = "0.005 N m" }'),
+        ("terms = []", ""),
+        ('prior = "none"', 'prior = "truth"'),
+    ],
+)
+def test_other_things_are_other_cells(one: str, other: str) -> None:
+    a, b = (plan_of(small(f"[defaults]\n{text}")) for text in (one, other))
+    assert {cell.id for cell in a.cells}.isdisjoint(cell.id for cell in b.cells)
+
+
+def test_labels_and_limits_change_no_id() -> None:
+    plain = plan_of(FULL)
+    other = FULL.replace("Geodesic (ours)", "Ours").replace("60 s", "9 s").replace("1e-12", "1e-9")
+    assert [cell.id for cell in plan_of(other).cells] == [cell.id for cell in plain.cells]
+    named = FULL.replace("{ mass = 1.2", '{ name = "tool", mass = 1.2')
+    assert [cell.id for cell in plan_of(named).cells] == [cell.id for cell in plain.cells]
+    assert "tool" in {cell.labels["payload"] for cell in plan_of(named).cells}
+
+
+def test_another_robot_changes_no_other_cell() -> None:
+    grown = plan_of(FULL.replace('"ur5", "panda"', '"go2", "ur5", "panda"'))
+    assert {cell.id for cell in plan_of(FULL).cells} < {cell.id for cell in grown.cells}
+
+
+def test_cells_are_experiments_times_estimators() -> None:
+    plan = plan_of(FULL)
+    # 7 robots with payloads; exact once, noisy three times; two estimators
+    assert len(plan.cells) == 7 * (1 + 3) * 2
+    assert len(plan.experiments) * 2 == len(plan.cells) == len({cell.id for cell in plan.cells})
+    assert any("repeat 0 stands for all 3" in note for note in plan.notes)
+    assert plan.seconds == pytest.approx(sum(cell.seconds for cell in plan.cells)) != 0
+
+
+def test_closed_loop_repeats_without_noise() -> None:
+    text = small('[run]\nrepeats = 4\n[defaults]\nsimulation = ["inverse", "closed-loop"]')
+    counts = [cell.labels["simulation"] for cell in plan_of(text).cells]
+    assert (counts.count("inverse"), counts.count("closed-loop")) == (1, 4)
+
+
+def test_excluded_cells_are_counted() -> None:
+    text = FULL.replace('"ur5", "panda"', '"go2", "ur5"').replace('use = "ols"', 'use = "didim"')
+    plan = plan_of(text)
+    assert plan.excluded == {"needs a fixed base": 3 * 4}
+    assert len(plan.cells) + 12 == 7 * 4 * 2
+    assert not [
+        c for c in plan.cells if c.facts["robot.free_base"] and c.estimator["use"] == "didim"
+    ]
+
+
+def test_duplicates_are_run_once_and_told() -> None:
+    plan = plan_of(small('[defaults]\nrate = ["1 kHz", 1000]'))
+    assert len(plan.cells) == 1
+    assert any("specified twice" in note for note in plan.notes)
+
+
+SWEEPS = small(
+    '[defaults]\nexcitation = ["fourier", { use = "fourier", period = 3 }]\n'
+    'prior = ["truth", { mass = "1 %" }, { mass = "1 %", com = 3 }]\nterms = [[], ["viscous"]]\n'
+    'noise = [{}, { q = 1e-3 }, { q = 1e-4 }]\nrate = [100, 200.5]\n'
+    'held_out = ["ptp", { use = "ptp", stops = 3 }]',
+    estimators='[[estimator]]\nuse = "ols"\nlabel = "A"\n[[estimator]]\nuse = "wls"\nlabel = "A"\n'
+    '[[estimator]]\nuse = "wls"\ncut = 2\n',
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", [FULL, SWEEPS], ids=["full", "sweeps"])
+def test_labels_tell_all_values_apart(text: str) -> None:
+    plan = plan_of(text)
+    heads = [(*(cell.labels[axis] for axis in LABELS), cell.spec.repeat) for cell in plan.cells]
+    assert len(set(heads)) == len(heads)
+    assert all(label and isinstance(label, str) for head in heads for label in head[:-1])
+
+
+def test_exact_data_are_called_exact() -> None:
+    labels = {cell.labels["noise"]: cell.spec.noise for cell in plan_of(FULL).cells}
+    assert labels == {"exact": {}, "q 1e-4 rad, tau 0.5 %": {"q": 1e-4, "tau_relative": 0.005}}
+
+
+def test_a_plan_reads_back_as_the_same_cells() -> None:
+    for text in (FULL, SWEEPS):
+        plan = plan_of(text)
+        again = Plan.from_json_lines(plan.to_json_lines())
+        assert again.cells == plan.cells
+        assert [fields(cell) for cell in again.cells] == [fields(cell) for cell in plan.cells]
+        assert len(plan.to_json_lines().splitlines()) == len(plan.cells)
+
+
+def test_a_plan_that_was_changed_by_hand_is_refused() -> None:
+    text = plan_of(FULL).to_json_lines()
+    with pytest.raises(UsageError, match=r"plan\.jsonl:1: the cell"):
+        Plan.from_json_lines(text.replace('"rate": 200.0', '"rate": 300.0', 1))
+    with pytest.raises(UsageError, match=r"plan\.jsonl:2"):
+        Plan.from_json_lines(text.splitlines()[0] + "\n{}\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ('robot == "panda" and noise.tau < 0.01', 3 * 3 * 2),
+        ('noise == "exact"', 7 * 2),
+        ('estimator == "mylab.methods:Geodesic" and repeat == 0', 7 * 2),
+        ('estimator == "Geodesic (ours)"', 7 * 4),
+        ('robot == "file:models/my_arm.urdf"', 8),
+        ('robot == "my_arm" and excitation.period == "5 s"', 8),
+        ('rate == "0.2 kHz" and prior.com < "2 cm"', 56),
+        ("payload.mass > 1 and terms == 'none'", 2 * 4 * 2),
+        ("robot.free_base", 0),
+    ],
+)
+def test_expressions_select_cells(text: str, count: int) -> None:
+    assert len(plan_of(FULL).select(text)) == count
+    assert len(plan_of(FULL).select(f"not ({text})")) == 56 - count
+
+
+def test_an_unknown_field_selects_nothing_and_says_so() -> None:
+    with pytest.raises(UsageError, match=r"noise\.tau"):
+        plan_of(FULL).select("noise.tao < 1")

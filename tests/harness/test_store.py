@@ -1,0 +1,190 @@
+"""Laws of the run folder: a stored row is never lost, a broken line is never fatal."""
+
+import fcntl
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from harness_world import FULL, NAMES, read, small
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.canonical import canonical, plain
+from sysid_bench.harness.frames import frames_of
+from sysid_bench.harness.plan import expand
+from sysid_bench.harness.row_files import RowWriter, ids_in, new_row_file, read_rows
+from sysid_bench.harness.store import RunFolder
+
+
+def make(folder: Path, text: str = FULL) -> RunFolder:
+    suite = read(text)
+    return RunFolder.create(folder, suite, expand(suite, NAMES), {"python": "3"})
+
+
+def test_a_run_folder_tells_what_it_was_made_of(tmp_path: Path) -> None:
+    make(tmp_path / "run")
+    run = RunFolder.open(tmp_path / "run")
+    assert run.suite == read(FULL)
+    assert run.plan.cells == expand(read(FULL), NAMES).cells
+    assert run.env == {"python": "3"}
+    assert run.rows().rows == {}
+    assert len(run.cells) == 0
+
+
+def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="is no run"):
+        RunFolder.open(tmp_path)
+
+
+def test_the_same_plan_goes_on_and_another_is_refused(tmp_path: Path) -> None:
+    run = make(tmp_path)
+    with run.new_writer("w") as writer:
+        writer.append({"id": run.plan.cells[0].id, "status": "ok"})
+    again = make(tmp_path, FULL.replace("60 s", "30 s").replace("Geodesic (ours)", "Ours"))
+    assert len(again.rows().rows) == 1
+    assert again.suite.run.timeout == "30 s"
+    with pytest.raises(
+        UsageError, match=r"holds another run.*56 of its cells.*seed.*Choose another"
+    ):
+        make(tmp_path, FULL.replace("20261121", "5"))
+    assert RunFolder.open(tmp_path).suite.run.timeout == "30 s"
+
+
+def test_the_last_row_of_an_id_wins_over_all_files(tmp_path: Path) -> None:
+    for turn in range(3):
+        for name in ("worker2", "worker1"):
+            with RowWriter(new_row_file(tmp_path, name)) as writer:
+                writer.append({"id": "a", "turn": turn, "by": name})
+                writer.append({"id": name, "turn": turn})
+    stored = read_rows(tmp_path)
+    assert stored.rows["a"] == {"id": "a", "turn": 2, "by": "worker1"}
+    assert {row["turn"] for row in stored.rows.values()} == {2}
+    assert len(list(tmp_path.iterdir())) == 6
+
+
+lines = st.sampled_from(
+    [b'{"id": "x"}', b'{"id": 3}', b"[1]", b"{", b"\xff\xfe", b"null", b'"id"', b"[" * 9999]
+)
+
+
+@given(st.lists(lines, max_size=6), st.integers(0, 30))
+def test_whole_rows_survive_whatever_stands_between_them(junk: list[bytes], cut: int) -> None:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as name:
+        row = json.dumps({"id": "kept", "value": 1}).encode()
+        text = b"\n".join([*junk, row]) + b"\n" + row.replace(b"kept", b"torn")[:cut]
+        (Path(name) / "000001-w.jsonl").write_bytes(text)
+        stored = read_rows(Path(name))
+        bad = [line for line in junk if line != b'{"id": "x"}']
+        assert stored.rows["kept"] == {"id": "kept", "value": 1}
+        assert len(stored.garbled) == len(bad)
+        assert stored.torn == (cut > 0 and "torn" not in stored.rows)
+
+
+def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
+    writer = RowWriter(new_row_file(tmp_path, "w"))
+    for number in range(5):
+        writer.append({"id": str(number)})
+        assert ids_in(writer.path) == {str(n) for n in range(number + 1)}
+    writer.close()
+    writer.close()
+
+
+def test_a_row_that_is_no_json_leaves_no_trace(tmp_path: Path) -> None:
+    with RowWriter(new_row_file(tmp_path, "w")) as writer:
+        with pytest.raises(TypeError, match="no JSON value"):
+            writer.append({"id": "a", "value": object()})
+        writer.append({"id": "b"})
+    assert read_rows(tmp_path).garbled == ()
+    assert ids_in(writer.path) == {"b"}
+
+
+def test_numbers_that_are_none_become_none() -> None:
+    row = {
+        "a": np.float64(np.nan),
+        "b": math.inf,
+        "c": np.arange(2),
+        "d": (np.bool_(True), np.int64(3)),
+    }
+    assert plain(row) == {"a": None, "b": None, "c": [0, 1], "d": [True, 3]}
+
+
+json_values: Any = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+)
+
+
+@given(st.dictionaries(st.text(), json_values))
+def test_canonical_text_is_that_of_the_value_alone(value: dict[str, Any]) -> None:
+    assert canonical(dict(reversed(value.items()))) == canonical(value)
+    assert json.loads(canonical(value)) == value
+
+
+@given(st.lists(st.dictionaries(st.sampled_from(["x", "y", "joints.x"]), json_values), max_size=4))
+def test_any_rows_make_frames_that_parquet_takes(rows: list[dict[str, Any]]) -> None:
+    import tempfile
+
+    rows = [{"id": str(number), **row} for number, row in enumerate(rows)]
+    with tempfile.TemporaryDirectory() as name:
+        frames_of(rows).write(Path(name))
+        back = pd.read_parquet(Path(name) / "cells.parquet")
+    assert list(back["id"]) == [row["id"] for row in rows]
+
+
+def test_consolidation_keeps_every_number(tmp_path: Path) -> None:
+    run = make(tmp_path)
+    with run.new_writer("w") as writer:
+        for number, cell in enumerate(reversed(run.plan.cells)):
+            joints = [{"name": f"j{i}", "rmse_test": i / 7} for i in range(3)]
+            table = [{"body": "b", "name": "m", "true": 1.0, "estimate": None, "std": 0.1}]
+            row = {**cell.head, "noise": "old label", "status": "ok", "torque_error": number / 3}
+            more = {"versions": {"numpy": "2"}, "warnings": ["a"], "rank": number or None}
+            writer.append({**row, **more, "joints": joints, "parameters_table": table})
+        writer.append({"id": "of no plan", "status": "ok"})
+    run.consolidate()
+    cells = pd.read_parquet(tmp_path / "cells.parquet")
+    assert list(cells["id"]) == [cell.id for cell in run.plan.cells]
+    assert list(cells["torque_error"]) == [n / 3 for n in reversed(range(len(cells)))]
+    assert list(cells.columns[:3]) == ["id", "experiment", "robot"]
+    assert set(cells["noise"]) == {cell.labels["noise"] for cell in run.plan.cells}
+    assert set(cells["versions.numpy"]) == {"2"}
+    by_joint = pd.read_parquet(tmp_path / "joints.parquet")
+    assert len(by_joint) == 3 * len(cells)
+    assert list(by_joint["rmse_test"][:3]) == [0, 1 / 7, 2 / 7]
+    parameters = pd.read_parquet(tmp_path / "parameters.parquet")
+    assert set(parameters["id"]) == set(cells["id"])
+    pd.testing.assert_frame_equal(run.cells, cells, check_dtype=False)
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_two_runners_in_one_folder_are_refused(tmp_path: Path) -> None:
+    run = make(tmp_path, small())
+    with run.lock(), pytest.raises(UsageError, match=f"process {os.getpid()}"), run.lock():
+        pytest.fail("two runners at once")
+    with run.lock():
+        pass
+
+
+def test_a_lock_of_the_dead_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sysid_bench.harness.store.ORPHAN_SECONDS", 0.1)
+    run = make(tmp_path, small())
+    with (tmp_path / ".lock").open("w") as held:
+        held.write("999999999")  # no process has this number
+        held.flush()
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(UsageError, match="Another runner"), run.lock():
+            pytest.fail("the orphan still holds it")
+    with run.lock():
+        pass

@@ -1,0 +1,256 @@
+"""Laws of the supervisor: every cell of every task gets its row, whatever its neighbours do."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sysid_bench.harness.crew import Task, Workplace
+from sysid_bench.harness.row_files import StoredRows, read_rows
+from sysid_bench.harness.supervisor import Ending, supervise
+
+HERE = Path(__file__).parent
+CHECKOUT = HERE.parents[1]
+
+
+def task(number: int, do: str = "", cells: int = 1, call: str = "harness_tasks:act") -> Task:
+    ids = [f"{number}.{cell}" for cell in range(cells)]
+    heads = tuple({"id": name, "robot": f"robot{number}"} for name in ids)
+    return Task(call, {"do": do, "cells": ids}, heads)
+
+
+def run(
+    folder: Path,
+    tasks: list[Task],
+    jobs: int = 2,
+    timeout: float = 30.0,
+    fail_fast: bool = False,
+    on_event: Callable[[str, Mapping[str, Any]], None] | None = None,
+) -> tuple[Ending, StoredRows]:
+    ending = supervise(tasks, Workplace(folder, timeout, 1), jobs, fail_fast, on_event)
+    return ending, read_rows(folder / "cells")
+
+
+def only(folder: Path, do: str, **settings: Any) -> dict[str, Any]:
+    """The row of a single cell whose task does this."""
+    _, stored = run(folder, [task(0, do)], **settings)
+    (row,) = stored.rows.values()
+    return row
+
+
+def test_two_hundred_tasks_three_of_them_bad(tmp_path: Path) -> None:
+    bad = {50: "raise", 100: "die", 150: "hang"}
+    ending, stored = run(tmp_path, [task(n, bad.get(n, "")) for n in range(200)], timeout=2.0)
+    assert ending == "finished"
+    assert len(stored.rows) == 200
+    kinds = {name: row["status"] for name, row in stored.rows.items() if row["status"] != "ok"}
+    assert kinds == {"50.0": "failed", "100.0": "crash", "150.0": "timeout"}
+    assert (stored.torn, stored.garbled) == (0, ())
+    # The neighbours did not notice: two workers, and one more for each that died.
+    assert len({row["pid"] for row in stored.rows.values() if row["status"] == "ok"}) <= 4
+
+
+def test_an_exception_is_told_in_one_line_with_its_traceback(tmp_path: Path) -> None:
+    row = only(tmp_path, "raise")
+    assert (row["status"], row["reason"]) == ("failed", "ValueError: no numbers")
+    assert "in perform" in row["traceback"]
+    assert row["robot"] == "robot0"
+
+
+@pytest.mark.parametrize(
+    ("do", "status", "reason"),
+    [
+        ("exit", "failed", "SystemExit: 3"),
+        ("ask", "failed", "EOFError"),
+        ("leave", "crash", "exit code 7"),
+        ("die", "crash", "SIGSEGV; its last words: Fatal Python error: Segmentation fault"),
+        ("segfault", "crash", "SIGSEGV"),
+        ("hang", "timeout", "limit of 1 s"),
+    ],
+)
+def test_every_kind_of_end_has_its_row(tmp_path: Path, do: str, status: str, reason: str) -> None:
+    row = only(tmp_path, do, timeout=1.0)
+    assert row["status"] == status
+    assert reason in row["reason"]
+
+
+@pytest.mark.parametrize(
+    ("call", "status", "reason"),
+    [
+        ("harness_tasks:silent", "failed", "ended without a row"),
+        ("harness_tasks:stranger", "failed", "'nobody'; it was asked for 0.0"),
+        ("harness_tasks:absent", "failed", "AttributeError"),
+        ("harness_no_module:act", "failed", "ModuleNotFoundError"),
+        ("harness_hangs_at_import:act", "timeout", "limit of 1 s"),
+    ],
+)
+def test_a_call_that_is_wrong_itself(tmp_path: Path, call: str, status: str, reason: str) -> None:
+    _, stored = run(tmp_path, [task(0, call=call)], timeout=1.0)
+    assert list(stored.rows) == ["0.0"]
+    assert stored.rows["0.0"]["status"] == status
+    assert reason in stored.rows["0.0"]["reason"]
+
+
+@pytest.mark.parametrize("do", ["raise", "die", "hang"])
+def test_rows_that_were_emitted_stay(tmp_path: Path, do: str) -> None:
+    _, stored = run(tmp_path, [task(0, f"late-{do}", cells=3)], timeout=1.0)
+    status = [stored.rows[f"0.{n}"]["status"] for n in range(3)]
+    assert status[0] == "ok"
+    assert len(set(status[1:])) == 1
+    assert "ok" not in status[1:]
+
+
+def test_prints_go_to_the_log(tmp_path: Path) -> None:
+    assert only(tmp_path, "print")["status"] == "ok"
+    log = (tmp_path / "logs" / "worker1.log").read_text()
+    assert "a plug-in talks" in log
+    assert "behind our back" in log
+
+
+def test_a_timeout_ends_what_the_task_has_started(tmp_path: Path) -> None:
+    started: list[int] = []
+
+    def watch(kind: str, data: Mapping[str, Any]) -> None:
+        if kind == "row":
+            started.extend(descendants())
+
+    assert only(tmp_path, "grandchild", timeout=1.0, on_event=watch)["status"] == "timeout"
+    assert started == []
+
+
+def descendants() -> list[int]:
+    """Living processes of sessions that this process's children lead."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            if b"time.sleep(1000)" in stat.read_bytes():
+                found.append(int(stat.parent.name))
+        except OSError:
+            pass
+    return found
+
+
+def test_no_more_workers_than_tasks(tmp_path: Path) -> None:
+    run(tmp_path, [task(0), task(1)], jobs=8)
+    assert len(list((tmp_path / "logs").iterdir())) <= 2
+
+
+def test_nothing_to_do_is_done(tmp_path: Path) -> None:
+    assert run(tmp_path, [])[0] == "finished"
+    assert not (tmp_path / "cells").exists()
+
+
+def test_fail_fast_stops_at_the_first_failure(tmp_path: Path) -> None:
+    tasks = [task(0), task(1, "raise"), *(task(n, "sleep 0.2") for n in range(2, 40))]
+    ending, stored = run(tmp_path, tasks, jobs=1, fail_fast=True)
+    assert ending == "stopped"
+    assert Counter(row["status"] for row in stored.rows.values()) == {"ok": 1, "failed": 1}
+
+
+def test_events_tell_every_row_and_every_task(tmp_path: Path) -> None:
+    events: list[tuple[str, Mapping[str, Any]]] = []
+    tasks = [task(n, "raise" if n == 3 else "", cells=2) for n in range(6)]
+    _, stored = run(tmp_path, tasks, on_event=lambda kind, data: events.append((kind, data)))
+    kinds = Counter(kind for kind, _ in events)
+    assert kinds == {"start": 6, "row": 12, "task": 6}
+    told = {data["id"]: data["status"] for kind, data in events if kind == "row"}
+    assert told == {name: row["status"] for name, row in stored.rows.items()}
+
+
+def test_an_argument_larger_than_a_pipe_does_not_hold_the_supervisor(tmp_path: Path) -> None:
+    big = Task("harness_hangs_at_import:act", "x" * 1_000_000, ({"id": "a"},))
+    _, stored = run(tmp_path, [big, task(1)], timeout=1.0)
+    assert {name: row["status"] for name, row in stored.rows.items()} == {
+        "a": "timeout",
+        "1.0": "ok",
+    }
+
+
+PARENT = """
+import sys, threading
+from pathlib import Path
+sys.path.insert(0, {here!r})
+from sysid_bench.harness.crew import Task, Workplace
+from sysid_bench.harness.supervisor import supervise
+cells = [str(n) for n in range(4)]
+def task(cell):
+    argument = {{"do": "sleep {seconds}", "cells": [cell]}}
+    return Task("harness_tasks:act", argument, ({{"id": cell}},))
+tasks = [task(cell) for cell in cells]
+print(supervise(tasks, Workplace(Path({folder!r}), 60.0, 1), 2,
+                on_event=lambda kind, data: print(kind, flush=True)), flush=True)
+"""
+
+
+def parent(folder: Path, seconds: float) -> "subprocess.Popen[str]":
+    """A runner in a process of its own, started from a script without a __main__ guard."""
+    script = folder / "script.py"
+    script.write_text(
+        textwrap.dedent(PARENT.format(here=str(HERE), folder=str(folder), seconds=seconds))
+    )
+    return subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": str(CHECKOUT)},
+    )  # fmt: skip
+
+
+def test_an_orphan_writes_no_row(tmp_path: Path) -> None:
+    with parent(tmp_path, 1.0) as runner:
+        assert runner.stdout is not None
+        assert runner.stdout.readline() == "start\n"
+        time.sleep(0.7)  # the workers are computing
+        runner.kill()
+    time.sleep(2.0)
+    assert read_rows(tmp_path / "cells").rows == {}
+
+
+def test_a_deaf_orphan_writes_no_row_without_the_help_of_linux(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end of its input is enough for a worker to end, in the middle of a task."""
+    monkeypatch.setattr(sys, "path", [str(HERE), *sys.path])
+    environment = {**os.environ, "PYTHONPATH": str(CHECKOUT)}
+    with (tmp_path / "log").open("w") as log, subprocess.Popen(
+        [sys.executable, "-m", "sysid_bench.harness.worker"], stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE, stderr=log, text=True, env=environment,
+    ) as worker:  # fmt: skip
+        assert worker.stdin is not None
+        assert worker.stdout is not None
+        rows = tmp_path / "rows.jsonl"
+        worker.stdin.write(
+            f'{{"parent": {os.getpid()}, "path": ["{HERE}"], "rows": "{rows}"}}\n'
+            '{"call": "harness_tasks:act", "argument": {"do": "sleep 2", "cells": ["a"]}, '
+            '"cells": ["a"]}\n'
+        )
+        worker.stdin.flush()
+        assert "begin" in worker.stdout.readline()
+        start = time.monotonic()
+        worker.stdin.close()
+        assert worker.wait(timeout=10) == 1
+        assert time.monotonic() - start < 1.5
+    assert rows.read_text() == ""
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_keeps_finished_rows_and_kills_the_workers(tmp_path: Path, how: int) -> None:
+    with parent(tmp_path, 0.5) as runner:
+        assert runner.stdout is not None
+        seen = []
+        while "row" not in seen:
+            seen.append(runner.stdout.readline().strip())
+        runner.send_signal(how)
+        rest = runner.stdout.read().split()
+        assert rest[-1] == "interrupted"
+        assert runner.wait(timeout=10) == 0
+    stored = read_rows(tmp_path / "cells")
+    assert 1 <= len(stored.rows) < 4
+    time.sleep(1.0)
+    assert read_rows(tmp_path / "cells") == stored

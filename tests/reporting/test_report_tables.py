@@ -1,0 +1,217 @@
+"""Laws of tables: no cell is lost, no order matters, the best is the best."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid_bench.errors import UsageError
+from sysid_bench.reporting.tables import Table, label, make_table
+from sysid_bench.reporting.tables import labelled as with_labels
+
+STATS = ("median", "mean", "min", "max", "count")
+INTERVALS = ("none", "iqr", "std", "range", "ci95")
+LAYOUTS: tuple[tuple[list[str], list[str]], ...] = (
+    (["robot", "payload"], ["estimator"]),
+    (["robot"], ["noise", "estimator"]),
+    (["estimator"], []),
+    (["payload", "estimator"], ["noise"]),
+)
+
+
+def table_of(cells: pd.DataFrame, rows: list[str], columns: list[str], **cell: str) -> Table:
+    wanted = {"metric": "torque_error", **cell}
+    return make_table(
+        cells, {"name": "t", "rows": rows, "columns": columns, "cells": wanted, "best": "min-bold"}
+    )
+
+
+@pytest.mark.parametrize(("rows", "columns"), LAYOUTS)
+def test_every_cell_is_counted_once(
+    cells: pd.DataFrame, rows: list[str], columns: list[str]
+) -> None:
+    table = table_of(cells, rows, columns)
+    counted = [e.n + e.n_failed + e.missing for e in table.entries.values()]
+    assert sum(counted) == len(cells)
+    lost = sum(e.n_failed for e in table.entries.values())
+    assert lost == (cells["status"] != "ok").sum()
+
+
+@pytest.mark.parametrize("stat", STATS)
+@pytest.mark.parametrize("interval", INTERVALS)
+def test_the_order_of_the_rows_changes_no_number(
+    cells: pd.DataFrame, stat: str, interval: str
+) -> None:
+    shuffled = cells.sample(frac=1, random_state=5)
+    one = table_of(cells, ["robot"], ["estimator"], stat=stat, interval=interval).entries
+    two = table_of(shuffled, ["robot"], ["estimator"], stat=stat, interval=interval).entries
+    assert set(one) == set(two)
+    for key, entry in one.items():
+        np.testing.assert_allclose(numbers(entry), numbers(two[key]), rtol=1e-12)
+        assert dict(entry.failures) == dict(two[key].failures)
+
+
+@pytest.mark.parametrize("interval", INTERVALS)
+def test_another_robot_changes_no_other_number(cells: pd.DataFrame, interval: str) -> None:
+    two_robots = cells[cells["robot"] != "panda"]
+    fewer = table_of(two_robots, ["robot"], ["estimator"], interval=interval).entries
+    more = table_of(cells, ["robot"], ["estimator"], interval=interval).entries
+    assert all(numbers(more[key]) == numbers(entry) for key, entry in fewer.items())
+
+
+@pytest.mark.parametrize("interval", ["iqr", "range", "std", "ci95"])
+@pytest.mark.parametrize("stat", ["median", "mean"])
+def test_an_interval_holds_its_number(cells: pd.DataFrame, stat: str, interval: str) -> None:
+    noisy = cells[cells["noise"] != "exact"]
+    table = table_of(noisy, ["robot"], ["estimator"], stat=stat, interval=interval)
+    for entry in table.entries.values():
+        assert entry.value is not None
+        assert entry.low is not None
+        assert entry.high is not None
+        if (stat, interval) != ("mean", "iqr"):  # a mean may leave the quartiles
+            assert entry.low <= entry.value <= entry.high
+        assert entry.low < entry.high
+
+
+def test_nothing_is_measured_from_one_repeat(cells: pd.DataFrame) -> None:
+    table = table_of(cells[cells["repeat"] == 0], ["robot"], ["estimator"], interval="ci95")
+    assert all(entry.low is None for entry in table.entries.values())
+
+
+def test_a_group_without_a_number_shows_its_most_frequent_failure(cells: pd.DataFrame) -> None:
+    table = table_of(cells, ["robot", "payload"], ["estimator"])
+    lost = {key: e for key, e in table.entries.items() if e.value is None}
+    assert {key[0][0] for key in lost} == {"anymal_c"}
+    for (_, column), entry in lost.items():
+        assert entry.word == ("unsupported" if column == ("wls",) else "failed")
+
+
+def test_a_group_with_some_failures_has_a_note_that_counts_them(cells: pd.DataFrame) -> None:
+    table = table_of(cells, ["robot", "payload"], ["estimator"])
+    for entry in table.entries.values():
+        silent = entry.value is not None and entry.n_failed > 0 and not entry.note
+        assert not silent
+        if entry.note:
+            assert f"{entry.n_failed} of {entry.n_failed + entry.n}" in entry.note
+            assert entry.note in table.marks
+
+
+def test_ok_without_a_value_is_no_number_and_no_failure(cells: pd.DataFrame) -> None:
+    table = table_of(cells.assign(payload_error=np.nan), ["robot"], [], metric="payload_error")
+    for entry in table.entries.values():
+        assert entry.value is None
+        assert entry.n == 0
+        assert entry.missing > 0
+
+
+@pytest.mark.parametrize(("rows", "columns"), LAYOUTS)
+@pytest.mark.parametrize("best", ["min-bold", "max-bold"])
+def test_the_best_are_those_that_no_competitor_beats(
+    cells: pd.DataFrame, rows: list[str], columns: list[str], best: str
+) -> None:
+    wanted = {"metric": "torque_error"}
+    table = make_table(cells, {"rows": rows, "columns": columns, "cells": wanted, "best": best})
+    fields = rows + columns
+    sign = 1 if best == "min-bold" else -1
+    for key, entry in table.entries.items():
+        rivals = [
+            other.value
+            for place, other in table.entries.items()
+            if other.value is not None
+            and all(
+                mine == theirs
+                for name, mine, theirs in zip(
+                    fields, key[0] + key[1], place[0] + place[1], strict=True
+                )
+                if name != "estimator"
+            )
+        ]
+        if entry.value is not None and sign * entry.value == min(sign * v for v in rivals):
+            assert entry.best
+        if entry.best:
+            assert entry.value is not None
+            assert sign * entry.value <= min(sign * v for v in rivals) + abs(entry.value) * 0.01
+
+
+def test_numbers_that_print_alike_are_all_best() -> None:
+    values = {"a": 0.12341, "b": 0.12339, "c": 0.2}
+    rows = [
+        {"robot": "r", "estimator": k, "status": "ok", "torque_error": v} for k, v in values.items()
+    ]
+    table = table_of(pd.DataFrame(rows), ["robot"], ["estimator"])
+    assert [e.best for e in table.entries.values()] == [True, True, False]
+
+
+def test_rows_and_columns_stand_in_the_order_of_the_cells(cells: pd.DataFrame) -> None:
+    table = table_of(cells.iloc[::-1], ["robot", "payload"], ["noise", "estimator"])
+    assert [row[0] for row in table.rows[::3]] == ["anymal_c", "panda", "ur5"]
+    assert table.columns == (
+        ("q 1e-4 rad, tau 0.5 %", "wls"),
+        ("q 1e-4 rad, tau 0.5 %", "ols"),
+        ("exact", "wls"),
+        ("exact", "ols"),
+    )
+
+
+def test_a_table_says_over_what_it_pools(cells: pd.DataFrame) -> None:
+    pooled = table_of(cells, ["robot"], ["estimator"])
+    assert "2 of noise" in pooled.notes[0]
+    assert "3 of payload" in pooled.notes[0]
+    assert table_of(cells, ["robot", "payload"], ["noise", "estimator"]).notes == ()
+
+
+def test_a_selection_is_a_table_of_the_chosen_cells(
+    cells: pd.DataFrame, spec: Mapping[str, Any]
+) -> None:
+    def choose(expression: str, cell: Mapping[str, Any]) -> bool:
+        return bool(cell["noise"] == expression)
+
+    chosen = make_table(cells[cells["noise"] == "exact"], spec).entries
+    assert make_table(cells, {**spec, "select": {"noise": "exact"}}).entries == chosen
+    assert make_table(cells, {**spec, "select": "exact"}, choose).entries == chosen
+    with pytest.raises(UsageError, match="no cell"):
+        make_table(cells, {**spec, "select": {"noise": ["loud"]}})
+    with pytest.raises(UsageError, match="choose"):
+        make_table(cells, {**spec, "select": "exact"})
+
+
+@pytest.mark.parametrize(
+    ("change", "near"),
+    [
+        ({"row": ["robot"]}, "rows"),
+        ({"rows": ["robt"]}, "robot"),
+        ({"columns": ["estimater"]}, "estimator"),
+        ({"best": "min-bolt"}, "min-bold"),
+        ({"select": {"nois": "exact"}}, "noise"),
+        ({"cells": {"metric": "torque_eror"}}, "torque_error"),
+        ({"cells": {"metric": "torque_error", "stat": "mediam"}}, "median"),
+        ({"cells": {"metric": "torque_error", "interval": "ci90"}}, "ci95"),
+        ({"cells": {"metric": "torque_error", "statt": "mean"}}, "stat"),
+    ],
+)
+def test_a_wrong_word_is_refused_with_the_nearest(
+    cells: pd.DataFrame, spec: Mapping[str, Any], change: dict[str, Any], near: str
+) -> None:
+    with pytest.raises(UsageError, match=f"Did you mean '{near}'"):
+        make_table(cells, {**spec, **change})
+
+
+SETTINGS = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text()),
+    lambda inner: st.one_of(st.lists(inner), st.dictionaries(st.text(), inner)),
+    max_leaves=6,
+)
+
+
+@given(st.lists(SETTINGS, min_size=1, max_size=5))
+def test_any_setting_can_be_a_label(settings: list[Any]) -> None:
+    frame = pd.DataFrame({"payload": pd.Series(settings, dtype=object), "status": "ok"})
+    assert list(with_labels(frame)["payload"]) == [label(value) for value in settings]
+
+
+def numbers(entry: Any) -> list[float]:
+    return [np.inf if v is None else v for v in (entry.value, entry.low, entry.high, entry.n)]

@@ -1,0 +1,279 @@
+"""Who may import whom: the map of the house, its side-by-side rooms and its four walls.
+
+Imports are read from the syntax, also inside functions and under TYPE_CHECKING; names in strings
+(importlib, entry points) are ways to be handed a thing, and are left alone.
+"""
+
+import ast
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1] / "sysid_bench"
+PACKAGE = "sysid_bench"
+
+BASE = frozenset({"types", "spatial", "naming", "places", "errors", "units"})
+TOP = frozenset({"__init__", "__main__", "cli", "verbs", "pytest_plugin"})
+BELOW_EVALUATION = frozenset(
+    {"models", "regressors", "identifiability"}
+    | {"excitation", "simulation", "signals", "identification"}
+)
+# room -> the rooms it may import beside itself and the base.
+MAP: dict[str, frozenset[str]] = {
+    **dict.fromkeys(BASE, frozenset()),
+    "models": frozenset(),
+    "regressors": frozenset({"models"}),
+    "identifiability": frozenset({"models", "regressors"}),
+    "excitation": frozenset({"models", "regressors", "identifiability"}),
+    "signals": frozenset({"models", "regressors", "identifiability"}),
+    # Not identifiability: it would let the regressors in by the back door.
+    "simulation": frozenset({"models"}),
+    "identification": frozenset({"identifiability"}),
+    "evaluation": BELOW_EVALUATION,
+    # What strangers are held to is measured with the metrics of evaluation, never the reverse.
+    "conformance": BELOW_EVALUATION | {"evaluation"},
+    "harness": BELOW_EVALUATION | {"evaluation", "conformance"},
+    "reporting": BELOW_EVALUATION | {"evaluation", "conformance"},
+}
+SIDE_BY_SIDE = (
+    frozenset({"excitation", "simulation", "signals", "identification"}),
+    frozenset({"harness", "reporting"}),
+)
+ENGINES = frozenset({"mujoco", "pinocchio"})
+SECRETS = re.compile(r"\b(Oracle|Truth)\b")
+SECRET_ROOMS = frozenset({"types", "models", "simulation", "evaluation", "harness"})
+
+
+def room_of(file: Path, root: Path) -> str:
+    """The first word below the package: a folder, or a file without its suffix."""
+    return file.relative_to(root).parts[0].removesuffix(".py")
+
+
+def imports(file: Path, root: Path) -> Iterator[tuple[int, str]]:
+    """(line, dotted module) of every import; `from a import b` yields a.b, module or not."""
+    package = [PACKAGE, *file.relative_to(root).parts[:-1]]
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            start = package[: len(package) + 1 - node.level] if node.level else []
+            parts = start + ([node.module] if node.module else [])
+            yield from ((node.lineno, ".".join([*parts, alias.name])) for alias in node.names)
+
+
+def rooms_imported(file: Path, root: Path) -> Iterator[tuple[int, str]]:
+    """(line, room) of every import of ours; the package itself counts as the room `__init__`."""
+    for line, module in imports(file, root):
+        first, _, rest = module.partition(".")
+        if first == PACKAGE:
+            room = rest.partition(".")[0]
+            yield line, room if room in MAP or room in TOP else "__init__"
+
+
+def off_the_map(file: Path, root: Path) -> list[str]:
+    """Imports that the map does not grant, and files that it does not know."""
+    room = room_of(file, root)
+    if room in TOP:
+        return []
+    if room not in MAP:
+        return [
+            f"{file}: {room!r} is no room of the map in {Path(__file__).name}; give it a place."
+        ]
+    granted = MAP[room] | BASE | {room}
+    return [
+        f"{file}:{line} imports {other}; {room} may import {', '.join(sorted(granted - {room}))}."
+        for line, other in rooms_imported(file, root)
+        if other not in granted
+    ]
+
+
+def across_the_landing(file: Path, root: Path) -> list[str]:
+    """Imports between rooms that stand side by side."""
+    room = room_of(file, root)
+    neighbours = {other for group in SIDE_BY_SIDE if room in group for other in group - {room}}
+    return [
+        f"{file}:{line} imports {other}, which stands beside {room}: they meet one floor up."
+        for line, other in rooms_imported(file, root)
+        if other in neighbours
+    ]
+
+
+def plant_sees_the_tested(file: Path, root: Path) -> list[str]:
+    """Wall 1: what makes the data never sees what is tested on it."""
+    if room_of(file, root) != "simulation":
+        return []
+    return [
+        f"{file}:{line} imports {other}: simulation must not know what is tested on its data."
+        for line, other in rooms_imported(file, root)
+        if other in ("regressors", "identification")
+    ]
+
+
+def witness_knows_us(file: Path, root: Path) -> list[str]:
+    """Wall 2: the reference regressor imports no other regressor module."""
+    if file.relative_to(root) != Path("regressors/reference.py"):
+        return []
+    return [
+        f"{file}:{line} imports regressors: the witness must stay independent."
+        for line, other in rooms_imported(file, root)
+        if other == "regressors"
+    ]
+
+
+def method_holds_an_engine(file: Path, root: Path) -> list[str]:
+    """Wall 3: methods get simulators and regressors injected, as functions."""
+    if room_of(file, root) != "identification":
+        return []
+    engines = [(line, module.partition(".")[0]) for line, module in imports(file, root)]
+    ours = rooms_imported(file, root)
+    return [
+        f"{file}:{line} imports {other}: identification takes it as a function instead."
+        for line, other in [*engines, *ours]
+        if other in ENGINES | {"models", "regressors"}
+    ]
+
+
+def truth_is_named(file: Path, root: Path) -> list[str]:
+    """Wall 4: the nouns that hold the truth are named only where it is made, told or scored."""
+    if room_of(file, root) in SECRET_ROOMS:
+        return []
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return [
+        f"{file}:{line} names {name}: only {', '.join(sorted(SECRET_ROOMS))} may."
+        for line, text in identifiers(tree)
+        for name in SECRETS.findall(text)
+    ]
+
+
+def identifiers(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """(line, text) of names, attributes, definitions, arguments, imports, quoted annotations."""
+    for node in ast.walk(tree):
+        for word in ("id", "attr", "name", "arg", "asname"):
+            text = getattr(node, word, None)
+            if isinstance(text, str):
+                yield getattr(node, "lineno", 0), text
+        for word in ("annotation", "returns"):
+            for part in ast.walk(getattr(node, word, None) or ast.Pass()):
+                if isinstance(part, ast.Constant) and isinstance(part.value, str):
+                    yield part.lineno, part.value
+
+
+Rule = Callable[[Path, Path], list[str]]
+RULES: tuple[Rule, ...] = (
+    off_the_map,
+    across_the_landing,
+    plant_sees_the_tested,
+    witness_knows_us,
+    method_holds_an_engine,
+    truth_is_named,
+)
+FILES = sorted(ROOT.rglob("*.py"))
+
+
+def named(thing: object) -> str:
+    return str(thing.relative_to(ROOT)) if isinstance(thing, Path) else thing.__name__  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("file", FILES, ids=named)
+@pytest.mark.parametrize("rule", RULES, ids=named)
+def test_every_file_keeps_the_rule(rule: Rule, file: Path) -> None:
+    assert not rule(file, ROOT), "\n".join(rule(file, ROOT))
+
+
+def test_the_walk_sees_the_package() -> None:
+    assert {"types.py", "naming.py"} <= {file.name for file in FILES}
+
+
+# --- The checker itself, on trees that are wrong in one place -----------------------------------
+
+BAD = [
+    (off_the_map, "models/load.py", "from sysid_bench.regressors import body"),
+    (off_the_map, "spatial/inertia.py", "def f():\n    import sysid_bench.models.load"),
+    (off_the_map, "units.py", "from sysid_bench import models"),
+    (off_the_map, "harness/plan.py", "import sysid_bench"),
+    (off_the_map, "harness/plan.py", "from sysid_bench import __version__"),
+    (off_the_map, "harness/plan.py", "from .. import cli"),
+    (off_the_map, "evaluation/crosscheck.py", "from ..harness import plan"),
+    (off_the_map, "evaluation/crosscheck.py", "from sysid_bench.conformance import check"),
+    (off_the_map, "simulation/inverse.py", "from sysid_bench.identifiability import base"),
+    (off_the_map, "stranger.py", ""),
+    (across_the_landing, "excitation/fourier.py", "from sysid_bench.signals.noise import White"),
+    (across_the_landing, "signals/noise.py", "from ..simulation import inverse"),
+    (across_the_landing, "reporting/html.py", "from sysid_bench import harness"),
+    (across_the_landing, "harness/run.py", "import sysid_bench.reporting.html as html"),
+    (plant_sees_the_tested, "simulation/inverse.py", "import sysid_bench.regressors.body"),
+    (plant_sees_the_tested, "simulation/effects/a.py", "from ...identification import identify"),
+    (witness_knows_us, "regressors/reference.py", "from sysid_bench.regressors.body import Y"),
+    (witness_knows_us, "regressors/reference.py", "from . import body"),
+    (witness_knows_us, "regressors/reference.py", "def f():\n    from .body import Y"),
+    (method_holds_an_engine, "identification/estimators/iv.py", "import mujoco.rollout"),
+    (method_holds_an_engine, "identification/identify.py", "from pinocchio import rnea"),
+    (
+        method_holds_an_engine,
+        "identification/identify.py",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from ..models import robot",
+    ),
+    (method_holds_an_engine, "identification/identify.py", "from sysid_bench import regressors"),
+    (truth_is_named, "identification/identify.py", "from sysid_bench.types import Oracle"),
+    (truth_is_named, "identification/identify.py", "from x import y as Truth"),
+    (truth_is_named, "identification/identify.py", "import x\nx.Truth"),
+    (truth_is_named, "signals/noise.py", 'def f(peek: "Oracle | None"):\n    pass'),
+    (truth_is_named, "regressors/body.py", 'def f() -> "list[Truth]":\n    pass'),
+    (truth_is_named, "cli.py", "class Oracle:\n    pass"),
+]
+GOOD = [
+    ("errors.py", ""),
+    ("naming.py", "import importlib\nimportlib.import_module('sysid_bench.models')"),
+    ("naming.py", "from sysid_bench.errors import UsageError\nfrom sysid_bench import units"),
+    (
+        "regressors/reference.py",
+        "import pinocchio\nfrom sysid_bench.models.robot import RobotModel",
+    ),
+    ("regressors/body.py", "from .derive import Y\nfrom . import kernel"),
+    ("simulation/inverse.py", "import mujoco\nfrom sysid_bench.types import Oracle, Truth"),
+    ("identification/identify.py", '"""Neither Oracle nor Truth."""\nimport numpy'),
+    ("reporting/tables.py", "HEAD = 'Truth'\nfrom sysid_bench.evaluation.metrics import rms"),
+    ("cli.py", "from sysid_bench import harness, reporting\nimport mujoco"),
+    ("__init__.py", "from sysid_bench.harness.run import run"),
+]
+
+
+def write(root: Path, name: str, text: str) -> Path:
+    file = root / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize(("rule", "name", "text"), BAD)
+def test_a_broken_rule_is_seen_and_named(rule: Rule, name: str, text: str, tmp_path: Path) -> None:
+    file = write(tmp_path, name, text)
+    said = rule(file, tmp_path)
+    assert said
+    assert all(line.startswith(str(file)) for line in said)
+
+
+@pytest.mark.parametrize(("name", "text"), GOOD)
+def test_what_is_allowed_is_let_through(name: str, text: str, tmp_path: Path) -> None:
+    file = write(tmp_path, name, text)
+    assert [line for rule in RULES for line in rule(file, tmp_path)] == []
+
+
+def test_the_map_grants_nothing_across_a_landing_and_has_no_circle() -> None:
+    assert not [r for group in SIDE_BY_SIDE for r in group if MAP[r] & group]
+    reach = {room: set(others) for room, others in MAP.items()}
+    for _ in MAP:
+        reach = {room: seen.union(*(reach[o] for o in seen)) for room, seen in reach.items()}
+    assert not [room for room, seen in reach.items() if room in seen]
+
+
+def test_the_nouns_refuse_wrong_shapes_here() -> None:
+    from sysid_bench.types import Trajectory
+
+    t, q = np.zeros(4), np.zeros((4, 2))
+    assert len(Trajectory(t, q, q, q)) == 4
+    with pytest.raises(TypeError, match="Trajectory"):
+        Trajectory(t, q, q, q[:3])

@@ -1,0 +1,67 @@
+"""Start-up: naming the package or asking for help loads nothing heavy."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+HEAVY = ("mujoco", "pinocchio", "sympy", "pandas", "matplotlib", "rerun", "pydantic", "scipy")
+HELP = """
+import sys
+from sysid_bench.cli import main
+sys.argv = ["sysid-bench", "--help"]
+try:
+    main()
+except SystemExit as end:
+    assert end.code in (0, None), end.code
+"""
+VERBS = {
+    *("crosscheck", "basis", "list", "show", "plan", "run", "status", "cell", "table", "report"),
+    *("record", "view", "identify", "excite", "check-plugin", "doctor"),
+}
+
+
+def python(code: str) -> subprocess.CompletedProcess[str]:
+    """What a fresh interpreter in the checkout answers."""
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, text=True, capture_output=True, timeout=60
+    )
+
+
+def heavy_after(code: str) -> list[str]:
+    """The heavy packages that a fresh interpreter holds after running some code."""
+    last = f"import json, sys\nprint(json.dumps([m for m in {HEAVY!r} if m in sys.modules]))"
+    done = python(f"{code}\n{last}")
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    assert heavy_after("import sysid_bench; assert sysid_bench.__file__") == []
+
+
+def test_asking_for_help_loads_nothing_heavy() -> None:
+    assert heavy_after(HELP) == []
+
+
+@pytest.mark.parametrize("package", ["scipy", "sympy"])
+def test_the_probe_sees_what_is_loaded(package: str) -> None:
+    assert package in heavy_after(f"import {package}")
+
+
+def test_help_names_every_verb() -> None:
+    done = python(HELP)
+    assert done.returncode == 0, done.stderr
+    shown = set(re.findall(r"^\s+([a-z-]+)\s", done.stdout + "\n", re.MULTILINE))
+    assert shown >= VERBS, f"not in --help: {sorted(VERBS - shown)}"
+
+
+def test_the_package_offers_what_python_users_are_promised() -> None:
+    promised = "s.run, s.open_run, s.crosscheck"
+    done = python(f"import sysid_bench as s; print(*(callable(f) for f in ({promised})))")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["True"] * 3
