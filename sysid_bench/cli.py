@@ -77,7 +77,11 @@ def _json(value: Any) -> None:
 @json_option
 @verb
 def crosscheck(
-    robots: tuple[str, ...], samples: int, free_base: bool | None, robots_dir: Path | None, as_json: bool
+    robots: tuple[str, ...],
+    samples: int,
+    free_base: bool | None,
+    robots_dir: Path | None,
+    as_json: bool,
 ) -> int:
     """Compare a robot's regressor between MuJoCo and Pinocchio.
 
@@ -99,10 +103,13 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
         click.echo(f"sysid-bench: {verdict['robot']}: {verdict['reason']}", err=True)
         return
     native = verdict["native_gap"]
-    told = f"native gap {native:.1e}" if native is not None else f"native: {verdict['native_reason']}"
+    told = (
+        f"native gap {native:.1e}" if native is not None else f"native: {verdict['native_reason']}"
+    )
     word = click.style("agrees", fg="green") if verdict["ok"] else click.style("DIFFERS", fg="red")
     click.echo(
-        f"{verdict['robot']}: {word}  gap {verdict['gap']:.1e}  closure {verdict['closure']:.1e}  {told}\n"
+        f"{verdict['robot']}: {word}  gap {verdict['gap']:.1e}  "
+        f"closure {verdict['closure']:.1e}  {told}\n"
         f"  {verdict['nv']} degrees of freedom, {verdict['bodies']} bodies, "
         f"{verdict['base_parameters']} base parameters"
         + (f" ({verdict['near_degenerate']} near-degenerate)" if verdict["near_degenerate"] else "")
@@ -154,12 +161,18 @@ def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
 @main.command()
 @click.argument("suite")
 @click.option("--select", help="Only cells that meet this expression.")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Change a key of the suite.")
+@click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Change a key of the suite."
+)
 @robots_option
 @json_option
 @verb
 def plan(
-    suite: str, select: str | None, settings: tuple[str, ...], robots_dir: Path | None, as_json: bool
+    suite: str,
+    select: str | None,
+    settings: tuple[str, ...],
+    robots_dir: Path | None,
+    as_json: bool,
 ) -> int:
     """Validate a suite and count its cells; nothing runs."""
     from sysid_bench.verbs.runs import plan as planned
@@ -169,7 +182,15 @@ def plan(
     except SysidBenchError as error:
         if not as_json:
             raise
-        _json({"cells": 0, "experiments": 0, "excluded": {}, "seconds": 0, "errors": str(error).splitlines()})
+        _json(
+            {
+                "cells": 0,
+                "experiments": 0,
+                "excluded": {},
+                "seconds": 0,
+                "errors": str(error).splitlines(),
+            }
+        )
         return USAGE
     if as_json:
         counts = {"cells": len(made.cells), "experiments": len(made.experiments)}
@@ -177,7 +198,8 @@ def plan(
         _json({**counts, **more, "notes": list(made.notes)})
         return OK
     click.echo(
-        f"{len(made.cells)} cells in {len(made.experiments)} experiments, about {made.seconds:.0f} s of one core"
+        f"{len(made.cells)} cells in {len(made.experiments)} experiments, "
+        f"about {made.seconds:.0f} s of one core"
     )
     for reason, count in made.excluded.items():
         click.echo(f"{count} cells excluded: {reason}")
@@ -188,15 +210,21 @@ def plan(
 
 @main.command()
 @click.argument("suite", metavar="SUITE|RUN")
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Run folder; default reports/<suite>.")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), help="Run folder; default reports/<suite>."
+)
 @click.option("-j", "--jobs", type=click.IntRange(min=1), help="Workers; default one per core.")
 @click.option("--select", help="Only cells that meet this expression.")
 @click.option("--limit", type=click.IntRange(min=0), help="Only the first N cells.")
 @click.option("--timeout", metavar="60s", help="Hard limit per experiment.")
-@click.option("--rerun", type=click.Choice(["failed", "stale", "all"]), help="Run these cells again.")
+@click.option(
+    "--rerun", type=click.Choice(["failed", "stale", "all"]), help="Run these cells again."
+)
 @click.option("--record", metavar="SPEC", help="Record cells that meet this expression.")
 @click.option("--fail-fast", is_flag=True, help="Stop at the first failure.")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Change a key of the suite.")
+@click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE", help="Change a key of the suite."
+)
 @robots_option
 @verb
 def run(

@@ -89,7 +89,9 @@ def _settings(kind: str, name: str, make: Any, given: Mapping[str, Any]) -> dict
     free = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
     units = {}
     if dataclasses.is_dataclass(make):
-        units = {f.name: f.metadata["unit"] for f in dataclasses.fields(make) if "unit" in f.metadata}
+        units = {
+            f.name: f.metadata["unit"] for f in dataclasses.fields(make) if "unit" in f.metadata
+        }
     values = {}
     for key, value in given.items():
         if key not in parameters and not free:

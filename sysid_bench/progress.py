@@ -16,12 +16,21 @@ def progress() -> Iterator["OnEvent"]:
         yield _silent
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[done]}/{task.fields[cells]} cells"),
-        TimeElapsedColumn(), TimeRemainingColumn(),
-    )  # fmt: skip
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[done]}/{task.fields[cells]} cells"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("running", total=None, done=0, cells=0)
         costs: dict[str, float] = {}
@@ -35,7 +44,9 @@ def progress() -> Iterator["OnEvent"]:
                 met["done"] += 1
                 met["failed"] += data["status"] in ("failed", "timeout", "crash")
                 words = f"running ({met['failed']} failed)" if met["failed"] else "running"
-                bar.update(task, advance=costs.get(data["id"], 0.0), done=met["done"], description=words)
+                bar.update(
+                    task, advance=costs.get(data["id"], 0.0), done=met["done"], description=words
+                )
 
         yield listen
 

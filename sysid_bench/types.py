@@ -247,7 +247,7 @@ class Score:
     rmse_train: float | None = None  # N m, N: residual on the measured training torque
     rmse_test: float | None = None  # N m, N: all held-out motions, all joints
     torque_error: float | None = None  # held-out RMS error / RMS torque, joints scaled first
-    torque_error_by_motion: Mapping[str, float] = field(default_factory=dict)
+    torque_error_by_motion: Mapping[str, float | None] = field(default_factory=dict)
     rank: int | None = None  # base parameters of the task
     data_rank: int | None = None  # of them, excited by the training motion
     parameters: int | None = None  # p
@@ -264,7 +264,9 @@ class Score:
     feasible: bool | None = None
     min_eigenvalue: float | None = None  # smallest of any body's pseudo-inertia
     plausible: bool | None = None
-    joints: tuple[Mapping[str, Any], ...] = ()  # per row: name rmse_train rmse_test rms relative small
+    joints: tuple[
+        Mapping[str, Any], ...
+    ] = ()  # per row: name rmse_train rmse_test rms relative small
 
 
 ShapeKind = Literal["mesh", "box", "sphere", "cylinder", "capsule", "ellipsoid"]

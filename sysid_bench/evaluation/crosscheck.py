@@ -45,7 +45,9 @@ class CrossCheck:
         if self.native_gap is not None:
             figures.append(("native gap", self.native_gap, tolerance))
         return "; ".join(
-            f"{name} {value:.2g} is above {limit:.2g}" for name, value, limit in figures if not value <= limit
+            f"{name} {value:.2g} is above {limit:.2g}"
+            for name, value, limit in figures
+            if not value <= limit
         )
 
 

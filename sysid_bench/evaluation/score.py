@@ -7,11 +7,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.identification.compressed import compress, excited_rank, residual_norms
+from sysid_bench.regressors.fold import triangle
 from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
 from sysid_bench.types import Array, Estimate, Problem, Score, Truth
 
 SMALL_JOINT: Final = 0.01
-"""A row whose RMS torque is below this share of the largest of its kind is listed apart."""
+"""A row whose RMS torque is below this share of the largest is listed apart."""
 
 
 def score(
@@ -33,7 +34,9 @@ def score(
         rmse_train=_rmse([problem], beta),
         rmse_test=_rmse(tests, beta) if tests else None,
         torque_error=_torque_error(tests, beta) if tests else None,
-        torque_error_by_motion={name: _torque_error([test], beta) for name, test in held_out.items()},
+        torque_error_by_motion={
+            name: _torque_error([test], beta) for name, test in held_out.items()
+        },
         parameter_error=_parameter_error(tests, beta, beta_true) if tests else None,
         beta_error=_relative(beta - beta_true, beta_true),
         joints=tuple(joints),
@@ -63,21 +66,26 @@ def data_figures(problem: Problem, held_out: Mapping[str, Problem]) -> dict[str,
     return figures
 
 
-def d_optimality(problem: Problem, held_out: list[Problem]) -> float:
+def d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
     """log det of the information that the training motion gives about the held-out torques.
 
     With rows scaled by the held-out RMS torque of their joint, R of the training motion and R_h
     of the held-out ones, the errors of the predicted torques have the covariance R_h (R'R)^-1
     R_h' up to the noise variance; this is minus the log of its determinant, per mean sample, over
-    the directions that the held-out motions excite at all.
+    the directions that the held-out motions excite at all. None where the rows that carry torque
+    do not tell every parameter: a row without held-out torque has no scale.
     """
     r = problem.base.rank
     rms = _row_rms(held_out)
     weights = np.where(rms > 0, 1.0 / np.where(rms > 0, rms, 1.0), 0.0).tolist()
     train = compress(problem, weights)[:r, :r]
-    tests = np.linalg.qr(np.concatenate([compress(test, weights)[:r, :r] for test in held_out]), mode="r")
+    if excited_rank(train) < r:
+        return None
+    tests = triangle(compress(test, weights)[:r, :r] for test in held_out)
     samples = sum(test.samples for test in held_out)
-    spreads = np.linalg.svd(solve_triangular(train, tests.T, trans="T").T / np.sqrt(samples), compute_uv=False)
+    spreads = np.linalg.svd(
+        solve_triangular(train, tests.T, trans="T").T / np.sqrt(samples), compute_uv=False
+    )
     spreads = spreads[spreads > 1e-9 * spreads[0]]
     return float(-2 * np.log(spreads).sum())
 
@@ -160,7 +168,9 @@ def _body_figures(estimate: Estimate, problem: Problem, truth: Truth) -> dict[st
         "feasible": bool((smallest >= -1e-9 * scale).all()),
     }
     if len(problem.bodies) == 1:
-        figures |= _payload_figures(phi[0], truth.theta[[places[c] for c in problem.bodies[0].columns]])
+        figures |= _payload_figures(
+            phi[0], truth.theta[[places[c] for c in problem.bodies[0].columns]]
+        )
     return figures
 
 

@@ -49,7 +49,9 @@ class Brief:
         """The time grid (N,) of a motion; raises UsageError where it has fewer than ten samples."""
         count = round(duration * self.rate)
         if count < 10:
-            raise UsageError(f"A motion of {duration} s at {self.rate} Hz has {count} samples; it needs 10.")
+            raise UsageError(
+                f"A motion of {duration} s at {self.rate} Hz has {count} samples; it needs 10."
+            )
         return np.arange(count) / self.rate
 
     def trajectory(
@@ -78,9 +80,14 @@ def brief_of(robot: RobotModel, rate: float) -> Brief:
     v, a = robot.limits.v.copy(), robot.limits.a.copy()
     for joint in robot.joints:
         if joint.kind == "free":
-            low[joint.vadr : joint.vadr + 3], high[joint.vadr : joint.vadr + 3] = -FLOATING_REACH[0], FLOATING_REACH[0]
+            low[joint.vadr : joint.vadr + 3], high[joint.vadr : joint.vadr + 3] = (
+                -FLOATING_REACH[0],
+                FLOATING_REACH[0],
+            )
         if joint.kind in ("free", "ball"):
-            turn = slice(joint.vadr + (3 if joint.kind == "free" else 0), joint.vadr + len(joint.dofs))
+            turn = slice(
+                joint.vadr + (3 if joint.kind == "free" else 0), joint.vadr + len(joint.dofs)
+            )
             low[turn], high[turn] = -FLOATING_REACH[1], FLOATING_REACH[1]
             # One body axis may see the whole rate of the rotation vector, sqrt(3) of a component;
             # that vector's curvature adds less than half the squared rate to the acceleration.

@@ -22,7 +22,11 @@ def fit(shape: Shape, grid: Array, brief: Brief, rng: np.random.Generator) -> tu
     room = brief.high - brief.low
     with np.errstate(divide="ignore"):
         scale = MARGIN * np.minimum.reduce(
-            [room / (top - bottom), brief.v / np.abs(dx).max(axis=0), brief.a / np.abs(ddx).max(axis=0)]
+            [
+                room / (top - bottom),
+                brief.v / np.abs(dx).max(axis=0),
+                brief.a / np.abs(ddx).max(axis=0),
+            ]
         )
     margin = 0.5 * (1 - MARGIN) * room
     first, last = brief.low + margin - scale * bottom, brief.high - margin - scale * top

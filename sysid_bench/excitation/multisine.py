@@ -23,7 +23,9 @@ class MultiSine:
     def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
         """A motion of `duration`; raises UsageError for settings that make none."""
         if not (is_count(self.sines) and 0 < self.lowest <= self.highest and self.duration > 0):
-            raise UsageError(f"{self}: sines from 1 on, 0 < lowest <= highest, a positive duration.")
+            raise UsageError(
+                f"{self}: sines from 1 on, 0 < lowest <= highest, a positive duration."
+            )
         size = (self.sines, brief.nv)
         w = 2 * np.pi * rng.uniform(self.lowest, self.highest, size)
         # Amplitudes fall with frequency, so that every sine adds a similar velocity.

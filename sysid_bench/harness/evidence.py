@@ -16,7 +16,7 @@ from sysid_bench.types import Array, Estimate, Evidence, Row
 
 
 def evidence(argument: Mapping[str, Any], row: Row) -> Evidence:
-    """The evidence of the first estimator of `argument` (see harness/run.py), beside its stored row.
+    """The evidence of the first estimator of `argument` (see harness/argument.py), beside its row.
 
     Raises the error that the cell itself ended with, where it never came to an estimate.
     """
@@ -63,4 +63,3 @@ def _predicted(ready: Prepared, estimate: Estimate) -> Array | None:
         return None
     blocks = ready.experiment.regress(ready.experiment.recording.motion)
     return np.concatenate([block @ estimate.beta for block in blocks]) + ready.known
-

@@ -50,16 +50,17 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
 def _verdict(robot: Subject, rule: Mapping[str, Any]) -> Row:
     """What is known of the robot before anything is identified."""
     check = robot.check
-    return {
+    figures: Row = {
         "gap": check.gap,
         "closure": check.closure,
         "native_gap": check.native_gap,
         "native_reason": check.native_reason,
         "crosscheck": "ok" if check.ok(rule["tolerance"]) else "failed",
-        "repairs": list(robot.robot.repairs),
+        "repairs": "; ".join(robot.robot.repairs),
         "nv": robot.robot.nv,
         "free_base": robot.robot.floating,
     }
+    return dict(plain(figures))
 
 
 def _emit_all(argument: Mapping[str, Any], emit: Emit, outcome: Row) -> None:
@@ -79,17 +80,25 @@ def _answer(spec: Mapping[str, Any], ready: Prepared) -> Row:
     settings = {key: value for key, value in spec.items() if key not in ("cell", "label")}
     try:
         estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
+        return _judged(estimate, ready)
     except SysidBenchError as error:
-        return {"status": "failed", "reason": str(error), **data_figures(ready.problem, ready.held_out)}
+        failure = {"reason": str(error)}
     except Exception as error:
-        return {
-            "status": "failed",
+        failure = {
             "reason": f"{type(error).__name__}: {error}",
             "traceback": traceback.format_exc(),
-            **data_figures(ready.problem, ready.held_out),
         }
+    figures = data_figures(ready.problem, ready.held_out)
+    return dict(plain({"status": "failed", **failure, **figures}))
+
+
+def _judged(estimate: Estimate, ready: Prepared) -> Row:
     stats = dict(estimate.stats)
-    outcome: Row = {"status": estimate.status, "reason": estimate.reason, "seconds": stats.pop("seconds")}
+    outcome: Row = {
+        "status": estimate.status,
+        "reason": estimate.reason,
+        "seconds": stats.pop("seconds"),
+    }
     outcome |= asdict(score(estimate, ready.problem, ready.held_out, ready.truth))
     outcome["stats"] = stats
     outcome["parameters_table"] = list(_parameters(estimate, ready.problem, ready.truth))

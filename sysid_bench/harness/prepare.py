@@ -1,15 +1,22 @@
 """One experiment made ready: simulated once, its regressor reduced once, for all its estimators."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
 from sysid_bench.excitation.brief import brief_of
 from sysid_bench.harness.robots import Subject
-from sysid_bench.harness.spec import ExperimentSpec, held_out_seed, motion_seed, noise_seed, prior_seed
+from sysid_bench.harness.spec import (
+    ExperimentSpec,
+    held_out_seed,
+    motion_seed,
+    noise_seed,
+    prior_seed,
+)
 from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.task import Task, task_of
@@ -67,9 +74,24 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     }
     regress = partial(regressor_blocks, posing.regression)
     experiment = Experiment(problem, recording, raw, regress, _Simulate(declared(robot, task), raw))
+    seal(experiment)
     return Prepared(
         robot, task, problem, experiment, held_out, task.truth, posing.known(recording.motion)
     )
+
+
+def seal(value: Any) -> None:
+    """Makes the arrays of a noun read-only: the estimators of one experiment share them."""
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif isinstance(value, partial):
+        seal(value.args)
+    elif isinstance(value, tuple):
+        for part in value:
+            seal(part)
+    elif is_dataclass(value) and type(value).__module__ == Problem.__module__:
+        for field in fields(value):
+            seal(getattr(value, field.name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +109,6 @@ class Posing:
     def pose(self, motion: Trajectory, tau: Array, prior: Prior | None = None) -> Problem:
         """W beta = b along a motion, the known torque taken from tau (N, nv)."""
         b = tau - self.known(motion)
-
         return Problem(
             parameters=self.task.parameters,
             base=self.base,
@@ -143,7 +164,7 @@ def _record(spec: ExperimentSpec, plant: Plant) -> tuple[Recording, Recording]:
         scalar = robot.scalar_dofs
         error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
         oracle, controller = simulation.run(plant, commanded, error)
-        # What is recorded is rounded where the robot was then, so that it lies on the encoder's grid.
+        # Recorded is what is read where the robot was then: it lies on the encoder's grid.
         error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
     raw = sense(
         robot, oracle, error, noise.torque_std(oracle.tau[::every]), draws, every, commanded, controller,
@@ -190,7 +211,9 @@ class _Simulate:
     def __call__(self, theta: Array) -> Recording:
         controller, commanded = self.raw.controller, self.raw.commanded
         if controller is None or commanded is None:
-            raise UnsupportedError("This recording declares no controller: nothing to simulate with.")
+            raise UnsupportedError(
+                "This recording declares no controller: nothing to simulate with."
+            )
         theta, size = np.asarray(theta, dtype=float), len(self.told.parameters)
         if theta.shape != (size,):
             raise EstimationError(f"theta has the shape {theta.shape}; expected ({size},).")
@@ -205,5 +228,10 @@ class _Simulate:
         kept = slice(None, None, every)
         motion = oracle.motion
         return replace(
-            self.raw, t=motion.t[kept], q=motion.q[kept], v=motion.v[kept], a=motion.a[kept], tau=oracle.tau[kept]
+            self.raw,
+            t=motion.t[kept],
+            q=motion.q[kept],
+            v=motion.v[kept],
+            a=motion.a[kept],
+            tau=oracle.tau[kept],
         )

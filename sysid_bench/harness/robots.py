@@ -52,5 +52,7 @@ def subject(
 def _subject(source: str, payload: str, robots_dir: str | None, folder: str | None) -> Subject:
     import json
 
-    manifest = find_manifest(source, *(None if p is None else Path(p) for p in (robots_dir, folder)))
+    manifest = find_manifest(
+        source, *(None if p is None else Path(p) for p in (robots_dir, folder))
+    )
     return Subject(load_robot(manifest, parse_payload(json.loads(payload))))

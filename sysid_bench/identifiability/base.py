@@ -24,7 +24,9 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     values = np.linalg.svd(R, compute_uv=False)
     largest = values[0] if len(values) else 0.0
     if largest == 0.0:
-        return BaseMap(np.zeros((0, len(parameters))), np.zeros(0, dtype=int), parameters, np.inf, 0, values)
+        return BaseMap(
+            np.zeros((0, len(parameters))), np.zeros(0, dtype=int), parameters, np.inf, 0, values
+        )
     rank = int((values > RANK_TOLERANCE * largest).sum())
     dropped = values[rank:]
     gap = float(values[rank - 1] / max(dropped[0], 1e-300)) if len(dropped) else np.inf

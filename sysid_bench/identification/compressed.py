@@ -18,7 +18,9 @@ def compress(problem: Problem, weights: Sequence[float] | None = None) -> Array:
     """R (r + 1, r + 1) of [W | b] with each row of the robot times its weight."""
     r = problem.base.rank
     scales = [1.0] * len(problem.factors) if weights is None else weights
-    parts = [scale * spread(factor, r) for factor, scale in zip(problem.factors, scales, strict=True)]
+    parts = [
+        scale * spread(factor, r) for factor, scale in zip(problem.factors, scales, strict=True)
+    ]
     stack = np.asfortranarray(np.concatenate([*parts, np.zeros((r + 1, r + 1))]))
     packed, _, _, _ = lapack.dgeqrf(stack, lwork=64 * (r + 1), overwrite_a=1)
     return np.triu(packed[: r + 1])
@@ -38,8 +40,8 @@ def solve(R: Array) -> Array:
     rank = excited_rank(R[:r, :r])
     if rank < r:
         raise EstimationError(
-            f"The motion excites {rank} of {r} base parameters; record a richer motion, or use a method "
-            "with a prior."
+            f"The motion excites {rank} of {r} base parameters; record a richer motion, or use a "
+            "method with a prior."
         )
     return solve_triangular(R[:r, :r], R[:r, r])
 
@@ -55,4 +57,6 @@ def excited_rank(R: Array) -> int:
 
 def residual_norms(problem: Problem, beta: Array) -> Array:
     """|b_i - W_i beta| of every row of the robot (rows,)."""
-    return np.array([np.linalg.norm(f.R @ np.append(beta[f.columns], -1.0)) for f in problem.factors])
+    return np.array(
+        [np.linalg.norm(f.R @ np.append(beta[f.columns], -1.0)) for f in problem.factors]
+    )

@@ -2,12 +2,12 @@
 
 import time
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError, UsageError
-from sysid_bench.types import Estimate, Experiment, Problem
+from sysid_bench.types import Array, Estimate, EstimateStatus, Experiment, Problem
 
 
 def identify(estimator: Any, problem: Problem, experiment: Experiment | None = None) -> Estimate:
@@ -33,28 +33,52 @@ def _call(estimator: Any, problem: Problem, experiment: Experiment | None) -> An
         return estimator.solve(problem)
     if hasattr(estimator, "fit"):
         if experiment is None:
-            raise UnsupportedError(f"{estimator!r} needs an experiment, and there is only a problem.")
+            raise UnsupportedError(
+                f"{estimator!r} needs an experiment, and there is only a problem."
+            )
         return estimator.fit(experiment)
-    raise UsageError(f"{estimator!r} is no estimator: it has neither solve(problem) nor fit(experiment).")
+    raise UsageError(
+        f"{estimator!r} is no estimator: it has neither solve(problem) nor fit(experiment)."
+    )
 
 
 def _checked(estimate: Any, problem: Problem) -> Estimate:
     if not isinstance(estimate, Estimate):
         raise EstimationError(f"The method answered {type(estimate).__name__}, not an Estimate.")
+    if estimate.status not in (known := get_args(EstimateStatus)):
+        raise EstimationError(
+            f"The method's status is {estimate.status!r}; expected {', '.join(known)}."
+        )
     if estimate.status != "ok":
         return estimate
+    r = problem.base.rank
     if estimate.theta is not None:
-        _check_numbers("theta", estimate.theta, len(problem.parameters))
-        estimate = replace(estimate, beta=problem.base.K @ estimate.theta)
+        theta = _numbers("theta", estimate.theta, (len(problem.parameters),))
+        estimate = replace(estimate, theta=theta, beta=problem.base.K @ theta)
     if estimate.beta is None:
         raise EstimationError("The method answered neither beta nor theta.")
-    _check_numbers("beta", estimate.beta, problem.base.rank)
-    return estimate
+    estimate = replace(estimate, beta=_numbers("beta", estimate.beta, (r,)))
+    if estimate.covariance is None:
+        return estimate
+    covariance = _numbers("covariance", estimate.covariance, (r, r))
+    if (np.diag(covariance) < 0).any():
+        raise EstimationError("The method's covariance has a negative variance.")
+    return replace(estimate, covariance=covariance)
 
 
-def _check_numbers(name: str, values: Any, size: int) -> None:
-    if np.shape(values) != (size,):
-        raise EstimationError(f"The method's {name} has the shape {np.shape(values)}; expected ({size},).")
-    if not np.isfinite(values).all():
-        bad = int((~np.isfinite(values)).sum())
-        raise EstimationError(f"{bad} of {size} numbers of the method's {name} are not finite.")
+def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Array:
+    """A stranger's numbers as an array of this shape; EstimationError says what they are instead."""
+    try:
+        numbers = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise EstimationError(f"The method's {name} holds no real numbers: {error}.") from error
+    if numbers.shape != shape:
+        raise EstimationError(
+            f"The method's {name} has the shape {numbers.shape}; expected {shape}."
+        )
+    bad = int((~np.isfinite(numbers)).sum())
+    if bad:
+        raise EstimationError(
+            f"{bad} of {numbers.size} numbers of the method's {name} are not finite."
+        )
+    return numbers

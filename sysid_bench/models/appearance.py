@@ -95,7 +95,9 @@ def _mesh(written: str, model: Path) -> Path | None:
         return None
     if written.startswith("package://"):
         rest = Path(written.removeprefix("package://"))
-        places = [parent / part for parent in model.parents for part in (rest, Path(*rest.parts[1:]))]
+        places = [
+            parent / part for parent in model.parents for part in (rest, Path(*rest.parts[1:]))
+        ]
     else:
         places = [model.parent / written.removeprefix("file://")]
     return next((place for place in places if place.is_file()), None)

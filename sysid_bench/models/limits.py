@@ -10,7 +10,7 @@ from sysid_bench.models.robot import Joint, JointLimits
 if TYPE_CHECKING:
     import mujoco
 
-# Where neither manifest nor model says anything: a careful arm. rad, rad/s, rad/s^2 and m, m/s, m/s^2.
+# Where neither manifest nor model says anything: a careful arm. rad, rad/s, rad/s^2; m, m/s, m/s^2.
 USUAL: Final = {"hinge": (np.pi, 2.0, 10.0), "slide": (0.2, 0.5, 2.5)}
 # Faster than this no robot joint moves: such a figure in a model file is a placeholder.
 PLACEHOLDER: Final = {"hinge": 30.0, "slide": 10.0}
@@ -18,9 +18,12 @@ FLOATING: Final = (1.0, 5.0)  # velocity, acceleration of free and ball joints
 
 
 def limits_of(
-    mj: "mujoco.MjModel", joints: tuple[Joint, ...], manifest: Manifest, velocities: dict[str, float]
+    mj: "mujoco.MjModel",
+    joints: tuple[Joint, ...],
+    manifest: Manifest,
+    velocities: dict[str, float],
 ) -> JointLimits:
-    """The limits of every degree of freedom; `velocities` are those that the model's text states."""
+    """The limits of every degree of freedom; `velocities`: those that the model's text states."""
     low, high = np.full(mj.nv, -np.inf), np.full(mj.nv, np.inf)
     v, a, tau = np.full(mj.nv, FLOATING[0]), np.full(mj.nv, FLOATING[1]), np.full(mj.nv, np.inf)
     for j, joint in enumerate(joints):

@@ -1,6 +1,7 @@
 """A manifest and a payload become a RobotModel."""
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,9 +11,10 @@ from sysid_bench.models.limits import limits_of
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf import mjcf_spec
 from sysid_bench.models.payload import PAYLOADS, Payload
-from sysid_bench.models.robot import Joint, JointTerms, RobotModel, TYPE_NAMES
+from sysid_bench.models.robot import TYPE_NAMES, Joint, JointTerms, RobotModel
 from sysid_bench.models.tree import FREE, tree_of
 from sysid_bench.models.urdf import Urdf, canonical_urdf, parse_xml
+from sysid_bench.models.warnings import heard
 from sysid_bench.spatial.inertia import matrix_of_six, phi_of
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_matrix
 from sysid_bench.types import Array
@@ -33,17 +35,27 @@ def load_robot(
     """
     manifest = source if isinstance(source, Manifest) else find_manifest(str(source), robots_dir)
     free = manifest.free_base if free_base is None else free_base
+    heard()
     data = _read(manifest.path)
     root = parse_xml(data, manifest.path.name).tag
     if root == "robot":
         urdf = canonical_urdf(data, manifest.path.name, free)
-        spec, text, repairs, velocities = _urdf_spec(urdf, manifest), urdf.text.encode(), urdf.repairs, urdf.velocity_limits
+        spec, text, repairs, velocities = (
+            _urdf_spec(urdf, manifest),
+            urdf.text.encode(),
+            urdf.repairs,
+            urdf.velocity_limits,
+        )
     elif root == "mujoco":
         spec, repairs = mjcf_spec(manifest.path)
         text, velocities, urdf = data, {}, None
     else:
-        raise ModelError(f"{manifest.path.name} is neither URDF nor MJCF: its root element is <{root}>.")
-    return _assemble(manifest, payload, free, spec, text, "mjcf" if urdf is None else "urdf", repairs, velocities)
+        raise ModelError(
+            f"{manifest.path.name} is neither URDF nor MJCF: its root element is <{root}>."
+        )
+    return _assemble(
+        manifest, payload, free, spec, text, "mjcf" if urdf is None else "urdf", repairs, velocities
+    )
 
 
 def _assemble(
@@ -86,13 +98,15 @@ def _assemble(
         payload_body=_payload_body(mj, bare) if payload else None,
         format=format,
         text=text,
-        repairs=repairs,
+        repairs=(*repairs, *heard()),
     )
 
 
 def _read(path: Path) -> bytes:
     if path.stat().st_size > LARGEST_FILE:
-        raise ModelError(f"{path.name} has {path.stat().st_size} bytes; no robot text is that long.")
+        raise ModelError(
+            f"{path.name} has {path.stat().st_size} bytes; no robot text is that long."
+        )
     return path.read_bytes()
 
 
@@ -107,9 +121,13 @@ def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
     try:
         mj = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(f"MuJoCo cannot compile {manifest.path.name}: {_one_line(error)}") from error
+        raise ModelError(
+            f"MuJoCo cannot compile {manifest.path.name}: {_one_line(error)}"
+        ) from error
     if mj.nv == 0:
-        raise ModelError(f"{manifest.path.name} has no joint that moves; there is nothing to identify.")
+        raise ModelError(
+            f"{manifest.path.name} has no joint that moves; there is nothing to identify."
+        )
     return mj
 
 
@@ -120,11 +138,15 @@ def _one_line(error: Exception) -> str:
 def _free_the_base(spec: mujoco.MjSpec, manifest: Manifest) -> None:
     roots = list(spec.worldbody.bodies)
     if len(roots) != 1:
-        raise ModelError(f"{manifest.name}: a free base needs one root body; there are {len(roots)}.")
+        raise ModelError(
+            f"{manifest.name}: a free base needs one root body; there are {len(roots)}."
+        )
     if any(int(joint.type) == FREE for joint in roots[0].joints):
         return
     if list(roots[0].joints):
-        raise ModelError(f"{manifest.name}: the root body already has joints; it cannot float as well.")
+        raise ModelError(
+            f"{manifest.name}: the root body already has joints; it cannot float as well."
+        )
     roots[0].add_freejoint(name="root")
 
 
@@ -148,8 +170,8 @@ def _apply_joint_terms(spec: mujoco.MjSpec, manifest: Manifest) -> None:
                 joint.springref = terms.spring_reference
 
 
-def _like(old: object, value: float) -> object:
-    """MuJoCo 4 keeps polynomial coefficients of damping and stiffness: the first is the linear one."""
+def _like(old: Any, value: float) -> Any:
+    """MuJoCo 4 keeps polynomials of damping and stiffness; the first number is the linear one."""
     if np.ndim(old) == 0:
         return value
     new = np.zeros_like(np.asarray(old, dtype=float))
@@ -185,7 +207,9 @@ def _joints(mj: mujoco.MjModel) -> tuple[Joint, ...]:
             "free": tuple(f"{base}.{d}" for d in ("vx", "vy", "vz", "wx", "wy", "wz")),
             "ball": tuple(f"{name}.{d}" for d in "xyz"),
         }.get(TYPE_NAMES[kind], (name,))
-        joints.append(Joint(name, TYPE_NAMES[kind], int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j]), dofs))
+        joints.append(
+            Joint(name, TYPE_NAMES[kind], int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j]), dofs)
+        )
     return tuple(joints)
 
 
@@ -228,8 +252,10 @@ def _joint_terms(mj: mujoco.MjModel, manifest: Manifest, joints: tuple[Joint, ..
     )
 
 
-def _tool(mj: mujoco.MjModel, manifest: Manifest, names: tuple[str, ...]) -> tuple[int, tuple[Array, Array]]:
-    """The body that carries payloads (0: the first body) and the tool frame (p, quaternion) in it."""
+def _tool(
+    mj: mujoco.MjModel, manifest: Manifest, names: tuple[str, ...]
+) -> tuple[int, tuple[Array, Array]]:
+    """The body that carries payloads (0: the first) and the tool frame (p, quaternion) in it."""
     here = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     if manifest.tool is None:
         return _end_of_longest_chain(mj), here
@@ -240,7 +266,9 @@ def _tool(mj: mujoco.MjModel, manifest: Manifest, names: tuple[str, ...]) -> tup
         site = sites[manifest.tool]
         pose = (np.array(mj.site_pos[site]), np.array(mj.site_quat[site]))
         return int(mj.site_bodyid[site]) - 1, pose
-    raise ModelError(f"{manifest.name}: {unknown_name('tool body or site', manifest.tool, [*names, *sites])}")
+    raise ModelError(
+        f"{manifest.name}: {unknown_name('tool body or site', manifest.tool, [*names, *sites])}"
+    )
 
 
 def _end_of_longest_chain(mj: mujoco.MjModel) -> int:
@@ -280,5 +308,3 @@ def _index_of(mj: mujoco.MjModel, name: str) -> int:
 def _payload_body(mj: mujoco.MjModel, bare: mujoco.MjModel) -> int:
     (new,) = set(_body_names(mj)) - set(_body_names(bare))
     return _body_names(mj).index(new)
-
-

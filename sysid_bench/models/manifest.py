@@ -108,7 +108,9 @@ class Manifest:
     manifest_file: Path | None = None
 
 
-def find_manifest(source: str, robots_dir: Path | None = None, folder: Path | None = None) -> Manifest:
+def find_manifest(
+    source: str, robots_dir: Path | None = None, folder: Path | None = None
+) -> Manifest:
     """The robot called `source`: a name, a folder with robot.toml, or a model file.
 
     Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Raises UsageError for
@@ -160,7 +162,9 @@ def _from_path(path: Path, source: str) -> Manifest:
         return read_manifest(path / "robot.toml")
     if not path.is_file():
         known = ", ".join(places.robots())
-        raise UsageError(f"There is no model file {str(path)!r} ({source!r}); named robots: {known}.")
+        raise UsageError(
+            f"There is no model file {str(path)!r} ({source!r}); named robots: {known}."
+        )
     if path.suffix == ".toml":
         return read_manifest(path)
     return Manifest(name=path.stem, path=path, title=path.stem)
@@ -203,5 +207,5 @@ def _line(problem: Any) -> str:
 def _known_keys(place: tuple[Any, ...]) -> set[str]:
     if len(place) == 1:
         return set(_Text.model_fields)
-    inner = {"limits": Limits, "joints": JointTerms, "sensor": Sensor}.get(place[0], Source)
-    return set(inner.model_fields)
+    tables: dict[Any, type[BaseModel]] = {"limits": Limits, "joints": JointTerms, "sensor": Sensor}
+    return set(tables.get(place[0], Source).model_fields)

@@ -15,7 +15,9 @@ def mjcf_spec(path: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(f"MuJoCo cannot read {path.name}: {' '.join(str(error).split())}") from error
+        raise ModelError(
+            f"MuJoCo cannot read {path.name}: {' '.join(str(error).split())}"
+        ) from error
     spec.compiler.fusestatic = False  # welded bodies keep their own parameters
     repairs = _drop_mesh_geoms(spec, path)
     for collection in (*_UNUSED, *_ASSETS):
@@ -28,11 +30,20 @@ def mjcf_spec(path: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
 
 def _drop_mesh_geoms(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     """Deletes shapes that need files; a body whose inertia came from them is refused by name."""
-    files = {int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_SDF)}
+    files = {
+        int(mujoco.mjtGeom.mjGEOM_MESH),
+        int(mujoco.mjtGeom.mjGEOM_HFIELD),
+        int(mujoco.mjtGeom.mjGEOM_SDF),
+    }
     bare = []
     for body in spec.bodies:
         shapes = [geom for geom in body.geoms if int(geom.type) in files or geom.meshname]
-        if shapes and not body.explicitinertial and body.name != "world" and len(shapes) == len(list(body.geoms)):
+        if (
+            shapes
+            and not body.explicitinertial
+            and body.name != "world"
+            and len(shapes) == len(list(body.geoms))
+        ):
             bare.append(body.name or "(unnamed)")
         for geom in shapes:
             spec.delete(geom)

@@ -40,7 +40,9 @@ class Pairing:
         for address, q0 in self.scalar:
             out[..., address] -= q0
         for start in [qa + 3 for qa, _ in self.free] + [qa for qa, _ in self.ball]:
-            wxyz = q[..., start : start + 4] / np.linalg.norm(q[..., start : start + 4], axis=-1, keepdims=True)
+            wxyz = q[..., start : start + 4] / np.linalg.norm(
+                q[..., start : start + 4], axis=-1, keepdims=True
+            )
             out[..., start : start + 4] = wxyz[..., [1, 2, 3, 0]]
         return out
 
@@ -51,7 +53,9 @@ class Pairing:
             R_wb = matrix_of_quaternion(q[..., qa + 3 : qa + 7])
             lin, ang = slice(va, va + 3), slice(va + 3, va + 6)
             v[..., lin] = np.einsum("...ji,...j->...i", R_wb, v[..., lin])
-            a[..., lin] = np.einsum("...ji,...j->...i", R_wb, a[..., lin]) - np.cross(v[..., ang], v[..., lin])
+            a[..., lin] = np.einsum("...ji,...j->...i", R_wb, a[..., lin]) - np.cross(
+                v[..., ang], v[..., lin]
+            )
         return v, a
 
     def rows_to_mujoco(self, q: Array, rows: Array) -> Array:
@@ -76,7 +80,9 @@ def pair(mj: mujoco.MjModel) -> Pairing:
         inertia = _inertia(mj, b)
         model.appendBodyToJoint(int(carrier[b]), inertia, pose[b])
     X = [transport(placement.rotation, placement.translation) for placement in pose[1:]]
-    joints = [(int(mj.jnt_type[j]), int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j])) for j in range(mj.njnt)]
+    joints = [
+        (int(mj.jnt_type[j]), int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j])) for j in range(mj.njnt)
+    ]
     return Pairing(
         model=model,
         carrier=carrier[1:],
@@ -110,7 +116,11 @@ def _joint_model(mj: mujoco.MjModel, j: int) -> pin.JointModel:
     if kind == BALL:
         return pin.JointModelSpherical()
     axis = np.array(mj.jnt_axis[j]) / np.linalg.norm(mj.jnt_axis[j])
-    return pin.JointModelRevoluteUnaligned(axis) if kind == HINGE else pin.JointModelPrismaticUnaligned(axis)
+    return (
+        pin.JointModelRevoluteUnaligned(axis)
+        if kind == HINGE
+        else pin.JointModelPrismaticUnaligned(axis)
+    )
 
 
 def _se3(position: Array, quaternion: Array) -> pin.SE3:

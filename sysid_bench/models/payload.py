@@ -64,7 +64,9 @@ def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
     """A payload from its name or its table {mass, com, inertia, name}; raises UsageError."""
     if isinstance(spec, str):
         if spec not in PAYLOADS:
-            advice = "Or give a table { mass = 1.2, com = [0, 0, 0.05], inertia = 'sphere 0.05 m' }."
+            advice = (
+                "Or give a table { mass = 1.2, com = [0, 0, 0.05], inertia = 'sphere 0.05 m' }."
+            )
             raise unknown_name("payload", spec, PAYLOADS, advice)
         return PAYLOADS[spec]
     for key in spec:
@@ -96,7 +98,9 @@ def _lengths(text: str, rest: str) -> list[float]:
 def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list[float]:
     good = isinstance(values, (list, tuple)) and len(values) == count
     if not good or any(isinstance(x, bool) or not isinstance(x, (int, float)) for x in values):
-        raise UsageError(f"A payload's {key} needs {count} number(s) in SI units; got {spec.get(key)!r}.")
+        raise UsageError(
+            f"A payload's {key} needs {count} number(s) in SI units; got {spec.get(key)!r}."
+        )
     if not all(math.isfinite(x) for x in values):
         raise UsageError(f"A payload's {key} must be finite; got {spec.get(key)!r}.")
     return [float(x) for x in values]
@@ -107,8 +111,8 @@ def _check_possible(name: str, six: list[float]) -> None:
     slack = 1e-9 * max(moments[-1], 1e-12)
     if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
         raise UsageError(
-            f"The payload {name!r} cannot exist: its principal moments {moments.tolist()} break the "
-            "triangle inequality; give the inertia about the centre of mass, in kg m^2."
+            f"The payload {name!r} cannot exist: its principal moments {moments.tolist()} break "
+            "the triangle inequality; give the inertia about the centre of mass, in kg m^2."
         )
 
 

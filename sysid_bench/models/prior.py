@@ -62,5 +62,3 @@ def _declared(phi: Array, spread: PriorSpread) -> Array:
     h = mass * np.sqrt((spread.mass * com) ** 2 + spread.com**2)
     moments = spread.inertia * size + 2 * mass * np.linalg.norm(com) * spread.com
     return np.concatenate([[spread.mass * mass], h, np.full(6, moments)])
-
-

@@ -18,7 +18,13 @@ if TYPE_CHECKING:
     from sysid_bench.models.pairing import Pairing
 
 TYPE_NAMES: Final = {FREE: "free", BALL: "ball", SLIDE: "slide", HINGE: "hinge"}
-SUFFIX: Final = {"viscous": "fv", "coulomb": "fc", "offset": "offset", "armature": "Ia", "spring": "k"}
+SUFFIX: Final = {
+    "viscous": "fv",
+    "coulomb": "fc",
+    "offset": "offset",
+    "armature": "Ia",
+    "spring": "k",
+}
 """Joint terms and the names of their parameters, `<joint>.fv` and so on."""
 
 

@@ -10,7 +10,7 @@ LARGEST = 2.0
 
 
 def random_states(robot: RobotModel, count: int, rng: np.random.Generator) -> Trajectory:
-    """Independent states: q uniform within limits, orientations uniform, v and a standard normal."""
+    """Independent states: q uniform in its limits, orientations too, v and a standard normal."""
     q = np.tile(robot.mj.qpos0, (count, 1))
     for joint in robot.joints:
         at = joint.qadr

@@ -59,10 +59,14 @@ def _robot(robot: RobotModel, terms: tuple[str, ...]) -> Task:
     if robot.payload_body is not None:
         b = robot.payload_body + 1  # MuJoCo counts the world
         R = matrix_of_quaternion(np.array(robot.mj.body_quat[b]))
-        phi[robot.tool_body] += transport(R, np.array(robot.mj.body_pos[b])) @ phi[robot.payload_body]
+        phi[robot.tool_body] += (
+            transport(R, np.array(robot.mj.body_pos[b])) @ phi[robot.payload_body]
+        )
     own = [i for i in range(len(phi)) if i != robot.payload_body]
     bodies = tuple(robot.bodies[i] for i in own)
-    columns = tuple(column for body in bodies for column in body.columns) + robot.term_columns(terms)
+    columns = tuple(column for body in bodies for column in body.columns) + robot.term_columns(
+        terms
+    )
     theta = np.concatenate([phi[own].ravel(), robot.term_values(terms)])
     nothing = np.zeros((len(robot.tree.links), 10))
     return Task("robot", bodies, Truth(columns, theta), nothing, _terms_without(robot, terms))
@@ -87,7 +91,9 @@ def _link(robot: RobotModel) -> Task:
     lumped = robot.tree.lumped(robot.phi)
     known = lumped.copy()
     known[link] = 0.0
-    return Task("link", (body,), Truth(body.columns, lumped[link]), known, _terms_without(robot, ()))
+    return Task(
+        "link", (body,), Truth(body.columns, lumped[link]), known, _terms_without(robot, ())
+    )
 
 
 def _terms_without(robot: RobotModel, identified: tuple[str, ...]) -> dict[str, Array]:

@@ -101,12 +101,16 @@ def tree_of(mj: "mujoco.MjModel") -> Tree:
         joints = tuple(_joint(mj, int(mj.body_jntadr[b]) + k) for k in range(mj.body_jntnum[b]))
         own = [dof for joint in joints for dof in joint.dofs]
         before = links[carrier[p]].dofs if carrier[p] >= 0 else np.zeros(0, dtype=int)
-        links.append(Link(b - 1, carrier[p], R0, p0, joints, np.concatenate([before, own]).astype(int)))
+        links.append(
+            Link(b - 1, carrier[p], R0, p0, joints, np.concatenate([before, own]).astype(int))
+        )
         carrier.append(len(links) - 1)
         pose.append((np.eye(3), np.zeros(3)))
         X.append(np.eye(10))
     stacked = np.stack(X) if X else np.zeros((0, 10, 10))
-    return Tree(tuple(links), np.array(carrier[1:], dtype=int), stacked, gravity_of(mj), mj.nq, mj.nv)
+    return Tree(
+        tuple(links), np.array(carrier[1:], dtype=int), stacked, gravity_of(mj), mj.nq, mj.nv
+    )
 
 
 def gravity_of(mj: "mujoco.MjModel") -> Array:

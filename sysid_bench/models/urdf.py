@@ -48,14 +48,18 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     repairs += _give_mass_to_moving(tree)
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")
-    return Urdf(ET.tostring(robot, encoding="unicode"), tuple(repairs), _velocities(robot, name), mimic)
+    return Urdf(
+        ET.tostring(robot, encoding="unicode"), tuple(repairs), _velocities(robot, name), mimic
+    )
 
 
 def parse_xml(text: str | bytes, name: str) -> ET.Element:
     """The root element; DOCTYPE and entities are refused, since they can explode or read files."""
     data = text.encode() if isinstance(text, str) else text
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise ModelError(f"{name} declares a DOCTYPE or entities; robot models need none: remove them.")
+        raise ModelError(
+            f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
+        )
     try:
         return ET.fromstring(data)
     except (ET.ParseError, ValueError, LookupError) as error:
@@ -88,25 +92,35 @@ class _Chain:
                 if key is None:
                     raise ModelError(f"{name}: a <{tag}> has no name; give it one.")
                 if count > 1:
-                    raise ModelError(f"{name}: {count} <{tag}> elements are called {key!r}; names must differ.")
+                    raise ModelError(
+                        f"{name}: {count} <{tag}> elements are called {key!r}; names must differ."
+                    )
         links = {str(link.get("name")): link for link in robot.findall("link")}
         below: dict[str, list[tuple[str, str]]] = {}
         parents: dict[str, str] = {}
         for joint in robot.findall("joint"):
             parent, child = (_end(joint, tag, links, name) for tag in ("parent", "child"))
             if child in parents:
-                raise ModelError(f"{name}: link {child!r} has two parents, {parents[child]!r} and {parent!r}.")
+                raise ModelError(
+                    f"{name}: link {child!r} has two parents, {parents[child]!r} and {parent!r}."
+                )
             parents[child] = parent
             below.setdefault(parent, []).append((child, str(joint.get("type"))))
         roots = [link for link in links if link not in parents]
         if len(roots) != 1:
-            there = f"{len(roots)} root links ({', '.join(roots[:5])})" if roots else "no root link: a cycle"
+            there = (
+                f"{len(roots)} root links ({', '.join(roots[:5])})"
+                if roots
+                else "no root link: a cycle"
+            )
             raise ModelError(f"{name} has {there}; a URDF tree has exactly one.")
         chain = cls(links, below, roots[0])
         reached = chain.reached(roots[0])
         if len(reached) != len(links):
             lost = sorted(set(links) - reached)
-            raise ModelError(f"{name}: the links {', '.join(lost[:5])} form a cycle apart from {roots[0]!r}.")
+            raise ModelError(
+                f"{name}: the links {', '.join(lost[:5])} form a cycle apart from {roots[0]!r}."
+            )
         return chain
 
     def reached(self, start: str) -> set[str]:
@@ -132,7 +146,9 @@ def _end(joint: ET.Element, tag: str, links: dict[str, ET.Element], name: str) -
     element = joint.find(tag)
     link = None if element is None else element.get("link")
     if link is None or link not in links:
-        raise ModelError(f"{name}: the {tag} of joint {joint.get('name')!r} is {link!r}, which is no link of it.")
+        raise ModelError(
+            f"{name}: the {tag} of joint {joint.get('name')!r} is {link!r}, which is no link of it."
+        )
     return link
 
 
@@ -169,7 +185,7 @@ def _repair_inertia(link: ET.Element, name: str) -> list[str]:
     if mass < 0:
         raise ModelError(f"{label} has the negative mass {mass}; a mass is in kg and at least 0.")
     if element is None:
-        element = ET.SubElement(inertial, "inertia", {key: "0" for key in _SIX})
+        element = ET.SubElement(inertial, "inertia", dict.fromkeys(_SIX, "0"))
     six = np.array([_number(element, key, label, default=0.0) for key in _SIX])
     moments = np.linalg.eigvalsh(matrix_of_six(six))
     if not six.any():
@@ -179,7 +195,9 @@ def _repair_inertia(link: ET.Element, name: str) -> list[str]:
     nearest = _nearest_possible(matrix_of_six(six))
     change = np.abs(nearest - matrix_of_six(six)).max() / np.abs(six).max()
     _write_six(element, six_of_matrix(nearest))
-    return [f"inertia of link {link.get('name')!r} made possible (largest change {change:.2g} of it)"]
+    return [
+        f"inertia of link {link.get('name')!r} made possible (largest change {change:.2g} of it)"
+    ]
 
 
 def _point_mass(element: ET.Element, mass: float, link: ET.Element) -> list[str]:
@@ -191,7 +209,7 @@ def _point_mass(element: ET.Element, mass: float, link: ET.Element) -> list[str]
 
 
 def _nearest_possible(inertia: Array) -> Array:
-    """The inertia whose density covariance has its negative eigenvalues lifted to a small margin."""
+    """The inertia with the negative eigenvalues of its density covariance lifted to a margin."""
     covariance = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     values, vectors = np.linalg.eigh(covariance)
     lifted = np.maximum(values, 1e-6 * max(float(np.trace(covariance)), 1e-3))
@@ -212,7 +230,9 @@ def _give_mass_to_moving(chain: _Chain) -> list[str]:
             ET.SubElement(inertial, "origin", {"xyz": "0 0 0"})
             ET.SubElement(inertial, "mass", {"value": repr(_TINY["mass"])})
             moment = _TINY["moment"]
-            _write_six(ET.SubElement(inertial, "inertia"), np.array([moment, 0, 0, moment, 0, moment]))
+            _write_six(
+                ET.SubElement(inertial, "inertia"), np.array([moment, 0, 0, moment, 0, moment])
+            )
             repairs.append(f"massless moving link {child!r} given {_TINY['mass']:.0e} kg")
     return repairs
 
@@ -222,7 +242,9 @@ def _mass(link: ET.Element) -> float:
     return 0.0 if element is None else float(element.get("value", 0.0))
 
 
-def _number(element: ET.Element | None, key: str, label: str, default: float | None = None) -> float:
+def _number(
+    element: ET.Element | None, key: str, label: str, default: float | None = None
+) -> float:
     text = None if element is None else element.get(key)
     if text is None and default is not None:
         return default
@@ -239,11 +261,15 @@ def _check_origin(origin: ET.Element | None, label: str) -> None:
     for key in ("xyz", "rpy"):
         words = "0 0 0" if origin is None else origin.get(key, "0 0 0")
         try:
-            good = len(words.split()) == 3 and all(math.isfinite(float(word)) for word in words.split())
+            good = len(words.split()) == 3 and all(
+                math.isfinite(float(word)) for word in words.split()
+            )
         except ValueError:
             good = False
         if not good:
-            raise ModelError(f"{label}: the inertial origin's {key} is {words!r}; write three finite numbers.")
+            raise ModelError(
+                f"{label}: the inertial origin's {key} is {words!r}; write three finite numbers."
+            )
 
 
 def _write_six(element: ET.Element, six: Array) -> None:

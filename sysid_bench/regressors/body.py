@@ -1,4 +1,4 @@
-"""The body regressor as printed by `python -m sysid_bench.regressors.derive`; do not edit.
+"""The body regressor, as `python -m sysid_bench.regressors.derive` prints it.
 
 `tests/regressors/test_derive.py` derives it again and compares.
 """

@@ -63,7 +63,7 @@ def source() -> str:
         terms = ", ".join(f"({row}, {sp.pycode(A[row, c])})" for row in rows)
         columns.append(f"        ({terms}),  # {NAMES[c]}")
     body = "\n".join(columns)
-    return f'''"""The body regressor as printed by `python -m sysid_bench.regressors.derive`; do not edit.
+    return f'''"""The body regressor, as `python -m sysid_bench.regressors.derive` prints it.
 
 `tests/regressors/test_derive.py` derives it again and compares.
 """

@@ -18,7 +18,9 @@ def fold(regression: Regression, motion: Trajectory, b: Array) -> tuple[Factor, 
     factors = [np.zeros((0, len(places) + 1)) for places in regression.touched]
     for block in regression.blocks(motion):
         for i, R in enumerate(factors):
-            factors[i] = _absorb(R, block.count, lambda out, i=i, block=block: block.row(i, out), b[block.samples, i])
+            factors[i] = _absorb(
+                R, block.count, lambda out, i=i, block=block: block.row(i, out), b[block.samples, i]
+            )
     return tuple(
         Factor(row, places, R, len(motion))
         for row, places, R in zip(regression.rows, regression.touched, factors, strict=True)
@@ -52,7 +54,9 @@ def _triangle(stack: Array) -> Array:
     return np.triu(packed[: min(rows, columns)])
 
 
-def dense_blocks(regression: Regression, motion: Trajectory, b: Array) -> Iterator[tuple[Array, Array]]:
+def dense_blocks(
+    regression: Regression, motion: Trajectory, b: Array
+) -> Iterator[tuple[Array, Array]]:
     """The rows themselves again: (Y (n, nv, p), b (n, nv)) block by block."""
     for block in regression.blocks(motion):
         yield block.dense(), b[block.samples]

@@ -117,7 +117,9 @@ def _rotate(
     E = np.einsum("ij,jkn->ikn", R, turn)
     moved = _turn(_shift(state, p + R @ joint.anchor), E)
     alpha = moved.alpha + change + _cross(moved.w, rate)
-    at_anchor = LinkMotion(moved.w + rate, alpha, moved.d, _append(moved.ZU, axes, np.zeros((3, 1, 1))))
+    at_anchor = LinkMotion(
+        moved.w + rate, alpha, moved.d, _append(moved.ZU, axes, np.zeros((3, 1, 1)))
+    )
     return _shift(at_anchor, -anchor) if joint.anchor.any() else at_anchor
 
 
@@ -190,7 +192,9 @@ def _turns_about(axis: Array, angle: Array) -> Array:
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     along = np.outer(axis, axis)
     return (
-        along[:, :, None] + (np.eye(3) - along)[:, :, None] * np.cos(angle) + K[:, :, None] * np.sin(angle)
+        along[:, :, None]
+        + (np.eye(3) - along)[:, :, None] * np.cos(angle)
+        + K[:, :, None] * np.sin(angle)
     )
 
 

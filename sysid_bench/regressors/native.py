@@ -21,7 +21,7 @@ def native_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     q, v, a = _state(robot, model, motion)
     Y_joint = joint_columns(model, q, v, a)
     rows = _rows(robot, model)
-    Y = np.zeros((len(motion), robot.nv, len(robot.body_names), 10))
+    Y: Array = np.zeros((len(motion), robot.nv, len(robot.body_names), 10))
     for b, name in enumerate(robot.body_names):
         if not model.existBodyName(name):
             raise UnsupportedError(f"Pinocchio's parser has no body {name!r}.")
@@ -36,7 +36,9 @@ def native_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
 
 def _model(robot: RobotModel) -> pin.Model:
     if robot.format != "urdf":
-        raise UnsupportedError("Pinocchio's MJCF parser ignores options that the model may rely on.")
+        raise UnsupportedError(
+            "Pinocchio's MJCF parser ignores options that the model may rely on."
+        )
     if robot.payload:
         raise UnsupportedError("The payload is mounted in the compiled model; no text holds it.")
     text = robot.text.decode()
@@ -44,9 +46,13 @@ def _model(robot: RobotModel) -> pin.Model:
     try:
         model = pin.buildModelFromXML(text, *root)
     except (ValueError, RuntimeError) as error:
-        raise UnsupportedError(f"Pinocchio's parser refuses it: {' '.join(str(error).split())}") from error
+        raise UnsupportedError(
+            f"Pinocchio's parser refuses it: {' '.join(str(error).split())}"
+        ) from error
     if model.nv != robot.nv:
-        raise UnsupportedError(f"Pinocchio's parser sees {model.nv} degrees of freedom, MuJoCo {robot.nv}.")
+        raise UnsupportedError(
+            f"Pinocchio's parser sees {model.nv} degrees of freedom, MuJoCo {robot.nv}."
+        )
     model.gravity = pin.Motion(robot.tree.gravity, np.zeros(3))
     return model
 
@@ -65,7 +71,9 @@ def _state(robot: RobotModel, model: pin.Model, motion: Trajectory) -> tuple[Arr
             angle = q_all[:, joint.qadr]
             # A continuous joint is stored as cosine and sine.
             q[:, at : at + native.nq] = (
-                angle[:, None] if native.nq == 1 else np.stack([np.cos(angle), np.sin(angle)], axis=1)
+                angle[:, None]
+                if native.nq == 1
+                else np.stack([np.cos(angle), np.sin(angle)], axis=1)
             )
         else:
             q[:, at : at + native.nq] = q_all[:, joint.qadr : joint.qadr + native.nq]

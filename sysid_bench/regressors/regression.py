@@ -78,7 +78,10 @@ class Regression:
         for part in blocks(motion):
             q, v, a = motion.q[part].T, motion.v[part].T, motion.a[part].T
             states = sweep(self.tree, q, v, a)
-            carried = [_combine(columns, raw_columns(states[columns.link], columns.raw)) for columns in self.links]
+            carried = [
+                _combine(columns, raw_columns(states[columns.link], columns.raw))
+                for columns in self.links
+            ]
             terms = [TERM[t.kind](q[t.qadr] - t.reference, v[t.row], a[t.row]) for t in self.terms]
             yield Block(self, part, carried, terms)
 
@@ -164,7 +167,9 @@ def _term_names(robot: RobotModel) -> dict[str, tuple[int, str, int, float]]:
         if joint.kind not in ("hinge", "slide"):
             continue
         for kind in SUFFIX.values():
-            reference = float(robot.joint_terms.spring_reference[joint.vadr]) if kind == "k" else 0.0
+            reference = (
+                float(robot.joint_terms.spring_reference[joint.vadr]) if kind == "k" else 0.0
+            )
             names[f"{joint.name}.{kind}"] = (joint.vadr, kind, joint.qadr, reference)
     return names
 

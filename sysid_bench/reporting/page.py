@@ -9,7 +9,7 @@ from urllib.parse import quote
 import numpy as np
 
 from sysid_bench.reporting.metrics import metric_of
-from sysid_bench.reporting.numbers import ABSENT, Notation, notation
+from sysid_bench.reporting.numbers import ABSENT, notation
 from sysid_bench.reporting.tables import label
 
 if TYPE_CHECKING:
@@ -118,9 +118,9 @@ def assumptions(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tuple[s
     plant = _setting(defaults, cells, "plant")
     matched = " (the robot with exactly the terms of its model)" if plant == "matched" else ""
     said.append(("Plant", plant + matched if plant else ""))
-    prior = defaults.get("prior")
-    drawn = f"{label(prior)}: drawn around the truth" if isinstance(prior, Mapping) else prior
-    said.append(("Prior knowledge told to methods", str(drawn or "")))
+    prior = _setting(defaults, cells, "prior")
+    drawn = " (standard deviations of a draw around the truth)" if "mass" in prior else ""
+    said.append(("Prior knowledge told to methods", prior + drawn))
     for title, key in (
         ("Simulation", "simulation"), ("Excitation", "excitation"), ("Rate", "rate"),
         ("Noise", "noise"), ("Signals", "signals"), ("Held-out motions", "held_out"),
@@ -208,11 +208,10 @@ def _groups(cells: "pd.DataFrame", one: str, two: str) -> list[tuple[str, str, "
 
 def _errors_of_robot(robot: str, group: "pd.DataFrame") -> JointErrors:
     estimators = tuple(dict.fromkeys(group["method"]))
-    style = notation([_largest(group, "relative")], 3)
     rows = []
     for joint, own in group.groupby("name", sort=False):
         small = bool(own["small"].any()) if "small" in own else False
-        numbers = [_median_and_worst(own[own["method"] == name], style) for name in estimators]
+        numbers = [_median_and_worst(own[own["method"] == name]) for name in estimators]
         rows.append((label(joint) + (" (small torque)" if small else ""), *numbers))
     return JointErrors(robot, estimators, tuple(rows))
 
@@ -226,11 +225,15 @@ def _methods(cells: "pd.DataFrame") -> list[str]:
     return [f"{name}, {label(n)}" for name, n in zip(names, cells["noise"], strict=True)]
 
 
-def _median_and_worst(group: "pd.DataFrame", style: Notation) -> str:
+def _median_and_worst(group: "pd.DataFrame") -> str:
+    """Each number in its own notation: exact and noisy cells stand in one table."""
     values = group["relative"].dropna()
     if len(values) == 0:
         return ABSENT
-    return f"{style.pretty(float(values.median()))} ({style.pretty(float(values.max()))})"
+    median, worst = (
+        notation([v], 2).pretty(v) for v in map(float, (values.median(), values.max()))
+    )
+    return f"{median} ({worst})"
 
 
 def _worst(cells: "pd.DataFrame", name: str) -> tuple[str, str, str] | None:

@@ -34,7 +34,9 @@ class Butterworth:
         from scipy.signal import butter, sosfiltfilt
 
         if not 0 < self.cutoff < rate / 2:
-            raise UsageError(f"A cut-off of {self.cutoff} Hz needs a rate above twice that; it is {rate} Hz.")
+            raise UsageError(
+                f"A cut-off of {self.cutoff} Hz needs a rate above twice that; it is {rate} Hz."
+            )
         sections = butter(self.order, self.cutoff, fs=rate, output="sos")
         pad = min(len(x) - 1, 3 * self.edge(rate))
         return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=pad))
@@ -78,7 +80,8 @@ def filter_of(text: str) -> Filter:
         case ["average", window] if window.isdecimal() and int(window) % 2 == 1:
             return MovingAverage(int(window))
     raise UsageError(
-        f"{text!r} is no filter; write 'none', 'butter ORDER CUTOFF Hz zero-phase' or 'average N' (N odd)."
+        f"{text!r} is no filter; write 'none', 'butter ORDER CUTOFF Hz zero-phase' or 'average N', "
+        "N odd."
     )
 
 

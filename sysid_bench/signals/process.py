@@ -21,11 +21,14 @@ class Processing:
     differentiate: bool
 
     def apply(self, recording: Recording, joints: tuple[Joint, ...]) -> Recording:
-        """A recording with v and a; raises UsageError where it is too short or v and a are absent."""
+        """A recording with v and a; UsageError where it is too short, or v and a are absent."""
         smooth, rate = self.filter.smooth, recording.rate
         edge = self.filter.edge(rate) + (2 if self.differentiate else 0)
         if len(recording) <= 2 * edge + 10:
-            raise UsageError(f"{len(recording)} samples are too few for {self.filter}: it spoils {edge} at each end.")
+            raise UsageError(
+                f"{len(recording)} samples are too few for {self.filter}: it spoils {edge} at each "
+                "end."
+            )
         q = _smooth_positions(recording.q, joints, self.filter, rate)
         if self.differentiate:
             v = _rates(q, joints, rate, recording.tau.shape[1])
@@ -36,7 +39,9 @@ class Processing:
             v, a = smooth(recording.v, rate), smooth(recording.a, rate)
         tau = smooth(recording.tau, rate)
         keep = slice(edge, len(recording) - edge)
-        return replace(recording, t=recording.t[keep], q=q[keep], v=v[keep], a=a[keep], tau=tau[keep])
+        return replace(
+            recording, t=recording.t[keep], q=q[keep], v=v[keep], a=a[keep], tau=tau[keep]
+        )
 
 
 def processing_of(spec: Mapping[str, object]) -> Processing:
@@ -83,5 +88,7 @@ def _rates(q: Array, joints: tuple[Joint, ...], rate: float, nv: int) -> Array:
 def _quaternions(joints: tuple[Joint, ...]) -> list[slice]:
     starts = {"free": 3, "ball": 0}
     return [
-        slice(j.qadr + starts[j.kind], j.qadr + starts[j.kind] + 4) for j in joints if j.kind in starts
+        slice(j.qadr + starts[j.kind], j.qadr + starts[j.kind] + 4)
+        for j in joints
+        if j.kind in starts
     ]

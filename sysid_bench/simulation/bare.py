@@ -1,4 +1,4 @@
-"""A robot without its numbers: the kinematics that a method may simulate with its own parameters."""
+"""A robot without its numbers: kinematics that a method may simulate with its own parameters."""
 
 from dataclasses import fields, replace
 from pathlib import Path

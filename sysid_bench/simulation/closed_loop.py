@@ -39,21 +39,29 @@ class ClosedLoop:
         """The control rate (Hz); the recording rate must divide it."""
         ratio = self.rate / recording
         if abs(ratio - round(ratio)) > 1e-9 or ratio < 1:
-            raise UsageError(f"The rate {recording} Hz does not divide the control rate {self.rate} Hz.")
+            raise UsageError(
+                f"The rate {recording} Hz does not divide the control rate {self.rate} Hz."
+            )
         return self.rate
 
-    def run(self, plant: Plant, commanded: Trajectory, encoder: Array) -> tuple[Oracle, Controller | None]:
+    def run(
+        self, plant: Plant, commanded: Trajectory, encoder: Array
+    ) -> tuple[Oracle, Controller | None]:
         """What happens when the robot tracks the motion; `encoder` (N, nv): error of each reading.
 
         Raises UnsupportedError for a floating robot, SimulationError where the loop diverges.
         """
         robot = plant.robot
         if robot.floating or any(joint.kind == "ball" for joint in robot.joints):
-            raise UnsupportedError(f"{robot.name}: closed-loop needs a fixed base with hinges and slides.")
+            raise UnsupportedError(
+                f"{robot.name}: closed-loop needs a fixed base with hinges and slides."
+            )
         controller = self.controller(plant)
         return self.track(plant, controller, commanded, encoder), controller
 
-    def track(self, plant: Plant, controller: Controller, commanded: Trajectory, encoder: Array) -> Oracle:
+    def track(
+        self, plant: Plant, controller: Controller, commanded: Trajectory, encoder: Array
+    ) -> Oracle:
         """The motion and torques of a plant under a given controller."""
         robot = plant.robot
         # The engine takes an input that is not a number for zero, with a warning alone.
@@ -75,7 +83,9 @@ class ClosedLoop:
         kp = np.maximum((2 * np.pi * self.bandwidth) ** 2 * J, load / (self.droop * reach))
         # Beyond this the sampled loop rings: half a radian per sample of the inertia, or of the lag
         # that the joint's own viscous friction makes.
-        kp = np.minimum(kp, np.maximum(J * (0.5 * self.rate) ** 2, plant.terms.viscous * 0.5 * self.rate))
+        kp = np.minimum(
+            kp, np.maximum(J * (0.5 * self.rate) ** 2, plant.terms.viscous * 0.5 * self.rate)
+        )
         return Controller(kp, 2 * self.damping * np.sqrt(kp * J), self.rate)
 
 
@@ -175,6 +185,6 @@ def _check_tracking(robot: RobotModel, commanded: Trajectory, motion: Trajectory
     if bad:
         worst = max(bad, key=lambda joint: float(lost[joint.qadr]))
         raise SimulationError(
-            f"{robot.name}: {worst.name} loses its motion by {lost[worst.qadr]:.3g} rad or m; lower the "
-            "motion's limits or change the controller's bandwidth (now the loop does not track)."
+            f"{robot.name}: {worst.name} loses its motion by {lost[worst.qadr]:.3g} rad or m; lower "
+            "the motion's limits or change the controller's bandwidth: the loop does not track."
         )

@@ -21,8 +21,10 @@ class Inverse:
         """Rate (Hz) at which the motion is to be designed for a recording rate."""
         return recording
 
-    def run(self, plant: Plant, commanded: Trajectory, encoder: Array) -> tuple[Oracle, Controller | None]:
-        """What happens along the motion; encoder noise (N, nv) changes nothing without a controller."""
+    def run(
+        self, plant: Plant, commanded: Trajectory, encoder: Array
+    ) -> tuple[Oracle, Controller | None]:
+        """What happens along the motion; encoder noise (N, nv) has no controller to disturb."""
         tau = rigid_torque(plant.bench, commanded) + passive_torque(plant, commanded)
         return Oracle(commanded, check_finite(plant.robot.name, tau, "torque")), None
 
@@ -58,5 +60,7 @@ def passive_torque(plant: Plant, motion: Trajectory) -> Array:
 def _entries_of_M(mj: mujoco.MjModel) -> tuple[Array, Array, Array]:
     """Rows, columns and places of MuJoCo's sparse lower triangle of M."""
     rows = np.repeat(np.arange(mj.nv), mj.M_rownnz)
-    places = np.concatenate([np.arange(a, a + n) for a, n in zip(mj.M_rowadr, mj.M_rownnz, strict=True)])
+    places = np.concatenate(
+        [np.arange(a, a + n) for a, n in zip(mj.M_rowadr, mj.M_rownnz, strict=True)]
+    )
     return rows, np.array(mj.M_colind)[places], places

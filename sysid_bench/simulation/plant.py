@@ -27,8 +27,8 @@ class Effect(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """A robot with its joint terms and the force laws of effects on top; `phi` (nb, 10) replaces the
-    robot's own inertias where it is given."""
+    """A robot with its joint terms and the force laws of effects on top; `phi` (nb, 10) replaces
+    the robot's own inertias where it is given."""
 
     robot: RobotModel
     terms: JointTerms
@@ -41,7 +41,7 @@ class Plant:
         return self.compiled(self.robot.spec.copy())
 
     def compiled(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """A spec of this robot, compiled with the plant's inertias, joint terms and `bench_flags`."""
+        """A spec of this robot, compiled with the plant's inertias and terms and `bench_flags`."""
         mj = bench_flags(spec.compile())
         if self.phi is not None:
             set_inertias(mj, self.phi)
@@ -68,8 +68,13 @@ def bench_flags(mj: mujoco.MjModel) -> mujoco.MjModel:
     moves freely, and coupled joints are actuated one by one. Forces that are no joint terms are off
     as well: tendons, gravity compensation, the medium, non-linear springs and dampers."""
     bits = mujoco.mjtDisableBit
-    # Without autoreset a diverged simulation stays NaN instead of starting again from its reference.
-    for bit in (bits.mjDSBL_CONTACT, bits.mjDSBL_LIMIT, bits.mjDSBL_EQUALITY, bits.mjDSBL_AUTORESET):
+    # Autoreset would start a diverged simulation again from its reference, as if nothing happened.
+    for bit in (
+        bits.mjDSBL_CONTACT,
+        bits.mjDSBL_LIMIT,
+        bits.mjDSBL_EQUALITY,
+        bits.mjDSBL_AUTORESET,
+    ):
         mj.opt.disableflags |= int(bit)
     mj.opt.density = mj.opt.viscosity = 0.0
     mj.body_gravcomp[:] = 0.0
@@ -88,8 +93,8 @@ def set_inertias(mj: mujoco.MjModel, phi: Array) -> None:
         moments, axes = np.linalg.eigh(inertia)
         if mass < 0 or moments[0] < -1e-9 * max(moments[-1], 1e-12):
             raise EstimationError(
-                f"Body {mj.body(b).name!r} cannot be simulated with mass {mass:.3g} kg and principal "
-                f"moments {', '.join(f'{m:.3g}' for m in moments)} kg m^2."
+                f"Body {mj.body(b).name!r} cannot be simulated with mass {mass:.3g} kg and "
+                f"principal moments {', '.join(f'{m:.3g}' for m in moments)} kg m^2."
             )
         if np.linalg.det(axes) < 0:
             axes[:, 0] *= -1
@@ -116,5 +121,7 @@ def check_finite(name: str, array: Array, what: str) -> Array:
     bad = ~np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
-        raise SimulationError(f"{name}: {what} is not finite from sample {first} of {len(array)} on.")
+        raise SimulationError(
+            f"{name}: {what} is not finite from sample {first} of {len(array)} on."
+        )
     return array

@@ -91,5 +91,7 @@ def displaced(robot: RobotModel, q: Array, error: Array) -> Array:
         if joint.kind == "free":
             out[:, at : at + 3] += error[:, dof : dof + 3]
             at, dof = at + 3, dof + 3
-        out[:, at : at + 4] = product(out[:, at : at + 4], quaternion_of_vector(error[:, dof : dof + 3]))
+        out[:, at : at + 4] = product(
+            out[:, at : at + 4], quaternion_of_vector(error[:, dof : dof + 3])
+        )
     return out

@@ -79,7 +79,9 @@ def body_rates(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array]:
     r_r_dr = np.cross(r, r_dr)
     w = dr - c1 * r_dr + c2 * r_r_dr
     change = -d1 * rdot * r_dr + d2 * rdot * r_r_dr
-    change = change + c2 * (np.cross(dr, r_dr))  # the product rule's other terms vanish: dr × dr = 0
+    change = change + c2 * (
+        np.cross(dr, r_dr)
+    )  # the product rule's other terms vanish: dr × dr = 0
     return w, ddr - c1 * r_ddr + c2 * np.cross(r, r_ddr) + change
 
 

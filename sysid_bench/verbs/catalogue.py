@@ -45,7 +45,9 @@ def _robot(name: str, robots_dir: Path | None) -> Entry:
         "free_base": manifest.free_base,
         "gravity": manifest.gravity,
         "terms": list(manifest.terms),
-        "limits": {j: limits.model_dump(exclude_none=True) for j, limits in manifest.limits.items()},
+        "limits": {
+            j: limits.model_dump(exclude_none=True) for j, limits in manifest.limits.items()
+        },
         "joints": {j: terms.model_dump(exclude_none=True) for j, terms in manifest.joints.items()},
         "sensors": [sensor.model_dump() for sensor in manifest.sensors],
         "licence": manifest.licence,
@@ -88,7 +90,9 @@ def _payload(name: str) -> Entry:
 
 def _plugins(kind: str) -> Callable[[Path | None], list[Entry]]:
     def entries(robots_dir: Path | None) -> list[Entry]:
-        return [{"name": name, "title": _plugin(kind)(name)["title"]} for name in naming.known(kind)]
+        return [
+            {"name": name, "title": _plugin(kind)(name)["title"]} for name in naming.known(kind)
+        ]
 
     return entries
 

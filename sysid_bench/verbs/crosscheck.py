@@ -67,7 +67,14 @@ def _verdict(source: str, manifest: Any, samples: int, free_base: bool | None) -
 
 def _refused(name: str, file: str, error: Exception) -> dict[str, Any]:
     nothing: dict[str, Any] = dict.fromkeys(_MEASURED)
-    return {"robot": name, "file": file, "ok": False, "reason": str(error), **nothing, "repairs": []}
+    return {
+        "robot": name,
+        "file": file,
+        "ok": False,
+        "reason": str(error),
+        **nothing,
+        "repairs": [],
+    }
 
 
 _MEASURED: Sequence[str] = (

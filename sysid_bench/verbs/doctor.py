@@ -27,12 +27,23 @@ def _packages() -> dict[str, Any]:
     from importlib import import_module
 
     absent = []
-    for package in ("numpy", "scipy", "pandas", "mujoco", "pinocchio", "sympy", "rerun", "clarabel"):
+    for package in (
+        "numpy",
+        "scipy",
+        "pandas",
+        "mujoco",
+        "pinocchio",
+        "sympy",
+        "rerun",
+        "clarabel",
+    ):
         try:
             import_module(package)
         except ImportError as error:
             absent.append(f"{package} ({error})")
-    return _check("packages", not absent, "all import" if not absent else f"absent: {', '.join(absent)}")
+    return _check(
+        "packages", not absent, "all import" if not absent else f"absent: {', '.join(absent)}"
+    )
 
 
 def _example_robots() -> dict[str, Any]:

@@ -17,7 +17,7 @@ MOST = 20
 
 
 def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> list[Path]:
-    """Recordings of the cell whose id is `what`, or of all cells that meet the expression `what`."""
+    """Recordings of the cell with the id `what`, or of all that meet the expression `what`."""
     run_folder = open_run(folder)
     stored = run_folder.rows().rows
     if all(c in "0123456789abcdef" for c in what):
@@ -36,13 +36,19 @@ def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> lis
 def record_chosen(
     run_folder: "RunFolder", expression: str | None = None, robots_dir: Path | None = None
 ) -> list[Path]:
-    """The recordings that a suite's [record] (or `expression`) asks for, at most `MOST`; cells that
-    never came to data (skipped, crash, timeout) have nothing to show."""
+    """The recordings that a suite's [record] (or `expression`) asks for, at most `MOST`, unless
+    they are there already. Cells that never came to data (skipped, crash, timeout) show nothing."""
     rule = run_folder.suite.record
     chosen = list(_matching(run_folder, expression)) if expression else list(_by_rule(run_folder))
     stored = run_folder.rows().rows
     written = []
+    newest = max(
+        (f.stat().st_mtime for f in (run_folder.path / "cells").glob("*.jsonl")), default=0
+    )
     for cell in [c for c in dict.fromkeys(chosen) if stored[c].get("data_rank") is not None][:MOST]:
+        path = _path(run_folder, cell)
+        if path.is_file() and path.stat().st_mtime > newest:
+            continue
         try:
             max_hz = rule.max_hz if rule else 50.0
             written.append(_write(run_folder, cell, stored[cell], max_hz, robots_dir))
@@ -91,7 +97,9 @@ def _worst(run_folder: "RunFolder", metric: str, count: int, per: str | None) ->
     if metric not in rows:
         return
     measured = rows[rows[metric].notna()].sort_values(metric, ascending=False, kind="stable")
-    groups = [measured] if per is None else [group for _, group in measured.groupby(per, sort=False)]
+    groups = (
+        [measured] if per is None else [group for _, group in measured.groupby(per, sort=False)]
+    )
     for group in groups:
         yield from group["id"].head(count)
 
@@ -103,8 +111,8 @@ def _path(run_folder: "RunFolder", cell: str) -> Path:
 def _write(
     run_folder: "RunFolder", cell: str, row: Mapping[str, Any], max_hz: Any, robots_dir: Path | None
 ) -> Path:
-    from sysid_bench.harness.evidence import evidence
     from sysid_bench.harness.argument import argument_of
+    from sysid_bench.harness.evidence import evidence
     from sysid_bench.reporting.recording import record as write
     from sysid_bench.units import quantity
 

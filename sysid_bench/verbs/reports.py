@@ -1,6 +1,5 @@
 """From rows to paper and screen."""
 
-import os
 import shlex
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -121,6 +120,5 @@ def _origin(run_folder: "RunFolder") -> "Origin":
     from sysid_bench.reporting.latex import Origin
 
     cells = sorted(cell.id for cell in run_folder.plan.cells)
-    path = run_folder.path
-    shown = os.path.relpath(path) if path.resolve().is_relative_to(Path.cwd()) else path.name
-    return Origin(path.name, digest(cells)[:12], f"sysid-bench run {shlex.quote(str(shown))}")
+    command = f"sysid-bench run {shlex.quote(run_folder.suite.name)}"
+    return Origin(run_folder.path.name, digest(cells)[:12], command)

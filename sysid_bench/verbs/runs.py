@@ -20,7 +20,7 @@ def plan(
     overrides: Mapping[str, str] | None = None,
     robots_dir: Path | None = None,
 ) -> "Plan":
-    """The cells of a suite, every name resolved; nothing runs. Raises UsageError with all errors."""
+    """The cells of a suite, every name resolved; nothing runs. UsageError with all its errors."""
     from dataclasses import replace
 
     from sysid_bench import places
@@ -80,14 +80,17 @@ def status(folder: str | Path) -> dict[str, Any]:
     stored = run_folder.rows().rows
     planned = [cell.id for cell in run_folder.plan.cells]
     rows = [stored[cell] for cell in planned if cell in stored]
-    reasons = Counter((row["status"], row.get("reason") or "") for row in rows if row["status"] != "ok")
+    reasons = Counter(
+        (row["status"], row.get("reason") or "") for row in rows if row["status"] != "ok"
+    )
     return {
         "folder": str(run_folder.path),
         "cells": len(planned),
         "open": len(planned) - len(rows),
         "statuses": dict(Counter(row["status"] for row in rows)),
         "reasons": [
-            {"status": kind, "reason": reason, "cells": n} for (kind, reason), n in reasons.most_common()
+            {"status": kind, "reason": reason, "cells": n}
+            for (kind, reason), n in reasons.most_common()
         ],
     }
 
@@ -96,7 +99,9 @@ def cell(folder: str | Path, identifier: str) -> dict[str, Any]:
     """One row, with the exact command that reproduces it. A unique beginning of an id will do."""
     run_folder = open_run(folder)
     full = find_cell(run_folder, identifier)
-    row = run_folder.rows().rows.get(full, {"id": full, "status": "open", "reason": "has not run yet"})
+    row = run_folder.rows().rows.get(
+        full, {"id": full, "status": "open", "reason": "has not run yet"}
+    )
     command = f"sysid-bench run {shlex.quote(str(folder))} --select 'id == \"{full}\"' --rerun all"
     return {**row, "command": command}
 

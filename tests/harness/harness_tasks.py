@@ -38,8 +38,9 @@ def perform(do: str) -> None:
             ctypes.string_at(0)
         case ["hang"]:
             time.sleep(1000)
-        case ["grandchild"]:
-            subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+        case ["grandchild", born]:
+            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+            Path(born).write_text(str(child.pid))
             time.sleep(1000)
         case ["print"]:
             print("a plug-in talks")

@@ -48,7 +48,7 @@ def only(folder: Path, do: str, **settings: Any) -> dict[str, Any]:
 
 def test_two_hundred_tasks_three_of_them_bad(tmp_path: Path) -> None:
     bad = {50: "raise", 100: "die", 150: "hang"}
-    ending, stored = run(tmp_path, [task(n, bad.get(n, "")) for n in range(200)], timeout=2.0)
+    ending, stored = run(tmp_path, [task(n, bad.get(n, "")) for n in range(200)], timeout=4.0)
     assert ending == "finished"
     assert len(stored.rows) == 200
     kinds = {name: row["status"] for name, row in stored.rows.items() if row["status"] != "ok"}
@@ -77,7 +77,7 @@ def test_an_exception_is_told_in_one_line_with_its_traceback(tmp_path: Path) -> 
     ],
 )
 def test_every_kind_of_end_has_its_row(tmp_path: Path, do: str, status: str, reason: str) -> None:
-    row = only(tmp_path, do, timeout=1.0)
+    row = only(tmp_path, do, timeout=1.0 if do == "hang" else 30.0)
     assert row["status"] == status
     assert reason in row["reason"]
 
@@ -93,7 +93,7 @@ def test_every_kind_of_end_has_its_row(tmp_path: Path, do: str, status: str, rea
     ],
 )
 def test_a_call_that_is_wrong_itself(tmp_path: Path, call: str, status: str, reason: str) -> None:
-    _, stored = run(tmp_path, [task(0, call=call)], timeout=1.0)
+    _, stored = run(tmp_path, [task(0, call=call)], timeout=1.0 if "hangs" in call else 30.0)
     assert list(stored.rows) == ["0.0"]
     assert stored.rows["0.0"]["status"] == status
     assert reason in stored.rows["0.0"]["reason"]
@@ -101,7 +101,7 @@ def test_a_call_that_is_wrong_itself(tmp_path: Path, call: str, status: str, rea
 
 @pytest.mark.parametrize("do", ["raise", "die", "hang"])
 def test_rows_that_were_emitted_stay(tmp_path: Path, do: str) -> None:
-    _, stored = run(tmp_path, [task(0, f"late-{do}", cells=3)], timeout=1.0)
+    _, stored = run(tmp_path, [task(0, f"late-{do}", cells=3)], timeout=3.0)
     status = [stored.rows[f"0.{n}"]["status"] for n in range(3)]
     assert status[0] == "ok"
     assert len(set(status[1:])) == 1
@@ -116,26 +116,21 @@ def test_prints_go_to_the_log(tmp_path: Path) -> None:
 
 
 def test_a_timeout_ends_what_the_task_has_started(tmp_path: Path) -> None:
-    started: list[int] = []
+    born = tmp_path / "born"
+    assert only(tmp_path, f"grandchild {born}", timeout=3.0)["status"] == "timeout"
+    process = int(born.read_text())
+    until = time.monotonic() + 5.0
+    while time.monotonic() < until and lives(process):
+        time.sleep(0.05)
+    assert not lives(process)
 
-    def watch(kind: str, data: Mapping[str, Any]) -> None:
-        if kind == "row":
-            started.extend(descendants())
 
-    assert only(tmp_path, "grandchild", timeout=1.0, on_event=watch)["status"] == "timeout"
-    assert started == []
-
-
-def descendants() -> list[int]:
-    """Living processes of sessions that this process's children lead."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            if b"time.sleep(1000)" in stat.read_bytes():
-                found.append(int(stat.parent.name))
-        except OSError:
-            pass
-    return found
+def lives(process: int) -> bool:
+    """Whether a process runs; one that waits to be reaped does not."""
+    try:
+        return "Z" not in Path(f"/proc/{process}/stat").read_text().rpartition(")")[2]
+    except OSError:
+        return False
 
 
 def test_no_more_workers_than_tasks(tmp_path: Path) -> None:
@@ -167,7 +162,7 @@ def test_events_tell_every_row_and_every_task(tmp_path: Path) -> None:
 
 def test_an_argument_larger_than_a_pipe_does_not_hold_the_supervisor(tmp_path: Path) -> None:
     big = Task("harness_hangs_at_import:act", "x" * 1_000_000, ({"id": "a"},))
-    _, stored = run(tmp_path, [big, task(1)], timeout=1.0)
+    _, stored = run(tmp_path, [big, task(1)], timeout=3.0)
     assert {name: row["status"] for name, row in stored.rows.items()} == {
         "a": "timeout",
         "1.0": "ok",

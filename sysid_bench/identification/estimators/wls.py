@@ -28,7 +28,11 @@ class WLS:
             R = compress(problem, (1.0 / sigma).tolist())
             beta = solve(R)
         inverse = solve_triangular(R[:r, :r], np.eye(r))
-        return Estimate(beta, covariance=inverse @ inverse.T, stats={"sigma_ratio": float(sigma.max() / sigma.min())})
+        return Estimate(
+            beta,
+            covariance=inverse @ inverse.T,
+            stats={"sigma_ratio": float(sigma.max() / sigma.min())},
+        )
 
 
 def row_sigmas(problem: Problem, beta: Array) -> Array:
