@@ -38,6 +38,8 @@ class _Group(click.Group):
 def main(ctx: click.Context, debug: bool) -> None:
     """Benchmark of robot dynamic identification, cross-validated with Pinocchio."""
     ctx.obj = debug
+    if "" not in sys.path:  # "my_lab:Thing" means the folder one stands in, as with python -m
+        sys.path.insert(0, "")
 
 
 def verb(function: Callable[..., int]) -> Callable[..., None]:
@@ -245,7 +247,7 @@ def run(
     Exit codes: 0 ok, 1 a cross-check failed, 2 wrong usage or suite, 3 some cells failed,
     4 nothing selected or measured, 130 interrupted and resumable.
     """
-    from sysid_bench.progress import progress
+    from sysid_bench.verbs.progress import progress
     from sysid_bench.verbs.runs import run as execute
 
     with progress() as on_event:

@@ -86,7 +86,7 @@ def random_rotation(rng: np.random.Generator) -> Array:
     """A rotation matrix (3, 3), uniform, made without the package's own quaternions."""
     Q, R = np.linalg.qr(rng.normal(size=(3, 3)))
     Q = Q * np.sign(np.diag(R))
-    return Q * np.linalg.det(Q) if np.linalg.det(Q) > 0 else Q[:, [1, 0, 2]]
+    return Q if np.linalg.det(Q) > 0 else -Q
 
 
 def random_phi(rng: np.random.Generator, *leading: int) -> Array:

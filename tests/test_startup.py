@@ -20,8 +20,8 @@ except SystemExit as end:
     assert end.code in (0, None), end.code
 """
 VERBS = {
-    *("crosscheck", "basis", "list", "show", "plan", "run", "status", "cell", "table", "report"),
-    *("record", "view", "identify", "excite", "check-plugin", "doctor"),
+    *("crosscheck", "list", "show", "plan", "run", "status", "cell", "table", "report"),
+    *("record", "view", "doctor"),
 }
 
 

@@ -10,11 +10,12 @@ from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.limits import limits_of
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf import mjcf_spec
+from sysid_bench.models.numbers import check_numbers
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, JointTerms, RobotModel
 from sysid_bench.models.tree import FREE, tree_of
 from sysid_bench.models.urdf import Urdf, canonical_urdf, parse_xml
-from sysid_bench.models.warnings import heard
+from sysid_bench.models.warnings import heard, kept
 from sysid_bench.spatial.inertia import matrix_of_six, phi_of
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_matrix
 from sysid_bench.types import Array
@@ -119,7 +120,8 @@ def _urdf_spec(urdf: Urdf, manifest: Manifest) -> mujoco.MjSpec:
 
 def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
     try:
-        mj = spec.compile()
+        with kept():
+            mj = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise ModelError(
             f"MuJoCo cannot compile {manifest.path.name}: {_one_line(error)}"
@@ -128,6 +130,7 @@ def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
         raise ModelError(
             f"{manifest.path.name} has no joint that moves; there is nothing to identify."
         )
+    check_numbers(mj, manifest.path.name)
     return mj
 
 

@@ -1,6 +1,5 @@
 """Payloads: what is mounted at the tool frame."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -13,7 +12,8 @@ from sysid_bench.spatial.inertia import matrix_of_six, phi_of
 from sysid_bench.types import Array
 from sysid_bench.units import split_quantity
 
-_METRES: Final = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_METRES: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_LARGEST: Final = 1e6  # kg, m, kg m^2; squares of it stay far from overflow
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ def solid(text: str, mass: float) -> tuple[float, float, float, float, float, fl
     (thin, along x) or "point", of uniform density."""
     word, _, rest = text.strip().partition(" ")
     sizes = _lengths(text, rest)
-    if any(size <= 0 for size in sizes):
-        raise UsageError(f"The solid {text!r} has a size that is not positive.")
+    if not all(0 < size <= _LARGEST for size in sizes):
+        raise UsageError(f"The solid {text!r} has a size outside of 0 to {_LARGEST:.0e} m.")
     match word, sizes:
         case "point", []:
             return (0.0,) * 6
@@ -69,9 +69,11 @@ def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
             )
             raise unknown_name("payload", spec, PAYLOADS, advice)
         return PAYLOADS[spec]
+    if not isinstance(spec, Mapping):
+        raise UsageError(f"{spec!r} is no payload; give a name ({', '.join(PAYLOADS)}) or a table.")
     for key in spec:
         if key not in ("name", "mass", "com", "inertia"):
-            raise unknown_name("key of a payload", key, ("name", "mass", "com", "inertia"))
+            raise unknown_name("key of a payload", str(key), ("name", "mass", "com", "inertia"))
     mass = _numbers(spec, "mass", [spec.get("mass")], 1)[0]
     if mass <= 0:
         raise UsageError(f"A payload's mass must be positive (kg); got {mass}.")
@@ -86,13 +88,19 @@ def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
 
 def _lengths(text: str, rest: str) -> list[float]:
     words = rest.split()
-    scale = 1.0
-    if words and words[-1] in _METRES:
-        scale = _METRES[words.pop()]
+    unit = words.pop() if words and words[-1] in _METRES else "m"
     try:
-        return [scale * split_quantity(word)[0] for word in words]
+        return [_length(word, unit) for word in words]
     except UsageError as error:
         raise UsageError(f"The solid {text!r}: {error}") from error
+
+
+def _length(word: str, unit: str) -> float:
+    """Metres of "50" in the unit of the whole solid, or of "50mm" in its own."""
+    number, own = split_quantity(word)
+    if own and own not in _METRES:
+        raise UsageError(f"{word!r} has the unit {own!r}; expected one of {', '.join(_METRES)}.")
+    return number * _METRES[own or unit]
 
 
 def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list[float]:
@@ -101,8 +109,10 @@ def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list
         raise UsageError(
             f"A payload's {key} needs {count} number(s) in SI units; got {spec.get(key)!r}."
         )
-    if not all(math.isfinite(x) for x in values):
-        raise UsageError(f"A payload's {key} must be finite; got {spec.get(key)!r}.")
+    if not all(abs(x) <= _LARGEST for x in values):  # NaN compares false
+        raise UsageError(
+            f"A payload's {key} must be finite and at most {_LARGEST:.0e}; got {spec.get(key)!r}."
+        )
     return [float(x) for x in values]
 
 

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, unknown_name
-from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.spatial.inertia import transport
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Body, Truth
@@ -42,6 +42,9 @@ def task_of(robot: RobotModel, name: str, terms: tuple[str, ...]) -> Task:
     Joint terms that are not identified are known. Raises UnsupportedError where the robot or the
     payload has no such unknowns.
     """
+    for term in terms:
+        if term not in SUFFIX:
+            raise unknown_name("joint term", term, SUFFIX)
     match name:
         case "robot":
             return _robot(robot, terms)

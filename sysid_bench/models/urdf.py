@@ -56,7 +56,8 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
 def parse_xml(text: str | bytes, name: str) -> ET.Element:
     """The root element; DOCTYPE and entities are refused, since they can explode or read files."""
     data = text.encode() if isinstance(text, str) else text
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+    letters = data.replace(b"\0", b"")  # the same letters in UTF-16 and UTF-32
+    if b"<!DOCTYPE" in letters or b"<!ENTITY" in letters:
         raise ModelError(
             f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
         )
@@ -106,6 +107,8 @@ class _Chain:
                 )
             parents[child] = parent
             below.setdefault(parent, []).append((child, str(joint.get("type"))))
+        if not links:
+            raise ModelError(f"{name} has no <link>; a robot needs at least two and a joint.")
         roots = [link for link in links if link not in parents]
         if len(roots) != 1:
             there = (

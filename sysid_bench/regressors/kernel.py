@@ -9,12 +9,13 @@ knows only the rows that move it.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from sysid_bench.models.tree import BALL, FREE, HINGE, Link, Tree, TreeJoint
 from sysid_bench.regressors.body import entries
-from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.spatial.rotation import matrix_of_quaternion, skew
 from sysid_bench.types import Array, Trajectory
 
 BLOCK = 1024
@@ -23,7 +24,7 @@ BLOCK = 1024
 
 @dataclass(frozen=True, eq=False)
 class LinkMotion:
-    """w, alpha, d (3, n) of one link in its axes, and `ZU` (6, k, n): for each of its k degrees of
+    """w, alpha, d (3, n) of one link in its axes, and `ZU` (k, 6, n): for each of its k degrees of
     freedom the axis z and the velocity u of the link's origin per unit rate."""
 
     w: Array
@@ -41,14 +42,11 @@ def blocks(motion: Trajectory, size: int = BLOCK) -> Iterator[slice]:
 def sweep(tree: Tree, q: Array, v: Array, a: Array) -> list[LinkMotion]:
     """The motion of every link for n samples; q (nq, n), v and a (nv, n)."""
     n = q.shape[1]
+    zero = np.zeros((3, n))
+    ground = LinkMotion(zero, zero, np.tile(-tree.gravity[:, None], n), np.zeros((0, 6, n)))
     done: list[LinkMotion] = []
     for link in tree.links:
-        if link.parent < 0:
-            zero = np.zeros((3, n))
-            ground = np.broadcast_to(-tree.gravity[:, None], (3, n))
-            state = LinkMotion(zero, zero, ground, np.zeros((6, 0, n)))
-        else:
-            state = done[link.parent]
+        state = ground if link.parent < 0 else done[link.parent]
         done.append(_through_joints(link, state, q, v, a))
     return done
 
@@ -56,14 +54,14 @@ def sweep(tree: Tree, q: Array, v: Array, a: Array) -> list[LinkMotion]:
 def raw_columns(state: LinkMotion, wanted: tuple[int, ...]) -> Array:
     """Y of one link, (m, k, n): m wanted columns of its ten, k rows that move it."""
     columns = entries(state.w, state.alpha, state.d)
-    k, n = state.ZU.shape[1:]
+    k, _, n = state.ZU.shape
     out = np.empty((len(wanted), k, n))
     product = np.empty((k, n))
     for place, column in enumerate(wanted):
         (first, value), *rest = columns[column]
-        np.multiply(state.ZU[first], value, out=out[place])
+        np.multiply(state.ZU[:, first], value, out=out[place])
         for row, value in rest:
-            np.multiply(state.ZU[row], value, out=product)
+            np.multiply(state.ZU[:, row], value, out=product)
             out[place] += product
     return out
 
@@ -74,13 +72,13 @@ def newton_euler(tree: Tree, phi: Array, motion: Trajectory) -> Array:
     for part in blocks(motion):
         states = sweep(tree, motion.q[part].T, motion.v[part].T, motion.a[part].T)
         for link, state, numbers in zip(tree.links, states, phi, strict=True):
-            wrench = _wrench(state, numbers)
-            tau[part, link.dofs] += np.einsum("ikn,in->nk", state.ZU, wrench)
+            if numbers.any():
+                tau[part, link.dofs] += np.einsum("kin,in->nk", state.ZU, _wrench(state, numbers))
     return tau
 
 
 def _wrench(state: LinkMotion, phi: Array) -> Array:
-    wrench = np.zeros_like(state.ZU[:, 0] if state.ZU.shape[1] else np.zeros((6, state.w.shape[1])))
+    wrench = np.zeros((6, state.w.shape[1]))
     for number, column in zip(phi, entries(state.w, state.alpha, state.d), strict=True):
         for row, value in column:
             wrench[row] += number * value
@@ -92,115 +90,135 @@ def _through_joints(link: Link, state: LinkMotion, q: Array, v: Array, a: Array)
     for joint in link.joints:
         if joint.kind == FREE:
             state = _free(joint, state, q, v, a)
-        elif joint.kind in (HINGE, BALL):
-            state = _rotate(joint, state, R, p, q, v, a)
+        elif joint.kind == HINGE:
+            state = _hinge(joint, _placed(state, R, p + R @ joint.anchor, 1), q, v, a)
+        elif joint.kind == BALL:
+            state = _ball(joint, _placed(state, R, p + R @ joint.anchor, 3), q, v, a)
         else:
-            state = _slide(joint, state, R, p, q, v, a)
+            state = _slide(joint, _placed(state, R, p, 1), q, v, a)
         R, p = np.eye(3), np.zeros(3)  # the next joint of this body starts in the body frame
     return state
 
 
-def _rotate(
-    joint: TreeJoint, state: LinkMotion, R: Array, p: Array, q: Array, v: Array, a: Array
-) -> LinkMotion:
-    """A hinge or ball at `anchor` of a frame placed at (R, p) in the previous one."""
-    anchor = joint.anchor[:, None]
-    if joint.kind == HINGE:
-        turn = _turns_about(joint.axis, q[joint.qadr] - joint.q0)
-        rate = joint.axis[:, None] * v[joint.vadr]
-        change = joint.axis[:, None] * a[joint.vadr]
-        axes = joint.axis[:, None, None]
+def _placed(state: LinkMotion, R: Array, p: Array, new: int) -> LinkMotion:
+    """The state at a frame (R, p) fixed in the old one, with room for `new` more rows in ZU."""
+    k, _, n = state.ZU.shape
+    d = state.d
+    if p.any():
+        r = p[:, None]
+        d = d + _cross(state.alpha, r) + _cross(state.w, _cross(state.w, r))
+    # u at the new origin is u + z × p; both turn into the new axes.
+    motion = np.zeros((6, 6))
+    motion[:3, :3] = motion[3:, 3:] = R.T
+    motion[3:, :3] = -R.T @ skew(p)
+    ZU = np.empty((k + new, 6, n))
+    np.matmul(motion, state.ZU, out=ZU[:k])
+    return LinkMotion(R.T @ state.w, R.T @ state.alpha, R.T @ d, ZU)
+
+
+def _hinge(joint: TreeJoint, state: LinkMotion, q: Array, v: Array, a: Array) -> LinkMotion:
+    angle = q[joint.qadr] - joint.q0
+    axis = int(np.argmax(np.abs(joint.axis)))
+    if abs(joint.axis[axis]) == 1.0:
+        turned = _turned_about_axis(state, axis, joint.axis[axis] * angle)
     else:
-        turn = np.moveaxis(matrix_of_quaternion(q[joint.qadr : joint.qadr + 4].T), 0, -1)
-        own = slice(joint.vadr, joint.vadr + 3)
-        rate, change, axes = v[own], a[own], np.eye(3)[:, :, None]
-    E = np.einsum("ij,jkn->ikn", R, turn)
-    moved = _turn(_shift(state, p + R @ joint.anchor), E)
-    alpha = moved.alpha + change + _cross(moved.w, rate)
-    at_anchor = LinkMotion(
-        moved.w + rate, alpha, moved.d, _append(moved.ZU, axes, np.zeros((3, 1, 1)))
-    )
-    return _shift(at_anchor, -anchor) if joint.anchor.any() else at_anchor
+        turned = _turned(state, _turns_about(joint.axis, angle), 1)
+    along = joint.axis[:, None]
+    turned.ZU[-1, :3] = along
+    turned.ZU[-1, 3:] = 0.0
+    return _spun(joint, turned, along * v[joint.vadr], along * a[joint.vadr])
 
 
-def _slide(
-    joint: TreeJoint, state: LinkMotion, R: Array, p: Array, q: Array, v: Array, a: Array
-) -> LinkMotion:
+def _ball(joint: TreeJoint, state: LinkMotion, q: Array, v: Array, a: Array) -> LinkMotion:
+    quaternion = q[joint.qadr : joint.qadr + 4].T
+    turned = _turned(state, np.moveaxis(matrix_of_quaternion(quaternion), 0, -1), 3)
+    turned.ZU[-3:, :3] = np.eye(3)[:, :, None]
+    turned.ZU[-3:, 3:] = 0.0
+    own = slice(joint.vadr, joint.vadr + 3)
+    return _spun(joint, turned, v[own], a[own])
+
+
+def _spun(joint: TreeJoint, state: LinkMotion, rate: Array, change: Array) -> LinkMotion:
+    """The state with a joint's own rate and acceleration (3, n), moved from anchor to origin."""
+    alpha = state.alpha + change + _cross(state.w, rate)
+    spun = LinkMotion(state.w + rate, alpha, state.d, state.ZU)
+    return _shifted(spun, -joint.anchor[:, None]) if joint.anchor.any() else spun
+
+
+def _slide(joint: TreeJoint, state: LinkMotion, q: Array, v: Array, a: Array) -> LinkMotion:
     axis = joint.axis[:, None]
-    offset = p[:, None] + (R @ joint.axis)[:, None] * (q[joint.qadr] - joint.q0)
-    moved = _turn(_shift(state, offset), R[:, :, None])
+    state.ZU[-1] = 0.0
+    moved = _shifted(state, axis * (q[joint.qadr] - joint.q0))
+    moved.ZU[-1, 3:] = axis
     d = moved.d + axis * a[joint.vadr] + 2 * _cross(moved.w, axis * v[joint.vadr])
-    ZU = _append(moved.ZU, np.zeros((3, 1, 1)), axis[:, :, None])
-    return LinkMotion(moved.w, moved.alpha, d, ZU)
+    return LinkMotion(moved.w, moved.alpha, d, moved.ZU)
 
 
 def _free(joint: TreeJoint, state: LinkMotion, q: Array, v: Array, a: Array) -> LinkMotion:
     """Linear velocity in the world, angular velocity in the body; q is absolute."""
     R = np.moveaxis(matrix_of_quaternion(q[joint.qadr + 3 : joint.qadr + 7].T), 0, -1)
     linear, angular = slice(joint.vadr, joint.vadr + 3), slice(joint.vadr + 3, joint.vadr + 6)
+    ZU = np.zeros((6, 6, q.shape[1]))
+    ZU[3:, :3] = np.eye(3)[:, :, None]
+    ZU[:3, 3:] = R
     d = _transposed(R, state.d + a[linear])
-    n = q.shape[1]
-    ZU = np.zeros((6, 6, n))
-    ZU[:3, 3:] = np.eye(3)[:, :, None]
-    ZU[3:, :3] = R.transpose(1, 0, 2)
     return LinkMotion(np.array(v[angular]), np.array(a[angular]), d, ZU)
 
 
-def _shift(state: LinkMotion, r: Array) -> LinkMotion:
-    """The same axes at a point r (3,) or (3, n) away."""
-    r = np.broadcast_to(r if r.ndim == 2 else r[:, None], state.w.shape)
+def _shifted(state: LinkMotion, r: Array) -> LinkMotion:
+    """The same axes at a point r (3, 1) or (3, n) away; writes into the state's own ZU."""
     d = state.d + _cross(state.alpha, r) + _cross(state.w, _cross(state.w, r))
-    ZU = np.empty_like(state.ZU)
-    ZU[:3] = state.ZU[:3]
-    ZU[3:] = state.ZU[3:] + _cross(state.ZU[:3], r[:, None])
-    return LinkMotion(state.w, state.alpha, d, ZU)
+    z, u = state.ZU[:, :3], state.ZU[:, 3:]
+    for i, j, k in _CYCLES:
+        u[:, i] += z[:, j] * r[k]
+        u[:, i] -= z[:, k] * r[j]
+    return LinkMotion(state.w, state.alpha, d, state.ZU)
 
 
-def _turn(state: LinkMotion, E: Array) -> LinkMotion:
-    """The same point in axes turned by E (3, 3, n) or (3, 3, 1)."""
-    return LinkMotion(
-        _transposed(E, state.w),
-        _transposed(E, state.alpha),
-        _transposed(E, state.d),
-        np.concatenate([_transposed(E, state.ZU[:3]), _transposed(E, state.ZU[3:])]),
-    )
+def _turned_about_axis(state: LinkMotion, axis: int, angle: Array) -> LinkMotion:
+    """The same point in axes turned about coordinate axis 0, 1 or 2: a plane rotation. Writes into
+    the state's own ZU."""
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    cos, sin = np.cos(angle), np.sin(angle)
+    for vector in (state.w, state.alpha, state.d):
+        vector[j], vector[k] = cos * vector[j] + sin * vector[k], cos * vector[k] - sin * vector[j]
+    for first in (0, 3):
+        x, y = state.ZU[:-1, first + j], state.ZU[:-1, first + k]
+        old = x * sin
+        x *= cos
+        x += y * sin
+        y *= cos
+        y -= old
+    return state
 
 
-def _append(ZU: Array, z: Array, u: Array) -> Array:
-    _, k, n = ZU.shape
-    new = max(z.shape[1], u.shape[1])
-    out = np.empty((6, k + new, n))
-    out[:, :k] = ZU
-    out[:3, k:] = z
-    out[3:, k:] = u
-    return out
+def _turned(state: LinkMotion, E: Array, new: int) -> LinkMotion:
+    """The same point in axes turned by E (3, 3, n); writes into the state's own ZU."""
+    old = state.ZU[:-new]
+    for part in (slice(0, 3), slice(3, 6)):
+        old[:, part] = np.einsum("jin,kjn->kin", E, old[:, part])
+    w, alpha, d = (_transposed(E, x) for x in (state.w, state.alpha, state.d))
+    return LinkMotion(w, alpha, d, state.ZU)
 
 
 def _transposed(E: Array, x: Array) -> Array:
-    """E^T x for E (3, 3, n), x (3, n) or (3, k, n)."""
-    if x.ndim == 3:
-        E = E[:, :, None]
-    out = E[0] * x[0]
-    out += E[1] * x[1]
-    out += E[2] * x[2]
-    return out
+    """E^T x for E (3, 3, n) and x (3, n)."""
+    return E[0] * x[0] + E[1] * x[1] + E[2] * x[2]
 
 
 def _turns_about(axis: Array, angle: Array) -> Array:
     """Rotations (3, 3, n) by `angle` (n,) about a unit axis (Rodrigues)."""
-    x, y, z = axis
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    along = np.outer(axis, axis)
-    return (
-        along[:, :, None]
-        + (np.eye(3) - along)[:, :, None] * np.cos(angle)
-        + K[:, :, None] * np.sin(angle)
-    )
+    along = np.outer(axis, axis)[:, :, None]
+    across = np.eye(3)[:, :, None] - along
+    return along + across * np.cos(angle) + skew(axis)[:, :, None] * np.sin(angle)
+
+
+_CYCLES: Final = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 
 
 def _cross(x: Array, y: Array) -> Array:
     out = np.empty(np.broadcast_shapes(x.shape, y.shape))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    for i, j, k in _CYCLES:
         np.multiply(x[j], y[k], out=out[i])
         out[i] -= x[k] * y[j]
     return out

@@ -1,0 +1,52 @@
+"""Numbers of a compiled model: MuJoCo takes NaN, infinities and absurd sizes without a word."""
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from sysid_bench.errors import ModelError
+
+if TYPE_CHECKING:
+    import mujoco
+
+LARGEST: Final = 1e9
+"""SI units. No robot weighs or reaches more; squares and products of it stay far from overflow."""
+
+_OF_BODIES: Final = (
+    "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat", "body_inertia"
+)  # fmt: skip
+_OF_JOINTS: Final = ("jnt_pos", "jnt_axis")
+_OF_THE_MODEL: Final = (
+    "qpos0", "qpos_spring", "dof_armature", "dof_damping", "dof_frictionloss", "jnt_stiffness"
+)  # fmt: skip
+
+
+def check_numbers(mj: "mujoco.MjModel", name: str) -> None:
+    """Raises ModelError, naming the first body or joint, for a number beyond `LARGEST` or none."""
+    for key in _OF_BODIES:
+        for b in _wrong(getattr(mj, key)):
+            raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
+    for key in _OF_JOINTS:
+        for j in _wrong(getattr(mj, key)):
+            raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
+    for b in np.flatnonzero(np.abs(np.linalg.norm(mj.body_quat, axis=1) - 1) > 1e-6):
+        # What overflows when MuJoCo normalises it comes out as zero.
+        raise _error(name, f"body {mj.body(b).name or b!r}", "body_quat", mj.body_quat[b])
+    for key in _OF_THE_MODEL:
+        for i in _wrong(getattr(mj, key)):
+            raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i])
+    if _wrong(mj.opt.gravity[None]):
+        raise _error(name, "the model", "gravity", mj.opt.gravity)
+
+
+def _wrong(values: np.ndarray) -> list[int]:
+    """First places whose numbers are not finite or too large; NaN compares false."""
+    good = np.abs(values.reshape(len(values), -1)) <= LARGEST
+    return [int(i) for i in np.flatnonzero(~good.all(axis=1))]
+
+
+def _error(name: str, place: str, key: str, value: np.ndarray) -> ModelError:
+    return ModelError(
+        f"{name}: {key} of {place} is {np.ravel(value).tolist()}; numbers must be finite and at "
+        f"most {LARGEST:.0e} in SI units: correct the file."
+    )

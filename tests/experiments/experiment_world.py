@@ -1,0 +1,127 @@
+"""Small experiments: short specifications, robots of this folder and shipped ones, made once."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench import places
+from sysid_bench.excitation.brief import brief_of
+from sysid_bench.harness.prepare import Prepared, prepare
+from sysid_bench.harness.robots import Subject, subject
+from sysid_bench.harness.spec import ExperimentSpec
+from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.naming import build
+from sysid_bench.types import Array, Row, Trajectory
+
+MODELS: Final = Path(__file__).parent / "models"
+SHIPPED: Final = tuple(places.robots())
+RICH: Final = "rich/robot.toml"
+"""Two hinges and a slide with every joint term but Coulomb friction."""
+SMOOTH: Final = "smooth/robot.toml"
+"""A UR5 without Coulomb friction."""
+OWN: Final = ("file:arm.xml", "file:ball.xml", "file:free.xml", RICH)
+LOADS: Final = tuple(name for name in PAYLOADS if name != "none")
+CLOSED_LOOP: Final = {"use": "closed-loop", "rate": "500 Hz"}
+
+BASE: Final = ExperimentSpec(
+    seed=1,
+    robot="ur5",
+    payload="none",
+    task="robot",
+    terms=None,
+    plant={"use": "matched"},
+    prior={"mass": 0.2, "com": 0.015, "inertia": 0.3},
+    excitation={"use": "fourier", "period": "4 s", "cycles": 1},
+    held_out=({"use": "ptp", "moves": 2},),
+    simulation={"use": "inverse"},
+    rate=50.0,
+    noise={},
+    signals={"filter": "none", "derivatives": "exact"},
+    repeat=0,
+)
+
+
+def robot_of(source: str, payload: str | Mapping[str, Any] = "none") -> RobotModel:
+    """A robot by name or by its file in the folder `models`."""
+    return subject_of(source, payload).robot
+
+
+def subject_of(source: str, payload: str | Mapping[str, Any] = "none") -> Subject:
+    return subject(source, payload, None, str(MODELS))
+
+
+def spec(**changes: Any) -> ExperimentSpec:
+    """BASE with some fields changed."""
+    return replace(BASE, **changes)
+
+
+def ready(**changes: Any) -> Prepared:
+    """The experiment of `spec(**changes)`, made anew."""
+    made = spec(**changes)
+    return prepare(made, subject_of(made.robot, made.payload))
+
+
+@cache
+def ready_once(robot: str, payload: str = "none", task: str = "robot") -> Prepared:
+    """An exact experiment that tests only look at."""
+    return ready(robot=robot, payload=payload, task=task)
+
+
+@cache
+def smooth_loop() -> Prepared:
+    """A noise-free closed-loop experiment of the UR5 without Coulomb friction, with a payload."""
+    return ready(robot=SMOOTH, payload="box-2kg", simulation=CLOSED_LOOP)
+
+
+def motion_of(
+    robot: RobotModel, excitation: str | Mapping[str, Any], rate: float, seed: int = 0
+) -> Trajectory:
+    """A motion of a registered excitation."""
+    made: Trajectory = build("excitation", excitation).design(
+        brief_of(robot, rate), np.random.default_rng(seed)
+    )
+    return made
+
+
+def argument(
+    made: ExperimentSpec,
+    *estimators: str | Mapping[str, Any],
+    tolerance: float = 1e-12,
+    on_fail: str = "skip-robot",
+) -> dict[str, Any]:
+    """What the harness hands to `execute`: one cell per estimator, named by its place."""
+    specs = [{"use": e} if isinstance(e, str) else dict(e) for e in estimators]
+    return {
+        "experiment": made.to_json(),
+        "seed": made.seed,
+        "estimators": [
+            {**e, "cell": f"cell{i}", "label": str(e["use"])} for i, e in enumerate(specs)
+        ],
+        "labels": {"experiment": made.id, "robot": made.robot},
+        "crosscheck": {"tolerance": tolerance, "on_fail": on_fail},
+        "folder": str(MODELS),
+        "robots_dir": None,
+        "fingerprints": {},
+    }
+
+
+def executed(
+    made: ExperimentSpec, *estimators: str | Mapping[str, Any], tolerance: float = 1e-12
+) -> list[Row]:
+    """The rows of one experiment."""
+    from sysid_bench.harness.experiment import execute
+
+    rows: list[Row] = []
+    execute(argument(made, *estimators, tolerance=tolerance), rows.append)
+    return rows
+
+
+def dense(problem: Any) -> tuple[Array, Array]:
+    """W (N, rows, r) and b (N, rows) of a problem, from its blocks."""
+    parts = list(problem.blocks())
+    return np.concatenate([Y for Y, _ in parts]), np.concatenate([b for _, b in parts])
