@@ -1,0 +1,139 @@
+"""Failures stay where they happen: other experiments unharmed, one sentence each, right codes."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .conftest import Run, one_sentence, rows_of, small_suite
+
+METHODS = '''
+import os, signal, time
+from sysid_bench.types import Estimate
+
+class Dies:
+    def solve(self, problem):
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+class Hangs:
+    def solve(self, problem):
+        time.sleep(1000)
+
+class Raises:
+    def solve(self, problem):
+        raise ValueError("no luck today")
+
+class Lies:
+    def solve(self, problem):
+        return Estimate(problem.base.K[:, 0] * float("nan"))
+'''
+NOT_SCORES = {"seconds", "seconds_experiment"}
+
+
+def by_estimator(run: Path) -> dict[str, set[str]]:
+    """estimator -> the statuses of its rows."""
+    found: dict[str, set[str]] = {}
+    for row in rows_of(run):
+        found.setdefault(row["estimator"], set()).add(row["status"])
+    return found
+
+
+def test_a_method_that_dies_hangs_raises_or_lies_harms_no_other_experiment(
+    cli: Run, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.py").write_text(METHODS)
+    (tmp_path / "s.toml").write_text(
+        small_suite(
+            payloads=("none", "sphere-1kg"),
+            estimators=("ols", "file:bad.py:Raises", "file:bad.py:Lies"),
+        )
+    )
+    done = cli("run", "s.toml", "-o", "out")
+    assert done.returncode == 3
+    assert by_estimator(tmp_path / "out") == {"ols": {"ok"}, "Raises": {"failed"}, "Lies": {"failed"}}
+    rows = rows_of(tmp_path / "out")
+    assert len(rows) == len({row["id"] for row in rows}) == 18
+    assert all(row["reason"] for row in rows if row["status"] != "ok")
+    assert any("no luck today" in row.get("traceback", "") for row in rows)
+
+    for name, status in (("Dies", "crash"), ("Hangs", "timeout")):
+        (tmp_path / f"{name}.toml").write_text(
+            small_suite(estimators=("ols", f"file:bad.py:{name}"))
+        )
+        done = cli("run", f"{name}.toml", "-o", name, "--timeout", "6 s", "-j", "2")
+        assert done.returncode == 3
+        assert by_estimator(tmp_path / name) == {"ols": {"ok"}, name: {status}}
+        reasons = {row["reason"] for row in rows_of(tmp_path / name) if row["status"] == status}
+        assert all("SIGSEGV" in reason or "6 s" in reason for reason in reasons), reasons
+
+
+def test_a_broken_robot_fails_alone(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "broken.urdf").write_text("<robot name='x'><link name='a'/>")
+    (tmp_path / "s.toml").write_text(small_suite(robots=("file:broken.urdf", "ur5")))
+    done = cli("run", "s.toml", "-o", "out")
+    assert done.returncode == 3
+    rows = rows_of(tmp_path / "out")
+    assert {(row["robot"], row["status"]) for row in rows} == {("broken", "failed"), ("ur5", "ok")}
+    (reason,) = {row["reason"] for row in rows if row["status"] == "failed"}
+    assert "broken.urdf" in reason and "well-formed" in reason
+
+
+def test_nan_in_a_manifest_is_one_sentence(cli: Run, tmp_path: Path) -> None:
+    robot = tmp_path / "mine" / "arm"
+    robot.mkdir(parents=True)
+    (robot / "robot.toml").write_text(
+        'name = "arm"\nfile = "example-robot-data:ur_description/urdf/ur5_robot.urdf"\n'
+        "gravity = [0, 0, nan]\n[limits.all]\nv = nan\n"
+    )
+    (tmp_path / "s.toml").write_text(small_suite(robots=("arm",)))
+    done = cli("run", "s.toml", "--robots", "mine")
+    assert done.returncode == 2
+    told = one_sentence(done)
+    assert "limits.all.v" in told and "gravity" in told and "finite" in told
+
+
+def test_an_unknown_estimator_runs_nothing(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(small_suite(estimators=("ols", "wsl")))
+    done = cli("run", "s.toml", "-o", "out")
+    assert done.returncode == 2 and "'wls'" in one_sentence(done)
+    assert not (tmp_path / "out").exists()
+
+
+def scores(run: Path) -> dict[str, dict[str, Any]]:
+    """id -> the row without its times; fails where a cell has more than one row."""
+    found: dict[str, dict[str, Any]] = {}
+    for row in rows_of(run):
+        assert row["id"] not in found, f"cell {row['id']} has two rows"
+        found[row["id"]] = {key: value for key, value in row.items() if key not in NOT_SCORES}
+    return found
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_a_run_goes_on_as_if_nothing_had_happened(
+    cli: Run, tmp_path: Path
+) -> None:
+    (tmp_path / "s.toml").write_text(
+        small_suite(robots=("ur5", "panda"), payloads=("none", "sphere-1kg", "box-2kg"))
+    )
+    assert cli("run", "s.toml", "-o", "calm", "-j", "1").returncode == 0
+    moments = random.Random(20261121)
+    command = [sys.executable, "-m", "sysid_bench.cli", "run", "s.toml", "-o", "harried", "-j", "2"]
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    for _ in range(4):
+        runner = subprocess.Popen(
+            command, cwd=tmp_path, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        time.sleep(moments.uniform(1.0, 3.5))
+        runner.send_signal(signal.SIGKILL)
+        runner.wait()
+    done = cli("run", "s.toml", "-o", "harried", "-j", "2")
+    assert done.returncode == 0, done.stderr
+    calm, harried = scores(tmp_path / "calm"), scores(tmp_path / "harried")
+    assert calm == harried  # bit for bit: JSON writes the shortest text that reads back the same
+    assert len(calm) == 36

@@ -1,0 +1,147 @@
+"""Each verb, with its output and exit code as the contract has them."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from .conftest import Run, one_sentence, rows_of, small_suite
+
+FIELDS = {
+    "robot", "file", "ok", "reason", "nq", "nv", "bodies", "joints", "gap", "closure",
+    "native_gap", "native_reason", "base_parameters", "near_degenerate", "coupling", "repairs",
+}  # fmt: skip
+
+
+def test_crosscheck_prints_the_fields_of_the_contract(cli: Run) -> None:
+    done = cli("crosscheck", "ur5", "solo12", "--json", "--samples", "20")
+    assert done.returncode == 0, done.stderr
+    ur5, solo12 = json.loads(done.stdout)
+    assert set(ur5) == FIELDS == set(solo12)
+    assert ur5["ok"] and ur5["base_parameters"] == 36 and ur5["nv"] == 6
+    assert ur5["gap"] <= 1e-12 and ur5["closure"] <= 1e-11 and ur5["native_gap"] <= 1e-12
+    assert solo12["nv"] == 18 and solo12["joints"][0] == {"name": "root", "type": "free"}
+
+
+def test_free_base_is_a_word_of_the_command_line(cli: Run) -> None:
+    done = cli("crosscheck", "ur5", "--free-base", "--json")
+    (verdict,) = json.loads(done.stdout)
+    assert verdict["ok"] and verdict["nv"] == 12 and verdict["nq"] == 13
+
+
+def test_crosscheck_of_an_unknown_name_names_the_nearest(cli: Run) -> None:
+    done = cli("crosscheck", "pandda")
+    assert done.returncode == 2
+    assert "'panda'" in one_sentence(done)
+
+
+def test_crosscheck_of_a_broken_file_is_a_verdict(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "broken.urdf").write_text('<robot name="x"><link name="a"></robot>')
+    done = cli("crosscheck", "broken.urdf", "ur5")
+    assert done.returncode == 1
+    assert "broken.urdf" in one_sentence(done)
+    assert "ur5: agrees" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["robots", "payloads", "excitations", "estimators", "suites", "simulations", "plants"],
+)
+def test_list_gives_names_and_titles(cli: Run, kind: str) -> None:
+    done = cli("list", kind, "--json")
+    assert done.returncode == 0, done.stderr
+    entries = json.loads(done.stdout)
+    assert entries and all(entry["name"] and "title" in entry for entry in entries)
+
+
+def test_show_knows_every_kind(cli: Run) -> None:
+    for name, kind in (("panda", "robot"), ("box-2kg", "payload"), ("ols", "estimator")):
+        done = cli("show", name, "--json")
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["kind"] == kind
+    assert "'wls'" in one_sentence(cli("show", "wsl"))
+
+
+def test_plan_counts_and_refuses_with_lines(cli: Run, tmp_path: Path) -> None:
+    counted = json.loads(cli("plan", "smoke", "--json").stdout)
+    assert counted["cells"] == 120 and counted["errors"] == []
+    (tmp_path / "bad.toml").write_text(
+        small_suite(estimators=("osl",)).replace("payloads", "paylods")
+    )
+    done = cli("plan", "bad.toml")
+    assert done.returncode == 2
+    told = one_sentence(done)
+    assert "bad.toml:" in told and "'payloads'" in told and "'ols'" in told
+
+
+def test_a_run_from_the_first_command_to_the_report(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(small_suite(payloads=("none", "box-2kg")))
+    done = cli("run", "s.toml", "-o", "out", "-j", "2")
+    assert done.returncode == 0, done.stderr
+    assert "12 ok" in done.stdout and "report.html" in done.stdout
+    out = tmp_path / "out"
+    for name in (
+        "run.toml", "plan.jsonl", "env.json", "cells.parquet", "parameters.parquet",
+        "joints.parquet", "tables/main.md", "tables/main.csv", "tables/main.tex",
+        "tables/numbers.tex", "figures/main.pdf", "report.html",
+    ):  # fmt: skip
+        assert (out / name).stat().st_size > 0, name
+    cells = pd.read_parquet(out / "cells.parquet")
+    assert len(cells) == 12 and set(cells["status"]) == {"ok"}
+    exact = cells[cells["noise"] == "exact"]
+    assert (exact["beta_error"] <= 1e-9).all() and (exact["torque_error"] <= 1e-9).all()
+    assert json.loads(cli("status", "out", "--json").stdout)["open"] == 0
+    row = json.loads(cli("cell", "out", cells["id"][0], "--json").stdout)
+    assert row["id"] == cells["id"][0] and row["command"].startswith("sysid-bench run out")
+    for form, mark in (("md", "| robot |"), ("csv", "robot"), ("latex", "\\toprule")):
+        assert mark in cli("table", "out", "main", "--format", form).stdout
+    assert "'main'" in one_sentence(cli("table", "out", "mian"))
+
+
+def test_nothing_selected_is_no_success(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(small_suite())
+    assert cli("run", "s.toml", "-o", "out", "--select", 'robot == "panda"').returncode == 4
+
+
+def test_a_recording_is_sound(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(small_suite(estimators=("ols",)))
+    assert cli("run", "s.toml", "-o", "out", "--select", 'noise == "exact"').returncode == 0
+    done = cli("record", "out", 'noise == "exact"')
+    assert done.returncode == 0, done.stderr
+    (path,) = done.stdout.split()
+    rerun = Path(sys.executable).with_name("rerun")
+    verified = subprocess.run([rerun, "rrd", "verify", tmp_path / path], capture_output=True)
+    assert verified.returncode == 0, verified.stderr
+
+
+def test_doctor_finds_this_machine_fit(cli: Run) -> None:
+    done = cli("doctor", "--json")
+    findings = json.loads(done.stdout)
+    assert done.returncode == 0 and findings["ok"], findings
+    assert {"packages", "example-robot-data", "robots"} <= {c["name"] for c in findings["checks"]}
+
+
+def test_words_that_are_wrong_are_usage(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(small_suite())
+    for words in (
+        ("run", "nowhere.toml"),
+        ("run", "smok"),
+        ("status", "nowhere"),
+        ("run", "s.toml", "--select", "robt == 1"),
+        ("plan", "s.toml", "--set", "defaults.rate=5 m"),
+    ):
+        done = cli(*words)
+        assert done.returncode == 2, words
+        one_sentence(done)
+
+
+def test_the_rows_carry_versions_and_a_fingerprint(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(small_suite(estimators=("ols",)))
+    cli("run", "s.toml", "-o", "out", "--limit", "1")
+    (row,) = rows_of(tmp_path / "out")
+    assert row["fingerprint"] and row["versions"]["mujoco"]
+    again = cli("run", "s.toml", "-o", "out", "--limit", "1", "--rerun", "stale")
+    assert again.returncode == 0 and len(rows_of(tmp_path / "out")) == 1  # nothing was stale
