@@ -167,9 +167,16 @@ def _record(spec: ExperimentSpec, plant: Plant) -> tuple[Recording, Recording]:
         # Recorded is what is read where the robot was then: it lies on the encoder's grid.
         error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
     raw = sense(
-        robot, oracle, error, noise.torque_std(oracle.tau[::every]), draws, every, commanded, controller,
+        robot,
+        oracle,
+        error,
+        noise.torque_std(oracle.tau[::every]),
+        draws,
+        every,
+        commanded,
+        controller,
         ideal_rates=not processing.differentiate,
-    )  # fmt: skip
+    )
     return raw, processing.apply(raw, robot.joints)
 
 

@@ -45,33 +45,32 @@ def _call(estimator: Any, problem: Problem, experiment: Experiment | None) -> An
 def _checked(estimate: Any, problem: Problem) -> Estimate:
     if not isinstance(estimate, Estimate):
         raise EstimationError(f"The method answered {type(estimate).__name__}, not an Estimate.")
-    if estimate.status not in (known := get_args(EstimateStatus)):
+    known = get_args(EstimateStatus)
+    if estimate.status not in known:
         raise EstimationError(
-            f"The method's status is {estimate.status!r}; expected {', '.join(known)}."
+            f"The method's status is {estimate.status!r}; expected one of {', '.join(known)}."
         )
     if estimate.status != "ok":
         return estimate
-    r = problem.base.rank
-    if estimate.theta is not None:
-        theta = _numbers("theta", estimate.theta, (len(problem.parameters),))
-        estimate = replace(estimate, theta=theta, beta=problem.base.K @ theta)
-    if estimate.beta is None:
+    r, theta, beta, covariance = problem.base.rank, estimate.theta, estimate.beta, None
+    if theta is not None:
+        theta = _numbers("theta", theta, (len(problem.parameters),))
+        beta = problem.base.K @ theta
+    if beta is None:
         raise EstimationError("The method answered neither beta nor theta.")
-    estimate = replace(estimate, beta=_numbers("beta", estimate.beta, (r,)))
-    if estimate.covariance is None:
-        return estimate
-    covariance = _numbers("covariance", estimate.covariance, (r, r))
-    if (np.diag(covariance) < 0).any():
-        raise EstimationError("The method's covariance has a negative variance.")
-    return replace(estimate, covariance=covariance)
+    beta = _numbers("beta", beta, (r,))
+    if estimate.covariance is not None:
+        covariance = _numbers("covariance", estimate.covariance, (r, r))
+        if (np.diag(covariance) < 0).any():
+            raise EstimationError("The method's covariance has a negative variance.")
+    return replace(estimate, theta=theta, beta=beta, covariance=covariance)
 
 
 def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Array:
-    """A stranger's numbers as an array of this shape; EstimationError says what they are instead."""
-    try:
-        numbers = np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise EstimationError(f"The method's {name} holds no real numbers: {error}.") from error
+    """A stranger's numbers as an array of this shape, or an EstimationError about what came."""
+    numbers = np.asarray(values)
+    if numbers.dtype.kind not in "fiu":
+        raise EstimationError(f"The method's {name} holds no real numbers but {numbers.dtype}.")
     if numbers.shape != shape:
         raise EstimationError(
             f"The method's {name} has the shape {numbers.shape}; expected {shape}."
@@ -81,4 +80,4 @@ def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Array:
         raise EstimationError(
             f"{bad} of {numbers.size} numbers of the method's {name} are not finite."
         )
-    return numbers
+    return numbers.astype(float)

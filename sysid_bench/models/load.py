@@ -294,7 +294,9 @@ def _mount(
     load.ipos = payload.com
     # Principal moments, since MuJoCo refuses a full inertia with a zero eigenvalue (points, rods).
     moments, axes = np.linalg.eigh(matrix_of_six(np.array(payload.inertia)))
-    load.inertia = np.maximum(moments, 0.0)
+    moments = np.maximum(moments, 0.0)
+    moments[2] = min(moments[2], moments[0] + moments[1])  # a lamina lies on the border
+    load.inertia = moments
     load.iquat = quaternion_of_matrix(axes * np.sign(np.linalg.det(axes)))
 
 

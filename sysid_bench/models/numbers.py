@@ -29,9 +29,11 @@ def check_numbers(mj: "mujoco.MjModel", name: str) -> None:
     for key in _OF_JOINTS:
         for j in _wrong(getattr(mj, key)):
             raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
-    for b in np.flatnonzero(np.abs(np.linalg.norm(mj.body_quat, axis=1) - 1) > 1e-6):
+    for key in ("body_quat", "body_iquat"):
         # What overflows when MuJoCo normalises it comes out as zero.
-        raise _error(name, f"body {mj.body(b).name or b!r}", "body_quat", mj.body_quat[b])
+        lengths = np.linalg.norm(getattr(mj, key), axis=1)
+        for b in np.flatnonzero(np.abs(lengths - 1) > 1e-6).tolist():
+            raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
     for key in _OF_THE_MODEL:
         for i in _wrong(getattr(mj, key)):
             raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i])

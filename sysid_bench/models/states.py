@@ -6,7 +6,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Trajectory
 
 LARGEST = 2.0
-"""Random positions stay within this of the reference where a joint's range is wider (rad, m)."""
+"""Random positions come from a window of twice this where a joint's range is wider (rad, m)."""
 
 
 def random_states(robot: RobotModel, count: int, rng: np.random.Generator) -> Trajectory:
@@ -20,13 +20,19 @@ def random_states(robot: RobotModel, count: int, rng: np.random.Generator) -> Tr
         elif joint.kind == "ball":
             q[:, at : at + 4] = _orientations(count, rng)
         else:
-            low = max(robot.limits.q_low[joint.vadr], robot.mj.qpos0[at] - LARGEST)
-            high = min(robot.limits.q_high[joint.vadr], robot.mj.qpos0[at] + LARGEST)
-            if not low < high:  # a range that lies away from the reference
-                low, high = robot.limits.q_low[joint.vadr], robot.limits.q_high[joint.vadr]
-            q[:, at] = rng.uniform(low, high, count)
+            low, high = robot.limits.q_low[joint.vadr], robot.limits.q_high[joint.vadr]
+            q[:, at] = rng.uniform(*_window(low, high, float(robot.mj.qpos0[at])), count)
     v, a = rng.normal(size=(2, count, robot.nv))
     return Trajectory(np.arange(count, dtype=float), q, v, a, "random states")
+
+
+def _window(low: float, high: float, reference: float) -> tuple[float, float]:
+    """As much of a range as is drawn from, nearest to the reference: where that lies at an end or
+    outside, the part of the range around it alone would be too narrow to tell parameters apart."""
+    if high - low <= 2 * LARGEST:
+        return low, high
+    centre = min(max(reference, low + LARGEST), high - LARGEST)
+    return centre - LARGEST, centre + LARGEST
 
 
 def _orientations(count: int, rng: np.random.Generator) -> Array:

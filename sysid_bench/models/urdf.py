@@ -18,6 +18,7 @@ from sysid_bench.types import Array
 
 _SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _SMALLEST_MOMENT: Final = 1e-13  # kg m^2; MuJoCo rejects moving bodies below 1e-15
+_ROUNDING: Final = 1e-12  # of the largest moment
 _MASSLESS: Final = 1e-9  # kg
 _TINY = {"mass": 1e-6, "moment": 1e-9}  # what a moving massless link gets: kg, kg m^2
 
@@ -193,7 +194,9 @@ def _repair_inertia(link: ET.Element, name: str) -> list[str]:
     moments = np.linalg.eigvalsh(matrix_of_six(six))
     if not six.any():
         return _point_mass(element, mass, link)
-    if moments[0] >= _SMALLEST_MOMENT and moments[0] + moments[1] >= moments[2]:
+    # MuJoCo finds the moments of a tilted lamina again, rounded to either side of the border.
+    slack = _ROUNDING * moments[2] if six[[1, 2, 4]].any() else 0.0
+    if moments[0] >= _SMALLEST_MOMENT and moments[0] + moments[1] >= moments[2] + slack:
         return []
     nearest = _nearest_possible(matrix_of_six(six))
     change = np.abs(nearest - matrix_of_six(six)).max() / np.abs(six).max()

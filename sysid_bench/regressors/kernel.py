@@ -119,7 +119,7 @@ def _placed(state: LinkMotion, R: Array, p: Array, new: int) -> LinkMotion:
 def _hinge(joint: TreeJoint, state: LinkMotion, q: Array, v: Array, a: Array) -> LinkMotion:
     angle = q[joint.qadr] - joint.q0
     axis = int(np.argmax(np.abs(joint.axis)))
-    if abs(joint.axis[axis]) == 1.0:
+    if np.count_nonzero(joint.axis) == 1:  # the 1 of (0, 1, 4e-8) is exact, too
         turned = _turned_about_axis(state, axis, joint.axis[axis] * angle)
     else:
         turned = _turned(state, _turns_about(joint.axis, angle), 1)

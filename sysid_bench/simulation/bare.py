@@ -43,6 +43,8 @@ def bare_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
             name=mj.body(b).name, pos=mj.body_pos[b], quat=mj.body_quat[b]
         )
         body.explicitinertial, body.mass, body.inertia = True, 1.0, np.ones(3)
+        # Left alone, these are undefined, and the compiler takes the body's own pose for them.
+        body.ipos, body.iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
         for k in range(mj.body_jntnum[b]):
             _add_joint(body, mj, int(mj.body_jntadr[b]) + k)
         bodies.append(body)

@@ -172,7 +172,7 @@ def test_point_to_point_moves_start_and_end_at_rest(rest: str, rate: float) -> N
 
 def test_a_point_to_point_motion_rests_between_its_moves() -> None:
     motion = motion_of(robot_of("ur5"), {"use": "ptp", "moves": 3, "rest": "0.5 s"}, 100.0)
-    still = ~motion.v.any(axis=1)
+    still = np.array([not v.any() for v in motion.v])
     starts = np.flatnonzero(still[1:] & ~still[:-1])
     assert len(starts) == 3
     assert (np.diff(np.append(starts, len(motion)))[-1]) >= 50

@@ -184,9 +184,7 @@ LAWS = {
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_divergence_is_an_error(
-    law: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_divergence_is_an_error(law: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # the engine logs its warnings into the working folder
     with pytest.raises(SimulationError, match="smooth"):
         run(robot_of(SMOOTH), (Law(LAWS[law]),))

@@ -8,6 +8,7 @@ import pytest
 from sysid_bench.simulation.effects.matched import Matched
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.gravity import gravity_rms
+from sysid_bench.simulation.plant import plant_of
 from tests.experiments.experiment_world import CLOSED_LOOP, SHIPPED, executed, robot_of, spec
 
 
@@ -52,7 +53,7 @@ def test_single_samples_and_whole_motions_see_the_same_law() -> None:
 
 
 def test_the_matched_plant_has_no_law() -> None:
-    assert Matched().prepare(robot_of("ur5")) is None
+    assert plant_of(robot_of("ur5"), [Matched()]).laws == ()
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -63,7 +64,9 @@ def test_an_unmodelled_effect_moves_the_held_out_torque_error_away_from_zero(nam
         assert row["torque_error"] < 1e-9
     for row in executed(replace(made, plant={"use": "stribeck"}), "ols", "wls"):
         assert row["status"] == "ok", row["reason"]
-        assert row["torque_error"] > 1e-4
+        # Beside the weight of a floating robot its legs are small joints, which are listed apart.
+        error = max(j["relative"] for j in row["joints"]) if row["free_base"] else None
+        assert (error or row["torque_error"]) > 1e-4
 
 
 def test_in_closed_loop_the_effect_is_felt_as_well() -> None:

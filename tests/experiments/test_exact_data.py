@@ -1,0 +1,96 @@
+"""Exact data and the matched plant: every robot's parameters are found to rounding."""
+
+import numpy as np
+import pytest
+
+from sysid_bench.evaluation.score import score
+from sysid_bench.identification.estimators.ols import OLS
+from sysid_bench.identification.identify import identify
+from sysid_bench.types import Score
+from tests.experiments.experiment_world import (
+    CLOSED_LOOP,
+    OWN,
+    RICH,
+    SHIPPED,
+    SMOOTH,
+    ready,
+    ready_once,
+    smooth_loop,
+)
+
+
+def figures(made: object) -> Score:
+    from sysid_bench.harness.prepare import Prepared
+
+    assert isinstance(made, Prepared)
+    estimate = identify(OLS(), made.problem)
+    assert estimate.status == "ok", estimate.reason
+    return score(estimate, made.problem, made.held_out, made.truth)
+
+
+@pytest.mark.parametrize("payload", ["none", "sphere-offset-1kg", "point-1kg", "rod-1kg"])
+@pytest.mark.parametrize("name", SHIPPED + OWN)
+def test_every_robot_with_every_load_is_found(name: str, payload: str) -> None:
+    told = figures(ready_once(name, payload))
+    assert told.beta_error is not None
+    assert told.beta_error <= 1e-9
+    assert told.torque_error is not None
+    assert told.torque_error <= 1e-9
+
+
+@pytest.mark.parametrize("task", ["payload", "link"])
+@pytest.mark.parametrize("name", OWN)
+def test_loads_of_robots_with_ball_and_free_joints_are_found(name: str, task: str) -> None:
+    """What ball and free joints do beside moving masses is known, all three directions of it."""
+    told = figures(ready_once(name, "sphere-offset-1kg", task))
+    assert told.beta_error is not None
+    assert told.beta_error <= 1e-8
+
+
+TERMS = ("viscous", "coulomb", "offset", "armature", "spring")
+
+
+@pytest.mark.parametrize("terms", [(), *((term,) for term in TERMS), TERMS], ids=str)
+@pytest.mark.parametrize("name", ["ur5", RICH])
+def test_any_choice_of_terms_is_found_the_rest_being_known(
+    name: str, terms: tuple[str, ...]
+) -> None:
+    told = figures(ready(robot=name, terms=terms))
+    assert told.beta_error is not None
+    assert told.beta_error <= 1e-9
+
+
+def test_closed_loop_data_are_as_exact() -> None:
+    for made in (smooth_loop(), ready(robot=RICH, simulation=CLOSED_LOOP)):
+        told = figures(made)
+        assert told.beta_error is not None
+        assert told.beta_error <= 1e-7  # through the condition number of a motion not designed
+        assert told.torque_error is not None
+        assert told.torque_error <= 1e-9
+
+
+@pytest.mark.parametrize("payload", ["none", "box-2kg"])
+def test_what_is_known_and_what_is_asked_make_the_measured_torque(payload: str) -> None:
+    for task in ("robot", "payload") if payload != "none" else ("robot", "link"):
+        made = ready_once("panda", payload, task)
+        beta = made.problem.base.K @ made.truth.theta
+        blocks = made.experiment.regress(made.experiment.recording.motion)
+        predicted = np.concatenate([block @ beta for block in blocks]) + made.known
+        np.testing.assert_allclose(predicted, made.experiment.recording.tau, atol=1e-9)
+
+
+def test_rows_of_a_problem_can_be_walked_again_and_again() -> None:
+    problem = ready_once("ur5").problem
+    (first, second) = (list(problem.blocks()) for _ in range(2))
+    for (Y1, b1), (Y2, b2) in zip(first, second, strict=True):
+        np.testing.assert_array_equal(Y1, Y2)
+        np.testing.assert_array_equal(b1, b2)
+    factor = problem.factors[2]
+    W = np.concatenate([Y[:, 2][:, factor.columns] for Y, _ in first])
+    b = np.concatenate([b[:, 2] for _, b in first])
+    gram = np.column_stack([W, b]).T @ np.column_stack([W, b])
+    np.testing.assert_allclose(factor.R.T @ factor.R, gram, atol=1e-9 * np.abs(gram).max())
+
+
+def test_smooth_is_without_coulomb_friction() -> None:
+    assert not ready_once(SMOOTH).robot.joint_terms.coulomb.any()

@@ -1,0 +1,142 @@
+"""Base maps: K is the identity on its pivots, pivots go from left to right, nothing is lost."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sysid_bench.identifiability.base import base_map
+from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.models.manifest import TERMS
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.regressors.fold import triangle
+from sysid_bench.regressors.regression import regression
+from sysid_bench.types import Array, BaseMap
+from tests.robots import named_robot, random_robot, relative_gap, states
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def matrix_of_rank(rng: np.random.Generator, rows: int, columns: int, rank: int) -> Array:
+    """A matrix with `rank` independent columns; the others mix those to the left of them."""
+    independent = np.sort(rng.permutation(columns)[:rank])
+    W = np.zeros((rows, columns))
+    for j in range(columns):
+        known = independent[independent < j]
+        if j in independent:
+            W[:, j] = rng.normal(size=rows)
+        elif len(known):
+            W[:, j] = W[:, known] @ rng.normal(size=len(known))
+    return W
+
+
+@given(seed=SEEDS, columns=st.integers(1, 12))
+def test_pivots_are_the_columns_that_no_earlier_ones_explain(seed: int, columns: int) -> None:
+    rng = np.random.default_rng(seed)
+    rank = int(rng.integers(0, columns + 1))
+    W = matrix_of_rank(rng, 20, columns, rank)
+    base = base_map(W, tuple(f"p{j}" for j in range(columns)))
+    assert base.rank == rank
+    for j in range(columns):
+        grows = np.linalg.matrix_rank(W[:, : j + 1]) > np.linalg.matrix_rank(W[:, :j])
+        assert (j in base.pivots) == grows
+    np.testing.assert_allclose(W[:, base.pivots] @ base.K, W, atol=1e-9)
+    np.testing.assert_array_equal(base.K[:, base.pivots], np.eye(rank))
+    assert base.names == tuple(f"p{j}" for j in base.pivots)
+
+
+@given(seed=SEEDS)
+def test_the_gap_parts_what_is_kept_from_what_is_dropped(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    U, _ = np.linalg.qr(rng.normal(size=(20, 6)))
+    V, _ = np.linalg.qr(rng.normal(size=(6, 6)))
+    base = base_map(U @ np.diag([3, 2, 1, 1e-7, 1e-8, 1e-15]) @ V, tuple("abcdef"))
+    assert base.rank == 3
+    assert base.near_degenerate == 2
+    assert base.gap == pytest.approx(1e7, rel=1e-4)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 5])
+def test_nothing_is_told_by_zeros(rows: int) -> None:
+    base = base_map(np.zeros((rows, 3)), ("a", "b", "c"))
+    assert base.rank == 0
+    assert base.K.shape == (0, 3)
+    np.testing.assert_array_equal(base.embed(np.zeros(0)), np.zeros(3))
+
+
+@given(scale=st.floats(1e-6, 1e6))
+def test_a_common_scale_changes_nothing(scale: float) -> None:
+    W = matrix_of_rank(np.random.default_rng(0), 20, 8, 5)
+    names = tuple("abcdefgh")
+    one, other = base_map(W, names), base_map(scale * W, names)
+    np.testing.assert_array_equal(one.pivots, other.pivots)
+    np.testing.assert_allclose(one.K, other.K, atol=1e-9)
+
+
+MAPPED = ("ur5", "panda", "kinova", "solo12", "tree 0", "tree 4")
+
+
+@pytest.fixture(scope="module", params=MAPPED)
+def mapped(request: pytest.FixtureRequest) -> tuple[RobotModel, BaseMap]:
+    name = request.param
+    robot = random_robot(int(name.split()[1])) if name.startswith("tree") else named_robot(name)
+    return robot, structural_base(robot, robot.inertial_columns + robot.term_columns(TERMS))
+
+
+def test_the_map_holds_on_states_it_has_not_seen(mapped: tuple[RobotModel, BaseMap]) -> None:
+    robot, base = mapped
+    Y = regression(robot, base.parameters).dense(states(robot, 20, seed=77)).Y
+    assert relative_gap(Y[:, :, base.pivots] @ base.K, Y) < 1e-9
+    np.testing.assert_array_equal(base.K[:, base.pivots], np.eye(base.rank))
+    assert (np.diff(base.pivots) > 0).all()
+
+
+def test_a_column_is_no_pivot_iff_earlier_ones_explain_it(
+    mapped: tuple[RobotModel, BaseMap],
+) -> None:
+    robot, base = mapped
+    count = 30 + 2 * len(base.parameters) // robot.nv
+    Y = regression(robot, base.parameters).dense(states(robot, count, seed=78)).Y
+    W = triangle([Y.reshape(-1, Y.shape[-1])])  # the same dependences in fewer rows
+    for j in range(W.shape[1]):
+        earlier = W[:, base.pivots[base.pivots < j]]
+        rest = W[:, j] - earlier @ np.linalg.lstsq(earlier, W[:, j])[0]
+        dependent = np.linalg.norm(rest) < 1e-7 * np.linalg.norm(W, 2)
+        assert dependent == (j not in base.pivots)
+
+
+def test_base_parameters_embedded_give_the_same_torques(
+    mapped: tuple[RobotModel, BaseMap],
+) -> None:
+    robot, base = mapped
+    theta = np.random.default_rng(5).normal(size=len(base.parameters))
+    ours = regression(robot, base.parameters)
+    motion = states(robot, 10, seed=79)
+    again = base.embed(base.K @ theta)
+    assert np.count_nonzero(again) <= base.rank
+    assert relative_gap(ours.torque(motion, again), ours.torque(motion, theta)) < 1e-9
+
+
+def test_what_no_column_sees_changes_no_torque(mapped: tuple[RobotModel, BaseMap]) -> None:
+    """The nullspace of K is the nullspace of every Y."""
+    robot, base = mapped
+    _, _, Vt = np.linalg.svd(base.K)
+    unseen = Vt[base.rank :]
+    Y = regression(robot, base.parameters).dense(states(robot, 10, seed=80)).Y
+    assert len(unseen) > 0
+    assert np.abs(Y @ unseen.T).max() < 1e-9 * np.abs(Y).max()
+
+
+@settings(max_examples=10)
+@given(seed=SEEDS)
+def test_the_order_of_columns_changes_the_pivots_and_not_the_rank(seed: int) -> None:
+    robot = named_robot("ur5")
+    shuffled = np.random.default_rng(seed).permutation(robot.inertial_columns)
+    assert structural_base(robot, tuple(shuffled.tolist())).rank == 36
+
+
+def test_a_structural_map_is_the_same_every_time() -> None:
+    robot = named_robot("ur5")
+    one, other = (structural_base(robot, robot.inertial_columns) for _ in range(2))
+    np.testing.assert_array_equal(one.K, other.K)
+    np.testing.assert_array_equal(one.singular_values, other.singular_values)

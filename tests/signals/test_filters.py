@@ -1,0 +1,145 @@
+"""Laws of the filters: no phase, the stated cut-off, and texts that are read or refused."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sysid_bench.errors import UsageError
+from sysid_bench.signals.filters import Butterworth, Filter, MovingAverage, NoFilter, filter_of
+from sysid_bench.types import Array
+
+RATE = 200.0
+TIME = np.arange(2000) / RATE
+
+
+def response(filter: Filter, frequency: float) -> complex:
+    """Gain and phase of the middle of a long sine."""
+    wave = np.exp(2j * np.pi * frequency * TIME)
+    both = np.stack([wave.real, wave.imag], axis=1)
+    out = filter.smooth(both, RATE)
+    middle = slice(500, 1500)
+    complex_out = out[middle, 0] + 1j * out[middle, 1]
+    return complex((complex_out / wave[middle]).mean())
+
+
+@given(order=st.integers(1, 6), cutoff=st.floats(5.0, 60.0), share=st.floats(0.05, 2.0))
+@settings(max_examples=40)
+def test_butterworth_has_its_gain_twice_and_no_phase(
+    order: int, cutoff: float, share: float
+) -> None:
+    """|H|^2 = 1 / (1 + (tan(f) / tan(fc))^(2 order)): -6 dB at the cut-off, forward and back."""
+    frequency = min(share * cutoff, 90.0)
+    gain = response(Butterworth(order, cutoff), frequency)
+    ratio = np.tan(np.pi * frequency / RATE) / np.tan(np.pi * cutoff / RATE)
+    expected = 1.0 / (1.0 + ratio ** (2 * order))
+    assert abs(gain - expected) < 2e-3
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 8])
+def test_at_the_cut_off_six_decibels_are_lost(order: int) -> None:
+    assert abs(response(Butterworth(order, 20.0), 20.0)) == pytest.approx(0.5, abs=1e-3)
+
+
+@given(half=st.integers(0, 20), frequency=st.floats(0.1, 99.0))
+@settings(max_examples=40)
+def test_the_moving_average_is_centred(half: int, frequency: float) -> None:
+    n = 2 * half + 1
+    x = np.pi * frequency / RATE
+    expected = np.sin(n * x) / (n * np.sin(x))
+    assert abs(response(MovingAverage(n), frequency) - expected) < 1e-9
+
+
+def by_hand(x: Array, window: int) -> Array:
+    half = window // 2
+    return np.array(
+        [x[max(0, k - half) : k + half + 1].mean(axis=0) for k in range(len(x))]
+    ).reshape(x.shape)
+
+
+@pytest.mark.parametrize("window", [1, 3, 21])
+def test_the_moving_average_is_the_mean_of_what_there_is(window: int) -> None:
+    x = np.random.default_rng(0).normal(size=(50, 2))
+    np.testing.assert_allclose(MovingAverage(window).smooth(x, RATE), by_hand(x, window))
+
+
+FILTERS: tuple[Filter, ...] = (NoFilter(), Butterworth(4, 20.0), MovingAverage(21))
+
+
+@pytest.mark.parametrize("filter", FILTERS, ids=str)
+def test_constants_pass_and_filters_are_linear(filter: Filter) -> None:
+    rng = np.random.default_rng(1)
+    x, y = rng.normal(size=(2, 400, 3))
+    np.testing.assert_allclose(filter.smooth(np.full((400, 1), 3.7), RATE), 3.7, atol=1e-9)
+    both = filter.smooth(2.0 * x - y, RATE)
+    np.testing.assert_allclose(both, 2.0 * filter.smooth(x, RATE) - filter.smooth(y, RATE))
+
+
+@pytest.mark.parametrize("filter", FILTERS, ids=str)
+def test_what_is_cut_at_the_edges_is_what_the_start_spoils(filter: Filter) -> None:
+    """A disturbance before the first sample moves nothing beyond the edge by more than a little."""
+    smooth: Callable[[Array, float], Array] = filter.smooth
+    t = np.arange(800) / RATE
+    wave = np.sin(2 * np.pi * 2.0 * t)[:, None]
+    whole, part = smooth(wave, RATE), smooth(wave[300:], RATE)
+    inside = slice(filter.edge(RATE), -filter.edge(RATE) or None)
+    assert np.abs(part - whole[300:])[inside][: len(part) // 2].max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("none", NoFilter()),
+        ("butter 4 20 Hz zero-phase", Butterworth(4, 20.0)),
+        ("butter 2 0.5 kHz", Butterworth(2, 500.0)),
+        ("butter 2 15", Butterworth(2, 15.0)),
+        ("average 21", MovingAverage(21)),
+    ],
+)
+def test_filters_as_suites_write_them(text: str, expected: Filter) -> None:
+    assert filter_of(text) == expected
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "zero-phase",
+        "butter",
+        "butter 4",
+        "butter 0 20 Hz",
+        "butter -2 20 Hz",
+        "butter ² 20 Hz",
+        "butter 4 0 Hz",
+        "butter 4 -20 Hz",
+        "butter 4 20 rad",
+        "butter 4 twenty Hz",
+        "average",
+        "average 20",
+        "average 0",
+        "average ³",
+        "average 3 s",
+        "None",
+    ],
+)
+def test_junk_is_refused_in_words(text: str) -> None:
+    with pytest.raises(UsageError):
+        filter_of(text)
+
+
+@given(st.text() | st.text("butteravg 0123456789.Hz-", max_size=24))
+@settings(max_examples=150)
+def test_any_text_is_read_or_refused(text: str) -> None:
+    try:
+        read = filter_of(text)
+    except UsageError:
+        return
+    assert read.edge(RATE) >= 0
+
+
+@pytest.mark.parametrize("cutoff", [100.0, 101.0, 1e6])
+def test_a_cut_off_above_half_the_rate_is_refused(cutoff: float) -> None:
+    with pytest.raises(UsageError, match="above twice"):
+        Butterworth(4, cutoff).smooth(np.zeros((400, 1)), RATE)
