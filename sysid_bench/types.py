@@ -173,13 +173,16 @@ class Problem:
     blocks: Callable[[], Iterator[RowBlock]] = field(repr=False)
     samples: int = 0
     prior: Prior | None = None
+    kinds: tuple[str, ...] = ()  # of each row: what may be compared, "joint N m", "base N", ...
 
     @cached_property
     def stacked(self) -> tuple[Float[Array, "M r"], Float[Array, " M"]]:
         """(W, b) of all samples, sample after sample: memory grows with N; prefer `factors`."""
         parts = list(self.blocks())
         W = np.concatenate([block.reshape(-1, self.base.rank) for block, _ in parts])
-        return W, np.concatenate([b.ravel() for _, b in parts])
+        b = np.concatenate([values.ravel() for _, values in parts])
+        W.flags.writeable = b.flags.writeable = False  # shared by all estimators of an experiment
+        return W, b
 
     @property
     def W(self) -> Float[Array, "M r"]:

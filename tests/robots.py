@@ -1,6 +1,5 @@
 """Robots for laws: the named ones, every jointed URDF of example-robot-data, random MJCF trees."""
 
-import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,7 +16,8 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.states import random_states
 from sysid_bench.types import Array, Trajectory
 
-NAMED = ("baxter", "icub", "kinova", "panda", "solo12", "ur10", "ur5", "xarm7", "z1")
+NAMED = tuple(sorted(path.parent.name for path in places.shipped("robots").glob("*/robot.toml")))
+"""Robots of `robots/`: a new one runs through all laws by being there."""
 
 MOTIONLESS = ("quadrotor_base.urdf", "iris_simple.urdf")
 """Files of example-robot-data without a joint that moves."""
@@ -225,5 +225,3 @@ SCARA = """<mujoco><worldbody><body><joint axis="0 0 1"/>
 </body></body></body></body></worldbody></mujoco>"""
 """Two vertical hinges, a vertical slide, a vertical hinge: the shoulder shows its moment, each of
 the two next hinges two first moments and a moment, the slide one mass."""
-
-DEGREES = 180.0 / math.pi

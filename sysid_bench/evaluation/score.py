@@ -12,7 +12,8 @@ from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
 from sysid_bench.types import Array, Estimate, Problem, Score, Truth
 
 SMALL_JOINT: Final = 0.01
-"""A row whose RMS torque is below this share of the largest is listed apart."""
+"""A row whose RMS torque is below this share of the largest of its kind is listed apart; forces
+and torques, joints and a floating base are kinds of their own (`Problem.kinds`)."""
 
 
 def score(
@@ -106,13 +107,19 @@ def _rmse(problems: list[Problem], beta: Array) -> float:
     return float(np.sqrt((_row_errors(problems, beta) ** 2).mean()))
 
 
-def _large(rms: Array) -> Array:
-    return rms >= SMALL_JOINT * rms.max() if rms.any() else np.zeros(len(rms), dtype=bool)
+def _large(rms: Array, kinds: tuple[str, ...]) -> Array:
+    """Which rows (rows,) move enough torque to be judged."""
+    names = np.array(kinds or ("",) * len(rms))
+    large = np.zeros(len(rms), dtype=bool)
+    for kind in set(names):
+        of_kind = names == kind
+        large[of_kind] = rms[of_kind] >= SMALL_JOINT * rms[of_kind].max()
+    return large & (rms > 0)
 
 
 def _torque_error(problems: list[Problem], beta: Array) -> float | None:
     rms = _row_rms(problems)
-    large = _large(rms)
+    large = _large(rms, problems[0].kinds)
     if not large.any():
         return None
     relative = _row_errors(problems, beta)[large] / rms[large]
@@ -136,7 +143,7 @@ def _joint_figures(problem: Problem, tests: list[Problem], beta: Array) -> list[
     joints = []
     rms = _row_rms(tests) if tests else np.zeros(len(train))
     errors = _row_errors(tests, beta) if tests else rms
-    large = _large(rms)
+    large = _large(rms, problem.kinds)
     for i, name in enumerate(problem.rows):
         joints.append(
             {

@@ -118,6 +118,7 @@ class Posing:
             blocks=partial(dense_blocks, self.regression, motion, b),
             samples=len(motion),
             prior=prior,
+            kinds=self.robot.row_kinds,
         )
 
     def known(self, motion: Trajectory) -> Array:

@@ -91,6 +91,18 @@ class RobotModel:
         return tuple(name for joint in self.joints for name in joint.dofs)
 
     @property
+    def row_kinds(self) -> tuple[str, ...]:
+        """What each row is (nv,), so that like is compared with like: forces of slides, torques of
+        hinges and balls, force and moment on a floating base."""
+        kinds = {
+            "hinge": ("joint N m",),
+            "slide": ("joint N",),
+            "ball": ("joint N m",) * 3,
+            "free": ("base N",) * 3 + ("base N m",) * 3,
+        }
+        return tuple(kind for joint in self.joints for kind in kinds[joint.kind])
+
+    @property
     def nv(self) -> int:
         """Number of degrees of freedom."""
         return self.tree.nv

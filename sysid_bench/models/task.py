@@ -100,5 +100,8 @@ def _link(robot: RobotModel) -> Task:
 
 
 def _terms_without(robot: RobotModel, identified: tuple[str, ...]) -> dict[str, Array]:
-    every = ("viscous", "coulomb", "offset", "armature", "spring")
-    return {term: getattr(robot.joint_terms, term) for term in every if term not in identified}
+    """The terms (nv,) that methods are given; identified ones are unknown on hinges and slides."""
+    known = {term: getattr(robot.joint_terms, term).copy() for term in SUFFIX}
+    for term in identified:
+        known[term][robot.scalar_dofs] = 0.0
+    return known

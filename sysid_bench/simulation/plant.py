@@ -110,10 +110,19 @@ def set_joint_terms(mj: mujoco.MjModel, plant: "Plant") -> None:
         if joint.kind not in ("hinge", "slide"):
             continue
         dof = joint.vadr
-        mj.dof_damping[dof] = max(terms.viscous[dof], 0.0)
-        mj.dof_frictionloss[dof] = max(terms.coulomb[dof], 0.0)
-        mj.dof_armature[dof] = max(terms.armature[dof], 0.0)
+        mj.dof_damping[dof] = _not_negative("viscous", terms.viscous[dof], joint.name)
+        mj.dof_frictionloss[dof] = _not_negative("coulomb", terms.coulomb[dof], joint.name)
+        mj.dof_armature[dof] = _not_negative("armature", terms.armature[dof], joint.name)
         mj.jnt_stiffness[j] = terms.spring[dof]
+
+
+def _not_negative(term: str, value: float, joint: str) -> float:
+    """The value, zero where only rounding makes it negative; EstimationError where it is."""
+    if value < -1e-9:
+        raise EstimationError(
+            f"Joint {joint!r} cannot be simulated with {term} = {value:.3g}: it is negative."
+        )
+    return max(float(value), 0.0)
 
 
 def check_finite(name: str, array: Array, what: str) -> Array:
