@@ -20,7 +20,6 @@ from sysid_bench.harness.spec import (
 from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.task import Task, task_of
-from sysid_bench.naming import build
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
 from sysid_bench.regressors.regression import TERM, Regression, regression
@@ -64,13 +63,13 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     task = task_of(robot, spec.task, terms)
     base = subject.base(task.parameters)
     posing = Posing(robot, task, base, regression(robot, base.names))
-    plant = plant_of(robot, [build("plant", spec.plant)])
-    raw, recording = _record(spec, plant)
+    plant = plant_of(robot, [subject.build("plant", spec.plant)])
+    raw, recording = _record(spec, subject, plant)
     prior = _prior(spec, task)
     problem = posing.pose(recording.motion, recording.tau, prior)
     held_out = {
         name: posing.pose(oracle.motion, oracle.tau)
-        for name, oracle in _held_out(spec, plant).items()
+        for name, oracle in _held_out(spec, subject, plant).items()
     }
     regress = partial(regressor_blocks, posing.regression)
     experiment = Experiment(problem, recording, raw, regress, _Simulate(declared(robot, task), raw))
@@ -146,14 +145,14 @@ def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:
     return tau
 
 
-def _record(spec: ExperimentSpec, plant: Plant) -> tuple[Recording, Recording]:
+def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recording, Recording]:
     """The recording as sensed and as filtered."""
     robot, noise = plant.robot, Noise(**spec.noise)
-    simulation = build("simulation", spec.simulation)
+    simulation = subject.build("simulation", spec.simulation)
     processing = processing_of(spec.signals)
     rate = simulation.design_rate(spec.rate)
     every = round(rate / spec.rate)
-    design = build("excitation", spec.excitation).design
+    design = subject.build("excitation", spec.excitation).design
     commanded = design(brief_of(robot, rate), np.random.default_rng(motion_seed(spec)))
     rng = np.random.default_rng(noise_seed(spec))
     draws = draw(len(commanded), len(range(0, len(commanded), every)), robot.nv, rng)
@@ -190,12 +189,13 @@ def _scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
     return out
 
 
-def _held_out(spec: ExperimentSpec, plant: Plant) -> dict[str, Oracle]:
+def _held_out(spec: ExperimentSpec, subject: Subject, plant: Plant) -> dict[str, Oracle]:
     """Other motions of the same plant, exact: what scoring compares with."""
     motions: dict[str, Oracle] = {}
     for place, excitation in enumerate(spec.held_out):
         rng = np.random.default_rng(held_out_seed(spec, place))
-        motion = build("excitation", excitation).design(brief_of(plant.robot, spec.rate), rng)
+        design = subject.build("excitation", excitation).design
+        motion = design(brief_of(plant.robot, spec.rate), rng)
         oracle, _ = Inverse().run(plant, motion, np.zeros_like(motion.v))
         name = excitation["use"]
         motions[name if name not in motions else f"{name}-{place}"] = oracle

@@ -8,11 +8,13 @@ from typing import Any
 
 from sysid_bench.evaluation.crosscheck import CrossCheck, crosscheck
 from sysid_bench.harness.canonical import canonical
+from sysid_bench.harness.names import located
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.naming import build
 from sysid_bench.types import BaseMap
 
 KEPT = 16
@@ -21,9 +23,15 @@ KEPT = 16
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A loaded robot with its payload, cross-checked once."""
+    """A loaded robot with its payload, cross-checked once; `folder` is where the suite lies, from
+    which the files of its plug-ins are found."""
 
     robot: RobotModel
+    folder: Path | None = None
+
+    def build(self, kind: str, spec: Mapping[str, Any]) -> Any:
+        """The plug-in that a suite names, made with its settings."""
+        return build(kind, located(spec, self.folder))
 
     @cached_property
     def check(self) -> CrossCheck:
@@ -52,7 +60,6 @@ def subject(
 def _subject(source: str, payload: str, robots_dir: str | None, folder: str | None) -> Subject:
     import json
 
-    manifest = find_manifest(
-        source, *(None if p is None else Path(p) for p in (robots_dir, folder))
-    )
-    return Subject(load_robot(manifest, parse_payload(json.loads(payload))))
+    extra, place = (None if path is None else Path(path) for path in (robots_dir, folder))
+    manifest = find_manifest(source, extra, place)
+    return Subject(load_robot(manifest, parse_payload(json.loads(payload))), place)

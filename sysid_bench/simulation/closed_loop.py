@@ -186,5 +186,5 @@ def _check_tracking(robot: RobotModel, commanded: Trajectory, motion: Trajectory
         worst = max(bad, key=lambda joint: float(lost[joint.qadr]))
         raise SimulationError(
             f"{robot.name}: {worst.name} loses its motion by {lost[worst.qadr]:.3g} rad or m; "
-            "lower the motion's limits or change the controller's bandwidth: the loop does not track."
+            "lower the motion's limits or change the controller's bandwidth, until the loop tracks."
         )

@@ -76,7 +76,5 @@ def small_suite(
 ) -> str:
     """A suite of a few quick cells."""
     blocks = "\n".join(f'[[estimator]]\nuse = "{name}"' for name in estimators)
-    text = SMALL.format(
-        robots=json.dumps(robots), payloads=json.dumps(payloads), estimators=blocks
-    )
+    text = SMALL.format(robots=json.dumps(robots), payloads=json.dumps(payloads), estimators=blocks)
     return text + more

@@ -13,7 +13,7 @@ import pytest
 
 from .conftest import Run, one_sentence, rows_of, small_suite
 
-METHODS = '''
+METHODS = """
 import os, signal, time
 from sysid_bench.types import Estimate
 
@@ -32,7 +32,7 @@ class Raises:
 class Lies:
     def solve(self, problem):
         return Estimate(problem.base.K[:, 0] * float("nan"))
-'''
+"""
 NOT_SCORES = {"seconds", "seconds_experiment"}
 
 
@@ -56,7 +56,11 @@ def test_a_method_that_dies_hangs_raises_or_lies_harms_no_other_experiment(
     )
     done = cli("run", "s.toml", "-o", "out")
     assert done.returncode == 3
-    assert by_estimator(tmp_path / "out") == {"ols": {"ok"}, "Raises": {"failed"}, "Lies": {"failed"}}
+    assert by_estimator(tmp_path / "out") == {
+        "ols": {"ok"},
+        "Raises": {"failed"},
+        "Lies": {"failed"},
+    }
     rows = rows_of(tmp_path / "out")
     assert len(rows) == len({row["id"] for row in rows}) == 18
     assert all(row["reason"] for row in rows if row["status"] != "ok")
@@ -81,7 +85,8 @@ def test_a_broken_robot_fails_alone(cli: Run, tmp_path: Path) -> None:
     rows = rows_of(tmp_path / "out")
     assert {(row["robot"], row["status"]) for row in rows} == {("broken", "failed"), ("ur5", "ok")}
     (reason,) = {row["reason"] for row in rows if row["status"] == "failed"}
-    assert "broken.urdf" in reason and "well-formed" in reason
+    assert "broken.urdf" in reason
+    assert "well-formed" in reason
 
 
 def test_nan_in_a_manifest_is_one_sentence(cli: Run, tmp_path: Path) -> None:
@@ -95,13 +100,16 @@ def test_nan_in_a_manifest_is_one_sentence(cli: Run, tmp_path: Path) -> None:
     done = cli("run", "s.toml", "--robots", "mine")
     assert done.returncode == 2
     told = one_sentence(done)
-    assert "limits.all.v" in told and "gravity" in told and "finite" in told
+    assert "limits.all.v" in told
+    assert "gravity" in told
+    assert "finite" in told
 
 
 def test_an_unknown_estimator_runs_nothing(cli: Run, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(small_suite(estimators=("ols", "wsl")))
     done = cli("run", "s.toml", "-o", "out")
-    assert done.returncode == 2 and "'wls'" in one_sentence(done)
+    assert done.returncode == 2
+    assert "'wls'" in one_sentence(done)
     assert not (tmp_path / "out").exists()
 
 
@@ -137,3 +145,40 @@ def test_killed_at_any_moment_a_run_goes_on_as_if_nothing_had_happened(
     calm, harried = scores(tmp_path / "calm"), scores(tmp_path / "harried")
     assert calm == harried  # bit for bit: JSON writes the shortest text that reads back the same
     assert len(calm) == 36
+
+
+PLUGINS = """
+import numpy as np
+from dataclasses import dataclass
+
+@dataclass(frozen=True)
+class Wobble:
+    size: float = 0.3
+
+    def design(self, brief, rng):
+        t = brief.times(4.0)
+        w = 2 * np.pi * (1 + np.arange(brief.nv)) / 4
+        middle = 0.5 * (brief.low + brief.high)
+        x = middle + self.size * np.sin(np.outer(t, w))
+        dx, ddx = self.size * w * np.cos(np.outer(t, w)), -self.size * w**2 * np.sin(np.outer(t, w))
+        return brief.trajectory(t, x, dx, ddx, "wobble", 4.0)
+
+class Heavy:
+    def prepare(self, robot):
+        return lambda t, q, v: 0.5 * np.ones_like(v)
+"""
+
+
+def test_plug_in_files_lie_beside_the_suite_wherever_one_stands(cli: Run, tmp_path: Path) -> None:
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    (lab / "mine.py").write_text(PLUGINS)
+    text = small_suite(estimators=("ols",)).replace(
+        'excitation = { use = "fourier", harmonics = 3, period = "2 s", cycles = 2 }',
+        'excitation = "file:mine.py:Wobble"\nplant = ["matched", "file:mine.py:Heavy"]',
+    )
+    (lab / "s.toml").write_text(text)
+    done = cli("run", "lab/s.toml", "-o", "out", "--select", 'noise == "exact"')
+    assert done.returncode == 0, done.stderr
+    errors = {row["plant"]: row["torque_error"] for row in rows_of(tmp_path / "out")}
+    assert errors["matched"] < 1e-9 < 1e-4 < errors["Heavy"]

@@ -21,15 +21,22 @@ def test_crosscheck_prints_the_fields_of_the_contract(cli: Run) -> None:
     assert done.returncode == 0, done.stderr
     ur5, solo12 = json.loads(done.stdout)
     assert set(ur5) == FIELDS == set(solo12)
-    assert ur5["ok"] and ur5["base_parameters"] == 36 and ur5["nv"] == 6
-    assert ur5["gap"] <= 1e-12 and ur5["closure"] <= 1e-11 and ur5["native_gap"] <= 1e-12
-    assert solo12["nv"] == 18 and solo12["joints"][0] == {"name": "root", "type": "free"}
+    assert ur5["ok"]
+    assert ur5["base_parameters"] == 36
+    assert ur5["nv"] == 6
+    assert ur5["gap"] <= 1e-12
+    assert ur5["closure"] <= 1e-11
+    assert ur5["native_gap"] <= 1e-12
+    assert solo12["nv"] == 18
+    assert solo12["joints"][0] == {"name": "root", "type": "free"}
 
 
 def test_free_base_is_a_word_of_the_command_line(cli: Run) -> None:
     done = cli("crosscheck", "ur5", "--free-base", "--json")
     (verdict,) = json.loads(done.stdout)
-    assert verdict["ok"] and verdict["nv"] == 12 and verdict["nq"] == 13
+    assert verdict["ok"]
+    assert verdict["nv"] == 12
+    assert verdict["nq"] == 13
 
 
 def test_crosscheck_of_an_unknown_name_names_the_nearest(cli: Run) -> None:
@@ -54,7 +61,8 @@ def test_list_gives_names_and_titles(cli: Run, kind: str) -> None:
     done = cli("list", kind, "--json")
     assert done.returncode == 0, done.stderr
     entries = json.loads(done.stdout)
-    assert entries and all(entry["name"] and "title" in entry for entry in entries)
+    assert entries
+    assert all(entry["name"] and "title" in entry for entry in entries)
 
 
 def test_show_knows_every_kind(cli: Run) -> None:
@@ -67,21 +75,25 @@ def test_show_knows_every_kind(cli: Run) -> None:
 
 def test_plan_counts_and_refuses_with_lines(cli: Run, tmp_path: Path) -> None:
     counted = json.loads(cli("plan", "smoke", "--json").stdout)
-    assert counted["cells"] == 120 and counted["errors"] == []
+    assert counted["cells"] == 120
+    assert counted["errors"] == []
     (tmp_path / "bad.toml").write_text(
         small_suite(estimators=("osl",)).replace("payloads", "paylods")
     )
     done = cli("plan", "bad.toml")
     assert done.returncode == 2
     told = one_sentence(done)
-    assert "bad.toml:" in told and "'payloads'" in told and "'ols'" in told
+    assert "bad.toml:" in told
+    assert "'payloads'" in told
+    assert "'ols'" in told
 
 
 def test_a_run_from_the_first_command_to_the_report(cli: Run, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(small_suite(payloads=("none", "box-2kg")))
     done = cli("run", "s.toml", "-o", "out", "-j", "2")
     assert done.returncode == 0, done.stderr
-    assert "12 ok" in done.stdout and "report.html" in done.stdout
+    assert "12 ok" in done.stdout
+    assert "report.html" in done.stdout
     out = tmp_path / "out"
     for name in (
         "run.toml", "plan.jsonl", "env.json", "cells.parquet", "parameters.parquet",
@@ -90,12 +102,15 @@ def test_a_run_from_the_first_command_to_the_report(cli: Run, tmp_path: Path) ->
     ):  # fmt: skip
         assert (out / name).stat().st_size > 0, name
     cells = pd.read_parquet(out / "cells.parquet")
-    assert len(cells) == 12 and set(cells["status"]) == {"ok"}
+    assert len(cells) == 12
+    assert set(cells["status"]) == {"ok"}
     exact = cells[cells["noise"] == "exact"]
-    assert (exact["beta_error"] <= 1e-9).all() and (exact["torque_error"] <= 1e-9).all()
+    assert (exact["beta_error"] <= 1e-9).all()
+    assert (exact["torque_error"] <= 1e-9).all()
     assert json.loads(cli("status", "out", "--json").stdout)["open"] == 0
     row = json.loads(cli("cell", "out", cells["id"][0], "--json").stdout)
-    assert row["id"] == cells["id"][0] and row["command"].startswith("sysid-bench run out")
+    assert row["id"] == cells["id"][0]
+    assert row["command"].startswith("sysid-bench run out")
     for form, mark in (("md", "| robot |"), ("csv", "robot"), ("latex", "\\toprule")):
         assert mark in cli("table", "out", "main", "--format", form).stdout
     assert "'main'" in one_sentence(cli("table", "out", "mian"))
@@ -120,7 +135,8 @@ def test_a_recording_is_sound(cli: Run, tmp_path: Path) -> None:
 def test_doctor_finds_this_machine_fit(cli: Run) -> None:
     done = cli("doctor", "--json")
     findings = json.loads(done.stdout)
-    assert done.returncode == 0 and findings["ok"], findings
+    assert done.returncode == 0, done.stderr
+    assert findings["ok"], findings
     assert {"packages", "example-robot-data", "robots"} <= {c["name"] for c in findings["checks"]}
 
 
@@ -142,6 +158,8 @@ def test_the_rows_carry_versions_and_a_fingerprint(cli: Run, tmp_path: Path) -> 
     (tmp_path / "s.toml").write_text(small_suite(estimators=("ols",)))
     cli("run", "s.toml", "-o", "out", "--limit", "1")
     (row,) = rows_of(tmp_path / "out")
-    assert row["fingerprint"] and row["versions"]["mujoco"]
+    assert row["fingerprint"]
+    assert row["versions"]["mujoco"]
     again = cli("run", "s.toml", "-o", "out", "--limit", "1", "--rerun", "stale")
-    assert again.returncode == 0 and len(rows_of(tmp_path / "out")) == 1  # nothing was stale
+    assert again.returncode == 0
+    assert len(rows_of(tmp_path / "out")) == 1

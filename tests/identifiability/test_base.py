@@ -56,6 +56,16 @@ def test_the_gap_parts_what_is_kept_from_what_is_dropped(seed: int) -> None:
     assert base.gap == pytest.approx(1e7, rel=1e-4)
 
 
+def test_of_nearly_equal_columns_the_one_that_stands_out_is_the_pivot() -> None:
+    """Columns b and c repeat a but for 1e-9 and 1e-7; d is new and small: rank 2 is a and d."""
+    x, y, z = np.eye(4)[:3]
+    W = np.column_stack([x, x + 1e-9 * y, x + 1e-7 * z, 1e-3 * np.eye(4)[3]])
+    base = base_map(W, ("a", "b", "c", "d"))
+    assert base.names == ("a", "d")
+    assert base.near_degenerate == 2
+    np.testing.assert_allclose(base.K, [[1, 1, 1, 0], [0, 0, 0, 1]], atol=1e-9)
+
+
 @pytest.mark.parametrize("rows", [0, 1, 5])
 def test_nothing_is_told_by_zeros(rows: int) -> None:
     base = base_map(np.zeros((rows, 3)), ("a", "b", "c"))
