@@ -11,9 +11,10 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.catalogue import list_, show
     from sysid_bench.verbs.crosscheck import crosscheck
     from sysid_bench.verbs.doctor import doctor
+    from sysid_bench.verbs.folders import open_run
     from sysid_bench.verbs.recordings import record, view
     from sysid_bench.verbs.reports import report, table
-    from sysid_bench.verbs.runs import cell, open_run, plan, run, status
+    from sysid_bench.verbs.runs import cell, plan, run, status
 
 _PLACES = {
     "load_robot": "sysid_bench.models.load",
@@ -22,7 +23,7 @@ _PLACES = {
     "show": "sysid_bench.verbs.catalogue",
     "plan": "sysid_bench.verbs.runs",
     "run": "sysid_bench.verbs.runs",
-    "open_run": "sysid_bench.verbs.runs",
+    "open_run": "sysid_bench.verbs.folders",
     "status": "sysid_bench.verbs.runs",
     "cell": "sysid_bench.verbs.runs",
     "table": "sysid_bench.verbs.reports",

@@ -32,7 +32,14 @@ def _positive(value: Any) -> Any:
     return value
 
 
+def _not_negative(value: Any) -> Any:
+    if _finite(value) < 0:
+        raise ValueError(f"must not be negative, got {value!r}")
+    return value
+
+
 Finite = Annotated[float, BeforeValidator(_finite)]
+NotNegative = Annotated[float, BeforeValidator(_not_negative)]
 Positive = Annotated[float, BeforeValidator(_positive)]
 
 
@@ -52,10 +59,10 @@ class Limits(_Table):
 class JointTerms(_Table):
     """What the simulated joint does beside moving masses; None comes from the model."""
 
-    viscous: Finite | None = None  # N m s/rad
-    coulomb: Finite | None = None  # N m
+    viscous: NotNegative | None = None  # N m s/rad
+    coulomb: NotNegative | None = None  # N m
     offset: Finite | None = None  # N m
-    armature: Finite | None = None  # kg m^2
+    armature: NotNegative | None = None  # kg m^2
     spring: Finite | None = None  # N m/rad
     spring_reference: Finite | None = None  # rad
 

@@ -191,6 +191,9 @@ def _repair_inertia(link: ET.Element, name: str) -> list[str]:
     if element is None:
         element = ET.SubElement(inertial, "inertia", dict.fromkeys(_SIX, "0"))
     six = np.array([_number(element, key, label, default=0.0) for key in _SIX])
+    for key, value in zip(_SIX, six, strict=True):
+        if element.get(key) is None:  # absent means zero, and MuJoCo wants to see it
+            element.set(key, repr(float(value)))
     moments = np.linalg.eigvalsh(matrix_of_six(six))
     if not six.any():
         return _point_mass(element, mass, link)

@@ -42,6 +42,9 @@ class Plant:
 
     def compiled(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """A spec of this robot, compiled with the plant's inertias and terms and `bench_flags`."""
+        if self.phi is not None:
+            for body in spec.bodies:
+                body.simple = 0  # a body flagged simple may not get another centre of mass
         mj = bench_flags(spec.compile())
         if self.phi is not None:
             set_inertias(mj, self.phi)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.verbs.runs import find_cell, open_run
+from sysid_bench.verbs.folders import find_cell, open_run
 
 if TYPE_CHECKING:
     import subprocess

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.verbs.runs import open_run
+from sysid_bench.verbs.folders import open_run
 
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder

@@ -5,12 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sysid_bench.errors import unknown_name
+from sysid_bench.verbs.folders import find_cell, open_run
 
 if TYPE_CHECKING:
     from sysid_bench.harness.plan import Plan
     from sysid_bench.harness.run import Rerun, RunResult
-    from sysid_bench.harness.store import RunFolder
     from sysid_bench.harness.supervisor import OnEvent
 
 
@@ -65,13 +64,6 @@ def run(
     return result
 
 
-def open_run(folder: str | Path) -> "RunFolder":
-    """A run folder: `.cells`, `.parameters`, `.joints` are pandas DataFrames."""
-    from sysid_bench.harness.store import RunFolder
-
-    return RunFolder.open(Path(folder))
-
-
 def status(folder: str | Path) -> dict[str, Any]:
     """How far a run is: planned cells, rows by status, and reasons with their counts."""
     from collections import Counter
@@ -104,13 +96,3 @@ def cell(folder: str | Path, identifier: str) -> dict[str, Any]:
     )
     command = f"sysid-bench run {shlex.quote(str(folder))} --select 'id == \"{full}\"' --rerun all"
     return {**row, "command": command}
-
-
-def find_cell(run_folder: "RunFolder", identifier: str) -> str:
-    """The id that begins with `identifier`; raises UsageError for none or several."""
-    ids = [cell.id for cell in run_folder.plan.cells]
-    found = [i for i in ids if i.startswith(identifier)] if identifier else []
-    if len(found) != 1:
-        what = f"{len(found)} cells begin with it" if found else "no cell has it"
-        raise unknown_name("cell", identifier, found[:20] or ids[:20], f"({what}; of {len(ids)}.)")
-    return found[0]
