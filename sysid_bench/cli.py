@@ -60,6 +60,16 @@ def verb(function: Callable[..., int]) -> Callable[..., None]:
                 raise
             click.echo(f"sysid-bench: {error}", err=True)
             code = USAGE
+        except OSError as error:
+            if debug:
+                raise
+            place = error.filename or "a file"
+            click.echo(
+                f"sysid-bench: {place}: {error.strerror or error}; choose a folder that can be "
+                "written (-o), with room on its disk.",
+                err=True,
+            )
+            code = USAGE
         click.get_current_context().exit(code)
 
     return guarded
@@ -217,7 +227,7 @@ def plan(
 )
 @click.option("-j", "--jobs", type=click.IntRange(min=1), help="Workers; default one per core.")
 @click.option("--select", help="Only cells that meet this expression.")
-@click.option("--limit", type=click.IntRange(min=0), help="Only the first N cells.")
+@click.option("--limit", type=click.IntRange(min=1), help="Only the first N cells.")
 @click.option("--timeout", metavar="60s", help="Hard limit per experiment.")
 @click.option(
     "--rerun", type=click.Choice(["failed", "stale", "all"]), help="Run these cells again."

@@ -35,3 +35,14 @@ def unknown_name(kind: str, name: str, known: Iterable[str], advice: str = "") -
     hint = f" Did you mean {near[0]!r}?" if near else ""
     there = f" There are: {', '.join(names)}." if names else f" There is no {kind} at all."
     return UsageError(f"No {kind} is called {name!r}.{hint}{there}{' ' + advice if advice else ''}")
+
+
+def reason_of(error: BaseException) -> str:
+    """One line: our own errors speak for themselves, others with their type."""
+    try:
+        text = " ".join(str(error).split())[:1000]
+    except Exception:  # a stranger's __str__
+        text = ""
+    if isinstance(error, SysidBenchError):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -54,7 +54,7 @@ def resolve(kind: str, name: str) -> Any:
     table = known(kind)
     target = table.get(name, name)
     if ":" not in target:
-        advice = f"A {kind} of your own is named 'module:object' or 'file:path.py:object'."
+        advice = "One of your own is named 'module:object' or 'file:path.py:object'."
         raise unknown_name(kind, name, table, advice)
     place, _, attribute = target.rpartition(":")
     module = _module(place)

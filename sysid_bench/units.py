@@ -59,5 +59,5 @@ def _finite(number: float, scale: float, written: float | str) -> float:
     except OverflowError:  # an integer beyond all floats
         scaled = math.inf
     if not math.isfinite(scaled):
-        raise UsageError(f"{written!r} is not finite in SI units; write a smaller number.")
+        raise UsageError(f"{written!r} is no finite number in SI units; write one with its unit.")
     return scaled

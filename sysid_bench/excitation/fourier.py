@@ -21,10 +21,13 @@ class Fourier:
     period: float = field(default=5.0, metadata={"unit": "s"})
     cycles: int = 2
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
-        """A motion of `cycles` periods; raises UsageError for settings that make none."""
+    def __post_init__(self) -> None:
+        """Raises UsageError for settings that make no motion."""
         if not (is_count(self.harmonics) and is_count(self.cycles) and self.period > 0):
             raise UsageError(f"{self}: harmonics and cycles count from 1, the period is positive.")
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """A motion of `cycles` periods."""
         a, b = rng.normal(size=(2, self.harmonics, brief.nv))
         unit = np.ones(brief.nv), np.zeros(brief.nv)
         grid = dense_grid(self.period, self.harmonics / self.period)

@@ -20,12 +20,15 @@ class MultiSine:
     highest: float = field(default=1.0, metadata={"unit": "Hz"})
     duration: float = field(default=10.0, metadata={"unit": "s"})
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
-        """A motion of `duration`; raises UsageError for settings that make none."""
+    def __post_init__(self) -> None:
+        """Raises UsageError for settings that make no motion."""
         if not (is_count(self.sines) and 0 < self.lowest <= self.highest and self.duration > 0):
             raise UsageError(
                 f"{self}: sines from 1 on, 0 < lowest <= highest, a positive duration."
             )
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """A motion of `duration`."""
         size = (self.sines, brief.nv)
         w = 2 * np.pi * rng.uniform(self.lowest, self.highest, size)
         # Amplitudes fall with frequency, so that every sine adds a similar velocity.

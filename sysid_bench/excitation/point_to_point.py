@@ -21,10 +21,13 @@ class PointToPoint:
     moves: int = 6
     rest: float = field(default=0.2, metadata={"unit": "s"})
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
-        """A motion through `moves` random postures; it starts and ends at rest."""
+    def __post_init__(self) -> None:
+        """Raises UsageError for settings that make no motion."""
         if not (is_count(self.moves) and self.rest >= 0):
             raise UsageError(f"{self}: moves count from 1, and a rest is not negative.")
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """A motion through `moves` random postures; it starts and ends at rest."""
         margin = 0.5 * (1 - MARGIN) * (brief.high - brief.low)
         points = rng.uniform(brief.low + margin, brief.high - margin, (self.moves + 1, brief.nv))
         steps = np.diff(points, axis=0)

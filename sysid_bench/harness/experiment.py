@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.errors import SysidBenchError, UnsupportedError
+from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
 from sysid_bench.evaluation.score import data_figures, score
 from sysid_bench.harness.canonical import plain
 from sysid_bench.harness.prepare import Prepared, prepare
@@ -82,12 +82,9 @@ def _answer(spec: Mapping[str, Any], ready: Prepared) -> Row:
         estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
         return _judged(estimate, ready)
     except SysidBenchError as error:
-        failure = {"reason": str(error)}
-    except Exception as error:
-        failure = {
-            "reason": f"{type(error).__name__}: {error}",
-            "traceback": traceback.format_exc(),
-        }
+        failure = {"reason": reason_of(error)}
+    except (Exception, SystemExit) as error:
+        failure = {"reason": reason_of(error), "traceback": traceback.format_exc()}
     figures = data_figures(ready.problem, ready.held_out)
     return dict(plain({"status": "failed", **failure, **figures}))
 

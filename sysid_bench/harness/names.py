@@ -60,7 +60,7 @@ def located(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
     return {**spec, "use": f"file:{folder / path}{colon}{attribute}"}
 
 
-def complaint(error: Exception) -> str:
+def complaint(error: BaseException) -> str:
     """What to tell about a name that failed: our own errors speak for themselves."""
     if isinstance(error, SysidBenchError):
         return str(error)

@@ -175,6 +175,12 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
             "Experiments without noise under the simulation 'inverse' give the same numbers each "
             f"time: repeat 0 stands for all {suite.run.repeats}."
         )
+    if any(cell.spec.noise and cell.spec.signals["derivatives"] == "exact" for cell in unique):
+        yield (
+            "Some cells have noise and derivatives = 'exact': their v and a come from ideal "
+            "sensors, without noise. signals = { derivatives = 'from q', filter = ... } makes them "
+            "from the encoders."
+        )
     if len(kept) > len(unique):
         yield f"{len(kept) - len(unique)} cells were specified twice and are run once."
 
@@ -241,13 +247,18 @@ def _labelled(
         "task": spec.task,
         "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
         "rate": f"{spec.rate:.12g} Hz",
-        "signals": f"{spec.signals['filter']}, {spec.signals['derivatives']}",
+        "signals": _signals_text(spec.signals),
         "estimator": label["estimator"][canonical(estimator)],
     }
     found = {
         axis: label[axis][canonical(getattr(spec, axis))] for axis in LABELS if axis not in plain
     }
     return {axis: plain.get(axis) or found[axis] for axis in LABELS}
+
+
+def _signals_text(signals: Mapping[str, Any]) -> str:
+    raw = ", raw torque" if signals.get("torque") == "raw" else ""
+    return f"{signals['filter']}, {signals['derivatives']}{raw}"
 
 
 def _cost(spec: ExperimentSpec, estimators: int) -> float:

@@ -173,7 +173,8 @@ def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recor
         noise.torque_std(oracle.tau[::every]),
         draws,
         every,
-        commanded,
+        # Without a controller the robot moves exactly as commanded: to tell would be the truth.
+        None if controller is None else commanded,
         controller,
         ideal_rates=not processing.differentiate,
     )

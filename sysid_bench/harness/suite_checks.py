@@ -30,7 +30,7 @@ def proved(check: Callable[[], object]) -> None:
     """Pydantic collects ValueErrors; whatever a check or a stranger's code raises becomes one."""
     try:
         check()
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a plug-in's file may call sys.exit()
         raise ValueError(complaint(error)) from error
 
 

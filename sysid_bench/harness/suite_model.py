@@ -116,9 +116,18 @@ class Prior(Section):
     terms: Share = "30 %"
 
 
+def _filter(value: Any) -> str:
+    from sysid_bench.signals.filters import filter_of
+
+    text = str(value)
+    proved(lambda: filter_of(text))
+    return text
+
+
 class Signals(Section):
-    filter: StrictStr = "none"
+    filter: Annotated[str, PlainValidator(_filter)] = "none"
     derivatives: Annotated[str, word("way to differentiate", ("from q", "exact"))] = "exact"
+    torque: Annotated[str, word("way to take torque", ("filtered", "raw"))] = "filtered"
 
 
 PriorChoice = Annotated[

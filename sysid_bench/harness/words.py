@@ -43,6 +43,7 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "prior.terms",
     "signals.filter",
     "signals.derivatives",
+    "signals.torque",
     "plant.use",
     "excitation.use",
     "simulation.use",

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.row_files import RowWriter
 from sysid_bench.types import Row
 
@@ -116,17 +116,6 @@ def _function(call: str) -> Callable[[Any, Callable[[Row], None]], None]:
         importlib.import_module(module), name
     )
     return found
-
-
-def reason_of(error: BaseException) -> str:
-    """One line: our own errors speak for themselves, others with their type."""
-    try:
-        text = " ".join(str(error).split())[:1000]
-    except Exception:  # a stranger's __str__
-        text = ""
-    if isinstance(error, SysidBenchError):
-        return text
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 if __name__ == "__main__":

@@ -167,6 +167,10 @@ def read_manifest(file: Path) -> Manifest:
 def _from_path(path: Path, source: str) -> Manifest:
     if path.is_dir() and (path / "robot.toml").is_file():
         return read_manifest(path / "robot.toml")
+    if path.is_dir():
+        raise UsageError(
+            f"{str(path)!r} is a folder without robot.toml; give the model file in it."
+        )
     if not path.is_file():
         known = ", ".join(places.robots())
         raise UsageError(

@@ -37,6 +37,13 @@ def check_numbers(mj: "mujoco.MjModel", name: str) -> None:
     for key in _OF_THE_MODEL:
         for i in _wrong(getattr(mj, key)):
             raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i])
+    for key in ("dof_armature", "dof_damping", "dof_frictionloss"):
+        for i in np.flatnonzero(np.ravel(getattr(mj, key)) < 0)[:1].tolist():
+            joint = mj.joint(int(mj.dof_jntid[i % mj.nv])).name
+            raise ModelError(
+                f"{name}: {key.removeprefix('dof_')} of joint {joint!r} is "
+                f"{np.ravel(getattr(mj, key))[i]:.3g}; it must not be negative: correct the file."
+            )
     if _wrong(mj.opt.gravity[None]):
         raise _error(name, "the model", "gravity", mj.opt.gravity)
 

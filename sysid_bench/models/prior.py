@@ -37,7 +37,19 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
         draws = np.exp(spread.terms * rng.normal(size=(~inertial).sum()))
         theta[~inertial] *= draws
         std[~inertial] = spread.terms * np.abs(theta[~inertial])
+        std = _floored(std, truth.parameters)
     return Prior(theta, std)
+
+
+def _floored(std: Array, names: tuple[str, ...]) -> Array:
+    """Nobody knows a parameter to be exactly zero: at least 1 % of the largest deviation among
+    parameters of the same kind (`.m`, `.fv`, ...), or a thousandth where the kind has none."""
+    out = std.copy()
+    kinds = np.array([name.rpartition(".")[2] for name in names])
+    for kind in set(kinds):
+        like = kinds == kind
+        out[like] = np.maximum(out[like], 0.01 * std[like].max() or 1e-3)
+    return out
 
 
 def _drawn(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Array:

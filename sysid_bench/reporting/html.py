@@ -71,7 +71,7 @@ def render_report(run: RunView) -> str:
         command=run.command,
         cell_command=cell_command,
         headline=headline(run.cells),
-        crosschecks=crosschecks(run.cells, _tolerance(run.suite)),
+        crosschecks=crosschecks(run.cells),
         tolerance=_tolerance(run.suite),
         tables=run.tables,
         figures=[(table, Markup(figure_svg(table))) for table in _pictured(run)],

@@ -49,7 +49,7 @@ class CrossCheck:
     gap: str
     closure: str
     native: str
-    passed: bool | None
+    passed: bool
     repairs: str
 
 
@@ -87,14 +87,20 @@ def headline(cells: "pd.DataFrame") -> Headline:
     )
 
 
-def crosschecks(cells: "pd.DataFrame", tolerance: float | None) -> list[CrossCheck]:
+def _agrees(group: "pd.DataFrame") -> bool:
+    """The run's own verdict; where it or a figure is missing (no cell came so far) it is no."""
+    if not {"crosscheck", "gap", "closure"} <= set(group.columns):
+        return False
+    figures = group[["gap", "closure"]].dropna()
+    return set(group["crosscheck"].dropna()) == {"ok"} and len(figures) > 0
+
+
+def crosschecks(cells: "pd.DataFrame") -> list[CrossCheck]:
     """One per robot and payload, whatever became of its cells; a missing number never passes."""
     rows = []
     for robot, payload, group in _groups(cells, "robot", "payload"):
         gap, closure, native = (_largest(group, n) for n in ("gap", "closure", "native_gap"))
-        passed = None
-        if tolerance is not None:
-            passed = all(v is not None and v <= tolerance for v in (gap, closure))
+        passed = _agrees(group)
         rows.append(
             CrossCheck(
                 robot=robot,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.reporting.metrics import Metric, metric_of
+from sysid_bench.reporting.metrics import METRICS, Metric, metric_of
 from sysid_bench.reporting.numbers import Notation, notation
 from sysid_bench.reporting.statistics import INTERVALS, STATISTICS, interval_of, statistic_of
 
@@ -183,7 +183,7 @@ def _check(spec: Mapping[str, Any], cells: "pd.DataFrame") -> None:
     for field in (*spec["rows"], *spec.get("columns", ()), "status"):
         if field not in fields:
             raise unknown_name("field of the cells", str(field), fields, f"Asked by {where}.")
-    if wanted["metric"] not in fields:
+    if wanted["metric"] not in fields and wanted["metric"] not in METRICS:
         numeric = [name for name in fields if cells[name].dtype.kind in "bif"]
         raise unknown_name("metric of the cells", wanted["metric"], numeric, f"Asked by {where}.")
     _one_of("statistic", wanted.get("stat", "median"), STATISTICS)
@@ -229,7 +229,9 @@ def _entries(
 def _entry(group: "pd.DataFrame", metric: str, stat: str, interval: str) -> Entry:
     ok = group[group["status"] == "ok"]
     # Parquet and JSON hand whole numbers, booleans and None in one column of objects.
-    values = np.array([_number(value) for value in ok[metric]], dtype=float)
+    # Where every cell failed, no row has the metric at all.
+    told = ok[metric] if metric in ok else [None] * len(ok)
+    values = np.array([_number(value) for value in told], dtype=float)
     repeats = ok["repeat"].to_numpy() if "repeat" in ok else np.arange(len(ok))
     finite = np.isfinite(values)
     failures = group.loc[group["status"] != "ok", "status"].value_counts(sort=False)

@@ -14,11 +14,14 @@ from sysid_bench.types import Array, Recording
 
 @dataclass(frozen=True)
 class Processing:
-    """One filter for every signal alike, torque included, so that none is late against another;
-    `differentiate`: v and a from the filtered q, else the recording's own."""
+    """One filter for every signal, none late against another; `differentiate`: v and a from the
+    filtered q, else the recording's own. With `raw_torque` the torque is left as it came: least
+    squares averages its noise, while a filter rounds the steps of Coulomb friction, which the
+    regressor's sign(v) keeps."""
 
     filter: Filter
     differentiate: bool
+    raw_torque: bool = False
 
     def apply(self, recording: Recording, joints: tuple[Joint, ...]) -> Recording:
         """A recording with v and a; UsageError where it is too short, or v and a are absent."""
@@ -37,7 +40,7 @@ class Processing:
             raise UsageError("derivatives = 'exact' needs a recording with v and a; use 'from q'.")
         else:
             v, a = smooth(recording.v, rate), smooth(recording.a, rate)
-        tau = smooth(recording.tau, rate)
+        tau = recording.tau if self.raw_torque else smooth(recording.tau, rate)
         keep = slice(edge, len(recording) - edge)
         return replace(
             recording, t=recording.t[keep], q=q[keep], v=v[keep], a=a[keep], tau=tau[keep]
@@ -45,14 +48,18 @@ class Processing:
 
 
 def processing_of(spec: Mapping[str, object]) -> Processing:
-    """The processing of a suite's table {filter, derivatives}."""
+    """The processing of a suite's table {filter, derivatives, torque}."""
     for key in spec:
-        if key not in ("filter", "derivatives"):
-            raise unknown_name("signals setting", key, ("filter", "derivatives"))
+        if key not in ("filter", "derivatives", "torque"):
+            raise unknown_name("signals setting", key, ("filter", "derivatives", "torque"))
     derivatives = spec.get("derivatives", "exact")
     if derivatives not in ("exact", "from q"):
         raise UsageError(f"derivatives = {derivatives!r}: write 'exact' or 'from q'.")
-    return Processing(filter_of(str(spec.get("filter", "none"))), derivatives == "from q")
+    torque = spec.get("torque", "filtered")
+    if torque not in ("filtered", "raw"):
+        raise UsageError(f"torque = {torque!r}: write 'filtered' or 'raw'.")
+    filter = filter_of(str(spec.get("filter", "none")))
+    return Processing(filter, derivatives == "from q", torque == "raw")
 
 
 def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> Array:

@@ -73,7 +73,7 @@ class ClosedLoop:
         motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
         for name, array in (("position", q), ("acceleration", a)):
             check_finite(robot.name, array, f"{name} in closed loop")
-        _check_tracking(robot, commanded, motion)
+        _check_tracking(robot, commanded, motion, tau)
         return Oracle(motion, tau)
 
     def controller(self, plant: Plant) -> Controller:
@@ -86,7 +86,15 @@ class ClosedLoop:
         kp = np.minimum(
             kp, np.maximum(J * (0.5 * self.rate) ** 2, plant.terms.viscous * 0.5 * self.rate)
         )
-        return Controller(kp, 2 * self.damping * np.sqrt(kp * J), self.rate)
+        kp = _one_digit(kp)
+        return Controller(kp, _one_digit(2 * self.damping * np.sqrt(kp * J)), self.rate)
+
+
+def _one_digit(gains: Array) -> Array:
+    """Gains (nv,) to one significant digit, as one tunes them: more would tell methods the true
+    inertia, since the controller is declared."""
+    size = 10.0 ** np.floor(np.log10(gains))
+    return np.round(gains / size) * size
 
 
 def _own_inertia(plant: Plant) -> Array:
@@ -179,11 +187,25 @@ def _steps_with_laws(
     return out  # type: ignore[return-value]
 
 
-def _check_tracking(robot: RobotModel, commanded: Trajectory, motion: Trajectory) -> None:
+def _check_saturation(robot: RobotModel, dof: int, name: str, tau: Array) -> None:
+    limit = robot.limits.tau[dof]
+    share = float((np.abs(tau[:, dof]) >= 0.999 * limit).mean())
+    if share > 0.01:
+        raise SimulationError(
+            f"{robot.name}: {name} loses its motion, its motor at the limit of {limit:.3g} N m or "
+            f"N in {100 * share:.0f} % of the samples; lower limits.{name}.a in the robot's "
+            "manifest, or the payload."
+        )
+
+
+def _check_tracking(
+    robot: RobotModel, commanded: Trajectory, motion: Trajectory, tau: Array
+) -> None:
     lost = np.abs(motion.q - commanded.q).max(axis=0)
     bad = [joint for joint in robot.joints if lost[joint.qadr] > 1.0]
     if bad:
         worst = max(bad, key=lambda joint: float(lost[joint.qadr]))
+        _check_saturation(robot, worst.vadr, worst.name, tau)
         raise SimulationError(
             f"{robot.name}: {worst.name} loses its motion by {lost[worst.qadr]:.3g} rad or m; "
             "lower the motion's limits or change the controller's bandwidth, until the loop tracks."

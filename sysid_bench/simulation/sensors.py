@@ -57,7 +57,7 @@ def sense(
     torque_std: Array,
     draws: Draws,
     every: int,
-    commanded: Trajectory,
+    commanded: Trajectory | None,
     controller: Controller | None,
     ideal_rates: bool,
 ) -> Recording:

@@ -30,6 +30,11 @@ def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> lis
     for cell in chosen:
         if cell not in stored:
             raise UsageError(f"The cell {cell} has not run yet; run it first, then record it.")
+        if stored[cell].get("status") in ("crash", "timeout"):
+            raise UsageError(
+                f"The cell {cell} ended as {stored[cell]['status']}; executed again here it would "
+                "take this command with it. Record another cell of its experiment."
+            )
     return [_write(run_folder, cell, stored[cell], max_hz, robots_dir) for cell in chosen]
 
 

@@ -18,7 +18,7 @@ DEFAULT_TABLE: Mapping[str, Any] = {
     "name": "main",
     "title": "Held-out torque error",
     "rows": ["robot", "payload"],
-    "columns": ["estimator"],
+    "columns": ["task", "noise", "estimator"],
     "cells": {"metric": "torque_error", "stat": "median", "interval": "iqr"},
     "best": "min-bold",
 }

@@ -94,5 +94,6 @@ def cell(folder: str | Path, identifier: str) -> dict[str, Any]:
     row = run_folder.rows().rows.get(
         full, {"id": full, "status": "open", "reason": "has not run yet"}
     )
-    command = f"sysid-bench run {shlex.quote(str(folder))} --select 'id == \"{full}\"' --rerun all"
+    place = shlex.quote(str(run_folder.path))
+    command = f"sysid-bench run {place} --select 'id == \"{full}\"' --rerun all"
     return {**row, "command": command}

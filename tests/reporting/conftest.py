@@ -52,6 +52,7 @@ def _row(
         "estimator": estimator,
         "status": status,
         "reason": reason,
+        "crosscheck": "ok",
         "gap": float(rng.uniform(1e-16, 4e-15)),
         "closure": float(rng.uniform(1e-15, 4e-14)),
         "native_gap": float(rng.uniform(1e-16, 4e-15)) if robot != "anymal_c" else None,
