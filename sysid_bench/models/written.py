@@ -56,6 +56,7 @@ def update_of(
 
     A body is phi (10,) or (m, com (3,), inertia about it (3, 3) or six numbers).
     """
+    refuse_unidentified(verdicts or {})
     robot = load_robot(Manifest(path.stem, path))
     known_joints = [j.name for j in robot.joints if j.kind in ("hinge", "slide")]
     for kind, wanted, known in (
@@ -67,7 +68,6 @@ def update_of(
                 raise unknown_name(kind, name, known, f"({path.name})")
     phi = {name: _phi(name, value) for name, value in bodies.items()}
     terms = {name: _terms(name, values) for name, values in joints.items()}
-    refuse_unidentified(verdicts or {})
     refuse_impossible(phi)
     return Update(robot, phi, terms)
 
@@ -135,9 +135,9 @@ def beside(path: Path, text: str) -> Iterator[Path]:
         here = Path(folder)
         above = list(reversed(source.parents))[-LEVELS:]
         for place, child in zip(above, [*above[1:], source], strict=True):
-            for entry in place.iterdir():
-                if entry != child:
-                    with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):  # a folder that cannot be listed, or no links here
+                for entry in place.iterdir():
+                    if entry != child:
                         (here / entry.name).symlink_to(entry)
             here = here / child.name
             if child != source:
