@@ -11,6 +11,7 @@ import sympy as sp
 from sysid_bench import places
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
+from sysid_bench.harness.evidence import evidence
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.min_norm import MinNorm
@@ -22,7 +23,7 @@ from sysid_bench.models.task import Task, task_of
 from sysid_bench.regressors.derive import DW, D, W, body_regressor, in_classical_acceleration
 from sysid_bench.regressors.regression import regression
 from sysid_bench.types import Array, BaseMap, Trajectory
-from tests.experiments.experiment_world import executed, ready, robot_of, spec
+from tests.experiments.experiment_world import argument, executed, ready, robot_of, spec
 from tests.robots import SCARA, named_robot, states
 from tests.robots import robot_of as robot_of_text
 
@@ -197,3 +198,14 @@ def test_a_tool_that_stands_still_has_no_terminal_joint() -> None:
     <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body></worldbody></mujoco>"""
     with pytest.raises(UnsupportedError, match="'base' does not move"):
         task_of(robot_of_text(text, tool="base"), "terminal", ())
+
+
+def test_a_picture_shows_the_measured_row_alone() -> None:
+    made = spec(robot="ur5", payload="box-2kg", task="terminal", terms=FRICTION)
+    (row,) = executed(made, "min-norm")
+    shown = evidence(argument(made, "min-norm"), row)
+    assert shown.rows == ("wrist_3_joint",)
+    assert shown.predicted is not None
+    assert shown.predicted.shape == shown.measured.shape == (len(shown.motion), 1)
+    assert shown.gap_map.shape == (1, len(shown.gap_columns))
+    np.testing.assert_allclose(shown.predicted, shown.measured, atol=1e-9)
