@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sysid_bench.models.load import load_robot
+    from sysid_bench.verbs.basis import basis
     from sysid_bench.verbs.catalogue import list_, show
     from sysid_bench.verbs.crosscheck import crosscheck
     from sysid_bench.verbs.doctor import doctor
     from sysid_bench.verbs.folders import open_run
+    from sysid_bench.verbs.identify import identify
     from sysid_bench.verbs.recordings import record, view
     from sysid_bench.verbs.reports import report, table
     from sysid_bench.verbs.runs import cell, plan, run, status
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 _PLACES = {
     "load_robot": "sysid_bench.models.load",
     "crosscheck": "sysid_bench.verbs.crosscheck",
+    "basis": "sysid_bench.verbs.basis",
+    "identify": "sysid_bench.verbs.identify",
     "list_": "sysid_bench.verbs.catalogue",
     "show": "sysid_bench.verbs.catalogue",
     "plan": "sysid_bench.verbs.runs",
@@ -34,8 +38,8 @@ _PLACES = {
 }
 
 __all__ = [
-    "cell", "crosscheck", "doctor", "list_", "load_robot", "open_run", "plan", "record", "report",
-    "run", "show", "status", "table", "view",
+    "basis", "cell", "crosscheck", "doctor", "identify", "list_", "load_robot", "open_run", "plan",
+    "record", "report", "run", "show", "status", "table", "view",
 ]  # fmt: skip
 
 

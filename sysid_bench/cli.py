@@ -132,6 +132,90 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
         click.echo(f"sysid-bench: {verdict['robot']}: {verdict['reason']}", err=True)
 
 
+@main.command()
+@click.argument("robot", metavar="ROBOT|FILE")
+@click.option("--task", default="robot", show_default=True, help="robot, payload, link, terminal.")
+@click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
+@click.option("--free-base", is_flag=True, default=None, help="Let the root body float.")
+@click.option("--paper", is_flag=True, help="The sums alone, one per line, single ones first.")
+@robots_option
+@json_option
+@verb
+def basis(
+    robot: str,
+    task: str,
+    terms: str | None,
+    free_base: bool | None,
+    paper: bool,
+    robots_dir: Path | None,
+    as_json: bool,
+) -> int:
+    """Base parameters: how many, which sums, and what can be told of each parameter."""
+    from sysid_bench.verbs import basis as bases
+    from sysid_bench.verbs.chosen import chosen_terms
+
+    answer = bases.basis(robot, task, chosen_terms(terms), free_base, robots_dir)
+    if as_json:
+        _json(answer)
+        return OK
+    for line in (bases.paper if paper else bases.summary)(answer):
+        click.echo(line)
+    return OK
+
+
+@main.command()
+@click.argument("model", metavar="MODEL")
+@click.option("--simulate", is_flag=True, help="Data from the robot's own simulation.")
+@click.option("--task", default="robot", show_default=True, help="robot, payload, link, terminal.")
+@click.option("--payload", default="none", show_default=True, help="What is mounted at the tool.")
+@click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
+@click.option("--estimator", metavar="NAME", help="Default: ols; min-norm for the task terminal.")
+@click.option("--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none.")
+@click.option(
+    "--model-out", type=click.Path(path_type=Path), help="The model again, with identified values."
+)
+@click.option("--json-out", type=click.Path(path_type=Path), help="The answer as a file.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
+@robots_option
+@json_option
+@verb
+def identify(
+    model: str,
+    simulate: bool,
+    task: str,
+    payload: str,
+    terms: str | None,
+    estimator: str | None,
+    noise: str | None,
+    model_out: Path | None,
+    json_out: Path | None,
+    seed: int,
+    robots_dir: Path | None,
+    as_json: bool,
+) -> int:
+    """Identify one robot: parse, excite, simulate, solve, export."""
+    from sysid_bench.errors import UsageError
+    from sysid_bench.verbs import identify as identification
+    from sysid_bench.verbs.chosen import chosen_noise, chosen_terms
+
+    if not simulate:
+        raise UsageError("Where do the data come from? Say --simulate for the robot's simulation.")
+    if json_out is not None and not json_out.parent.is_dir():
+        raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
+    answer = identification.identify(
+        model, task, payload, chosen_terms(terms), estimator, chosen_noise(noise), model_out, seed,
+        robots_dir,
+    )  # fmt: skip
+    if json_out is not None:
+        json_out.write_text(json.dumps(answer, indent=2) + "\n", encoding="utf-8")
+    if as_json:
+        _json(answer)
+        return OK
+    for line in identification.summary(answer):
+        click.echo(line)
+    return OK
+
+
 @main.command(name="list")
 @click.argument("kind", metavar="robots|payloads|excitations|estimators|suites|simulations|plants")
 @robots_option

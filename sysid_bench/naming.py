@@ -23,6 +23,7 @@ from sysid_bench.units import quantity
 BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
         "estimator": {
+            "min-norm": "sysid_bench.identification.estimators.min_norm:MinNorm",
             "ols": "sysid_bench.identification.estimators.ols:OLS",
             "wls": "sysid_bench.identification.estimators.wls:WLS",
         },

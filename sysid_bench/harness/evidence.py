@@ -37,15 +37,16 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
     motion = recording.motion
     positions, quaternions = poses(model, motion.q)
     r = ready.problem.base.rank
+    places = [model.rows.index(row) for row in ready.problem.rows]
     parents = [int(model.mj.body_parentid[b]) - 1 for b in range(1, model.mj.nbody)]
     return Evidence(
         row=row,
         motion=motion,
-        measured=recording.tau,
+        measured=recording.tau[:, places],
         predicted=_predicted(ready, estimate),
-        rows=model.rows,
+        rows=ready.problem.rows,
         singular_values=np.linalg.svd(compress(ready.problem)[:r, :r], compute_uv=False),
-        gap_map=robot.check.gap_map,
+        gap_map=robot.check.gap_map[places],
         gap_columns=robot.check.columns,
         estimate=estimate,
         base=ready.problem.base,
@@ -58,7 +59,7 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
 
 
 def _predicted(ready: Prepared, estimate: Estimate) -> Array | None:
-    """Torque (N, nv) of the estimate along the measured motion, with what the task knows."""
+    """Torque (N, rows) of the estimate along the measured motion, with what the task knows."""
     if estimate.status != "ok" or estimate.beta is None:
         return None
     blocks = ready.experiment.regress(ready.experiment.recording.motion)

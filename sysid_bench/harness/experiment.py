@@ -15,6 +15,7 @@ from sysid_bench.harness.prepare import Prepared, prepare
 from sysid_bench.harness.provenance import versions
 from sysid_bench.harness.robots import Subject, subject
 from sysid_bench.harness.spec import ExperimentSpec
+from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
 from sysid_bench.types import Estimate, Problem, Row, Truth
@@ -103,20 +104,24 @@ def _judged(estimate: Estimate, ready: Prepared) -> Row:
 
 
 def _parameters(estimate: Estimate, problem: Problem, truth: Truth) -> Iterator[Row]:
-    """True and estimated base parameters, named by their pivots."""
+    """True and estimated base parameters, named by their pivots; all parameters where the method
+    claims all of them, with the verdict on each, so that no claim passes for knowledge."""
     if estimate.status != "ok" or estimate.beta is None:
         return
-    base = problem.base
-    true = base.K @ truth.theta
+    base, told = problem.base, verdicts(problem.base)
+    place = {int(j): i for i, j in enumerate(base.pivots)}
     std = None if estimate.covariance is None else np.sqrt(np.diag(estimate.covariance))
-    for i, name in enumerate(base.names):
-        others = np.abs(np.delete(base.K[i], base.pivots[i])).max(initial=0.0)
-        body, _, parameter = name.rpartition(".")
+    whole = estimate.theta is not None
+    true = truth.theta if whole else base.embed(base.K @ truth.theta)
+    found = base.embed(estimate.beta) if estimate.theta is None else estimate.theta
+    for j in range(len(told)) if whole else base.pivots.tolist():
+        body, _, parameter = problem.parameters[j].rpartition(".")
+        single = not whole or told[j] == "identifiable"
         yield {
             "body": body,
             "name": parameter,
-            "true": float(true[i]),
-            "estimate": float(estimate.beta[i]),
-            "std": None if std is None else float(std[i]),
-            "identifiable": "identifiable" if others < 1e-9 else "combination",
+            "true": float(true[j]),
+            "estimate": float(found[j]),
+            "std": None if std is None or not single else float(std[place[j]]),
+            "identifiable": told[j],
         }

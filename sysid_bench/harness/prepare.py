@@ -53,15 +53,14 @@ class Prepared:
     experiment: Experiment
     held_out: dict[str, Problem]
     truth: Truth
-    known: Array  # (N, nv) torque of what the task takes as known, along the measured motion
+    known: Array  # (N, rows) torque of what the task takes as known, along the measured motion
 
 
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
     robot = subject.robot
-    terms = robot.manifest.terms if spec.terms is None else spec.terms
-    task = task_of(robot, spec.task, terms)
-    base = subject.base(task.parameters)
+    task = task_of(robot, spec.task, _terms(spec, robot))
+    base = subject.base(task.parameters, task.rows)
     posing = Posing(robot, task, base, regression(robot, base.names))
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
     raw, recording = _record(spec, subject, plant)
@@ -71,12 +70,20 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
         name: posing.pose(oracle.motion, oracle.tau)
         for name, oracle in _held_out(spec, subject, plant).items()
     }
-    regress = partial(regressor_blocks, posing.regression)
+    regress = partial(regressor_blocks, posing.regression, posing.places)
     experiment = Experiment(problem, recording, raw, regress, _Simulate(declared(robot, task), raw))
     seal(experiment)
     return Prepared(
-        robot, task, problem, experiment, held_out, task.truth, posing.known(recording.motion)
-    )
+        robot, task, problem, experiment, held_out, task.truth,
+        posing.known(recording.motion)[:, posing.places],
+    )  # fmt: skip
+
+
+def _terms(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
+    """The joint terms that are identified; the robot's own are those of the task `robot`."""
+    if spec.terms is not None:
+        return spec.terms
+    return robot.manifest.terms if spec.task == "robot" else ()
 
 
 def seal(value: Any) -> None:
@@ -105,19 +112,25 @@ class Posing:
     base: BaseMap
     regression: Regression
 
+    @property
+    def places(self) -> tuple[int, ...]:
+        """The rows of the robot that the task measures, as places in v."""
+        rows = self.robot.rows if self.task.rows is None else self.task.rows
+        return tuple(self.robot.rows.index(row) for row in rows)
+
     def pose(self, motion: Trajectory, tau: Array, prior: Prior | None = None) -> Problem:
         """W beta = b along a motion, the known torque taken from tau (N, nv)."""
         b = tau - self.known(motion)
         return Problem(
             parameters=self.task.parameters,
             base=self.base,
-            rows=self.robot.rows,
-            factors=fold(self.regression, motion, b),
+            rows=tuple(self.robot.rows[i] for i in self.places),
+            factors=fold(self.regression, motion, b, self.places),
             bodies=self.task.bodies,
-            blocks=partial(dense_blocks, self.regression, motion, b),
+            blocks=partial(dense_blocks, self.regression, motion, b, self.places),
             samples=len(motion),
             prior=prior,
-            kinds=self.robot.row_kinds,
+            kinds=tuple(self.robot.row_kinds[i] for i in self.places),
         )
 
     def known(self, motion: Trajectory) -> Array:
@@ -128,10 +141,12 @@ class Posing:
         return tau + known_terms(self.robot, self.task, motion)
 
 
-def regressor_blocks(regression: Regression, motion: Trajectory) -> Iterator[Array]:
+def regressor_blocks(
+    regression: Regression, rows: tuple[int, ...], motion: Trajectory
+) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
     for block in regression.blocks(motion):
-        yield block.dense()
+        yield block.dense()[:, list(rows)]
 
 
 def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:

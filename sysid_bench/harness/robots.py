@@ -39,14 +39,14 @@ class Subject:
         return crosscheck(self.robot)
 
     @cached_property
-    def _bases(self) -> dict[tuple[str, ...], BaseMap]:
+    def _bases(self) -> dict[tuple[Any, ...], BaseMap]:
         return {}
 
-    def base(self, parameters: tuple[str, ...]) -> BaseMap:
-        """The base parameters of a task."""
-        if parameters not in self._bases:
-            self._bases[parameters] = structural_base(self.robot, parameters)
-        return self._bases[parameters]
+    def base(self, parameters: tuple[str, ...], rows: tuple[str, ...] | None = None) -> BaseMap:
+        """The base parameters of a task; `rows`: whose torque is measured (None: all)."""
+        if (parameters, rows) not in self._bases:
+            self._bases[parameters, rows] = structural_base(self.robot, parameters, rows)
+        return self._bases[parameters, rows]
 
 
 def subject(

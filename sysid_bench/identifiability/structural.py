@@ -7,18 +7,29 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.states import random_states
 from sysid_bench.regressors.fold import triangle
 from sysid_bench.regressors.regression import regression
-from sysid_bench.types import BaseMap
+from sysid_bench.types import Array, BaseMap
 
 SEED = 0
 """The same random states for everybody: a rank is a property of the robot, not of a draw."""
 
 
-def structural_base(robot: RobotModel, parameters: tuple[str, ...]) -> BaseMap:
-    """The base map of the named parameters over all motions of the robot."""
+def structural_base(
+    robot: RobotModel, parameters: tuple[str, ...], rows: tuple[str, ...] | None = None
+) -> BaseMap:
+    """The base map of the named parameters over all motions of the robot; `rows`: what is measured
+    (None: the torque of every degree of freedom)."""
+    return base_map(structural_factor(robot, parameters, rows), parameters)
+
+
+def structural_factor(
+    robot: RobotModel, parameters: tuple[str, ...], rows: tuple[str, ...] | None = None
+) -> Array:
+    """R (m, p) of the regressor over random states, whose column space is that of all motions."""
     columns = regression(robot, parameters)
-    count = 64 + 3 * len(parameters) // robot.nv
+    measured = [robot.rows.index(row) for row in (robot.rows if rows is None else rows)]
+    count = 64 + 3 * len(parameters) // len(measured)
     motion = random_states(robot, count, np.random.default_rng(SEED))
     factors = []
     for block in columns.blocks(motion):
-        factors.append(triangle([block.dense().reshape(-1, len(parameters))]))
-    return base_map(triangle(factors), parameters)
+        factors.append(triangle([block.dense()[:, measured].reshape(-1, len(parameters))]))
+    return triangle(factors)

@@ -24,6 +24,8 @@ class Task:
     truth: Truth
     known_links: Array
     known_terms: dict[str, Array]
+    rows: tuple[str, ...] | None = None
+    """Names of the degrees of freedom whose torque is measured; None: all."""
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -37,7 +39,8 @@ class Task:
 
 
 def task_of(robot: RobotModel, name: str, terms: tuple[str, ...]) -> Task:
-    """The task `robot` (links and `terms`), `payload` or `link` (ten numbers, the rest known).
+    """The task `robot` (links and `terms`), `payload` or `link` (ten numbers, the rest known), or
+    `terminal` (the last joint's torque alone: ten numbers of its link, and its `terms`).
 
     Joint terms that are not identified are known. Raises UnsupportedError where the robot or the
     payload has no such unknowns.
@@ -52,7 +55,9 @@ def task_of(robot: RobotModel, name: str, terms: tuple[str, ...]) -> Task:
             return _payload(robot)
         case "link":
             return _link(robot)
-        case "terminal" | "wrench":
+        case "terminal":
+            return _terminal(robot, terms)
+        case "wrench":
             raise UnsupportedError(f"The task {name!r} is not available in this version.")
     raise unknown_name("task", name, TASKS)
 
@@ -97,6 +102,26 @@ def _link(robot: RobotModel) -> Task:
     return Task(
         "link", (body,), Truth(body.columns, lumped[link]), known, _terms_without(robot, ())
     )
+
+
+def _terminal(robot: RobotModel, terms: tuple[str, ...]) -> Task:
+    """What the last joint before the tool tells on its own: of the composite of the link that it
+    carries, and of its own terms."""
+    link = _link(robot)
+    carrier = robot.tree.links[int(robot.tree.carrier[robot.tool_body])]
+    dofs = carrier.joints[-1].dofs
+    rows = tuple(robot.rows[dof] for dof in dofs)
+    asked = [(term, dof) for term in terms for dof in dofs if dof in robot.scalar_dofs]
+    values = [float(getattr(robot.joint_terms, term)[dof]) for term, dof in asked]
+    known = _terms_without(robot, ())
+    for term, dof in asked:
+        known[term] = known[term].copy()
+        known[term][dof] = 0.0
+    truth = Truth(
+        link.parameters + tuple(f"{robot.rows[dof]}.{SUFFIX[term]}" for term, dof in asked),
+        np.concatenate([link.truth.theta, values]),
+    )
+    return Task("terminal", link.bodies, truth, link.known_links, known, rows)
 
 
 def _terms_without(robot: RobotModel, identified: tuple[str, ...]) -> dict[str, Array]:

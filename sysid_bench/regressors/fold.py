@@ -4,7 +4,7 @@ R of [W_i | b_i] is a sufficient statistic of the samples of row i for every lea
 rank, condition number and RMSE; its size does not depend on the number of samples.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from scipy.linalg import lapack
@@ -13,17 +13,20 @@ from sysid_bench.regressors.regression import Regression
 from sysid_bench.types import Array, Factor, Trajectory
 
 
-def fold(regression: Regression, motion: Trajectory, b: Array) -> tuple[Factor, ...]:
-    """One Factor per row for the right-hand side b (N, nv)."""
-    factors = [np.zeros((0, len(places) + 1)) for places in regression.touched]
+def fold(
+    regression: Regression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
+) -> tuple[Factor, ...]:
+    """One Factor per row for the right-hand side b (N, nv); `rows`: only these (None: all)."""
+    chosen = range(len(regression.rows)) if rows is None else rows
+    factors = {i: np.zeros((0, len(regression.touched[i]) + 1)) for i in chosen}
     for block in regression.blocks(motion):
-        for i, R in enumerate(factors):
+        for i, R in factors.items():
             factors[i] = _absorb(
                 R, block.count, lambda out, i=i, block=block: block.row(i, out), b[block.samples, i]
             )
     return tuple(
-        Factor(row, places, R, len(motion))
-        for row, places, R in zip(regression.rows, regression.touched, factors, strict=True)
+        Factor(regression.rows[i], regression.touched[i], R, len(motion))
+        for i, R in factors.items()
     )
 
 
@@ -55,8 +58,9 @@ def _triangle(stack: Array) -> Array:
 
 
 def dense_blocks(
-    regression: Regression, motion: Trajectory, b: Array
+    regression: Regression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> Iterator[tuple[Array, Array]]:
-    """The rows themselves again: (Y (n, nv, p), b (n, nv)) block by block."""
+    """The rows themselves again: (Y (n, rows, p), b (n, rows)) block by block; as for `fold`."""
+    chosen = slice(None) if rows is None else list(rows)
     for block in regression.blocks(motion):
-        yield block.dense(), b[block.samples]
+        yield block.dense()[:, chosen], b[block.samples][:, chosen]

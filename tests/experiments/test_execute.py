@@ -72,7 +72,7 @@ UNSUPPORTED: dict[str, tuple[ExperimentSpec, str]] = {
     "no payload": (spec(task="payload"), "payload"),
     "floating in closed loop": (spec(robot="solo12", simulation=CLOSED_LOOP), "fixed base"),
     "ball in closed loop": (spec(robot="file:ball.xml", simulation=CLOSED_LOOP), "fixed base"),
-    "later": (spec(task="terminal"), "terminal"),
+    "later": (spec(task="wrench"), "wrench"),
 }
 FAILED: dict[str, tuple[ExperimentSpec, str]] = {
     "unknown robot": (spec(robot="ur55"), "ur5"),
@@ -239,7 +239,7 @@ def test_all_payloads_and_repeats_share_the_motion(simulation: dict[str, str]) -
         # In inverse simulation the motion is the commanded one, and noise is all that hides it:
         # there a method is not told of it.
         assert (commanded is None) == (simulation["use"] == "inverse")
-        exact = made.experiment.raw.a if commanded is None else commanded.q
+        exact = made.experiment.recording.motion.a if commanded is None else commanded.q
         held = [np.concatenate([b for b, _ in p.blocks()]) for p in made.held_out.values()]
         return [exact, *(h for h in held if "payload" not in changes)]
 

@@ -1,0 +1,166 @@
+"""An MJCF with identified numbers in it: every other byte of its text stays."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.errors import ModelError
+from sysid_bench.models.load import LARGEST_FILE
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.written import Bodies, Joints, Update, prove, update_of
+from sysid_bench.models.xml_text import (
+    Edit,
+    Element,
+    attribute_edits,
+    elements_of,
+    insertion,
+    numbers,
+    spliced,
+)
+from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.spatial.rotation import quaternion_of_matrix
+from sysid_bench.types import Array
+
+_POSE: Final = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+_COPIES: Final = ("replicate", "composite", "flexcomp", "attach")
+"""Elements that make bodies which the text does not write one by one."""
+
+LAMINA: Final = 1e-9
+"""Of the trace: below it a principal moment of the density is none, and MuJoCo's own reading of a
+full inertia may round it to the wrong side; principal moments are written instead."""
+
+
+def updated_mjcf(
+    path: Path | str,
+    bodies: Bodies,
+    joints: Joints | None = None,
+    verdicts: Mapping[str, str] | None = None,
+) -> str:
+    """The text of an MJCF with new inertial parameters and joint terms; nothing else changes.
+
+    `bodies`: name -> phi (10,) or (m, com, inertia about it); `joints`: name -> damping,
+    frictionloss, armature, stiffness, springref in SI units; `verdicts`: parameter -> verdict of
+    all that is to be written. The text is read again before it is returned. Raises ModelError for
+    what must not be written (see models/written.py), and for bodies of included files.
+    """
+    path = Path(path)
+    update = update_of(path, bodies, joints or {}, verdicts)
+    data = path.read_bytes()[: LARGEST_FILE + 1]
+    root = elements_of(data, path.name)
+    if root.tag != "mujoco":
+        raise ModelError(f"{path.name} is no MJCF: its root element is <{root.tag}>, not <mujoco>.")
+    edits: list[Edit] = []
+    places = _Places(root, update.robot, path.name)
+    for name, phi in update.phi.items():
+        edits += _body_edits(data, places.body(name), phi)
+    for name, terms in update.joints.items():
+        edits += _joint_edits(data, places.joint(name), terms, update, name)
+    text = spliced(data, edits)
+    prove(path, text, update)
+    return text
+
+
+class _Places:
+    """Where the bodies and joints of a robot are written in the main file."""
+
+    def __init__(self, root: Element, robot: RobotModel, file: str) -> None:
+        world = [section for section in root.children if section.tag == "worldbody"]
+        inside = [element for section in world for element in section.walk()]
+        bodies = [element for element in inside if element.tag == "body"]
+        joints = [joint for body in bodies for joint in _joints_of(body)]
+        self.elements = {"body": bodies, "joint": joints}
+        self.names = {"body": robot.body_names, "joint": [joint.name for joint in robot.joints]}
+        self.copied = [e.tag for e in inside if e.tag in _COPIES]
+        self.included = any(e.tag == "include" for e in root.walk())
+        self.file = file
+
+    def body(self, name: str) -> Element:
+        return self._find("body", name)
+
+    def joint(self, name: str) -> Element:
+        return self._find("joint", name)
+
+    def _find(self, kind: str, name: str) -> Element:
+        elements, names = self.elements[kind], self.names[kind]
+        named = [element for element in elements if element.attributes.get("name") == name]
+        if len(named) == 1 and not self._copied(named[0]):
+            return named[0]
+        # Bodies are numbered in the order of the text, joints body by body: an unnamed one is found
+        # by its place, where all that have names are at theirs.
+        if not named and not self.copied and _in_order(elements, names):
+            return elements[list(names).index(name)]
+        if self.copied:
+            why = f"<{self.copied[0]}> makes it, and a change would change its copies"
+        elif self.included:
+            why = "it comes from an included file; write that file's content into this one"
+        else:
+            why = "it is not in the text"
+        raise ModelError(f"{self.file}: the {kind} {name!r} cannot be written: {why}.")
+
+    def _copied(self, element: Element | None) -> bool:
+        while element is not None:
+            if element.tag in _COPIES:
+                return True
+            element = element.parent
+        return False
+
+
+def _joints_of(body: Element) -> Iterator[Element]:
+    """The joints of one body, also within its frames."""
+    for child in body.children:
+        if child.tag in ("joint", "freejoint"):
+            yield child
+        elif child.tag == "frame":
+            yield from _joints_of(child)
+
+
+def _in_order(elements: Sequence[Element], names: Sequence[str]) -> bool:
+    return len(elements) == len(names) and all(
+        element.attributes.get("name", name) == name
+        for element, name in zip(elements, names, strict=True)
+    )
+
+
+def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
+    inertial = body.child("inertial")
+    mass, com, inertia = mass_com_inertia(phi)
+    values: dict[str, str | None] = {"pos": numbers(*com), "mass": numbers(mass)}
+    values |= _inertia(inertia)
+    if inertial is not None:
+        yield from attribute_edits(data, inertial, {**dict.fromkeys(_POSE), **values})
+    elif phi.any() or body.child("geom") is not None:
+        words = " ".join(f'{key}="{value}"' for key, value in values.items() if value is not None)
+        yield insertion(data, body, f"<inertial {words}/>")
+
+
+def _inertia(inertia: Array) -> dict[str, str | None]:
+    """Attributes of an inertia (3, 3) about the centre of mass: xx yy zz xy xz yz, or, for what has
+    no thickness, principal moments and their axes."""
+    density = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    if density[0] > LAMINA * np.trace(inertia):
+        full = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+        return {"fullinertia": numbers(*full), "diaginertia": None}
+    moments, axes = np.linalg.eigh(inertia)
+    moments = np.maximum(moments, 0.0)
+    moments[2] = min(moments[2], moments[0] + moments[1])  # a lamina lies on the border
+    quat = quaternion_of_matrix(axes * np.sign(np.linalg.det(axes)))
+    return {"diaginertia": numbers(*moments), "quat": numbers(*quat), "fullinertia": None}
+
+
+def _joint_edits(
+    data: bytes, joint: Element, terms: Mapping[str, float], update: Update, name: str
+) -> Iterator[Edit]:
+    mj = update.robot.mj
+    j = mj.joint(name).id
+    dof = int(mj.jnt_dofadr[j])
+    values: dict[str, str | None] = {}
+    for key, value in terms.items():
+        # Damping and stiffness are polynomials: what is beyond the linear number stays.
+        beyond = {"damping": mj.dof_dampingpoly[dof], "stiffness": mj.jnt_stiffnesspoly[j]}
+        higher = np.trim_zeros(beyond.get(key, np.zeros(0)), "b")
+        if key == "springref" and update.robot.joints[j].kind == "hinge":
+            value = np.rad2deg(value) if update.robot.spec.compiler.degree else value
+        values[key] = numbers(value, *higher)
+    yield from attribute_edits(data, joint, values)

@@ -1,0 +1,109 @@
+"""A URDF with identified numbers in it: every other byte of its text stays."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+from sysid_bench.errors import ModelError
+from sysid_bench.models.load import LARGEST_FILE
+from sysid_bench.models.written import Bodies, Joints, prove, update_of
+from sysid_bench.models.xml_text import (
+    Edit,
+    Element,
+    attribute_edits,
+    elements_of,
+    insertion,
+    numbers,
+    spliced,
+)
+from sysid_bench.spatial.inertia import mass_com_inertia, six_of_matrix
+from sysid_bench.types import Array
+
+_SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_DYNAMICS: Final = {"damping": "damping", "frictionloss": "friction"}
+"""The joint terms that a URDF has, in MuJoCo's words and in its own."""
+
+
+def updated_urdf(
+    path: Path | str,
+    bodies: Bodies,
+    joints: Joints | None = None,
+    verdicts: Mapping[str, str] | None = None,
+) -> str:
+    """The text of a URDF with new inertial parameters and joint friction; nothing else changes.
+
+    `bodies`: name -> phi (10,) or (m, com, inertia about it); `joints`: name -> damping,
+    frictionloss in SI units; `verdicts`: parameter -> verdict of all that is to be written. The
+    text is read again before it is returned. Raises ModelError for what must not be written (see
+    models/written.py), and for joint terms that a URDF cannot hold.
+    """
+    path = Path(path)
+    update = update_of(path, bodies, joints or {}, verdicts)
+    data = path.read_bytes()[: LARGEST_FILE + 1]
+    root = elements_of(data, path.name)
+    if root.tag != "robot":
+        raise ModelError(f"{path.name} is no URDF: its root element is <{root.tag}>, not <robot>.")
+    edits: list[Edit] = []
+    for name, phi in update.phi.items():
+        edits += _link_edits(data, _called(root, "link", name, path.name), phi)
+    for name, terms in update.joints.items():
+        edits += _joint_edits(data, _called(root, "joint", name, path.name), terms, path.name)
+    text = spliced(data, edits)
+    prove(path, text, update)
+    return text
+
+
+def _called(root: Element, tag: str, name: str, file: str) -> Element:
+    for element in root.children:
+        if element.tag == tag and element.attributes.get("name") == name:
+            return element
+    raise ModelError(f"{file}: the {tag} {name!r} is not in the text, so it cannot be written.")
+
+
+def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
+    mass, com, inertia = mass_com_inertia(phi)
+    moments = zip(_SIX, map(numbers, six_of_matrix(inertia)), strict=True)
+    parts: dict[str, dict[str, str]] = {
+        "origin": {"xyz": numbers(*com), "rpy": "0 0 0"},
+        "mass": {"value": numbers(mass)},
+        "inertia": dict(moments),
+    }
+    inertial = link.child("inertial")
+    if inertial is None:
+        if phi.any():
+            yield insertion(data, link, _inertial(parts))
+        return
+    for part in parts.items():
+        present = inertial.child(part[0])
+        if present is None:
+            yield insertion(data, inertial, _element(part))
+        else:
+            yield from attribute_edits(data, present, part[1])
+
+
+def _joint_edits(
+    data: bytes, joint: Element, terms: Mapping[str, float], file: str
+) -> Iterator[Edit]:
+    for key in terms:
+        if key not in _DYNAMICS:
+            raise ModelError(
+                f"{file}: a URDF has no {key} of joints (joint {joint.attributes['name']!r}); "
+                "write an MJCF, or leave that term out."
+            )
+    values = {_DYNAMICS[key]: numbers(value) for key, value in terms.items()}
+    dynamics = joint.child("dynamics")
+    if dynamics is None:
+        yield insertion(data, joint, _element(("dynamics", values)))
+    else:
+        yield from attribute_edits(data, dynamics, values)
+
+
+def _inertial(parts: Mapping[str, Mapping[str, str]]) -> str:
+    return f"<inertial>{''.join(map(_element, parts.items()))}</inertial>"
+
+
+def _element(part: tuple[str, Mapping[str, str]]) -> str:
+    tag, values = part
+    return (
+        f"<{tag} {' '.join(f'{key}={chr(34)}{value}{chr(34)}' for key, value in values.items())}/>"
+    )

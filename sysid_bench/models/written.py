@@ -1,0 +1,252 @@
+"""What may be written into a model, and the proof that it came back.
+
+Values that no motion can tell, or bodies that cannot exist, are refused by name: a file carries no
+verdicts, and whoever reads it would believe them.
+"""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from sysid_bench.errors import ModelError, UsageError, unknown_name
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.states import random_states
+from sysid_bench.spatial.inertia import mass_com_inertia, matrix_of_six, phi_of, smallest_eigenvalue
+from sysid_bench.types import Array, Trajectory
+
+JOINT_KEYS: Final = ("damping", "frictionloss", "armature", "stiffness", "springref")
+"""Joint terms in MuJoCo's words: N m s/rad, N m, kg m^2, N m/rad, rad (or N s/m, N, kg, N/m, m)."""
+
+PARAMETERS, TORQUES = 1e-12, 1e-11
+"""Relative errors that a written model may have when it is read again."""
+
+POSSIBLE: Final = 1e-12
+"""Of a body's largest number: how far rounding may take a pseudo-inertia below zero."""
+
+LEVELS: Final = 3
+"""Folders above a model whose files it can name (../meshes)."""
+
+BodyValue = Array | Sequence[Any]
+Bodies = Mapping[str, BodyValue]
+Joints = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """A model as it is, and what it shall become: `phi` by body name (10,), `joints` by name."""
+
+    robot: RobotModel
+    phi: dict[str, Array]
+    joints: dict[str, dict[str, float]]
+
+
+def update_of(
+    path: Path, bodies: Bodies, joints: Joints, verdicts: Mapping[str, str] | None
+) -> Update:
+    """The update of a model file, checked: raises UsageError for names and numbers that make no
+    sense, ModelError for bodies that cannot exist and parameters that were not identified.
+
+    A body is phi (10,) or (m, com (3,), inertia about it (3, 3) or six numbers).
+    """
+    refuse_unidentified(verdicts or {})
+    robot = load_robot(Manifest(path.stem, path))
+    known_joints = [j.name for j in robot.joints if j.kind in ("hinge", "slide")]
+    for kind, wanted, known in (
+        ("body", bodies, robot.body_names),
+        ("joint", joints, known_joints),
+    ):
+        for name in wanted:
+            if name not in known:
+                raise unknown_name(kind, name, known, f"({path.name})")
+    phi = {name: _phi(name, value) for name, value in bodies.items()}
+    terms = {name: _terms(name, values) for name, values in joints.items()}
+    refuse_impossible(phi)
+    return Update(robot, phi, terms)
+
+
+def refuse_unidentified(verdicts: Mapping[str, str]) -> None:
+    """Raises ModelError that names every parameter whose verdict is not "identifiable"."""
+    doubtful = [name for name, verdict in verdicts.items() if verdict != "identifiable"]
+    if doubtful:
+        raise ModelError(
+            f"Not written: {len(doubtful)} of {len(verdicts)} parameters were not identified: "
+            f"{', '.join(doubtful[:12])}{', ...' if len(doubtful) > 12 else ''}. Use a task that "
+            "tells them (link: all joint torques), or leave the model as it is."
+        )
+
+
+def refuse_impossible(phi: Mapping[str, Array]) -> None:
+    """Raises ModelError that names every body whose pseudo-inertia is not positive semidefinite."""
+    impossible = []
+    for name, values in phi.items():
+        smallest = float(smallest_eigenvalue(values))
+        if not smallest >= -POSSIBLE * float(np.abs(values).max()):
+            impossible.append(f"{name} (m = {values[0]:.4g} kg, {smallest:.2g})")
+    if impossible:
+        raise ModelError(
+            f"Not written: no body can have the parameters of {', '.join(impossible)}; the "
+            "pseudo-inertia must be positive semidefinite: use a method that keeps to that."
+        )
+
+
+def prove(path: Path, text: str, update: Update) -> None:
+    """Reads the written text again, in the place of the source: raises ModelError where parameters
+    or torques at random states differ from what was asked for."""
+    with beside(path, text) as copy:
+        try:
+            again = load_robot(Manifest(path.stem, copy))
+        except ModelError as error:
+            raise ModelError(f"{path.name} cannot be read with its new values: {error}") from error
+    robot = update.robot
+    if again.body_names != robot.body_names or again.rows != robot.rows:
+        raise ModelError(f"{path.name} has other bodies or joints with its new values.")
+    phi = _asked(update)
+    scale = np.abs(phi).max(axis=1)
+    apart = np.abs(again.phi - phi).max(axis=1)
+    for b in np.flatnonzero(~(apart <= PARAMETERS * scale)):
+        raise ModelError(
+            f"{path.name} gives the body {robot.body_names[b]!r} other parameters than were "
+            f"written (by {apart[b]:.2g}): {_meddling(again)}"
+        )
+    motion = random_states(robot, 10, np.random.default_rng(0))
+    theirs, ours = _torque(again.mj, motion), _torque(_with(update, phi), motion)
+    gap = float(np.abs(theirs - ours).max()) / (float(np.abs(ours).max()) or 1.0)
+    if not gap <= TORQUES:
+        raise ModelError(
+            f"{path.name} moves otherwise than was written (torques differ by {gap:.2g}): "
+            f"{_meddling(again)}"
+        )
+
+
+@contextlib.contextmanager
+def beside(path: Path, text: str) -> Iterator[Path]:
+    """A file with this text in a copy of the source's place: what lies beside it is linked, so that
+    included files and meshes are found, and nothing is written where the source is."""
+    source = path.resolve()
+    with tempfile.TemporaryDirectory() as folder:
+        here = Path(folder)
+        above = list(reversed(source.parents))[-LEVELS:]
+        for place, child in zip(above, [*above[1:], source], strict=True):
+            with contextlib.suppress(OSError):  # a folder that cannot be listed, or no links here
+                for entry in place.iterdir():
+                    if entry != child:
+                        (here / entry.name).symlink_to(entry)
+            here = here / child.name
+            if child != source:
+                here.mkdir()
+        here.write_bytes(text.encode())
+        yield here
+
+
+def _phi(name: str, value: BodyValue) -> Array:
+    try:
+        if len(value) == 3:
+            mass, com, inertia = value[0], np.asarray(value[1], float), np.asarray(value[2], float)
+            phi = phi_of(
+                float(mass), com, matrix_of_six(inertia) if inertia.shape == (6,) else inertia
+            )
+        else:
+            phi = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"The body {name!r} cannot have {value!r}: {error}.") from error
+    if phi.shape != (10,) or not np.isfinite(phi).all():
+        raise UsageError(
+            f"The body {name!r} needs ten finite numbers m hx hy hz Ixx Ixy Ixz Iyy Iyz Izz, or "
+            f"(m, com, inertia about it); got {value!r}."
+        )
+    return phi
+
+
+def _terms(name: str, values: Mapping[str, float]) -> dict[str, float]:
+    for key, value in values.items():
+        if key not in JOINT_KEYS:
+            raise unknown_name("term of a joint in a file", key, JOINT_KEYS)
+        if not np.isfinite(value):
+            raise UsageError(f"{key} of the joint {name!r} is {value!r}; it must be finite.")
+        if value < 0 and key != "springref":
+            raise ModelError(
+                f"Not written: {key} of the joint {name!r} is {value:.4g}, and no joint has less "
+                "than none of it."
+            )
+    return {key: float(value) for key, value in values.items()}
+
+
+def _asked(update: Update) -> Array:
+    """phi (nb, 10) of the whole model with the update."""
+    robot = update.robot
+    return np.array(
+        [update.phi.get(b, own) for b, own in zip(robot.body_names, robot.phi, strict=True)]
+    )
+
+
+def _with(update: Update, phi: Array) -> mujoco.MjModel:
+    """The source's compiled model with the new numbers put into it: no text in between."""
+    robot, spec = update.robot, update.robot.spec.copy()
+    for body in spec.bodies:
+        body.simple = False  # else the zeros of a body's mass matrix are settled for good
+    mj = spec.compile()
+    for name in update.phi:
+        b = robot.body_names.index(name)
+        mass, com, inertia = mass_com_inertia(phi[b])
+        moments, axes = np.linalg.eigh(inertia)
+        mj.body_mass[b + 1], mj.body_ipos[b + 1] = mass, com
+        mj.body_inertia[b + 1] = np.maximum(moments, 0.0)
+        mujoco.mju_mat2Quat(mj.body_iquat[b + 1], (axes * np.linalg.det(axes)).ravel())
+        mj.body_sameframe[b + 1] = 0  # else the inertial frame is taken for the body's
+    for joint in robot.joints:
+        for key, value in update.joints.get(joint.name, {}).items():
+            _put(mj, joint.name, key, value)
+    mujoco.mj_setConst(mj, mujoco.MjData(mj))
+    return mj
+
+
+def _put(mj: mujoco.MjModel, joint: str, key: str, value: float) -> None:
+    j = mj.joint(joint).id
+    dof, place = int(mj.jnt_dofadr[j]), int(mj.jnt_qposadr[j])
+    if key == "springref":
+        mj.qpos_spring[place] = value
+        return
+    array, at = (mj.jnt_stiffness, j) if key == "stiffness" else (getattr(mj, f"dof_{key}"), dof)
+    array[at] = value
+
+
+def _torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
+    """MuJoCo's inverse dynamics (N, nv) with springs, dampers and armature, without contacts."""
+    mj.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data = mujoco.MjData(mj)
+    tau = np.empty_like(motion.v)
+    for k in range(len(motion)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]
+        mujoco.mj_inverse(mj, data)
+        # Friction is a constraint in MuJoCo; by its definition it needs none.
+        tau[k] = data.qfrc_inverse + mj.dof_frictionloss * np.sign(motion.v[k])
+    return tau
+
+
+def _meddling(robot: RobotModel) -> str:
+    """Which of the compiler's options may have changed what the file states."""
+    compiler = robot.spec.compiler
+    found = [
+        word
+        for word, on in (
+            ("settotalmass", compiler.settotalmass > 0),
+            ("balanceinertia", bool(compiler.balanceinertia)),
+            ("boundmass", compiler.boundmass > 0),
+            ("boundinertia", compiler.boundinertia > 0),
+            ("inertiafromgeom", int(compiler.inertiafromgeom) == 1),
+        )
+        if on
+    ]
+    if found:
+        return (
+            f"its <compiler> sets {', '.join(found)}, which overrules what is written; remove it."
+        )
+    return "something in the file overrules what is written."

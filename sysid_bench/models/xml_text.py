@@ -1,0 +1,144 @@
+"""XML as bytes: where elements and attributes lie, so that numbers are exchanged in place."""
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
+
+from sysid_bench.errors import ModelError
+
+_ATTRIBUTE: Final = re.compile(rb"\s+([^\s=/>\"']+)\s*=\s*(\"[^\"]*\"|'[^']*')")
+
+
+@dataclass(eq=False)
+class Element:
+    """One element: bytes start..head_end are its start tag, head_end..tail its content; `tail` is
+    where its end tag begins. `empty`: written as <tag/>. Filled in while the text is read."""
+
+    tag: str
+    attributes: dict[str, str]
+    start: int
+    head_end: int
+    parent: "Element | None"
+    empty: bool
+    tail: int = -1
+    children: list["Element"] = field(default_factory=list)
+
+    def child(self, tag: str) -> "Element | None":
+        """The first child with this tag."""
+        return next((child for child in self.children if child.tag == tag), None)
+
+    def walk(self) -> Iterator["Element"]:
+        """The element and all below it, in the order of the text."""
+        yield self
+        for child in self.children:
+            yield from child.walk()
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Bytes start..end of the source become `text`."""
+
+    start: int
+    end: int
+    text: str
+
+
+def elements_of(data: bytes, name: str) -> Element:
+    """The root element of an XML text in UTF-8; raises ModelError with `name`.
+
+    Its well-formedness and its lack of a DOCTYPE are the loader's business (`parse_xml`).
+    """
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ModelError(
+            f"{name} is not in UTF-8 ({error.reason} at byte {error.start}); save it so first."
+        ) from error
+    parser = expat.ParserCreate("utf-8")
+    stack: list[Element] = []
+    roots: list[Element] = []
+
+    def opened(tag: str, attributes: Mapping[str, str]) -> None:
+        start = parser.CurrentByteIndex
+        end = _end_of_tag(data, start)
+        parent = stack[-1] if stack else None
+        element = Element(tag, dict(attributes), start, end, parent, data[end - 2 : end] == b"/>")
+        (parent.children if parent else roots).append(element)
+        stack.append(element)
+
+    def closed(tag: str) -> None:
+        element = stack.pop()
+        element.tail = element.head_end if element.empty else parser.CurrentByteIndex
+
+    parser.StartElementHandler, parser.EndElementHandler = opened, closed
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise ModelError(f"{name} is no well-formed XML: {error}.") from error
+    return roots[0]
+
+
+def spliced(data: bytes, edits: Iterable[Edit]) -> str:
+    """The text with its edits, which must not overlap; every other byte stays."""
+    out, at = [], 0
+    for edit in sorted(edits, key=lambda e: (e.start, e.end)):
+        out += [data[at : edit.start], edit.text.encode()]
+        at = edit.end
+    return b"".join([*out, data[at:]]).decode("utf-8")
+
+
+def attribute_edits(
+    data: bytes, element: Element, values: Mapping[str, str | None]
+) -> Iterator[Edit]:
+    """Edits that give attributes of an element these values; None takes one away.
+
+    What is there keeps its place; what is new follows the last attribute.
+    """
+    spans = {}
+    last = element.start + 1 + len(element.tag.encode())
+    for match in _ATTRIBUTE.finditer(data, last, element.head_end):
+        spans[match[1].decode()] = match.span()[0], *match.span(2)
+        last = match.end()
+    new = ""
+    for key, value in values.items():
+        if key in spans:
+            before, start, end = spans[key]
+            yield Edit(before, end, "") if value is None else Edit(start, end, quoteattr(value))
+        elif value is not None:
+            new += f" {key}={quoteattr(value)}"
+    if new:
+        yield Edit(last, last, new)
+
+
+def insertion(data: bytes, parent: Element, element: str) -> Edit:
+    """Writes `element` as the first child, on a line of its own where the others have theirs."""
+    if parent.empty:
+        # <tag/> becomes <tag>...</tag>; blanks before its slash are kept within the start tag.
+        return Edit(parent.head_end - 2, parent.head_end, f">{element}</{parent.tag}>")
+    blank = re.match(rb"\s*", data[parent.head_end : parent.tail])
+    indent = blank[0].decode() if blank else ""
+    if not parent.children:  # the blanks lead to the end tag, not to a child
+        return Edit(parent.head_end, parent.head_end, element)
+    return Edit(parent.head_end, parent.head_end, indent + element)
+
+
+def numbers(*values: float) -> str:
+    """Numbers with all their digits: what reads back is the same."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _end_of_tag(data: bytes, start: int) -> int:
+    """Just behind the ">" of the start tag at `start`; one within quotes does not count."""
+    quote = 0
+    for place in range(start, len(data)):
+        byte = data[place]
+        if quote:
+            quote = 0 if byte == quote else quote
+        elif byte in b"\"'":
+            quote = byte
+        elif byte == ord(">"):
+            return place + 1
+    return len(data)

@@ -1,0 +1,81 @@
+"""An estimate in the words of a user: bodies and joints, each number with its verdict."""
+
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.models.robot import SUFFIX
+from sysid_bench.spatial.inertia import NAMES, mass_com_inertia, six_of_matrix
+from sysid_bench.types import Array, Estimate, Problem
+
+TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
+
+
+def values_of(estimate: Estimate, problem: Problem) -> Array:
+    """theta (p,) as far as the method answers it: NaN where it gives a combination alone."""
+    if estimate.theta is not None:
+        return estimate.theta
+    assert estimate.beta is not None
+    told = np.array(verdicts(problem.base)) == "identifiable"
+    return np.where(told, problem.base.embed(estimate.beta), np.nan)
+
+
+def bodies_of(estimate: Estimate, problem: Problem) -> dict[str, dict[str, Any]]:
+    """{name: mass (kg), com (m), inertia about it (six, kg m^2), each None unless identifiable, and
+    `parameters`, `identifiable` (verdicts), `std` of the ten}."""
+    places = {name: j for j, name in enumerate(problem.parameters)}
+    theta, told = values_of(estimate, problem), np.array(verdicts(problem.base))
+    std = _std(estimate, problem)
+    answer = {}
+    for body in problem.bodies:
+        at = [places[column] for column in body.columns]
+        sure = told[at] == "identifiable"
+        _, com, inertia = mass_com_inertia(np.where(sure, theta[at], 0.0))
+        answer[body.name] = {
+            "mass": float(theta[at[0]]) if sure[0] else None,
+            "com": com.tolist() if sure[:4].all() and theta[at[0]] > 0 else None,
+            "inertia": six_of_matrix(inertia).tolist() if sure.all() else None,
+            "parameters": dict(zip(NAMES, theta[at].tolist(), strict=True)),
+            "identifiable": dict(zip(NAMES, told[at].tolist(), strict=True)),
+            "std": dict(zip(NAMES, std[at].tolist(), strict=True)),
+        }
+    return answer
+
+
+def joints_of(estimate: Estimate, problem: Problem) -> dict[str, dict[str, dict[str, Any]]]:
+    """{joint: {term: value, identifiable, std}} of the joint terms that were asked for."""
+    inertial = {column for body in problem.bodies for column in body.columns}
+    theta, told, std = values_of(estimate, problem), verdicts(problem.base), _std(estimate, problem)
+    answer: dict[str, dict[str, dict[str, Any]]] = {}
+    for j, name in enumerate(problem.parameters):
+        if name not in inertial:
+            joint, _, suffix = name.rpartition(".")
+            value = {"value": float(theta[j]), "identifiable": told[j], "std": float(std[j])}
+            answer.setdefault(joint, {})[TERM[suffix]] = value
+    return answer
+
+
+def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
+    """What a reader of the numbers has to know first."""
+    told = verdicts(problem.base)
+    doubtful = [
+        name
+        for name, verdict in zip(problem.parameters, told, strict=True)
+        if verdict != "identifiable"
+    ]
+    if not doubtful:
+        return []
+    names = f"{', '.join(doubtful[:10])}{', ...' if len(doubtful) > 10 else ''}"
+    text = f"{len(doubtful)} of {len(told)} parameters are not identifiable on their own: {names}"
+    if estimate.theta is not None:
+        text += "; their values are the method's choice, and no residual can show it"
+    return [text]
+
+
+def _std(estimate: Estimate, problem: Problem) -> Array:
+    """Standard deviations (p,) of the parameters that are identifiable, NaN elsewhere."""
+    std = np.full(len(problem.parameters), np.nan)
+    if estimate.covariance is not None:
+        std[problem.base.pivots] = np.sqrt(np.diag(estimate.covariance))
+    return np.where(np.array(verdicts(problem.base)) == "identifiable", std, np.nan)

@@ -1,0 +1,36 @@
+"""Words of an option that holds several."""
+
+from sysid_bench.errors import unknown_name
+
+
+def chosen_terms(text: str | None) -> tuple[str, ...] | None:
+    """Joint terms of "viscous,coulomb"; "none" is no term, and None leaves the choice to the robot.
+
+    Raises UsageError with the nearest word.
+    """
+    from sysid_bench.models.manifest import TERMS
+
+    if text is None:
+        return None
+    words = tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+    if words in ((), ("none",)):
+        return ()
+    for word in words:
+        if word not in TERMS:
+            raise unknown_name("joint term", word, TERMS, "Separate several by commas, or: none.")
+    return words
+
+
+def chosen_noise(text: str | None) -> dict[str, str]:
+    """The [noise] table of "tau=0.5 %,q=1e-4 rad". Raises UsageError for another key."""
+    table: dict[str, str] = {}
+    for part in (text or "").split(","):
+        key, _, value = part.partition("=")
+        if not part.strip():
+            continue
+        if key.strip() not in ("q", "tau", "quantum"):
+            raise unknown_name(
+                "noise", key.strip(), ("q", "tau", "quantum"), "Write q=1e-4 rad,tau=0.5 %."
+            )
+        table[key.strip()] = value.strip()
+    return table

@@ -1,0 +1,146 @@
+"""One robot, one method: parse, excite, simulate, solve, export."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from sysid_bench.errors import EstimationError, ModelError
+
+if TYPE_CHECKING:
+    from sysid_bench.harness.spec import ExperimentSpec
+
+ESTIMATOR: Final = {"terminal": "min-norm"}
+"""The method of a task where none is named: that of its source; elsewhere least squares."""
+
+HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
+ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
+IDEAL: Final = {"filter": "none", "derivatives": "exact"}
+"""Signals: rates come from the encoders once those are noisy."""
+
+
+def identify(
+    model: str | Path,
+    task: str = "robot",
+    payload: str = "none",
+    terms: Sequence[str] | None = None,
+    estimator: str | None = None,
+    noise: Mapping[str, str] | None = None,
+    model_out: str | Path | None = None,
+    seed: int = 0,
+    robots_dir: Path | None = None,
+) -> dict[str, Any]:
+    """Identifies a robot from its own simulation; the answer as `identify --json` prints it.
+
+    `noise` as in a suite ({"q": "1e-4 rad", "tau": "0.5 %"}); `model_out`: the model file again,
+    with the identified values. Raises UsageError for unknown words, ModelError for a model that
+    cannot be used or values that must not be written, EstimationError where the method fails.
+    """
+    from sysid_bench.evaluation.score import score
+    from sysid_bench.harness.canonical import plain
+    from sysid_bench.harness.prepare import prepare
+    from sysid_bench.harness.robots import subject
+    from sysid_bench.identification.identify import identify as solve
+    from sysid_bench.naming import build
+    from sysid_bench.verbs.answer import bodies_of, joints_of, warnings_of
+    from sysid_bench.verbs.model_out import check_target, write_model
+
+    name = estimator or ESTIMATOR.get(task, "ols")
+    method = build("estimator", name)
+    spec = _spec(str(model), task, payload, terms, noise or {}, seed)
+    robot = subject(spec.robot, spec.payload, None if robots_dir is None else str(robots_dir), None)
+    if model_out is not None:
+        check_target(robot.robot, task, Path(model_out))
+    if not robot.check.ok():
+        raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
+    ready = prepare(spec, robot)
+    estimate = solve(method, ready.problem, ready.experiment)
+    if estimate.status != "ok":
+        raise EstimationError(f"{name} on {robot.robot.name}: {estimate.reason}")
+    figures = score(estimate, ready.problem, ready.held_out, ready.truth)
+    bodies = bodies_of(estimate, ready.problem)
+    answer = {
+        "model": robot.robot.name,
+        "file": str(robot.robot.manifest.path),
+        "task": task,
+        "terms": list(terms or ()),
+        "rows": list(ready.problem.rows),
+        "estimator": name,
+        "rank": figures.rank,
+        "data_rank": figures.data_rank,
+        "parameters": figures.parameters,
+        "condition": figures.condition,
+        "condition_unit": figures.condition_unit,
+        "rmse_train": figures.rmse_train,
+        "rmse_test": figures.rmse_test,
+        "torque_error": figures.torque_error,
+        "gap": robot.check.gap,
+        "bodies": bodies,
+        "joints": joints_of(estimate, ready.problem),
+        "payload": next(iter(bodies.values())) if task == "payload" else None,
+        "feasible": figures.feasible,
+        "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem)],
+    }
+    if model_out is not None:
+        write_model(robot.robot, task, estimate, ready.problem, Path(model_out))
+        answer["model_out"] = str(model_out)
+    return dict(plain(answer))
+
+
+def summary(answer: Mapping[str, Any]) -> list[str]:
+    """What `identify` tells, in a few lines; a value that means nothing is not printed."""
+    lines = [
+        f"{answer['model']}, task {answer['task']}, {answer['estimator']}: "
+        f"rank {answer['rank']} of {answer['parameters']}, "
+        f"condition {_number(answer['condition'])}",
+        f"  RMSE {_number(answer['rmse_train'])} in training, {_number(answer['rmse_test'])} on "
+        f"other motions, torque error {_number(answer['torque_error'])}",
+    ]
+    for name, body in answer["bodies"].items():
+        lines.append(f"  {name}: mass {_number(body['mass'], 'not identifiable')}")
+        told = [
+            f"{key} {_number(body['parameters'][key])}"
+            for key, verdict in body["identifiable"].items()
+            if verdict == "identifiable"
+        ]
+        lines.append(f"    {', '.join(told) or 'nothing is identifiable on its own'}")
+    for name, terms in answer["joints"].items():
+        told = [f"{term} {_number(value['value'])}" for term, value in terms.items()]
+        lines.append(f"  {name}: {', '.join(told)}")
+    lines += [f"  warning: {warning}" for warning in answer["warnings"]]
+    if answer.get("model_out"):
+        lines.append(f"  model: {answer['model_out']}")
+    return lines
+
+
+def _number(value: float | None, absent: str = "-") -> str:
+    return absent if value is None else f"{value:.4g}"
+
+
+def _spec(
+    model: str,
+    task: str,
+    payload: str,
+    terms: Sequence[str] | None,
+    noise: Mapping[str, str],
+    seed: int,
+) -> "ExperimentSpec":
+    """The experiment as a suite with nothing but defaults would have it."""
+    from sysid_bench.harness.spec import ExperimentSpec, normal_noise
+
+    measured = normal_noise(noise)
+    return ExperimentSpec(
+        seed=seed,
+        robot=model,
+        payload=payload,
+        task=task,
+        terms=None if terms is None else tuple(terms),
+        plant={"use": "matched"},
+        prior={"mass": 0.2, "com": 0.015, "inertia": 0.3, "terms": 0.3},
+        excitation={"use": "fourier"},
+        held_out=HELD_OUT,
+        simulation={"use": "inverse"},
+        rate=200.0,
+        noise=measured,
+        signals=ENCODERS if {"q", "quantum"} & set(measured) else IDEAL,
+        repeat=0,
+    )

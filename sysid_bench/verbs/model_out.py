@@ -1,0 +1,69 @@
+"""Identified values into the file that the robot came from."""
+
+from pathlib import Path
+from typing import Final
+
+from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.write_mjcf import updated_mjcf
+from sysid_bench.models.write_urdf import updated_urdf
+from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.verbs.answer import values_of
+
+SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
+KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
+"""Joint terms that files call otherwise."""
+
+
+def check_target(robot: RobotModel, task: str, target: Path) -> None:
+    """Raises UsageError for a file that the model cannot be written to, before anything runs."""
+    wanted = SUFFIXES[robot.format]
+    source = robot.manifest.path
+    if target.suffix.lower() not in wanted:
+        raise UsageError(
+            f"{str(target)!r} cannot hold {source.name}, which is written back in its own format: "
+            f"name it *{wanted[0]}."
+        )
+    if target.resolve() == source.resolve():
+        raise UsageError(f"{str(target)!r} is the model itself; write beside it.")
+    if not target.parent.is_dir():
+        raise UsageError(f"There is no folder {str(target.parent)!r} to write {target.name} to.")
+    if task == "payload":
+        raise UnsupportedError(
+            "The task 'payload' changes nothing of the robot's model; for a model that carries its "
+            "load take the task 'link'."
+        )
+
+
+def write_model(
+    robot: RobotModel, task: str, estimate: Estimate, problem: Problem, target: Path
+) -> None:
+    """Writes the model with the estimate's values; raises ModelError for what must not be written.
+
+    Bodies welded to a link that was identified as a whole stay as they are; the link gets the rest.
+    """
+    theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
+    told = dict(zip(problem.parameters, verdicts(problem.base), strict=True))
+    bodies = {}
+    for body in problem.bodies:
+        phi = [theta.pop(column) for column in body.columns]
+        bodies[body.name] = phi if task == "robot" else phi - _riders(robot, body.name)
+    joints: dict[str, dict[str, float]] = {}
+    term_of = {suffix: term for term, suffix in SUFFIX.items()}
+    for name, value in theta.items():
+        joint, _, suffix = name.rpartition(".")
+        term = term_of[suffix]
+        joints.setdefault(joint, {})[KEYS.get(term, term)] = float(value)
+    write = updated_urdf if robot.format == "urdf" else updated_mjcf
+    target.write_bytes(write(robot.manifest.path, bodies, joints, told).encode())
+
+
+def _riders(robot: RobotModel, name: str) -> Array:
+    """phi (10,) of all that is welded to a link in the file, in the link's frame."""
+    own = robot.body_names.index(name)
+    tree, phi = robot.tree, robot.phi.copy()
+    phi[own] = 0.0
+    if robot.payload_body is not None:
+        phi[robot.payload_body] = 0.0
+    return tree.lumped(phi)[tree.carrier[own]]

@@ -1,0 +1,214 @@
+"""The verbs basis and identify: fields of the contract, honest numbers, models out."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid_bench import places
+from sysid_bench.errors import ModelError, UnsupportedError, UsageError
+from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.spatial.inertia import NAMES
+from sysid_bench.verbs.basis import basis, paper, summary
+from sysid_bench.verbs.chosen import chosen_noise, chosen_terms
+from sysid_bench.verbs.identify import identify
+from tests.robots import NAMED, named_robot
+
+from .conftest import Run, one_sentence
+
+BASIS = {
+    "robot", "task", "terms", "parameters", "base_parameters", "inertial", "gap",
+    "near_degenerate", "combinations", "verdicts",
+}  # fmt: skip
+ANSWER = {
+    "model", "task", "estimator", "rank", "parameters", "condition", "rmse_train", "rmse_test",
+    "torque_error", "bodies", "joints", "payload", "feasible", "warnings",
+}  # fmt: skip
+BODY = {"mass", "com", "inertia", "identifiable", "std"}
+
+
+def test_basis_prints_the_fields_of_the_contract(cli: Run) -> None:
+    done = cli("basis", "ur5", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert set(told) >= BASIS
+    assert (told["base_parameters"], told["inertial"]) == (48, 36)
+    assert told["parameters"] == len(told["verdicts"]) == 112
+    assert len(told["combinations"]) == 48
+    assert set(told["combinations"][0]) == {"expression", "terms"}
+    assert set(told["verdicts"].values()) == {"identifiable", "combination", "none"}
+
+
+def test_basis_prints_sums_single_ones_first(cli: Run) -> None:
+    done = cli("basis", "ur5", "--task", "terminal", "--terms", "viscous,coulomb", "--paper")
+    lines = done.stdout.splitlines()
+    assert len(lines) == 9
+    assert lines[-1] == "wrist_3_link.Ixx - wrist_3_link.Izz"
+    assert all(" " not in line for line in lines[:-1])
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_basis_agrees_with_the_base_map(name: str) -> None:
+    told = basis(name, terms=())
+    robot = named_robot(name)
+    base = structural_base(robot, robot.inertial_columns)
+    assert told["base_parameters"] == told["inertial"] == base.rank
+    assert [next(iter(entry["terms"])) for entry in told["combinations"]] == list(base.names)
+    assert sorted(paper(told)) == sorted(entry["expression"] for entry in told["combinations"])
+    assert str(base.rank) in summary(told)[0]
+
+
+@pytest.mark.parametrize(
+    ("task", "rank"), [("terminal", 7), ("link", 10), ("payload", 10), ("robot", 36)]
+)
+def test_basis_of_every_task(task: str, rank: int) -> None:
+    told = basis("ur5", task, terms=())
+    assert told["base_parameters"] == rank
+    alone = {entry["expression"] for entry in told["combinations"] if len(entry["terms"]) == 1}
+    assert alone == {name for name, v in told["verdicts"].items() if v == "identifiable"}
+
+
+@pytest.mark.parametrize("file", ["so100.urdf", "so101.urdf"])
+def test_near_degenerate_directions_are_named(file: str) -> None:
+    (path,) = places.example_robot_data().rglob(file)
+    told = basis(path)
+    assert (told["base_parameters"], told["near_degenerate"]) == (36, 2)
+    directions = told["near_degenerate_directions"]
+    assert len(directions) == 2
+    for entry in directions:
+        assert set(entry["terms"]) <= set(told["verdicts"])
+        assert any(entry["expression"] in line for line in summary(told))
+
+
+def test_identify_prints_the_fields_of_the_contract(cli: Run, tmp_path: Path) -> None:
+    words = ("--simulate", "--task", "terminal", "--payload", "box-2kg", "--json-out", "a.json")
+    done = cli("identify", "ur5", *words, "--terms", "viscous,coulomb", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told == json.loads((tmp_path / "a.json").read_text())
+    assert set(told) >= ANSWER
+    assert (told["estimator"], told["rank"], told["parameters"]) == ("min-norm", 9, 12)
+    body = told["bodies"]["wrist_3_link"]
+    assert set(body) >= BODY
+    assert body["mass"] is None
+    assert body["identifiable"]["m"] == "none"
+    assert tuple(body["parameters"]) == NAMES
+    assert told["rmse_test"] < 1e-9
+    assert "wrist_3_link.m" in told["warnings"][-1]
+    assert told["joints"]["wrist_3_joint"]["viscous"]["value"] == pytest.approx(1.0)
+
+
+def test_what_is_asked_wrongly_is_one_sentence(cli: Run) -> None:
+    for words, told in (
+        (("identify", "ur5"), "--simulate"),
+        (("identify", "ur5", "--simulate", "--task", "termnal"), "'terminal'"),
+        (("identify", "ur5", "--simulate", "--noise", "tua=1 %"), "'tau'"),
+        (("identify", "ur5", "--simulate", "--model-out", "a.xml"), "*.urdf"),
+        (("basis", "ur5", "--terms", "viscos"), "'viscous'"),
+    ):
+        done = cli(*words)
+        assert done.returncode == 2, words
+        assert told in one_sentence(done)
+
+
+def test_refused_values_leave_no_file(cli: Run, tmp_path: Path) -> None:
+    words = ("identify", "ur5", "--simulate", "--task", "terminal", "--model-out", "a.urdf")
+    done = cli(*words)
+    assert done.returncode == 2
+    assert "wrist_3_link.m" in one_sentence(done)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda", "z1", "kinova"])
+@pytest.mark.parametrize("payload", ["box-2kg", "none"])
+def test_a_link_is_written_with_its_load_and_moves_as_the_loaded_robot(
+    name: str, payload: str, tmp_path: Path
+) -> None:
+    target = tmp_path / "new.urdf"
+    told = identify(name, "link", payload, model_out=target)
+    assert told["rank"] == 10
+    (body,) = told["bodies"].values()
+    loaded = named_robot(name, payload)
+    again = load_robot(target)
+    link = int(loaded.tree.carrier[loaded.tool_body])
+    wanted = loaded.tree.lumped(loaded.phi)
+    scale = np.abs(wanted[link]).max()
+    np.testing.assert_allclose(again.tree.lumped(again.phi), wanted, rtol=0, atol=1e-9 * scale)
+    assert body["mass"] == pytest.approx(wanted[link][0], abs=1e-9)
+    if payload == "none":
+        np.testing.assert_allclose(again.phi, loaded.phi, rtol=0, atol=1e-9 * scale)
+
+
+@pytest.mark.data
+def test_an_mjcf_is_written_with_its_load(data_folder: Path, tmp_path: Path) -> None:
+    for name in ("unitree_z1__z1", "franka_fr3__fr3", "ufactory_lite6__lite6"):
+        source, target = data_folder / "robots" / f"{name}.xml", tmp_path / f"{name}.xml"
+        identify(source, "link", "box-2kg", model_out=target)
+        loaded, again = load_robot(source, PAYLOADS["box-2kg"]), load_robot(target)
+        np.testing.assert_allclose(
+            again.tree.lumped(again.phi), loaded.tree.lumped(loaded.phi), atol=1e-9
+        )
+
+
+def test_a_body_that_moves_freely_is_written_whole_with_its_friction(tmp_path: Path) -> None:
+    source, target = tmp_path / "in.xml", tmp_path / "out.xml"
+    source.write_text(
+        '<mujoco><worldbody><body name="base"><freejoint/><inertial pos=".1 0 0" mass="3" '
+        'diaginertia=".1 .2 .25"/></body></worldbody></mujoco>'
+    )
+    told = identify(source, "robot", "none", terms=(), model_out=target)
+    assert told["rank"] == told["parameters"] == 10
+    assert told["feasible"]
+    np.testing.assert_allclose(load_robot(target).phi, load_robot(source).phi, atol=1e-9)
+
+
+def test_noise_has_a_spread_and_its_seed_a_draw() -> None:
+    def once(seed: int) -> dict[str, Any]:
+        return identify("ur5", "link", "box-2kg", noise={"tau": "1 %"}, seed=seed)
+
+    one, again, other = once(1), once(1), once(2)
+    assert one == again
+    (body,), (different,) = one["bodies"].values(), other["bodies"].values()
+    assert body["mass"] != different["mass"]
+    truth = named_robot("ur5", "box-2kg")
+    link = int(truth.tree.carrier[truth.tool_body])
+    for told in (body, different):
+        error = abs(told["mass"] - truth.tree.lumped(truth.phi)[link][0])
+        assert 0 < error < 5 * told["std"]["m"]
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda"])
+def test_least_squares_says_nothing_about_what_it_cannot_tell(name: str) -> None:
+    told = identify(name, "robot", terms=("viscous",))
+    for body in told["bodies"].values():
+        for key, verdict in body["identifiable"].items():
+            known = verdict == "identifiable"
+            assert (body["parameters"][key] is not None) == known
+            assert (body["std"][key] is not None) == known
+    assert told["feasible"] is None
+
+
+def test_targets_are_refused_before_anything_runs(tmp_path: Path) -> None:
+    source = named_robot("ur5").manifest.path
+    for target, task, error in (
+        (tmp_path / "a.xml", "link", UsageError),
+        (tmp_path / "nowhere" / "a.urdf", "link", UsageError),
+        (source, "link", UsageError),
+        (tmp_path / "a.urdf", "payload", UnsupportedError),
+    ):
+        with pytest.raises(error):
+            identify("ur5", task, "box-2kg", model_out=target)
+    with pytest.raises(ModelError, match="were not identified"):
+        identify("ur5", "robot", model_out=tmp_path / "a.urdf")
+
+
+def test_words_of_options() -> None:
+    assert chosen_terms(None) is None
+    assert chosen_terms("none") == chosen_terms("") == ()
+    assert chosen_terms("viscous, coulomb") == ("viscous", "coulomb")
+    assert chosen_noise(None) == {}
+    assert chosen_noise("tau=0.5 %, q=1e-4 rad") == {"tau": "0.5 %", "q": "1e-4 rad"}

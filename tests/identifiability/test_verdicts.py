@@ -1,0 +1,174 @@
+"""Verdicts, printed sums and other base sets, with the structural nullspace as the oracle."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sysid_bench import places
+from sysid_bench.errors import UsageError
+from sysid_bench.identifiability.base import base_map
+from sysid_bench.identifiability.combinations import (
+    combinations,
+    combined,
+    expression,
+    near_degenerate,
+)
+from sysid_bench.identifiability.nullspace import parameter_nullspace, structural_rank
+from sysid_bench.identifiability.rebase import qr_pivots, rebase, same_space
+from sysid_bench.identifiability.structural import structural_base, structural_factor
+from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.types import Array, BaseMap
+from tests.robots import NAMED, named_robot, random_robot
+
+SEEDS = st.integers(0, 2**32 - 1)
+TREES = 500
+MJCFS = 23
+
+
+def inertial_base(robot: RobotModel) -> BaseMap:
+    return structural_base(robot, robot.inertial_columns)
+
+
+def told_by(nullspace: Array) -> tuple[str, ...]:
+    """The verdict on each parameter, from the changes (p, k) that nothing can tell."""
+    p = len(nullspace)
+    unseen = np.linalg.norm(nullspace @ nullspace.T - np.eye(p), axis=1)  # of each unit vector
+    moved = np.abs(nullspace).max(axis=1, initial=0.0)
+    return tuple(
+        "identifiable" if moved[j] < 1e-9 else "none" if unseen[j] < 1e-9 else "combination"
+        for j in range(p)
+    )
+
+
+def row_space(nullspace: Array) -> Array:
+    """What is left of the parameters' space: an orthonormal K (r, p)."""
+    left, _, _ = np.linalg.svd(nullspace, full_matrices=True)
+    return left[:, nullspace.shape[1] :].T
+
+
+def test_the_rank_of_random_trees_is_the_structural_one() -> None:
+    for seed in range(TREES):
+        robot = random_robot(seed, bodies=2 + seed % 4)
+        assert inertial_base(robot).rank == structural_rank(robot.tree), seed
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_the_rank_of_named_robots_is_the_structural_one(name: str) -> None:
+    robot = named_robot(name)
+    nullspace = parameter_nullspace(robot.tree)
+    base = inertial_base(robot)
+    assert base.rank == len(nullspace) - nullspace.shape[1]
+    assert same_space(base.K, row_space(nullspace)) < 1e-8
+
+
+@pytest.mark.data
+def test_the_rank_of_the_mjcf_collection_is_the_structural_one(data_folder: Path) -> None:
+    files = sorted((data_folder / "robots").glob("*.xml"))
+    assert len(files) == MJCFS
+    for file in files:
+        robot = load_robot(file)
+        assert inertial_base(robot).rank == structural_rank(robot.tree), file.name
+
+
+@pytest.mark.parametrize("file", ["so100.urdf", "so101.urdf"])
+def test_directions_told_by_rounding_are_named_and_make_up_the_difference(file: str) -> None:
+    (path,) = places.example_robot_data().rglob(file)
+    robot = load_robot(path)
+    base, R = inertial_base(robot), structural_factor(robot, robot.inertial_columns)
+    directions = near_degenerate(R, base)
+    assert base.rank + len(directions) == structural_rank(robot.tree)
+    for value, terms in directions:
+        assert 1e-12 < value < 1e-5
+        assert set(terms) <= set(robot.inertial_columns)
+        assert next(iter(terms.values())) == max(map(abs, terms.values()))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_verdicts_of_random_trees_are_those_of_the_nullspace(seed: int) -> None:
+    robot = random_robot(seed, bodies=4)
+    nullspace = parameter_nullspace(robot.tree)
+    base = inertial_base(robot)
+    assert verdicts(base) == told_by(nullspace)
+    assert same_space(base.K, row_space(nullspace)) < 1e-8
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda", "z1", "solo12"])
+def test_verdicts_of_arms_are_those_of_the_nullspace(name: str) -> None:
+    robot = named_robot(name)
+    assert verdicts(inertial_base(robot)) == told_by(parameter_nullspace(robot.tree))
+
+
+@given(seed=SEEDS)
+def test_a_verdict_is_what_the_nullspace_of_a_matrix_does_to_a_parameter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    W = rng.normal(size=(12, 6)) * (rng.random(6) > 0.2)
+    W[:, 4] = 2.0 * W[:, 1] - W[:, 0] * (rng.random() > 0.5)
+    base = base_map(W, tuple("abcdef"))
+    _, values, Vt = np.linalg.svd(W)
+    assert verdicts(base) == told_by(Vt[(values > 1e-9).sum() :].T)
+
+
+def test_sums_are_printed_as_papers_do() -> None:
+    K = np.array([[1.0, 0.0, -1.0, 0.04, 0.0], [0.0, 1.0, 0.0, -2.5e-4, 1e-13]])
+    names = ("link2.Ixx", "link2.Ixy", "link2.Iyy", "link3.m", "link3.hx")
+    base = BaseMap(K, np.array([0, 1]), names, np.inf, 0, np.ones(2))
+    assert combinations(base) == (
+        "link2.Ixx - link2.Iyy + 0.04 link3.m",
+        "link2.Ixy - 0.00025 link3.m",
+    )
+    assert verdicts(base) == ("combination",) * 2 + ("combination",) * 2 + ("none",)
+    assert expression({"a": 1.0, "b": 2 / 3}, digits=2) == "a + 0.67 b"
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda", "solo12"])
+def test_printed_sums_are_the_base_map(name: str) -> None:
+    base = inertial_base(named_robot(name))
+    again = np.zeros_like(base.K)
+    for i, terms in enumerate(combined(base)):
+        assert next(iter(terms)) == base.names[i]
+        for parameter, value in terms.items():
+            again[i, base.parameters.index(parameter)] = value
+    np.testing.assert_allclose(again, base.K, atol=1e-8 * np.abs(base.K).max())
+
+
+@pytest.mark.parametrize("name", ["ur5", "kinova", "solo12", "tree 3", "tree 8"])
+def test_qr_pivots_span_the_same_space(name: str) -> None:
+    robot = random_robot(int(name[5:])) if name.startswith("tree") else named_robot(name)
+    R = structural_factor(robot, robot.inertial_columns)
+    base = base_map(R, robot.inertial_columns)
+    other = rebase(base, qr_pivots(R, base.rank))
+    assert same_space(base.K, other.K) < 1e-8
+    np.testing.assert_array_equal(other.K[:, other.pivots], np.eye(base.rank))
+    np.testing.assert_allclose(R[:, other.pivots] @ other.K, R, atol=1e-8 * np.abs(R).max())
+    assert np.argmax(np.linalg.norm(R, axis=0)) in other.pivots
+    assert verdicts(other) == verdicts(base)
+
+
+def test_other_spaces_are_told_apart() -> None:
+    K = inertial_base(named_robot("ur5")).K
+    assert same_space(K, K[:-1]) == pytest.approx(np.pi / 2)
+    assert same_space(K[:0], K[:0]) == 0.0
+    moved = K.copy()
+    moved[0, 0] += 0.1  # shoulder_link.m, which nothing tells
+    assert same_space(K, moved) > 1e-3
+
+
+@settings(max_examples=20)
+@given(seed=SEEDS)
+def test_a_mixture_of_base_parameters_spans_the_same_space(seed: int) -> None:
+    K = inertial_base(named_robot("ur5")).K
+    Q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(len(K), len(K))))
+    assert same_space(K, Q @ K) < 1e-9
+
+
+def test_dependent_parameters_are_no_base() -> None:
+    base = inertial_base(named_robot("ur5"))
+    pivots = base.pivots.copy()
+    pivots[0] = 0  # a mass that nothing tells
+    with pytest.raises(UsageError, match="36 independent ones"):
+        rebase(base, pivots)

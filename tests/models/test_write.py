@@ -1,0 +1,330 @@
+"""Models with new numbers: they read back as asked, and the rest of the text stays."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid_bench import places
+from sysid_bench.errors import ModelError, UsageError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.write_mjcf import updated_mjcf
+from sysid_bench.models.write_urdf import updated_urdf
+from sysid_bench.models.written import JOINT_KEYS
+from sysid_bench.models.xml_text import elements_of
+from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.types import Array
+from tests.robots import random_mjcf, random_phi, urdf_files
+
+MJCFS = 23
+WRITTEN = {
+    "mjcf": re.compile(r"\s*<inertial\b[^>]*>|\s(damping|frictionloss)=\"[^\"]*\""),
+    "urdf": re.compile(
+        r"\s*<inertial>.*?</inertial>|\s*<dynamics\b[^>]*>",
+        re.DOTALL,
+    ),
+}
+"""What writing may change or add."""
+
+
+def kept(text: str, format: str) -> str:
+    """The text without what writing may change."""
+    return WRITTEN[format].sub("", text)
+
+
+def changed(robot: RobotModel, seed: int) -> tuple[dict[str, Array], dict[str, dict[str, float]]]:
+    """Other bodies and other friction for everything that has any."""
+    rng = np.random.default_rng(seed)
+    bodies = {
+        name: phi * rng.uniform(0.5, 2.0) + 0.1 * phi[0] * random_phi(rng)
+        for name, phi in zip(robot.body_names, robot.phi, strict=True)
+        if phi[0] > 0
+    }
+    joints = {
+        joint.name: {"damping": float(rng.uniform()), "frictionloss": float(rng.uniform())}
+        for joint in robot.joints
+        if joint.kind in ("hinge", "slide")
+    }
+    return bodies, joints
+
+
+def check_round_trips(path: Path, seed: int, tmp_path: Path) -> None:
+    robot = load_robot(path)
+    write = updated_urdf if robot.format == "urdf" else updated_mjcf
+    source = path.read_bytes().decode()
+    own = write(path, dict(zip(robot.body_names, robot.phi, strict=True)))
+    bodies, joints = changed(robot, seed)
+    new = write(path, bodies, joints)
+    for text in (own, new):
+        assert kept(text, robot.format) == kept(source, robot.format)
+        for word in (r"<!--.*?-->", r"<mesh\b[^>]*>", r"\r"):
+            assert re.findall(word, text, re.DOTALL) == re.findall(word, source, re.DOTALL)
+    copy = tmp_path / path.name
+    for text, wanted in ((own, {}), (new, bodies)):
+        copy.write_bytes(text.encode())
+        again = load_robot(copy)
+        for name, phi, before in zip(robot.body_names, again.phi, robot.phi, strict=True):
+            asked = wanted.get(name, before)
+            assert np.abs(phi - asked).max() <= 1e-12 * max(1e-3, np.abs(asked).max()), name
+    for joint in again.joints:
+        for key, term in (("damping", "viscous"), ("frictionloss", "coulomb")):
+            if joint.name in joints:
+                value = getattr(again.joint_terms, term)[joint.vadr]
+                assert value == joints[joint.name][key]
+
+
+@pytest.mark.data
+def test_round_trips_of_the_mjcf_collection(data_folder: Path, tmp_path: Path) -> None:
+    files = sorted((data_folder / "robots").glob("*.xml"))
+    assert len(files) == MJCFS
+    for seed, file in enumerate(files):
+        check_round_trips(file, seed, tmp_path)
+
+
+def test_round_trips_of_urdfs(tmp_path: Path) -> None:
+    for seed, file in enumerate(urdf_files()[::4]):
+        check_round_trips(places.example_robot_data() / file, seed, tmp_path)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_round_trips_of_random_trees_with_unnamed_bodies(seed: int, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    path = tmp_path / "in" / "tree.xml"
+    path.write_text(random_mjcf(seed), encoding="utf-8")
+    check_round_trips(path, seed, tmp_path)
+
+
+MJCF = """<?xml version="1.0" encoding="utf-8"?>
+<!-- an arm <inertial mass="9"/> with everything -->
+<mujoco model="größer">\r
+  <compiler angle="degree"/>
+  <default><joint damping="0.5 0.25"/>
+    <default class="dry"><joint frictionloss="2"/></default></default>
+  <worldbody>
+    <body name="base"><geom name="a > b" type="box" size=".1 .1 .1"/>
+      <frame pos="0 0 .1"><joint name="j1" class='dry' axis="0 0 1"/></frame>
+      <body name="arm" pos="0 0 1">  <!-- > -->
+        <body name="tip" pos="1 0 0"/>
+        <inertial mass = '2' pos="0 0 0" euler="10 20 30"
+                  diaginertia="1 2 2.5" />
+        <joint axis="0 1 0" springref="5" stiffness="3"/>
+        <body><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint type="slide"/></body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+URDF = """<robot name="arm">
+  <link name="base"/>
+  <link name="bare"/>
+  <link name="half"><inertial><mass value="2"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="none"><visual><geometry><mesh filename="a.stl"/></geometry></visual></link>
+  <joint name="j1" type="continuous"><parent link="base"/><child link="half"/><axis xyz="0 0 1"/>
+    <origin xyz="1 2 3" rpy="0.1 0.2 0.3"/></joint>
+  <joint name="f" type="fixed"><parent link="half"/><child link="bare"/></joint>
+  <joint name="g" type="fixed"><parent link="half"/><child link="none"/></joint>
+</robot>
+"""
+PHI = random_phi(np.random.default_rng(3))
+
+
+@pytest.fixture
+def mjcf(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.xml"
+    path.write_bytes(MJCF.encode())
+    return path
+
+
+@pytest.fixture
+def urdf(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.urdf"
+    path.write_bytes(URDF.encode())
+    return path
+
+
+def reread(path: Path, text: str) -> RobotModel:
+    path.write_bytes(text.encode())
+    return load_robot(path)
+
+
+@pytest.mark.parametrize("name", ["base", "arm", "tip", "body4"])
+def test_every_kind_of_body_is_written(mjcf: Path, name: str) -> None:
+    before = load_robot(mjcf)
+    text = updated_mjcf(mjcf, {name: PHI})
+    assert text.count("\r") == MJCF.count("\r")
+    assert "größer" in text
+    assert '<!-- an arm <inertial mass="9"/> with everything -->' in text
+    after = reread(mjcf, text)
+    for body, phi, old in zip(before.body_names, after.phi, before.phi, strict=True):
+        np.testing.assert_allclose(phi, PHI if body == name else old, rtol=0, atol=1e-12)
+
+
+def test_a_body_that_had_shapes_alone_keeps_them(mjcf: Path) -> None:
+    text = updated_mjcf(mjcf, {"base": PHI})
+    (root,) = [
+        e for e in elements_of(text.encode(), "x").walk() if e.attributes.get("name") == "base"
+    ]
+    assert [child.tag for child in root.children][:2] == ["inertial", "geom"]
+
+
+@pytest.mark.parametrize(
+    ("mass", "com", "six"),
+    [
+        (1.0, (0.1, 0.2, 0.3), (0.0,) * 6),
+        (2.0, (0.0, 0.0, 0.1), (0.0, 0.0, 0.0, 0.3, 0.0, 0.3)),
+        (1.5, (0.0, 0.0, 0.0), (0.1, 0.02, 0.0, 0.2, 0.0, 0.3)),
+    ],
+)
+def test_points_rods_and_laminae_are_written(
+    mjcf: Path, mass: float, com: tuple[float, ...], six: tuple[float, ...]
+) -> None:
+    after = reread(mjcf, updated_mjcf(mjcf, {"tip": (mass, com, six)}))
+    told = mass_com_inertia(after.phi[after.body_names.index("tip")])
+    assert told[0] == mass
+    np.testing.assert_allclose(told[1], com, atol=1e-15)
+    np.testing.assert_allclose(told[2][(0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)], six, atol=1e-13)
+
+
+def test_joint_terms_have_the_units_of_the_file(mjcf: Path) -> None:
+    values = {
+        "damping": 0.7,
+        "frictionloss": 0.1,
+        "armature": 0.02,
+        "stiffness": 4.0,
+        "springref": 1.1,
+    }
+    assert set(values) == set(JOINT_KEYS)
+    for joint in ("j1", "joint2"):
+        text = updated_mjcf(mjcf, {}, {joint: values})
+        assert "0.7 0.25" in text  # the quadratic part of the default's damping stays
+        again = load_robot(mjcf)
+        again = reread(mjcf, text)
+        dof = again.rows.index(joint)
+        terms = again.joint_terms
+        assert terms.viscous[dof] == 0.7
+        assert terms.coulomb[dof] == 0.1
+        assert terms.armature[dof] == 0.02
+        assert terms.spring[dof] == 4.0
+        assert terms.spring_reference[dof] == pytest.approx(1.1, abs=1e-15)
+        mjcf.write_bytes(MJCF.encode())
+
+
+@pytest.mark.parametrize("name", ["base", "bare", "half", "none"])
+def test_every_kind_of_link_is_written(urdf: Path, name: str) -> None:
+    before = load_robot(urdf)
+    text = updated_urdf(urdf, {name: PHI}, {"j1": {"damping": 0.3}})
+    assert 'rpy="0.1 0.2 0.3"' in text
+    assert '<mesh filename="a.stl"/>' in text
+    after = reread(urdf, text)
+    assert after.joint_terms.viscous[0] == 0.3
+    for body, phi, old in zip(before.body_names, after.phi, before.phi, strict=True):
+        np.testing.assert_allclose(phi, PHI if body == name else old, rtol=0, atol=1e-12)
+
+
+# --- Refusals -------------------------------------------------------------------------------
+
+
+def test_what_was_not_identified_is_named_and_not_written(mjcf: Path, urdf: Path) -> None:
+    told = {"tip.m": "none", "tip.hx": "identifiable", "tip.Ixx": "combination"}
+    for write, path in ((updated_mjcf, mjcf), (updated_urdf, urdf)):
+        before = path.read_bytes()
+        with pytest.raises(ModelError, match=r"2 of 3 parameters .*: tip\.m, tip\.Ixx\. Use"):
+            write(path, {load_robot(path).body_names[0]: PHI}, verdicts=told)
+        assert path.read_bytes() == before
+
+
+def test_what_cannot_exist_is_named_and_not_written(mjcf: Path, urdf: Path) -> None:
+    light, thin = PHI.copy(), PHI.copy()
+    light[0] = -1.0
+    thin[4] *= 4.0  # breaks the triangle inequality
+    with pytest.raises(ModelError, match=r"no body can have the parameters of tip .*, base "):
+        updated_mjcf(mjcf, {"tip": light, "base": thin, "arm": PHI})
+    with pytest.raises(ModelError, match="positive semidefinite"):
+        updated_urdf(urdf, {"half": thin})
+    with pytest.raises(ModelError, match=r"damping of the joint 'j1' is -0\.1"):
+        updated_mjcf(mjcf, {}, {"j1": {"damping": -0.1}})
+
+
+def test_wrong_words_are_usage(mjcf: Path) -> None:
+    for bodies, joints, told in (
+        ({"tipp": PHI}, {}, "Did you mean 'tip'"),
+        ({}, {"joint1": {"damping": 1.0}}, "Did you mean 'joint"),
+        ({}, {"j1": {"dampin": 1.0}}, "Did you mean 'damping'"),
+        ({"tip": PHI[:9]}, {}, "ten finite numbers"),
+        ({"tip": PHI * np.nan}, {}, "ten finite numbers"),
+        ({"tip": (1.0, "x", 2)}, {}, "cannot have"),
+        ({}, {"j1": {"damping": np.inf}}, "must be finite"),
+    ):
+        with pytest.raises(UsageError, match=told):
+            updated_mjcf(mjcf, bodies, joints)  # type: ignore[arg-type]
+
+
+def test_the_other_format_is_refused(mjcf: Path, urdf: Path) -> None:
+    with pytest.raises(ModelError, match="no MJCF"):
+        updated_mjcf(urdf, {})
+    with pytest.raises(ModelError, match="no URDF"):
+        updated_urdf(mjcf, {})
+
+
+def test_a_urdf_has_no_armature(urdf: Path) -> None:
+    with pytest.raises(ModelError, match="no armature of joints"):
+        updated_urdf(urdf, {}, {"j1": {"armature": 0.1}})
+
+
+def test_bodies_of_included_files_are_refused_and_others_written(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "hand.xml").write_text(
+        '<mujoco><body name="hand"><joint name="h"/><geom size=".1"/></body></mujoco>'
+    )
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="arm"><joint/><geom size=".1"/>'
+        '<include file="parts/hand.xml"/></body></worldbody></mujoco>'
+    )
+    after = reread(path, updated_mjcf(path, {"arm": PHI}))
+    np.testing.assert_allclose(after.phi[0], PHI, atol=1e-12)
+    for bodies, joints in (({"hand": PHI}, {}), ({}, {"h": {"damping": 1.0}})):
+        with pytest.raises(ModelError, match="included file"):
+            updated_mjcf(path, bodies, joints)
+    with pytest.raises(ModelError, match="'joint1' cannot be written"):  # its place is not known
+        updated_mjcf(path, {}, {"joint1": {"damping": 1.0}})
+
+
+def test_copies_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><replicate count="2" offset="1 0 0"><body name="arm"><joint/>'
+        '<geom size=".1"/></body></replicate></worldbody></mujoco>'
+    )
+    with pytest.raises(ModelError, match="<replicate> makes it"):
+        updated_mjcf(path, {load_robot(path).body_names[0]: PHI})
+
+
+@pytest.mark.parametrize("option", ['settotalmass="3"', 'inertiafromgeom="true"', 'boundmass="50"'])
+def test_a_compiler_that_overrules_what_is_written_is_named(tmp_path: Path, option: str) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        f'<mujoco><compiler {option}/><worldbody><body name="arm"><joint/><geom size=".1"/>'
+        "</body></worldbody></mujoco>"
+    )
+    with pytest.raises(ModelError, match=option.partition("=")[0]):
+        updated_mjcf(path, {"arm": PHI})
+
+
+def test_other_encodings_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_bytes(
+        b"<?xml version='1.0' encoding='iso-8859-1'?><!-- gr\xf6\xdfer -->"
+        b'<mujoco><worldbody><body name="arm"><joint/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(ModelError, match="UTF-8"):
+        updated_mjcf(path, {"arm": PHI})
+
+
+def test_nothing_is_written_beside_the_source(mjcf: Path) -> None:
+    before = {path: path.read_bytes() for path in mjcf.parent.iterdir()}
+    updated_mjcf(mjcf, {"tip": PHI})
+    assert {path: path.read_bytes() for path in mjcf.parent.iterdir()} == before
