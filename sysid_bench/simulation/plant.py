@@ -10,6 +10,7 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.models.robot import JointTerms, RobotModel
+from sysid_bench.models.warnings import kept
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array
 
@@ -42,7 +43,8 @@ class Plant:
 
     def compiled(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """A spec of this robot, compiled with the plant's inertias and terms and `bench_flags`."""
-        mj = bench_flags(spec.compile())
+        with kept():
+            mj = bench_flags(spec.compile())
         if self.phi is not None:
             set_inertias(mj, self.phi)
             set_joint_terms(mj, self)
