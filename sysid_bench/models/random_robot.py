@@ -85,7 +85,7 @@ class _Draw:
         bodies = self.tree()
         return (
             f'<mujoco model="{name}"><compiler angle="radian" autolimits="true"/>'
-            f'{self.option()}<worldbody>{"".join(self.below(-1, bodies))}</worldbody></mujoco>'
+            f"{self.option()}<worldbody>{''.join(self.below(-1, bodies))}</worldbody></mujoco>"
         )
 
     def chance(self, share: float) -> bool:
