@@ -33,7 +33,7 @@ def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
         joint = joints.get(actuator.target)
         at_joint = int(actuator.trntype) in _AT_JOINT and joint is not None
         if joint is None or not at_joint or int(joint.type) not in _SCALAR:
-            yield f"armature and damping of actuator {_called(actuator)}, which is at no joint, left out"
+            yield f"armature and damping of actuator {_called(actuator)}, at no joint, left out"
             continue
         if damping[1:].any():
             yield f"non-linear damping of actuator {_called(actuator)} left out"
@@ -79,7 +79,7 @@ def _drop_tendon_forces(spec: mujoco.MjSpec) -> Iterator[str]:
         for key in found:
             setattr(tendon, key, _zero(getattr(tendon, key)))
         if found:
-            yield f"{', '.join(found)} of tendon {_called(tendon)} left out: no terms of single joints"
+            yield f"{', '.join(found)} of tendon {_called(tendon)} left out: no terms of one joint"
 
 
 def _drop_medium(spec: mujoco.MjSpec) -> Iterator[str]:

@@ -57,7 +57,7 @@ class RandomRobot:
                 raise UsageError(f"{field.name} is a share from 0 to 1; got {value!r}.")
 
 
-def random_robot(seed: int, settings: RandomRobot = RandomRobot()) -> str:  # noqa: B008
+def random_robot(seed: int, settings: RandomRobot = RandomRobot()) -> str:
     """The MJCF text of a random tree; the same for the same seed and settings.
 
     Every inertia is that of a cloud of masses, every moving body weighs something, at least one
