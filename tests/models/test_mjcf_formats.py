@@ -26,10 +26,11 @@ def hinge(joint: str = "<joint/>", inside: str = "", name: str = "") -> str:
     return f"<body {name}>{joint}{INERTIAL}{inside}</body>"
 
 
+CLASSED = hinge('<joint class="d"/>')
 SAME = {
     "default": (
         model(
-            f'<body childclass="c"><joint/>{INERTIAL}{hinge('<joint class="d"/>')}</body>',
+            f'<body childclass="c"><joint/>{INERTIAL}{CLASSED}</body>',
             '<default><default class="c"><joint pos="0 .1 0" axis="1 1 0" armature=".3"/>'
             '<default class="d"><joint type="slide"/></default></default></default>',
         ),
