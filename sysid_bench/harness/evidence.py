@@ -21,7 +21,8 @@ def evidence(argument: Mapping[str, Any], row: Row) -> Evidence:
     Raises the error that the cell itself ended with, where it never came to an estimate.
     """
     spec = ExperimentSpec.from_json(argument["experiment"])
-    robot = subject(spec.robot, spec.payload, argument["robots_dir"], argument["folder"])
+    places = argument["robots_dir"], argument["folder"]
+    robot = subject(spec.robot, spec.payload, *places, spec.free_base)
     ready = prepare(spec, robot)
     (estimator, *_) = argument["estimators"]
     settings = {key: value for key, value in estimator.items() if key not in ("cell", "label")}

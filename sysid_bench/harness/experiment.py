@@ -27,7 +27,8 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
     """Runs the experiment of `argument` (see harness/run.py) and emits a row per estimator."""
     try:
         spec = ExperimentSpec.from_json(argument["experiment"])
-        robot = subject(spec.robot, spec.payload, argument["robots_dir"], argument["folder"])
+        places = argument["robots_dir"], argument["folder"]
+        robot = subject(spec.robot, spec.payload, *places, spec.free_base)
         verdict = _verdict(robot, argument["crosscheck"])
     except SysidBenchError as error:
         _emit_all(argument, emit, {"status": "failed", "reason": str(error)})

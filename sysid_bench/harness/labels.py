@@ -52,7 +52,8 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         (e.spec, *plugin_texts(e.spec, e.label)) for e in suite.estimator
     )
     labels["robot"] = distinct(
-        (source, names.robot(source, suite.folder).name, source) for _, source in suite.robots
+        (robot_key(source, entry.free_base), *_robot_texts(names, suite, source, entry.free_base))
+        for entry, source in suite.robots
     )
     payloads = [payload for entry in suite.robot for payload in entry.payloads]
     labels["payload"] = distinct(
@@ -62,6 +63,18 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     labels["prior"] = distinct(_prior_texts(prior) for prior in axes.prior)
     labels["held_out"] = distinct(_motion_texts(motions) for motions in axes.held_out)
     return labels
+
+
+def robot_key(source: str, free_base: bool | None) -> Any:
+    """What tells robots apart: the source, and the base where the suite says what it does."""
+    return source if free_base is None else [source, free_base]
+
+
+def _robot_texts(
+    names: Names, suite: Suite, source: str, free_base: bool | None
+) -> tuple[str, str]:
+    base = {None: "", True: " (free base)", False: " (fixed base)"}[free_base]
+    return names.robot(source, suite.folder).name + base, source + base
 
 
 def _noise_texts(noise: Noise) -> tuple[Any, str, str]:

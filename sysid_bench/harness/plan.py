@@ -10,7 +10,7 @@ from typing import Any
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.harness.canonical import canonical, digest
 from sysid_bench.harness.expression import Expression
-from sysid_bench.harness.labels import labels_of
+from sysid_bench.harness.labels import labels_of, robot_key
 from sysid_bench.harness.names import Names, installed_names
 from sysid_bench.harness.spec import (
     ExperimentSpec,
@@ -193,11 +193,15 @@ def _cells(suite: Suite, names: Names) -> list[Cell]:
     label = labels_of(suite, names)
     drafts = []
     for entry, source in suite.robots:
-        robot = names.robot(source, suite.folder)
+        robot, free_base = names.robot(source, suite.folder), entry.free_base
+        free = bool(robot.free_base) if free_base is None else free_base
         for written in entry.payloads:
             payload = names.payload(written)
-            facts = {"robot.free_base": bool(robot.free_base), "payload.mass": payload.mass}
-            drafts += [(spec, facts) for spec in _specs(suite, source, normal_payload(written))]
+            facts = {"robot.free_base": free, "payload.mass": payload.mass}
+            drafts += [
+                (replace(spec, free_base=free_base), facts)
+                for spec in _specs(suite, source, normal_payload(written))
+            ]
     estimators = [estimator.spec for estimator in suite.estimator]
     return [
         Cell(
@@ -244,6 +248,7 @@ def _labelled(
     spec: ExperimentSpec, estimator: Mapping[str, Any], label: Mapping[str, Mapping[str, str]]
 ) -> dict[str, str]:
     plain = {
+        "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base))],
         "task": spec.task,
         "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
         "rate": f"{spec.rate:.12g} Hz",

@@ -50,16 +50,27 @@ class Subject:
 
 
 def subject(
-    source: str, payload: str | Mapping[str, Any], robots_dir: str | None, folder: str | None
+    source: str,
+    payload: str | Mapping[str, Any],
+    robots_dir: str | None,
+    folder: str | None,
+    free_base: bool | None = None,
 ) -> Subject:
-    """The robot called `source` with a payload, loaded at most once per worker."""
-    return _subject(source, canonical(payload), robots_dir, folder)
+    """The robot called `source` with a payload, loaded at most once per worker; `free_base`
+    overrides its manifest."""
+    return _subject(source, canonical(payload), robots_dir, folder, free_base)
 
 
 @lru_cache(maxsize=KEPT)
-def _subject(source: str, payload: str, robots_dir: str | None, folder: str | None) -> Subject:
+def _subject(
+    source: str,
+    payload: str,
+    robots_dir: str | None,
+    folder: str | None,
+    free_base: bool | None,
+) -> Subject:
     import json
 
     extra, place = (None if path is None else Path(path) for path in (robots_dir, folder))
     manifest = find_manifest(source, extra, place)
-    return Subject(load_robot(manifest, parse_payload(json.loads(payload))), place)
+    return Subject(load_robot(manifest, parse_payload(json.loads(payload)), free_base), place)

@@ -32,15 +32,19 @@ class ExperimentSpec:
     noise: Mapping[str, float]
     signals: Mapping[str, Any]
     repeat: int
+    free_base: bool | None = None  # None: as the robot's manifest has it
 
     @cached_property
     def id(self) -> str:
         """12 hex digits of what is specified, and of nothing else."""
-        return digest(asdict(self))[:12]
+        return digest(self.to_json())[:12]
 
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
-        return asdict(self)
+        data = asdict(self)
+        if self.free_base is None:  # not written: ids are older than this field
+            del data["free_base"]
+        return data
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "ExperimentSpec":

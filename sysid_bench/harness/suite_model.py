@@ -12,6 +12,7 @@ from pydantic import (
     Discriminator,
     Field,
     PlainValidator,
+    StrictBool,
     StrictInt,
     StrictStr,
     StringConstraints,
@@ -190,6 +191,7 @@ def _payload(value: Any, info: ValidationInfo) -> Any:
 class RobotEntry(Section):
     use: Annotated[tuple[Annotated[str, PlainValidator(_robot_name)], ...], Sweep]
     payloads: Annotated[tuple[Annotated[Any, PlainValidator(_payload)], ...], Sweep] = ("none",)
+    free_base: StrictBool | None = None  # None: as the robot's manifest has it
 
 
 class Exclude(Section):

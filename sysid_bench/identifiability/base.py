@@ -19,6 +19,11 @@ NOISE_FLOOR: Final = 1e-12
 """Relative; below it a singular value is rounding error, above it a near-degenerate direction."""
 
 
+PIVOT_FLOORS: Final = (1e-7, 10 * NOISE_FLOOR)
+"""Relative; the first that leaves enough columns. Below it a column rises by rounded angles alone:
+a base set with such a pivot in place of its neighbour to the right has a condition of 1e9."""
+
+
 def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     """The base parameters of a regressor known by its R factor (m, p)."""
     values = np.linalg.svd(R, compute_uv=False)
@@ -47,7 +52,18 @@ def left_to_right_pivots(R: Array, rank: int) -> Array:
     Where more than `rank` columns look independent at the noise floor, those that stand out least
     are left: the near-degenerate directions.
     """
-    floor = NOISE_FLOOR * np.linalg.norm(R, 2) * 10
+    scale = float(np.linalg.norm(R, 2))
+    found: list[tuple[int, float]] = []
+    for floor in PIVOT_FLOORS:
+        found = _standing_out(R, floor * scale)
+        if len(found) >= rank:
+            break
+    kept = sorted(found, key=lambda item: item[1], reverse=True)[:rank]
+    return np.array(sorted(j for j, _ in kept), dtype=int)
+
+
+def _standing_out(R: Array, floor: float) -> list[tuple[int, float]]:
+    """Columns that rise more than `floor` above those picked to the left of them: (j, height)."""
     Q = np.zeros((R.shape[0], 0))
     found: list[tuple[int, float]] = []
     for j in range(R.shape[1]):
@@ -57,8 +73,7 @@ def left_to_right_pivots(R: Array, rank: int) -> Array:
         if height > floor:
             found.append((j, height))
             Q = np.column_stack([Q, rest / height])
-    kept = sorted(found, key=lambda item: item[1], reverse=True)[:rank]
-    return np.array(sorted(j for j, _ in kept), dtype=int)
+    return found
 
 
 def _combinations(R: Array, pivots: Array) -> Array:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 USUAL: Final = {"hinge": (np.pi, 2.0, 10.0), "slide": (0.2, 0.5, 2.5)}
 # Faster than this no robot joint moves: such a figure in a model file is a placeholder.
 PLACEHOLDER: Final = {"hinge": 30.0, "slide": 10.0}
+# Wider than this no joint turns or slides: such a range is a placeholder as well. rad; m.
+UNLIMITED: Final = {"hinge": 1e3, "slide": 1e2}
 FLOATING: Final = (1.0, 5.0)  # velocity, acceleration of free and ball joints
 
 
@@ -32,7 +34,9 @@ def limits_of(
         reach, usual_v, usual_a = USUAL[joint.kind]
         told = _told(manifest, joint.name)
         dof, centre = joint.vadr, mj.qpos0[joint.qadr]
-        span = mj.jnt_range[j] if mj.jnt_limited[j] else (centre - reach, centre + reach)
+        span = (centre - reach, centre + reach)
+        if mj.jnt_limited[j] and np.ptp(mj.jnt_range[j]) <= UNLIMITED[joint.kind]:
+            span = mj.jnt_range[j]
         low[dof], high[dof] = told.q if told.q is not None else span
         written = velocities.get(joint.name, np.inf)
         v[dof] = told.v or (written if written <= PLACEHOLDER[joint.kind] else usual_v)

@@ -21,6 +21,7 @@ from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_mat
 from sysid_bench.types import Array
 
 LARGEST_FILE = 64 * 2**20  # bytes; a model text beyond it is a mistake
+LARGEST_TREE = 100_000  # bodies times degrees of freedom; Y of 50 states takes 400 MB then
 
 
 def load_robot(
@@ -37,7 +38,7 @@ def load_robot(
     manifest = source if isinstance(source, Manifest) else find_manifest(str(source), robots_dir)
     free = manifest.free_base if free_base is None else free_base
     heard()
-    data = _read(manifest.path)
+    data = _read(manifest.path) if manifest.text is None else manifest.text.encode()
     root = parse_xml(data, manifest.path.name).tag
     if root == "robot":
         urdf = canonical_urdf(data, manifest.path.name, free)
@@ -48,7 +49,7 @@ def load_robot(
             urdf.velocity_limits,
         )
     elif root == "mujoco":
-        spec, repairs = mjcf_spec(manifest.path)
+        spec, repairs = mjcf_spec(manifest.path, None if manifest.text is None else data)
         text, velocities, urdf = data, {}, None
     else:
         raise ModelError(
@@ -123,12 +124,18 @@ def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
         with kept():
             mj = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
+        advice = "; give that body an <inertial>" if "mjMINVAL" in str(error) else ""
         raise ModelError(
-            f"MuJoCo cannot compile {manifest.path.name}: {_one_line(error)}"
+            f"MuJoCo cannot compile {manifest.path.name}: {_one_line(error)}{advice}"
         ) from error
     if mj.nv == 0:
         raise ModelError(
             f"{manifest.path.name} has no joint that moves; there is nothing to identify."
+        )
+    if mj.nv * mj.nbody > LARGEST_TREE:
+        raise ModelError(
+            f"{manifest.path.name} has {mj.nbody - 1} bodies and {mj.nv} degrees of freedom; "
+            f"their product may be {LARGEST_TREE} at most."
         )
     check_numbers(mj, manifest.path.name)
     return mj

@@ -113,16 +113,30 @@ class Manifest:
     sensors: tuple[Sensor, ...] = ()
     licence: str = ""
     manifest_file: Path | None = None
+    text: str | None = None  # the model itself, where it is no file: `path` is then but a label
+
+
+PACKAGES: Final = ("example-robot-data", "robot_descriptions")
+"""Where model files come from beside the user's own: `package:rest`."""
+
+RANDOM: Final = "random"
 
 
 def find_manifest(
     source: str, robots_dir: Path | None = None, folder: Path | None = None
 ) -> Manifest:
-    """The robot called `source`: a name, a folder with robot.toml, or a model file.
+    """The robot called `source`: a name, a folder with robot.toml, a model file, a file of a
+    package ("example-robot-data:ur_description/urdf/ur5_robot.urdf", "robot_descriptions:NAME"), or
+    a random tree ("random:7").
 
     Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Raises UsageError for
     a name or file that does not exist, ModelError for a manifest that cannot be read.
     """
+    scheme, colon, rest = source.partition(":")
+    if colon and scheme == RANDOM:
+        return _random(source, rest)
+    if colon and scheme in PACKAGES:
+        return _from_package(source, rest)
     text = source.removeprefix("file:")
     path = (folder or Path()) / text
     if source.startswith("file:") or path.suffix in (*MODEL_SUFFIXES, ".toml") or "/" in text:
@@ -181,12 +195,39 @@ def _from_path(path: Path, source: str) -> Manifest:
     return Manifest(name=path.stem, path=path, title=path.stem)
 
 
+def is_model(source: str) -> bool:
+    """Whether the text names a model by itself, without any list of robots."""
+    scheme, colon, _ = source.partition(":")
+    return bool(colon) and scheme in (RANDOM, "file", *PACKAGES)
+
+
+def _random(source: str, seed: str) -> Manifest:
+    from sysid_bench.models.random_robot import random_robot
+
+    if not (seed.isascii() and seed.isdigit() and len(seed) <= 18):
+        raise UsageError(f"{source!r}: a random robot goes by a whole number; write 'random:7'.")
+    text = random_robot(int(seed))
+    return Manifest(source, Path(source), title=f"A random tree, seed {int(seed)}", text=text)
+
+
+def _from_package(source: str, rest: str) -> Manifest:
+    if source.startswith("robot_descriptions:"):
+        path = _robot_description(rest, source)
+        return Manifest(name=rest.removesuffix("_description"), path=path, title=rest)
+    folder = places.example_robot_data()
+    path = folder / rest
+    if not path.is_file():
+        known = [str(file.relative_to(folder)) for file in folder.rglob("*.urdf")]
+        raise unknown_name("file of example-robot-data", rest, known)
+    return Manifest(name=path.stem, path=path, title=rest)
+
+
 def _model_path(written: str, manifest: Path) -> Path:
     package, colon, rest = written.partition(":")
     if package == "example-robot-data" and colon:
         path = places.example_robot_data() / rest
     elif package == "robot_descriptions" and colon:
-        path = _robot_description(rest, manifest)
+        path = _robot_description(rest, str(manifest))
     else:
         path = manifest.parent / written
     if not path.is_file():
@@ -194,7 +235,7 @@ def _model_path(written: str, manifest: Path) -> Path:
     return path
 
 
-def _robot_description(name: str, manifest: Path) -> Path:
+def _robot_description(name: str, manifest: str) -> Path:
     import importlib
 
     try:

@@ -5,48 +5,38 @@ from pathlib import Path
 import mujoco
 
 from sysid_bench.errors import ModelError
+from sysid_bench.models.mjcf_files import check_files
+from sysid_bench.models.mjcf_inertia import settle_inertias
+from sysid_bench.models.mjcf_terms import settle_terms
 
-_ASSETS = ("meshes", "hfields", "skins", "textures", "materials")
-_UNUSED = ("keys", "pairs", "excludes", "actuators", "sensors")
+_LOOKS = ("hfields", "skins", "textures", "materials")
+_UNUSED = ("keys", "pairs", "excludes", "sensors", "tuples")
 
 
-def mjcf_spec(path: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """The spec and, in words, what had to be left out; raises ModelError with MuJoCo's reason."""
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(
-            f"MuJoCo cannot read {path.name}: {' '.join(str(error).split())}"
-        ) from error
+def mjcf_spec(path: Path, text: bytes | None = None) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+    """The spec of a file, or of a text that includes nothing and is called `path`; and, in words,
+    what had to be left out. Raises ModelError with MuJoCo's reason."""
+    spec = _read(path, text)
     spec.compiler.fusestatic = False  # welded bodies keep their own parameters
-    repairs = _drop_mesh_geoms(spec, path)
-    for collection in (*_UNUSED, *_ASSETS):
+    for collection in (*_UNUSED, *_LOOKS):
         for element in list(getattr(spec, collection)):
             spec.delete(element)
     for element in [*spec.geoms, *spec.sites, *spec.tendons]:
         element.material = ""
+    repairs = settle_inertias(spec, path)
+    repairs += settle_terms(spec)
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
     return spec, repairs
 
 
-def _drop_mesh_geoms(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
-    """Deletes shapes that need files; a body whose inertia came from them is refused by name."""
-    files = {
-        int(mujoco.mjtGeom.mjGEOM_MESH),
-        int(mujoco.mjtGeom.mjGEOM_HFIELD),
-        int(mujoco.mjtGeom.mjGEOM_SDF),
-    }
-    bare = []
-    for body in spec.bodies:
-        shapes = [geom for geom in body.geoms if int(geom.type) in files or geom.meshname]
-        if (
-            shapes
-            and not body.explicitinertial
-            and body.name != "world"
-            and len(shapes) == len(list(body.geoms))
-        ):
-            bare.append(body.name or "(unnamed)")
-        for geom in shapes:
-            spec.delete(geom)
-    if not bare:
-        return ()
-    return (f"{', '.join(bare)}: inertia came from meshes, which are not read: massless",)
+def _read(path: Path, text: bytes | None) -> mujoco.MjSpec:
+    check_files(path, path.read_bytes() if text is None else text)
+    try:
+        if text is None:
+            return mujoco.MjSpec.from_file(str(path))
+        return mujoco.MjSpec.from_string(text.decode())
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(
+            f"MuJoCo cannot read {path.name}: {' '.join(str(error).split())}"
+        ) from error

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import ModelError
+from sysid_bench.models.urdf_joints import settle_joints
 from sysid_bench.spatial.inertia import matrix_of_six, six_of_matrix
 from sysid_bench.types import Array
 
@@ -20,6 +21,7 @@ _SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _SMALLEST_MOMENT: Final = 1e-13  # kg m^2; MuJoCo rejects moving bodies below 1e-15
 _ROUNDING: Final = 1e-12  # of the largest moment
 _MASSLESS: Final = 1e-9  # kg
+DEEPEST: Final = 400  # nested elements; MuJoCo stops at 500, Python's recursion at 1000
 _TINY = {"mass": 1e-6, "moment": 1e-9}  # what a moving massless link gets: kg, kg m^2
 
 
@@ -43,6 +45,8 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     mimic = tuple(_drop_mimic(robot))
     if free_base:
         tree = _without_world(robot, tree, name)
+    robot.attrib.setdefault("name", "robot")  # Pinocchio insists
+    limits = settle_joints(robot, tree.root, name)
     repairs = [f"mimic joint {joint!r} treated as independent" for joint in mimic]
     for link in robot.findall("link"):
         repairs += _repair_inertia(link, name)
@@ -50,7 +54,10 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")
     return Urdf(
-        ET.tostring(robot, encoding="unicode"), tuple(repairs), _velocities(robot, name), mimic
+        ET.tostring(robot, encoding="unicode"),
+        (*repairs, *limits),
+        _velocities(robot, name),
+        mimic,
     )
 
 
@@ -63,9 +70,20 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
             f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
         )
     try:
-        return ET.fromstring(data)
+        root = ET.fromstring(data)
     except (ET.ParseError, ValueError, LookupError) as error:
         raise ModelError(f"{name} is no well-formed XML: {error}.") from error
+    _check_depth(root, name)
+    return root
+
+
+def _check_depth(root: ET.Element, name: str) -> None:
+    level = [root]
+    for _ in range(DEEPEST):
+        level = [child for element in level for child in element]
+        if not level:
+            return
+    raise ModelError(f"{name} nests elements more than {DEEPEST} deep; no robot is like that.")
 
 
 def _strip(robot: ET.Element) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.models.robot import JointTerms, RobotModel
+from sysid_bench.models.warnings import kept
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array
 
@@ -45,7 +46,8 @@ class Plant:
         if self.phi is not None:
             for body in spec.bodies:
                 body.simple = 0  # a body flagged simple may not get another centre of mass
-        mj = bench_flags(spec.compile())
+        with kept():
+            mj = bench_flags(spec.compile())
         if self.phi is not None:
             set_inertias(mj, self.phi)
             set_joint_terms(mj, self)

@@ -4,13 +4,15 @@ import mujoco
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.warnings import kept
 from sysid_bench.simulation.plant import bench_flags
 from sysid_bench.types import Array, Trajectory
 
 
 def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
     """M a + bias (N, nv) from `mj_inverse`, passive and constraint forces taken out."""
-    mj = bench_flags(robot.spec.copy().compile())
+    with kept():
+        mj = bench_flags(robot.spec.copy().compile())
     data = mujoco.MjData(mj)
     tau = np.empty_like(motion.v)
     for k in range(len(motion)):

@@ -23,7 +23,10 @@ def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
 def show(name: str, robots_dir: Path | None = None) -> Entry:
     """One thing by its name: a robot's manifest as read, a payload, a plug-in's settings, or a
     suite. Raises UsageError with the nearest name of any kind."""
-    if name in places.robots(robots_dir) or "/" in name or name.endswith((".urdf", ".xml")):
+    from sysid_bench.models.manifest import is_model
+
+    path = "/" in name or name.endswith((".urdf", ".xml"))
+    if path or is_model(name) or name in places.robots(robots_dir):
         return _robot(name, robots_dir)
     found = {kind: {entry["name"] for entry in list_(kind, robots_dir)} for kind in _LISTS}
     for kind, make in _SHOWS.items():

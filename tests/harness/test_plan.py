@@ -43,6 +43,7 @@ CHANGES: dict[str, Any] = {
     "noise": {"q": 0.1},
     "signals": {"filter": "none", "derivatives": "exact"},
     "repeat": 0,
+    "free_base": True,
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
     motion_seed: {"seed", "robot", "excitation"},

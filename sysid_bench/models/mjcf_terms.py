@@ -1,0 +1,107 @@
+"""Joint terms of an MJCF model as MuJoCo has them, and in words what is no joint term.
+
+Torque is taken at the joint, not at the motor: a gear is no part of the model, and what MuJoCo 4
+lets an actuator add to its joint (armature and damping, times the gear squared) is joint armature
+and joint damping. Flags that disable springs, dampers or friction are obeyed. Every other force
+(tendons, compensated gravity, a medium, polynomials) is left out of the simulated robot, and told.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+_SCALAR: Final = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_AT_JOINT: Final = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_BIT: Final = mujoco.mjtDisableBit
+
+
+def settle_terms(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Gathers a spec's joint terms at its joints; what is left out, in words."""
+    told = [*_reflect_actuators(spec), *_drop_polynomials(spec)]
+    _obey_flags(spec)
+    return (*told, *_drop_springs_of_balls(spec), *_drop_tendon_forces(spec), *_drop_medium(spec))
+
+
+def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
+    joints = {joint.name: joint for joint in spec.joints}
+    for actuator in spec.actuators:
+        damping = np.atleast_1d(np.asarray(actuator.damping, dtype=float))
+        if not (actuator.armature or damping.any()):
+            continue
+        joint = joints.get(actuator.target)
+        at_joint = int(actuator.trntype) in _AT_JOINT and joint is not None
+        if joint is None or not at_joint or int(joint.type) not in _SCALAR:
+            yield f"armature and damping of actuator {_called(actuator)}, at no joint, left out"
+            continue
+        if damping[1:].any():
+            yield f"non-linear damping of actuator {_called(actuator)} left out"
+        square = float(actuator.gear[0]) ** 2
+        joint.armature += square * actuator.armature
+        joint.damping = np.asarray(joint.damping) + _first(joint.damping, square * damping[0])
+
+
+def _drop_polynomials(spec: mujoco.MjSpec) -> Iterator[str]:
+    for joint in spec.joints:
+        for key, word in (("stiffness", "spring"), ("damping", "damper")):
+            numbers = np.asarray(getattr(joint, key), dtype=float)
+            if numbers[1:].any():
+                setattr(joint, key, _first(numbers, numbers[0]))
+                yield f"non-linear part of the {word} of joint {_called(joint)} left out"
+
+
+def _obey_flags(spec: mujoco.MjSpec) -> None:
+    """Zeroes what the model switches off, and clears the flags: the numbers tell all."""
+    flags = int(spec.option.disableflags)
+    for joint in spec.joints:
+        if flags & int(_BIT.mjDSBL_SPRING):
+            joint.stiffness = np.zeros_like(joint.stiffness)
+        if flags & int(_BIT.mjDSBL_DAMPER):
+            joint.damping = np.zeros_like(joint.damping)
+        if flags & int(_BIT.mjDSBL_FRICTIONLOSS):
+            joint.frictionloss = 0.0
+    for bit in (_BIT.mjDSBL_SPRING, _BIT.mjDSBL_DAMPER, _BIT.mjDSBL_FRICTIONLOSS):
+        spec.option.disableflags &= ~int(bit)
+
+
+def _drop_springs_of_balls(spec: mujoco.MjSpec) -> Iterator[str]:
+    for joint in spec.joints:
+        if int(joint.type) not in _SCALAR and np.any(joint.stiffness):
+            joint.stiffness = np.zeros_like(joint.stiffness)
+            yield f"spring of joint {_called(joint)}, which is neither hinge nor slide, left out"
+
+
+def _drop_tendon_forces(spec: mujoco.MjSpec) -> Iterator[str]:
+    for tendon in spec.tendons:
+        keys = ("stiffness", "damping", "frictionloss", "armature")
+        found = [key for key in keys if np.any(getattr(tendon, key))]
+        for key in found:
+            setattr(tendon, key, _zero(getattr(tendon, key)))
+        if found:
+            yield f"{', '.join(found)} of tendon {_called(tendon)} left out: no terms of one joint"
+
+
+def _drop_medium(spec: mujoco.MjSpec) -> Iterator[str]:
+    if spec.option.density or spec.option.viscosity:
+        spec.option.density = spec.option.viscosity = 0.0
+        yield "forces of the medium (density, viscosity) left out"
+    lifted = [body for body in spec.bodies if body.gravcomp]
+    for body in lifted:
+        body.gravcomp = 0.0
+    if lifted:
+        yield f"gravity compensation of {', '.join(map(_called, lifted))} left out"
+
+
+def _called(element: Any) -> str:
+    return repr(element.name) if element.name else "(unnamed)"
+
+
+def _first(like: Any, value: Any) -> Any:
+    new = np.zeros_like(np.asarray(like, dtype=float))
+    new[0] = value
+    return new
+
+
+def _zero(value: Any) -> Any:
+    return 0.0 if np.ndim(value) == 0 else np.zeros_like(value)

@@ -1,0 +1,60 @@
+"""Joints of a URDF: kinds that both engines read, and limits that both parsers accept."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from typing import Final
+
+from sysid_bench.errors import ModelError, unknown_name
+
+KINDS: Final = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating", "spherical")
+"""Planar becomes two slides and a hinge; spherical, which is MuJoCo's own addition, a ball."""
+
+
+def settle_joints(robot: ET.Element, root: str, name: str) -> tuple[str, ...]:
+    """Checks the kinds of joints and completes their limits in place; what was done, in words.
+
+    Raises ModelError for a kind that there is not, and for a floating joint that is not at the
+    ground: MuJoCo knows none there.
+    """
+    for joint in robot.findall("joint"):
+        _check_kind(joint, root, name)
+    return tuple(text for joint in robot.findall("joint") for text in _complete_limits(joint))
+
+
+def _check_kind(joint: ET.Element, root: str, name: str) -> None:
+    kind, parent = joint.get("type"), joint.find("parent")
+    if kind is None:
+        raise ModelError(f"{name}: joint {joint.get('name')!r} has no type: {', '.join(KINDS)}.")
+    if kind not in KINDS:
+        told = unknown_name("kind of joint", kind, KINDS)
+        raise ModelError(f"{name}: joint {joint.get('name')!r}: {told}")
+    above = None if parent is None else parent.get("link")
+    if kind == "floating" and not (above == root == "world"):
+        raise ModelError(
+            f"{name}: the floating joint {joint.get('name')!r} hangs on the link {above!r}; only a "
+            "root link called 'world' may carry one. Take the joint out and ask for a free base, "
+            "or make it fixed."
+        )
+
+
+def _complete_limits(joint: ET.Element) -> Iterator[str]:
+    """Pinocchio refuses what MuJoCo takes for "no limit"; zero means that to both."""
+    if joint.get("type") not in ("revolute", "prismatic"):
+        return
+    label = f"joint {joint.get('name')!r}"
+    limit = joint.find("limit")
+    if limit is None:
+        limit = ET.SubElement(joint, "limit")
+        yield f"{label} has no limits: unlimited"
+    for key in ("effort", "velocity"):
+        if limit.get(key) is None:
+            limit.set(key, "0")
+    if _reversed(limit):
+        yield f"the limits of {label} are reversed: unlimited"
+
+
+def _reversed(limit: ET.Element) -> bool:
+    try:
+        return float(limit.get("lower", "0")) > float(limit.get("upper", "0"))
+    except ValueError:
+        return False  # refused elsewhere, with the number

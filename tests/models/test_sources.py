@@ -1,0 +1,96 @@
+"""Robots named by the package they lie in, and the base that a suite decides about."""
+
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from sysid_bench import places
+from sysid_bench.errors import ModelError, UsageError
+from sysid_bench.harness.plan import expand
+from sysid_bench.harness.robots import subject
+from sysid_bench.harness.spec import ExperimentSpec
+from sysid_bench.harness.suite import dump_suite, parse_suite
+from sysid_bench.models.manifest import find_manifest
+from sysid_bench.verbs.catalogue import show
+from sysid_bench.verbs.crosscheck import crosscheck
+from tests.robots import urdf_files
+
+FILE = "ur_description/urdf/ur5_robot.urdf"
+
+
+@pytest.mark.parametrize("file", urdf_files())
+def test_every_file_of_a_package_is_a_source(file: str) -> None:
+    manifest = find_manifest(f"example-robot-data:{file}")
+    assert manifest.path == places.example_robot_data() / file
+    assert manifest.name == Path(file).stem
+
+
+def test_an_unknown_file_of_a_package_names_the_nearest() -> None:
+    with pytest.raises(UsageError, match=r"Did you mean 'ur_description/urdf/ur5_robot\.urdf'"):
+        find_manifest("example-robot-data:ur_description/urdf/ur5_robt.urdf")
+
+
+def test_a_robot_description_is_a_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = types.ModuleType("robot_descriptions.my_description")
+    module.URDF_PATH = str(places.example_robot_data() / FILE)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "robot_descriptions", types.ModuleType("robot_descriptions"))
+    monkeypatch.setitem(sys.modules, "robot_descriptions.my_description", module)
+    manifest = find_manifest("robot_descriptions:my_description")
+    assert (manifest.name, manifest.path) == ("my", places.example_robot_data() / FILE)
+    with pytest.raises(ModelError, match="not installed or not known"):
+        find_manifest("robot_descriptions:absent_description")
+
+
+@pytest.mark.parametrize("source", ["random:3", f"example-robot-data:{FILE}"])
+def test_verbs_take_them(source: str) -> None:
+    [verdict] = crosscheck(source, samples=5)
+    assert verdict["ok"]
+    assert show(source)["name"] in source
+
+
+SUITE = """
+schema = 1
+name   = "bases"
+[[robot]]
+use = {use}
+{base}
+[[estimator]]
+use = "ols"
+"""
+
+
+def specs(base: str, use: str = '"ur5"') -> list[ExperimentSpec]:
+    return list(expand(parse_suite(SUITE.format(use=use, base=base))).experiments)
+
+
+def test_a_base_that_is_not_given_leaves_the_id_alone() -> None:
+    (plain,), (fixed,), (free,) = specs(""), specs("free_base = false"), specs("free_base = true")
+    assert "free_base" not in plain.to_json()
+    assert len({plain.id, fixed.id, free.id}) == 3
+    for spec in (plain, fixed, free):
+        assert ExperimentSpec.from_json(spec.to_json()) == spec
+
+
+def test_a_robot_may_come_on_both_bases() -> None:
+    text = SUITE.format(use='["ur5", "solo12"]', base="free_base = true")
+    text += '[[robot]]\nuse = ["ur5", "solo12"]\nfree_base = false\n'
+    suite = parse_suite(text)
+    assert parse_suite(dump_suite(suite)) == suite
+    cells = expand(suite).cells
+    labels = [cell.labels["robot"] for cell in cells]
+    assert labels == [f"{r} ({b} base)" for b in ("free", "fixed") for r in ("ur5", "solo12")]
+    assert [cell.facts["robot.free_base"] for cell in cells] == [True, True, False, False]
+    chosen = expand(suite).select('robot == "ur5" and robot.free_base')
+    assert [cell.labels["robot"] for cell in chosen] == ["ur5 (free base)"]
+
+
+@pytest.mark.parametrize(("base", "nv"), [(None, 18), (True, 18), (False, 12)])
+def test_the_suite_decides_whether_the_base_floats(base: bool | None, nv: int) -> None:
+    assert subject("solo12", "none", None, None, base).robot.nv == nv
+
+
+def test_a_base_is_yes_or_no() -> None:
+    with pytest.raises(UsageError, match="free_base"):
+        specs('free_base = "yes"')

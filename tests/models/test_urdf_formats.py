@@ -1,0 +1,125 @@
+"""URDF joints and links as files have them: mapped in both engines, or one sentence."""
+
+import re
+
+import numpy as np
+import pytest
+
+from sysid_bench.errors import ModelError
+from sysid_bench.evaluation.crosscheck import crosscheck
+from sysid_bench.models.robot import RobotModel
+from tests.robots import robot_of
+
+INERTIA = '<inertia ixx=".1" iyy=".2" izz=".25" ixy=".01" ixz="0" iyz="0"/>'
+INERTIAL = f'<inertial><origin xyz=".1 0 .1" rpy="1 2 3"/><mass value="1"/>{INERTIA}</inertial>'
+LIMIT = '<limit lower="-1" upper="1" effort="5" velocity="1"/>'
+LOOKS = """<visual><geometry><mesh filename="package://absent/x.dae"/></geometry></visual>
+<collision><geometry><mesh filename="file:///absent.stl"/></geometry></collision>"""
+
+
+def link(name: str, inside: str = INERTIAL) -> str:
+    return f'<link name="{name}">{inside}</link>'
+
+
+def joint(name: str, ends: str, kind: str | None = "revolute", inside: str = LIMIT) -> str:
+    parent, child = ends.split()
+    type_ = "" if kind is None else f'type="{kind}"'
+    return (
+        f'<joint name="{name}" {type_}><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0 .1 .2" rpy=".1 0 .3"/><axis xyz="0 1 1"/>{inside}</joint>'
+    )
+
+
+def urdf(*parts: str, name: str = 'name="r"') -> str:
+    return f"<robot {name}>{''.join(parts)}</robot>"
+
+
+def arm(kind: str | None = "revolute", inside: str = LIMIT, tip: str = INERTIAL) -> str:
+    ends = joint("j", "base a", kind, inside), joint("k", "a tip", "continuous", "")
+    return urdf(link("base"), link("a"), link("tip", tip), *ends)
+
+
+WHOLE = {
+    "revolute": (arm(), ["hinge", "hinge"]),
+    "continuous": (arm("continuous", ""), ["hinge", "hinge"]),
+    "prismatic": (arm("prismatic"), ["slide", "hinge"]),
+    "planar": (arm("planar", ""), ["slide", "slide", "hinge", "hinge"]),
+    "fixed": (arm("fixed", ""), ["hinge"]),
+    "no limit": (arm("revolute", ""), ["hinge", "hinge"]),
+    "no effort": (arm("revolute", '<limit lower="-1" upper="1"/>'), ["hinge", "hinge"]),
+    "massless tip": (arm(tip=""), ["hinge", "hinge"]),
+    "point mass": (arm(tip='<inertial><mass value="1"/></inertial>'), ["hinge", "hinge"]),
+    "impossible": (arm(tip=INERTIAL.replace('ixx=".1"', 'ixx="9"')), ["hinge", "hinge"]),
+    "absent meshes": (arm(tip=INERTIAL + LOOKS), ["hinge", "hinge"]),
+    "no name": (arm().replace('<robot name="r">', "<robot>"), ["hinge", "hinge"]),
+    "world": (
+        urdf(link("world", ""), link("b"), link("tip"), joint("f", "world b", "fixed", ""),
+             joint("k", "b tip")),
+        ["hinge"],
+    ),
+}  # fmt: skip
+
+
+def agrees(robot: RobotModel) -> None:
+    check = crosscheck(robot, 8)
+    assert check.ok(), check.reason()
+
+
+@pytest.mark.parametrize("free", [False, True], ids=["fixed", "free"])
+@pytest.mark.parametrize("name", WHOLE)
+def test_what_urdf_has_agrees_in_both_engines(name: str, free: bool) -> None:
+    text, kinds = WHOLE[name]
+    robot = robot_of(text, free_base=free)
+    assert [j.kind for j in robot.joints] == ["free"] * free + kinds
+    agrees(robot)
+    native = crosscheck(robot, 8).native_gap
+    assert (native is None) == (name == "planar")
+
+
+def test_a_floating_joint_at_the_ground_is_a_free_base() -> None:
+    text = urdf(link("world", ""), link("b"), link("tip"), joint("f", "world b", "floating", ""),
+                joint("k", "b tip"))  # fmt: skip
+    robot = robot_of(text)
+    assert [j.kind for j in robot.joints] == ["free", "hinge"]
+    agrees(robot)
+
+
+REFUSED = {
+    "floating below": (arm("floating", ""), "floating joint 'j'.*'world'.*free base"),
+    "unknown kind": (arm("hinge"), r"joint 'j': No kind of joint is called 'hinge'.*revolute"),
+    "no kind": (arm(None), "joint 'j' has no type"),
+    "negative mass": (arm(tip=INERTIAL.replace('value="1"', 'value="-1"')), "negative mass -1"),
+    "mass in words": (arm(tip=INERTIAL.replace('value="1"', 'value="1 kg"')), "'1 kg'"),
+    "nan": (arm(tip=INERTIAL.replace('ixx=".1"', 'ixx="nan"')), "'nan'.*finite"),
+    "limit in words": (arm(inside=LIMIT.replace('"-1"', '"-1rad"')), "'-1rad'"),
+    "two roots": (urdf(link("a"), link("b"), link("c"), joint("j", "a b")), "2 root links"),
+    "cycle": (
+        urdf(link("r"), link("a"), link("b"), joint("j", "a b"), joint("k", "b a")), "cycle"
+    ),
+    "two parents": (
+        urdf(link("a"), link("b"), link("c"), joint("j", "a c"), joint("k", "b c")), "two parents"
+    ),
+    "names twice": (urdf(link("a"), link("a"), joint("j", "a a")), "called 'a'"),
+    "nobody": (urdf(link("a"), joint("j", "a ghost")), "'ghost'"),
+    "too deep": (urdf("<a>" * 2000 + "</a>" * 2000, link("a")), "deep"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_is_one_sentence(name: str) -> None:
+    text, words = REFUSED[name]
+    with pytest.raises(ModelError) as refusal:
+        robot_of(text)
+    assert re.search(words, str(refusal.value))
+    assert "\n" not in str(refusal.value)
+
+
+def test_repairs_are_told_and_change_nothing_else() -> None:
+    whole, mended = robot_of(arm()), robot_of(WHOLE["impossible"][0])
+    (told,) = mended.repairs
+    assert "'tip'" in told
+    np.testing.assert_array_equal(mended.phi[:2], whole.phi[:2])
+    (told,) = robot_of(arm(inside=LIMIT.replace('"-1"', '"2"'))).repairs
+    assert "reversed" in told
+    (told,) = [t for t in robot_of(arm("prismatic", "")).repairs if "no limits" in t]
+    assert "'j'" in told
