@@ -9,7 +9,7 @@ import numpy as np
 from sysid_bench.errors import ModelError
 from sysid_bench.models.load import LARGEST_FILE
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.written import Bodies, Joints, Update, prove, update_of
+from sysid_bench.models.written import Bodies, Joints, Update, as_written, prove, update_of
 from sysid_bench.models.xml_text import (
     Edit,
     Element,
@@ -152,14 +152,13 @@ def _inertia(inertia: Array) -> dict[str, str | None]:
 def _joint_edits(
     data: bytes, joint: Element, terms: Mapping[str, float], update: Update, name: str
 ) -> Iterator[Edit]:
-    mj = update.robot.mj
-    j = mj.joint(name).id
-    dof = int(mj.jnt_dofadr[j])
+    j = update.robot.mj.joint(name).id
+    source = list(as_written(update.robot).joints)[j]
     values: dict[str, str | None] = {}
     for key, value in terms.items():
         # Damping and stiffness are polynomials: what is beyond the linear number stays.
-        beyond = {"damping": mj.dof_dampingpoly[dof], "stiffness": mj.jnt_stiffnesspoly[j]}
-        higher = np.trim_zeros(beyond.get(key, np.zeros(0)), "b")
+        written = getattr(source, key) if key in ("damping", "stiffness") else ()
+        higher = np.trim_zeros(np.ravel(written)[1:], "b")
         if key == "springref" and update.robot.joints[j].kind == "hinge":
             value = np.rad2deg(value) if update.robot.spec.compiler.degree else value
         values[key] = numbers(value, *higher)

@@ -31,9 +31,6 @@ PARAMETERS, TORQUES = 1e-12, 1e-11
 POSSIBLE: Final = 1e-12
 """Of a body's largest number: how far rounding may take a pseudo-inertia below zero."""
 
-LEVELS: Final = 3
-"""Folders above a model whose files it can name (../meshes)."""
-
 BodyValue = Array | Sequence[Any]
 Bodies = Mapping[str, BodyValue]
 Joints = Mapping[str, Mapping[str, float]]
@@ -114,7 +111,7 @@ def prove(path: Path, text: str, update: Update) -> None:
     for b in np.flatnonzero(~(apart <= PARAMETERS * scale)):
         raise ModelError(
             f"{path.name} gives the body {robot.body_names[b]!r} other parameters than were "
-            f"written (by {apart[b]:.2g}): {_meddling(again)}"
+            f"written (by {apart[b]:.2g}): {_meddling(robot)}"
         )
     motion = random_states(robot, 10, np.random.default_rng(0))
     theirs, ours = _torque(again.mj, motion), _torque(_with(update, phi), motion)
@@ -122,28 +119,26 @@ def prove(path: Path, text: str, update: Update) -> None:
     if not gap <= TORQUES:
         raise ModelError(
             f"{path.name} moves otherwise than was written (torques differ by {gap:.2g}): "
-            f"{_meddling(again)}"
+            f"{_meddling(robot)}"
         )
 
 
 @contextlib.contextmanager
 def beside(path: Path, text: str) -> Iterator[Path]:
-    """A file with this text in a copy of the source's place: what lies beside it is linked, so that
-    included files and meshes are found, and nothing is written where the source is."""
-    source = path.resolve()
-    with tempfile.TemporaryDirectory() as folder:
-        here = Path(folder)
-        above = list(reversed(source.parents))[-LEVELS:]
-        for place, child in zip(above, [*above[1:], source], strict=True):
-            with contextlib.suppress(OSError):  # a folder that cannot be listed, or no links here
-                for entry in place.iterdir():
-                    if entry != child:
-                        (here / entry.name).symlink_to(entry)
-            here = here / child.name
-            if child != source:
-                here.mkdir()
-        here.write_bytes(text.encode())
-        yield here
+    """A hidden file with this text beside the source for as long as it is read, so that included
+    files and meshes are found; ModelError where that folder cannot be written."""
+    try:
+        with tempfile.NamedTemporaryFile(
+            dir=path.resolve().parent, prefix=f".{path.stem}-", suffix=path.suffix
+        ) as file:
+            file.write(text.encode())
+            file.flush()
+            yield Path(file.name)
+    except PermissionError as error:
+        raise ModelError(
+            f"{path.name} lies where nothing can be written, so the new text cannot be proved "
+            "there; copy the model with its files to a folder of your own."
+        ) from error
 
 
 def _phi(name: str, value: BodyValue) -> Array:
@@ -231,9 +226,16 @@ def _torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
     return tau
 
 
+def as_written(robot: RobotModel) -> mujoco.MjSpec:
+    """The spec of an MJCF as its file has it: the loader settles totals, bounds and polynomials."""
+    if robot.format != "mjcf":
+        return robot.spec
+    return mujoco.MjSpec.from_file(str(robot.manifest.path))
+
+
 def _meddling(robot: RobotModel) -> str:
     """Which of the compiler's options may have changed what the file states."""
-    compiler = robot.spec.compiler
+    compiler = as_written(robot).compiler
     found = [
         word
         for word, on in (

@@ -243,7 +243,8 @@ def test_an_interrupt_keeps_finished_rows_and_kills_the_workers(tmp_path: Path, 
             seen.append(runner.stdout.readline().strip())
         runner.send_signal(how)
         rest = runner.stdout.read().split()
-        assert rest[-1] == "interrupted"
+        # The signal may come between a word of a print and its line end.
+        assert rest[-1].endswith("interrupted")
         assert runner.wait(timeout=10) == 0
     stored = read_rows(tmp_path / "cells")
     assert 1 <= len(stored.rows) < 4
