@@ -16,19 +16,19 @@ from typing import Any, Final, Literal
 from sysid_bench import places
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.argument import argument_of
-from sysid_bench.harness.crew import Task, Workplace
-from sysid_bench.harness.names import Names, installed_names
 from sysid_bench.harness.plan import Cell, expand
 from sysid_bench.harness.provenance import cell_fingerprint, environment
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.suite import Suite, load_suite
-from sysid_bench.harness.supervisor import Ending, OnEvent, supervise
+from sysid_bench.harness.suite.names import Names, installed_names
+from sysid_bench.harness.suite.read import Suite, load_suite
 from sysid_bench.harness.words import FAILURES, STATUSES
+from sysid_bench.harness.work.crew import Task, Workplace
+from sysid_bench.harness.work.supervisor import Ending, OnEvent, supervise
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 
 Rerun = Literal["failed", "stale", "all"]
-EXECUTE: Final = "sysid_bench.harness.experiment:execute"
+EXECUTE: Final = "sysid_bench.harness.experiment.execute:execute"
 _RERUNS: Final = ("failed", "stale", "all")
 
 

@@ -81,7 +81,7 @@ def recordings(run_folder: "RunFolder") -> dict[str, str]:
 
 
 def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
-    from sysid_bench.harness.expression import Expression
+    from sysid_bench.harness.suite.expression import Expression
     from sysid_bench.reporting.tables import make_table
 
     def choose(expression: str, cell: Mapping[str, Any]) -> bool:

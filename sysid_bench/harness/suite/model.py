@@ -22,8 +22,7 @@ from pydantic import (
 )
 
 from sysid_bench.harness.canonical import canonical
-from sysid_bench.harness.names import located
-from sysid_bench.harness.suite_checks import (
+from sysid_bench.harness.suite.checks import (
     as_plugin,
     condition,
     context,
@@ -35,6 +34,7 @@ from sysid_bench.harness.suite_checks import (
     some,
     word,
 )
+from sysid_bench.harness.suite.names import located
 from sysid_bench.harness.words import (
     BESTS,
     INTERVALS,
