@@ -131,7 +131,7 @@ def test_killed_at_any_moment_a_run_goes_on_as_if_nothing_had_happened(
     )
     assert cli("run", "s.toml", "-o", "calm", "-j", "1").returncode == 0
     moments = random.Random(20261121)
-    command = [sys.executable, "-m", "sysid_bench.cli", "run", "s.toml", "-o", "harried", "-j", "2"]
+    command = [sys.executable, "-m", "sysid_bench", "run", "s.toml", "-o", "harried", "-j", "2"]
     env = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     for _ in range(4):
         runner = subprocess.Popen(
