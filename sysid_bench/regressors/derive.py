@@ -7,10 +7,15 @@ with the spatial inertia G = [[I, [h]x], [-[h]x, m 1]] and ad(V)^T = [[-[w]x, -[
 linear in phi, A = dF/dphi. In A the linear velocity occurs only in d = dv + w × v, the classical
 acceleration of the body's origin, so the kernel needs w, dw and d alone; gravity enters as d - g.
 
-    python -m sysid_bench.regressors.derive     prints sysid_bench/regressors/body.py
+    python -m sysid_bench.regressors.derive       prints sysid_bench/regressors/body.py
+    python -m sysid_bench.regressors.derive c     prints the entries in kernel.c
 """
 
+import sys
+from typing import Any
+
 import sympy as sp
+from sympy.printing.c import C99CodePrinter
 
 from sysid_bench.spatial.inertia import NAMES
 
@@ -88,5 +93,40 @@ def entries(w: Array, alpha: Array, d: Array) -> tuple[tuple[tuple[int, Array], 
 '''
 
 
+FORCES = ("m", "h_force[0]", "h_force[1]", "h_force[2]")
+MOMENTS = (
+    "", "h_moment[0]", "h_moment[1]", "h_moment[2]",
+    *(f"I_moment[{c}]" for c in range(6)),
+)  # fmt: skip
+"""Names of the columns in kernel.c; an inertia gives no force, a mass no moment."""
+
+
+def c_source() -> str:
+    """The lines of the function `entries` of kernel.c.
+
+    Raises ValueError where an entry that kernel.c has no place for is not zero.
+    """
+    A = in_classical_acceleration(body_regressor())
+    lines = []
+    for c in range(10):
+        for names, part in ((MOMENTS, A[:3, c]), (FORCES, A[3:, c])):
+            name = names[c] if c < len(names) else ""
+            if not name and not part.is_zero_matrix:
+                raise ValueError(f"kernel.c has no place for {part} of {NAMES[c]}.")
+            values = [_Vectors().doprint(value) for value in part] if name else []
+            lines += [f"A->{name}[{i}] = {x};" for i, x in enumerate(values)]
+    return "".join(f"    {line}\n" for line in lines)
+
+
+class _Vectors(C99CodePrinter):
+    """C for vectors of samples: they know no pow(), and zero is one of them."""
+
+    def _print_Pow(self, expr: Any) -> str:
+        return "*".join([self._print(expr.base)] * int(expr.exp))
+
+    def _print_Zero(self, expr: Any) -> str:
+        return "zero"
+
+
 if __name__ == "__main__":
-    print(source(), end="")
+    print(c_source() if sys.argv[1:] == ["c"] else source(), end="")

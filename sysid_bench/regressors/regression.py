@@ -14,6 +14,7 @@ import numpy as np
 from sysid_bench.errors import unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.tree import Tree
+from sysid_bench.regressors.compiled import chosen, program_of
 from sysid_bench.regressors.kernel import blocks, raw_columns, sweep
 from sysid_bench.types import Array, Regressor, Trajectory
 
@@ -73,22 +74,52 @@ class Regression:
             places[term.row].append(term.place)
         return tuple(np.array(place, dtype=int) for place in places)
 
-    def blocks(self, motion: Trajectory) -> Iterator["Block"]:
-        """Y of consecutive samples, a cacheful at a time."""
-        for part in blocks(motion):
-            q, v, a = motion.q[part].T, motion.v[part].T, motion.a[part].T
-            states = sweep(self.tree, q, v, a)
-            carried = [
-                _combine(columns, raw_columns(states[columns.link], columns.raw))
-                for columns in self.links
-            ]
-            terms = [TERM[t.kind](q[t.qadr] - t.reference, v[t.row], a[t.row]) for t in self.terms]
-            yield Block(self, part, carried, terms)
+    @cached_property
+    def starts(self) -> tuple[int, ...]:
+        """Where each row's columns start among the values of a block; one value is free after
+        them, for the right-hand side that a fold puts there."""
+        sizes = [len(places) + 1 for places in self.touched]
+        return tuple(int(end - size) for end, size in zip(np.cumsum(sizes), sizes, strict=True))
 
-    def dense(self, motion: Trajectory) -> Regressor:
-        """Y (N, nv, p) at once: for small motions and witnesses."""
-        parts = [block.dense() for block in self.blocks(motion)]
-        return Regressor(np.concatenate(parts), self.rows, self.columns)
+    def blocks(self, motion: Trajectory) -> Iterator["Block"]:
+        """Y of consecutive samples, a cacheful at a time, by the kernel of this process."""
+        library = chosen().library
+        for part in blocks(motion):
+            span = _cut(motion, part)
+            if library is None:
+                values = self._values(span)
+            else:
+                values = library.rows(program_of(self), span)
+            yield Block(self, part, values)
+
+    def _values(self, motion: Trajectory) -> Array:
+        """The values of a block by the NumPy kernel."""
+        q, v, a = motion.q.T, motion.v.T, motion.a.T
+        free = list(self.starts)
+        out = np.empty((sum(len(places) + 1 for places in self.touched), len(motion)))
+        states = sweep(self.tree, q, v, a)
+        for columns in self.links:
+            carried = _combine(columns, raw_columns(states[columns.link], columns.raw))
+            for place, row in enumerate(self.tree.links[columns.link].dofs):
+                out[free[row] : free[row] + len(carried)] = carried[:, place]
+                free[row] += len(carried)
+        for term in self.terms:
+            values = TERM[term.kind](q[term.qadr] - term.reference, v[term.row], a[term.row])
+            out[free[term.row]] = values
+            free[term.row] += 1
+        return out
+
+    def dense(self, motion: Trajectory, out: Array | None = None) -> Regressor:
+        """Y (N, nv, p) at once, into `out` where it is given: for small motions and witnesses."""
+        if out is None:
+            out = np.empty((len(motion), len(self.rows), len(self.columns)))
+        library = chosen().library
+        if library is not None:
+            library.dense(program_of(self), motion, out)
+        else:
+            for block in self.blocks(motion):
+                block.dense(out[block.samples])
+        return Regressor(out, self.rows, self.columns)
 
     def torque(self, motion: Trajectory, theta: Array) -> Array:
         """Y theta (N, nv)."""
@@ -101,12 +132,12 @@ class Regression:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Y of the samples `samples`, kept compact; `row` and `dense` take it apart."""
+    """Y of the samples `samples`, kept compact: the rows' columns one after the other in `values`
+    (k, n), as `starts` says; `row` and `dense` take it apart."""
 
     regression: Regression
     samples: slice
-    carried: list[Array]  # (k, dofs, n) of each LinkColumns
-    terms: list[Array]  # (n,) of each TermColumn
+    values: Array
 
     @property
     def count(self) -> int:
@@ -114,27 +145,26 @@ class Block:
         return self.samples.stop - self.samples.start
 
     def row(self, i: int, out: Array | None = None) -> Array:
-        """Row i of Y, (k, n), in the columns `touched[i]`."""
-        regression = self.regression
+        """Row i of Y, (k, n), in the columns `touched[i]`: a view, or the given array filled."""
+        start = self.regression.starts[i]
+        values = self.values[start : start + len(self.regression.touched[i])]
         if out is None:
-            out = np.empty((len(regression.touched[i]), self.count))
-        start = 0
-        for columns, values in zip(regression.links, self.carried, strict=True):
-            for place in np.flatnonzero(regression.tree.links[columns.link].dofs == i):
-                out[start : start + len(values)] = values[:, place]
-                start += len(values)
-        for term, values in zip(regression.terms, self.terms, strict=True):
-            if term.row == i:
-                out[start] = values
-                start += 1
+            return values
+        out[:] = values
         return out
 
-    def dense(self) -> Array:
-        """Y (n, nv, p) with its zeros."""
-        Y = np.zeros((self.count, len(self.regression.rows), len(self.regression.columns)))
+    def dense(self, out: Array | None = None) -> Array:
+        """Y (n, nv, p) with its zeros: a new array, or the given one filled."""
+        shape = (self.count, len(self.regression.rows), len(self.regression.columns))
+        Y = np.empty(shape) if out is None else out
+        Y[:] = 0.0
         for i, places in enumerate(self.regression.touched):
             Y[:, i, places] = self.row(i).T
         return Y
+
+
+def _cut(motion: Trajectory, part: slice) -> Trajectory:
+    return Trajectory(motion.t[part], motion.q[part], motion.v[part], motion.a[part])
 
 
 def regression(robot: RobotModel, columns: Sequence[str]) -> Regression:

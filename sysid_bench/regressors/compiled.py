@@ -1,0 +1,174 @@
+"""The compiled kernel, kernel.c, through its plain C functions: trees and columns as flat arrays.
+
+One library holds the kernel once per instruction set; the best that the processor has is taken.
+Where the library is absent, too old for its source or unwanted, `chosen()` says why, and the NumPy
+kernel serves: same values, same contract.
+"""
+
+import ctypes
+import hashlib
+import os
+import threading
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.regressors.program import Program, regression_program
+from sysid_bench.types import Array, Trajectory
+
+if TYPE_CHECKING:
+    from sysid_bench.regressors.regression import Regression
+
+VARIABLE: Final = "SYSID_BENCH_KERNEL"
+"""`numpy`, `compiled`, or one of `LEVELS`: which kernel this process takes; unset, the best."""
+
+LEVELS: Final = {"x86-64-v4": "v4", "x86-64-v3": "v3", "baseline": "base"}
+"""Instruction sets, best first, and what the functions compiled for them end in: AVX-512, AVX2
+with FMA, and what every processor of the kind has."""
+
+FOLDER: Final = Path(__file__).parent
+SOURCE: Final = FOLDER / "kernel.c"
+
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which kernel works in this process; `reason`: why it is NumPy where it is."""
+
+    library: "Library | None"
+    reason: str = ""
+
+    def __str__(self) -> str:
+        if self.library is None:
+            return f"NumPy ({self.reason})"
+        return f"compiled, {self.library.level}"
+
+
+@cache
+def chosen() -> Choice:
+    """The kernel of this process; UsageError for a name in the variable that is none."""
+    wanted = os.environ.get(VARIABLE, "")
+    if wanted not in ("", "numpy", "compiled", *LEVELS):
+        known = ", ".join(("numpy", "compiled", *LEVELS))
+        raise UsageError(f"{VARIABLE} is {wanted!r}; it is unset or one of {known}.")
+    if wanted == "numpy":
+        return Choice(None, f"{VARIABLE} asks for it")
+    try:
+        return Choice(_load(wanted))
+    except OSError as error:
+        return Choice(None, str(error))
+
+
+def _load(wanted: str) -> "Library":
+    """The library and the wanted instruction set, or the best; OSError with the reason."""
+    files = [FOLDER / f"libregressor{suffix}" for suffix in (".so", ".dylib", ".dll")]
+    file = next((file for file in files if file.is_file()), None)
+    if file is None:
+        raise OSError(
+            "no kernel was compiled when the package was installed; with a C compiler, gcc or "
+            "clang, installing it again compiles one"
+        )
+    dll = ctypes.CDLL(str(file))
+    dll.kernel_source.restype = ctypes.c_char_p
+    if dll.kernel_source().decode() != hashlib.sha256(SOURCE.read_bytes()).hexdigest():
+        raise OSError(f"{file.name} was compiled from another kernel.c; install the package again")
+    usable = [level for level in LEVELS if _usable(dll, level)]
+    if wanted in LEVELS and wanted not in usable:
+        raise OSError(f"{wanted} is not among what this machine has: {', '.join(usable)}")
+    return Library(dll, wanted if wanted in LEVELS else usable[0])
+
+
+def _usable(dll: Any, level: str) -> bool:
+    suffix = LEVELS[level]
+    return hasattr(dll, f"work_{suffix}") and bool(dll.kernel_runs(suffix.encode()))
+
+
+class _Motion(ctypes.Structure):
+    _fields_ = (
+        ("samples", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in ("q", "v", "a")),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """The functions of one instruction set."""
+
+    dll: Any
+    level: str
+
+    def rows(self, program: Program, motion: Trajectory) -> Array:
+        """The values (program.size, N): rows of Y without their zeros."""
+        out = np.empty((program.size, len(motion)))
+        self._call("rows", program, motion, out)
+        return out
+
+    def dense(self, program: Program, motion: Trajectory, out: Array) -> Array:
+        """Y (N, rows, p) with its zeros, into `out`."""
+        rows, width = out.shape[1:]
+        to = (program.at, program.count, program.places)
+        self._call("dense", program, motion, rows, width, *to, out)
+        return out
+
+    def fold(self, program: Program, motion: Trajectory, b: Array, R: Sequence[Array]) -> None:
+        """R (k + 1, k + 1) of each of the program's rows absorbs its rows of [Y | b], b (N, nv)."""
+        factors = np.array([part.ctypes.data for part in R], dtype=np.uintp)
+        to = (program.at, program.count + 1, program.rows)
+        self._call("fold", program, motion, _plain(b), len(R), *to, factors)
+
+    def torque(self, program: Program, motion: Trajectory, phi: Array) -> Array:
+        """Rigid-body torque (N, nv) of the program's links with parameters phi (links, 10)."""
+        out = np.empty(motion.v.shape)
+        self._call("torque", program, motion, _plain(phi), out)
+        return out
+
+    def _call(self, name: str, program: Program, motion: Trajectory, *args: Array | int) -> None:
+        q, v, a = (_plain(x) for x in (motion.q, motion.v, motion.a))
+        span = _Motion(len(motion), *(x.ctypes.data for x in (q, v, a)))
+        tree, plan = ctypes.byref(program.tree), ctypes.byref(program.plan)
+        size = self._function("work", ctypes.c_int64)(tree, ctypes.c_int64(program.size))
+        given = [_argument(x) for x in (*args, _desk(size))]
+        self._function(name, None)(tree, plan, ctypes.byref(span), *given)
+
+    def _function(self, name: str, answer: Any) -> Any:
+        function = getattr(self.dll, f"{name}_{LEVELS[self.level]}")
+        function.restype = answer
+        return function
+
+
+_DESKS: Final = threading.local()
+
+
+def _desk(size: int) -> Array:
+    """Room to work in, one per thread and kept: fresh memory costs more than the kernel."""
+    if getattr(_DESKS, "room", np.zeros(0)).nbytes < size:
+        _DESKS.room = np.empty(size, dtype=np.uint8)
+    return _DESKS.room
+
+
+def _argument(x: Array | int) -> Any:
+    return ctypes.c_void_p(x.ctypes.data) if isinstance(x, np.ndarray) else ctypes.c_int64(x)
+
+
+def _plain(x: Array) -> Array:
+    return np.ascontiguousarray(x, dtype=float)
+
+
+_PROGRAMS: Final[weakref.WeakKeyDictionary[Any, dict[tuple[int, ...], Program]]] = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def program_of(regression: "Regression", rows: Sequence[int] | None = None) -> Program:
+    """The program of some rows of a regression (None: all), made once."""
+    wanted = tuple(range(len(regression.rows)) if rows is None else rows)
+    made = _PROGRAMS.setdefault(regression, {})
+    if wanted not in made:
+        made[wanted] = regression_program(regression, wanted)
+    return made[wanted]

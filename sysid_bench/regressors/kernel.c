@@ -1,0 +1,815 @@
+/* The tree kernel in C: the same Y as kernel.py, structure of arrays over blocks of samples.
+ *
+ * No dependency but the C library; compiled once per instruction set (LEVEL), chosen at run time.
+ * Vectors of GCC and Clang, so that one text serves SSE2, AVX2, AVX-512 and NEON.
+ *
+ * Every joint is a frame: rotation R to the world, origin o, and w, alpha, d in its own axes, d the
+ * classical acceleration of the origin less gravity, in which linear velocity drops out. The last
+ * joint of a body carries its parameters. Of the body regressor A (6, 10) in those axes the moments
+ * and forces are turned into the world, once per link; a row is then u . force + z . moment, with
+ * the axis z of the degree of freedom and the velocity u it gives to the link's origin. Origins
+ * count from the tree's free joint, so a robot far from the world's origin loses no digits.
+ */
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifndef LEVEL
+#define LEVEL base
+#endif
+#define JOIN_(a, b) a##_##b
+#define JOIN(a, b) JOIN_(a, b)
+#define LEVELLED(name) JOIN(name, LEVEL)
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+#define BLOCK 32 /* samples at once: the frames of an arm stay in the nearest caches */
+#define PANEL 64 /* samples folded at once: a column is 512 bytes */
+#if defined(__AVX512F__)
+#define LANES 8
+#elif defined(__AVX__)
+#define LANES 4
+#else
+#define LANES 2
+#endif
+#define STEPS (BLOCK / LANES)
+
+typedef double V __attribute__((vector_size(8 * LANES)));
+typedef int64_t I __attribute__((vector_size(8 * LANES)));
+typedef V S[STEPS];         /* one number of BLOCK samples */
+typedef V P[PANEL / LANES]; /* one column of PANEL samples */
+
+#define EACH for (int k = 0; k < STEPS; k++)
+
+enum { FREE, BALL, SLIDE, HINGE };                       /* MuJoCo's kinds of joints */
+enum { ABOUT, ALONG, ABOUT_X, ABOUT_Y, ABOUT_Z, WORLD_X, WORLD_Y, WORLD_Z }; /* of a row */
+enum { VELOCITY, SIGN, ONE, ACCELERATION, DEFLECTION };  /* joint terms */
+
+/* Constants of a tree; `before` is the joint before (-1: the world), R0 p0 the pose in its frame
+ * before the joint moves, with `axis` and `anchor` in the joint's own frame. */
+typedef struct {
+    int64_t joints, nq, nv;
+    const int64_t *kind, *before, *qadr, *vadr;
+    const double *R0, *p0, *axis, *anchor, *q0, *gravity;
+} Tree;
+
+/* Which columns of which links go where. Carrier c: the parameters at joint frame[c]; slot[c][10]
+ * the output of each of the ten (-1: not wanted), or mix[c] (outputs[c], 10) from `mixes` where
+ * mixed[c] >= 0. Its rows are pairs first[c] .. first[c + 1]: the motion `part` of joint `from`,
+ * written to the values `dest` and following. */
+typedef struct {
+    int64_t carriers, terms, values;
+    const int64_t *frame, *slot, *outputs, *mixed, *first, *from, *part, *dest;
+    const double *mixes;
+    const int64_t *term_kind, *term_dest, *term_vadr, *term_qadr;
+    const double *term_reference;
+} Plan;
+
+typedef struct {
+    int64_t samples;
+    const double *q, *v, *a; /* (samples, nq), (samples, nv), (samples, nv) */
+} Motion;
+
+typedef struct {
+    S R[9], o[3], w[3], alpha[3], d[3], z[3], p[3]; /* z, p: axis and a point of it, in the world */
+} Frame;
+
+/* Moments and forces of the ten parameters (an inertia gives no force, a mass no moment). */
+typedef struct {
+    S m[3], h_force[3][3], h_moment[3][3], I_moment[6][3];
+} Columns;
+
+/* --- Vectors of samples ------------------------------------------------------------------------ */
+
+typedef struct {
+    V x, y, z;
+} V3;
+
+static inline V all(double x) { return x - (V){0}; }
+
+static inline V3 all3(const double *x) { return (V3){all(x[0]), all(x[1]), all(x[2])}; }
+
+static inline V3 get(S *x, int k) { return (V3){x[0][k], x[1][k], x[2][k]}; }
+
+static inline void put(S *x, int k, V3 y) { x[0][k] = y.x, x[1][k] = y.y, x[2][k] = y.z; }
+
+static inline V3 add(V3 a, V3 b) { return (V3){a.x + b.x, a.y + b.y, a.z + b.z}; }
+
+static inline V3 subtract(V3 a, V3 b) { return (V3){a.x - b.x, a.y - b.y, a.z - b.z}; }
+
+static inline V3 scaled(V3 a, V by) { return (V3){a.x * by, a.y * by, a.z * by}; }
+
+static inline V dot(V3 a, V3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+
+static inline V3 cross(V3 a, V3 b)
+{
+    return (V3){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+/* A rotation of 9 numbers, row by row: R x and R' x. */
+static inline V3 turn(const V *R, V3 x)
+{
+    return (V3){R[0] * x.x + R[1] * x.y + R[2] * x.z, R[3] * x.x + R[4] * x.y + R[5] * x.z,
+                R[6] * x.x + R[7] * x.y + R[8] * x.z};
+}
+
+static inline V3 turn_back(const V *R, V3 x)
+{
+    return (V3){R[0] * x.x + R[3] * x.y + R[6] * x.z, R[1] * x.x + R[4] * x.y + R[7] * x.z,
+                R[2] * x.x + R[5] * x.y + R[8] * x.z};
+}
+
+/* Acceleration of the point r of a body against that of its origin. */
+static inline V3 swing(V3 w, V3 alpha, V3 r)
+{
+    return add(cross(alpha, r), cross(w, cross(w, r)));
+}
+
+/* Coordinate `place` of a (samples, width) array; the last sample fills what is left of a block. */
+static inline void gather(S out, const double *x, int64_t width, int64_t place, int64_t n)
+{
+    double *o = (double *)out;
+    x += place;
+    for (int64_t k = 0; k < n; k++)
+        o[k] = x[k * width];
+    for (int64_t k = n; k < BLOCK; k++)
+        o[k] = x[(n - 1) * width];
+}
+
+/* Sine and cosine: reduction by pi/2 in three parts and the polynomials of fdlibm (below one unit in
+ * the last place); beyond a million, where the parts no longer suffice, the library's. */
+static void sine_cosine(S x, S s, S c)
+{
+    const double part1 = 1.57079632673412561417e+00, part2 = 6.07710050630396597660e-11,
+                 part3 = 2.02226624879595063154e-21, to_integer = 0x1.8p52;
+    I wild = {0};
+    EACH {
+        V n = x[k] * 0.63661977236758134308 + to_integer;
+        I quarter = (I)n;
+        n -= to_integer;
+        V r = ((x[k] - n * part1) - n * part2) - n * part3, z = r * r;
+        V sine = r + r * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03
+            + z * (-1.98412698298579493134e-04 + z * (2.75573137070700676789e-06
+            + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)))));
+        V cosine = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02
+            + z * (-1.38888888888741095749e-03 + z * (2.48015872894767294178e-05
+            + z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09
+            + z * -1.13596475577881948265e-11)))));
+        I swap = -(quarter & 1), a = (I)sine, b = (I)cosine;
+        s[k] = (V)(((a & ~swap) | (b & swap)) ^ ((quarter & 2) << 62));
+        c[k] = (V)(((b & ~swap) | (a & swap)) ^ (((quarter + 1) & 2) << 62));
+        wild |= ~((x[k] < 1e6) & (x[k] > -1e6));
+    }
+    int64_t any = 0;
+    for (int i = 0; i < LANES; i++)
+        any |= wild[i];
+    if (any) {
+        double *angle = (double *)x, *si = (double *)s, *co = (double *)c;
+        for (int k = 0; k < BLOCK; k++) {
+            si[k] = sin(angle[k]);
+            co[k] = cos(angle[k]);
+        }
+    }
+}
+
+static inline void quaternion_matrix(V *R, V w, V x, V y, V z)
+{
+    V two = 2.0 / (w * w + x * x + y * y + z * z);
+    R[0] = 1.0 - two * (y * y + z * z);
+    R[1] = two * (x * y - w * z);
+    R[2] = two * (x * z + w * y);
+    R[3] = two * (x * y + w * z);
+    R[4] = 1.0 - two * (x * x + z * z);
+    R[5] = two * (y * z - w * x);
+    R[6] = two * (x * z - w * y);
+    R[7] = two * (y * z + w * x);
+    R[8] = 1.0 - two * (x * x + y * y);
+}
+
+/* --- Kinematics -------------------------------------------------------------------------------- */
+
+/* Linear velocity in the world, angular velocity in the body; q is absolute. */
+static void free_joint(Frame *f, const double *gravity, S q[7], S v[6], S a[6])
+{
+    EACH {
+        V R[9];
+        quaternion_matrix(R, q[3][k], q[4][k], q[5][k], q[6][k]);
+        for (int i = 0; i < 9; i++)
+            f->R[i][k] = R[i];
+        put(f->o, k, all3((double[3]){0}));
+        put(f->p, k, all3((double[3]){0}));
+        put(f->w, k, get(v + 3, k));
+        put(f->alpha, k, get(a + 3, k));
+        put(f->d, k, turn_back(R, subtract(get(a, k), all3(gravity))));
+    }
+}
+
+/* What a joint does to the frame before it, in constants: own rotation by_cosine cos q + by_sine
+ * sin q + rest (a ball: rest Q), the place `at` where it acts, and `along` where a slide moves. */
+typedef struct {
+    double by_cosine[9], by_sine[9], rest[9], at[3], along[3];
+} Step;
+
+static Step step_of(const Tree *t, int64_t j)
+{
+    const double *a = t->axis + 3 * j, *anchor = t->anchor + 3 * j;
+    const double skew[9] = {0, -a[2], a[1], a[2], 0, -a[0], -a[1], a[0], 0};
+    const int kind = (int)t->kind[j];
+    Step s = {0};
+    for (int i = 0; i < 3; i++) {
+        const double *row = t->R0 + 9 * j + 3 * i;
+        double component = row[0] * a[0] + row[1] * a[1] + row[2] * a[2];
+        s.at[i] = t->p0[3 * j + i];
+        if (kind == SLIDE)
+            s.along[i] = component;
+        else
+            s.at[i] += row[0] * anchor[0] + row[1] * anchor[1] + row[2] * anchor[2];
+        for (int l = 0; l < 3; l++) {
+            s.rest[3 * i + l] = kind == HINGE ? component * a[l] : row[l];
+            s.by_cosine[3 * i + l] = kind == HINGE ? row[l] - component * a[l] : 0;
+            s.by_sine[3 * i + l] = row[0] * skew[l] + row[1] * skew[3 + l] + row[2] * skew[6 + l];
+        }
+    }
+    return s;
+}
+
+static inline void own_rotation(V *own, const Step *step, int kind, S q[7], V sine, V cosine, int k)
+{
+    V Q[9];
+    if (kind == HINGE) {
+        for (int i = 0; i < 9; i++)
+            own[i] = cosine * step->by_cosine[i] + (sine * step->by_sine[i] + step->rest[i]);
+    } else if (kind == BALL) {
+        quaternion_matrix(Q, q[0][k], q[1][k], q[2][k], q[3][k]);
+        for (int i = 0; i < 9; i += 3)
+            for (int l = 0; l < 3; l++)
+                own[i + l] = step->rest[i] * Q[l] + step->rest[i + 1] * Q[3 + l]
+                           + step->rest[i + 2] * Q[6 + l];
+    } else {
+        for (int i = 0; i < 9; i++)
+            own[i] = all(step->rest[i]);
+    }
+}
+
+static inline __attribute__((always_inline)) void move(Frame *f, Frame *before, const Tree *t,
+                                                       int64_t j, const int kind, S q[7], S v[6],
+                                                       S a[6])
+{
+    const double *anchor = t->anchor + 3 * j;
+    const int anchored = kind != SLIDE && (anchor[0] != 0 || anchor[1] != 0 || anchor[2] != 0);
+    const Step step = step_of(t, j);
+    const V3 axis = all3(t->axis + 3 * j), back = scaled(all3(anchor), all(-1));
+    S sine, cosine;
+    if (kind == HINGE)
+        sine_cosine(q[0], sine, cosine);
+    EACH {
+        V base[9], own[9], R[9];
+        V3 w = get(before->w, k), alpha = get(before->alpha, k), r = all3(step.at);
+        for (int i = 0; i < 9; i++)
+            base[i] = before->R[i][k];
+        if (kind == SLIDE)
+            r = add(r, scaled(all3(step.along), q[0][k]));
+        V3 d = add(get(before->d, k), swing(w, alpha, r));
+        V3 o = add(get(before->o, k), turn(base, r));
+        own_rotation(own, &step, kind, q, sine[k], cosine[k], k);
+        for (int i = 0; i < 9; i += 3)
+            for (int l = 0; l < 3; l++)
+                R[i + l] = base[i] * own[l] + base[i + 1] * own[3 + l] + base[i + 2] * own[6 + l];
+        w = turn_back(own, w), alpha = turn_back(own, alpha), d = turn_back(own, d);
+        V3 rate = kind == BALL ? get(v, k) : scaled(axis, v[0][k]);
+        V3 change = kind == BALL ? get(a, k) : scaled(axis, a[0][k]), turning = cross(w, rate);
+        if (kind == SLIDE) {
+            d = add(d, add(change, scaled(turning, all(2))));
+        } else {
+            alpha = add(alpha, add(change, turning));
+            w = add(w, rate);
+            put(f->p, k, o);
+            if (anchored) {
+                d = add(d, swing(w, alpha, back));
+                o = add(o, turn(R, back));
+            }
+        }
+        if (kind != BALL)
+            put(f->z, k, turn(R, axis));
+        for (int i = 0; i < 9; i++)
+            f->R[i][k] = R[i];
+        put(f->w, k, w), put(f->alpha, k, alpha), put(f->d, k, d), put(f->o, k, o);
+    }
+}
+
+/* The frames of all joints for n samples from `start` on; frames[-1] is the ground. */
+static void sweep(const Tree *t, const Motion *m, int64_t start, int64_t n, Frame *frames)
+{
+    static const int coordinates[] = {7, 4, 1, 1}, dofs[] = {6, 3, 1, 1};
+    S q[7], v[6], a[6];
+    for (int64_t j = 0; j < t->joints; j++) {
+        int kind = (int)t->kind[j];
+        for (int i = 0; i < coordinates[kind]; i++)
+            gather(q[i], m->q + start * t->nq, t->nq, t->qadr[j] + i, n);
+        for (int i = 0; i < dofs[kind]; i++) {
+            gather(v[i], m->v + start * t->nv, t->nv, t->vadr[j] + i, n);
+            gather(a[i], m->a + start * t->nv, t->nv, t->vadr[j] + i, n);
+        }
+        if (kind == HINGE || kind == SLIDE)
+            EACH q[0][k] -= t->q0[j];
+        Frame *f = frames + j, *before = frames + t->before[j];
+        if (kind == FREE)
+            free_joint(f, t->gravity, q, v, a);
+        else if (kind == HINGE)
+            move(f, before, t, j, HINGE, q, v, a);
+        else if (kind == SLIDE)
+            move(f, before, t, j, SLIDE, q, v, a);
+        else
+            move(f, before, t, j, BALL, q, v, a);
+    }
+}
+
+static void ground(const Tree *t, Frame *g)
+{
+    memset(g, 0, sizeof *g);
+    for (int i = 0; i < 3; i++)
+        EACH {
+            g->R[4 * i][k] = 1.0 - (V){0};
+            g->d[i][k] = -t->gravity[i] - (V){0};
+        }
+}
+
+/* --- The body regressor ------------------------------------------------------------------------ */
+
+/* The moments and forces of the ten, in the body's axes. */
+typedef struct {
+    V m[3], h_force[3][3], h_moment[3][3], I_moment[6][3];
+} Entries;
+
+static inline __attribute__((always_inline)) void entries(V3 w, V3 alpha, V3 d, Entries *A)
+{
+    const V wx = w.x, wy = w.y, wz = w.z, ax = alpha.x, ay = alpha.y, az = alpha.z;
+    const V dx = d.x, dy = d.y, dz = d.z, zero = {0};
+    /* as `python -m sysid_bench.regressors.derive c` prints them */
+    A->m[0] = dx;
+    A->m[1] = dy;
+    A->m[2] = dz;
+    A->h_moment[0][0] = zero;
+    A->h_moment[0][1] = -dz;
+    A->h_moment[0][2] = dy;
+    A->h_force[0][0] = -wy*wy - wz*wz;
+    A->h_force[0][1] = az + wx*wy;
+    A->h_force[0][2] = -ay + wx*wz;
+    A->h_moment[1][0] = dz;
+    A->h_moment[1][1] = zero;
+    A->h_moment[1][2] = -dx;
+    A->h_force[1][0] = -az + wx*wy;
+    A->h_force[1][1] = -wx*wx - wz*wz;
+    A->h_force[1][2] = ax + wy*wz;
+    A->h_moment[2][0] = -dy;
+    A->h_moment[2][1] = dx;
+    A->h_moment[2][2] = zero;
+    A->h_force[2][0] = ay + wx*wz;
+    A->h_force[2][1] = -ax + wy*wz;
+    A->h_force[2][2] = -wx*wx - wy*wy;
+    A->I_moment[0][0] = ax;
+    A->I_moment[0][1] = wx*wz;
+    A->I_moment[0][2] = -wx*wy;
+    A->I_moment[1][0] = ay - wx*wz;
+    A->I_moment[1][1] = ax + wy*wz;
+    A->I_moment[1][2] = wx*wx - wy*wy;
+    A->I_moment[2][0] = az + wx*wy;
+    A->I_moment[2][1] = -wx*wx + wz*wz;
+    A->I_moment[2][2] = ax - wy*wz;
+    A->I_moment[3][0] = -wy*wz;
+    A->I_moment[3][1] = ay;
+    A->I_moment[3][2] = wx*wy;
+    A->I_moment[4][0] = wy*wy - wz*wz;
+    A->I_moment[4][1] = az - wx*wy;
+    A->I_moment[4][2] = ay + wx*wz;
+    A->I_moment[5][0] = wy*wz;
+    A->I_moment[5][1] = -wx*wz;
+    A->I_moment[5][2] = az;
+    /* end */
+}
+
+static inline void put_turned(S *out, int k, const V *R, const V *x)
+{
+    put(out, k, turn(R, (V3){x[0], x[1], x[2]}));
+}
+
+static void world_columns(Frame *f, Columns *out)
+{
+    EACH {
+        Entries A;
+        V R[9];
+        for (int i = 0; i < 9; i++)
+            R[i] = f->R[i][k];
+        entries(get(f->w, k), get(f->alpha, k), get(f->d, k), &A);
+        put_turned(out->m, k, R, A.m);
+        for (int c = 0; c < 3; c++) {
+            put_turned(out->h_force[c], k, R, A.h_force[c]);
+            put_turned(out->h_moment[c], k, R, A.h_moment[c]);
+        }
+        for (int c = 0; c < 6; c++)
+            put_turned(out->I_moment[c], k, R, A.I_moment[c]);
+    }
+}
+
+/* --- Rows -------------------------------------------------------------------------------------- */
+
+/* A row about an axis z through the point p; y[10] are the columns of the ten. */
+static inline void row_about(Frame *link, Columns *A, S *z, S *p, V *const y[10])
+{
+    EACH {
+        V3 axis = get(z, k), u = cross(axis, subtract(get(link->o, k), get(p, k)));
+        y[0][k] = dot(get(A->m, k), u);
+        for (int c = 0; c < 3; c++)
+            y[1 + c][k] = dot(get(A->h_force[c], k), u) + dot(get(A->h_moment[c], k), axis);
+        for (int c = 0; c < 6; c++)
+            y[4 + c][k] = dot(get(A->I_moment[c], k), axis);
+    }
+}
+
+static inline void row_along(Columns *A, S *axis, V *const y[10])
+{
+    EACH {
+        V3 u = get(axis, k);
+        y[0][k] = dot(get(A->m, k), u);
+        for (int c = 0; c < 3; c++)
+            y[1 + c][k] = dot(get(A->h_force[c], k), u);
+        for (int c = 4; c < 10; c++)
+            y[c][k] = (V){0};
+    }
+}
+
+static inline void row_of_world(Columns *A, int i, V *const y[10])
+{
+    EACH {
+        y[0][k] = A->m[i][k];
+        for (int c = 0; c < 3; c++)
+            y[1 + c][k] = A->h_force[c][i][k];
+        for (int c = 4; c < 10; c++)
+            y[c][k] = (V){0};
+    }
+}
+
+/* The axis of a row that turns, in the world. */
+static inline void axis_of(S axis[3], Frame *from, int part)
+{
+    for (int i = 0; i < 3; i++)
+        memcpy(axis[i], part == ABOUT ? from->z[i] : from->R[3 * i + part - ABOUT_X], sizeof(S));
+}
+
+static void row(Frame *link, Columns *A, Frame *from, int part, V *const y[10])
+{
+    S axis[3];
+    if (part == ALONG) {
+        row_along(A, from->z, y);
+    } else if (part >= WORLD_X) {
+        row_of_world(A, part - WORLD_X, y);
+    } else {
+        axis_of(axis, from, part);
+        row_about(link, A, axis, from->p, y);
+    }
+}
+
+static void mix(const double *weights, int64_t outputs, S raw[10], V *out)
+{
+    for (int64_t i = 0; i < outputs; i++, weights += 10) {
+        V *y = out + i * (PANEL / LANES);
+        EACH {
+            V sum = {0};
+            for (int c = 0; c < 10; c++)
+                if (weights[c] != 0)
+                    sum += weights[c] * raw[c][k];
+            y[k] = sum;
+        }
+    }
+}
+
+static inline double sign(double x) { return x > 0 ? 1.0 : x < 0 ? -1.0 : x; }
+
+static void term(const Tree *t, const Plan *plan, int64_t i, const Motion *m, int64_t start,
+                 int64_t n, S out)
+{
+    int kind = (int)plan->term_kind[i];
+    double *x = (double *)out;
+    if (kind == DEFLECTION)
+        gather(out, m->q + start * t->nq, t->nq, plan->term_qadr[i], n);
+    else
+        gather(out, (kind == ACCELERATION ? m->a : m->v) + start * t->nv, t->nv,
+               plan->term_vadr[i], n);
+    for (int k = 0; k < BLOCK; k++)
+        x[k] = kind == SIGN ? sign(x[k]) : kind == ONE ? 1.0 : x[k] - plan->term_reference[i];
+}
+
+typedef struct {
+    Columns columns;
+    S raw[10];
+    S nowhere;
+} Desk;
+
+/* All rows of n samples from `start` on: values[i] is the column of PANEL samples that row i of the
+ * plan fills, from `offset` on. */
+static void fill(const Tree *t, const Plan *plan, const Motion *m, int64_t start, int64_t n,
+                 Frame *frames, Desk *desk, V *values, int64_t offset)
+{
+    const int64_t stride = PANEL / LANES;
+    sweep(t, m, start, n, frames);
+    values += offset / LANES;
+    for (int64_t c = 0; c < plan->carriers; c++) {
+        Frame *link = frames + plan->frame[c];
+        world_columns(link, &desk->columns);
+        for (int64_t i = plan->first[c]; i < plan->first[c + 1]; i++) {
+            V *out = values + plan->dest[i] * stride, *y[10];
+            const int mixed = plan->mixed[c] >= 0;
+            for (int k = 0; k < 10; k++) {
+                int64_t slot = plan->slot[10 * c + k];
+                y[k] = mixed ? desk->raw[k] : slot < 0 ? desk->nowhere : out + slot * stride;
+            }
+            row(link, &desk->columns, frames + plan->from[i], (int)plan->part[i], y);
+            if (mixed)
+                mix(plan->mixes + plan->mixed[c], plan->outputs[c], desk->raw, out);
+        }
+    }
+    for (int64_t i = 0; i < plan->terms; i++)
+        term(t, plan, i, m, start, n, values + plan->term_dest[i] * stride);
+}
+
+/* --- Torque ------------------------------------------------------------------------------------ */
+
+/* Force and moment (world) that move a link whose parameters are the ten numbers phi. */
+static void wrench(Frame *f, const double *phi, S force[3], S moment[3])
+{
+    EACH {
+        Entries A;
+        V R[9], along[3], about[3];
+        for (int i = 0; i < 9; i++)
+            R[i] = f->R[i][k];
+        entries(get(f->w, k), get(f->alpha, k), get(f->d, k), &A);
+        for (int i = 0; i < 3; i++) {
+            along[i] = phi[0] * A.m[i];
+            about[i] = (V){0};
+            for (int c = 0; c < 3; c++) {
+                along[i] += phi[1 + c] * A.h_force[c][i];
+                about[i] += phi[1 + c] * A.h_moment[c][i];
+            }
+            for (int c = 0; c < 6; c++)
+                about[i] += phi[4 + c] * A.I_moment[c][i];
+        }
+        put_turned(force, k, R, along);
+        put_turned(moment, k, R, about);
+    }
+}
+
+static void add_torque(S tau, Frame *link, S force[3], S moment[3], Frame *from, int part)
+{
+    S z[3];
+    if (part == ALONG) {
+        EACH tau[k] += dot(get(from->z, k), get(force, k));
+    } else if (part >= WORLD_X) {
+        EACH tau[k] += force[part - WORLD_X][k];
+    } else {
+        axis_of(z, from, part);
+        EACH {
+            V3 arm = subtract(get(link->o, k), get(from->p, k));
+            tau[k] += dot(get(z, k), add(get(moment, k), cross(arm, get(force, k))));
+        }
+    }
+}
+
+/* --- Dense output ------------------------------------------------------------------------------ */
+
+#if LANES == 8
+#define PICK(x, y, ...) __builtin_shuffle(x, y, (I){__VA_ARGS__})
+
+/* Eight columns of eight samples become eight samples of eight columns, `step` apart. */
+static inline void transpose(const V *x, double *y, int64_t step)
+{
+    V a[8], b[8];
+    for (int i = 0; i < 8; i += 2) {
+        a[i] = PICK(x[i * (PANEL / LANES)], x[(i + 1) * (PANEL / LANES)], 0, 8, 2, 10, 4, 12, 6, 14);
+        a[i + 1] = PICK(x[i * (PANEL / LANES)], x[(i + 1) * (PANEL / LANES)], 1, 9, 3, 11, 5, 13, 7, 15);
+    }
+    for (int i = 0; i < 8; i += 4)
+        for (int l = 0; l < 2; l++) {
+            b[i + l] = PICK(a[i + l], a[i + 2 + l], 0, 1, 8, 9, 4, 5, 12, 13);
+            b[i + 2 + l] = PICK(a[i + l], a[i + 2 + l], 2, 3, 10, 11, 6, 7, 14, 15);
+        }
+    for (int l = 0; l < 4; l++) {
+        a[l] = PICK(b[l], b[4 + l], 0, 1, 2, 3, 8, 9, 10, 11);
+        a[4 + l] = PICK(b[l], b[4 + l], 4, 5, 6, 7, 12, 13, 14, 15);
+    }
+    for (int l = 0; l < 8; l++)
+        memcpy(y + l * step, &a[l], sizeof(V));
+}
+#endif
+
+/* One row of `many` samples: `count` columns at x go to the places `to` of y, the rest is zero. */
+static void scatter(const V *x, int64_t count, const int64_t *to, int64_t width, double *y,
+                    int64_t step, int64_t many)
+{
+    for (int64_t k = 0; k < many; k++)
+        memset(y + k * step, 0, 8 * width);
+    int64_t c = 0;
+    while (c < count) {
+#if LANES == 8
+        if (many == 8 && c + 8 <= count && to[c + 7] == to[c] + 7) {
+            transpose(x + c * (PANEL / LANES), y + to[c], step);
+            c += 8;
+            continue;
+        }
+#endif
+        for (int64_t k = 0; k < many; k++)
+            y[k * step + to[c]] = ((const double *)(x + c * (PANEL / LANES)))[k];
+        c++;
+    }
+}
+
+/* --- Folding ----------------------------------------------------------------------------------- */
+
+static inline double sum(V x)
+{
+#if LANES == 8
+    double __attribute__((vector_size(32))) low, high;
+    memcpy(&low, &x, sizeof low);
+    memcpy(&high, (double *)&x + 4, sizeof high);
+    low += high;
+#else
+    V low = x;
+#endif
+#if LANES >= 4
+    double __attribute__((vector_size(16))) first, second;
+    memcpy(&first, &low, sizeof first);
+    memcpy(&second, (double *)&low + 2, sizeof second);
+    first += second;
+#else
+    V first = low;
+#endif
+    return first[0] + first[1];
+}
+
+/* The columns y[0 .. many) of [r; Y], less their part along the reflector (head, x). */
+static inline __attribute__((always_inline)) void reflect(const V *restrict x, double head, double scale, double *restrict r,
+                           V *restrict y, const int many)
+{
+    const int steps = PANEL / LANES;
+    V dot[4] = {{0}, {0}, {0}, {0}};
+    for (int k = 0; k < steps; k++)
+        for (int i = 0; i < many; i++)
+            dot[i] += x[k] * y[i * steps + k];
+    double by[4];
+    for (int i = 0; i < many; i++) {
+        by[i] = (sum(dot[i]) + head * r[i]) * scale;
+        r[i] -= by[i] * head;
+    }
+    for (int k = 0; k < steps; k++)
+        for (int i = 0; i < many; i++)
+            y[i * steps + k] -= by[i] * x[k];
+}
+
+/* R (m, m) of [R; X], X (PANEL, m) column by column and destroyed: Householder's reflections, which
+ * touch row j of R and the samples alone (LAPACK's tpqrt). */
+static void absorb(int64_t m, double *restrict R, V *restrict X)
+{
+    const int steps = PANEL / LANES;
+    for (int64_t j = 0; j < m; j++) {
+        V *x = X + j * steps, squares = {0};
+        for (int k = 0; k < steps; k++)
+            squares += x[k] * x[k];
+        double s = sum(squares), old = R[j * m + j];
+        if (s < 1e-290) /* nothing there, or nothing that would not overflow below */
+            continue;
+        double new = -copysign(sqrt(old * old + s), old), head = old - new;
+        double scale = -1.0 / (new * head);
+        R[j * m + j] = new;
+        int64_t l = j + 1;
+        for (; l + 4 <= m; l += 4)
+            reflect(x, head, scale, R + j * m + l, X + l * steps, 4);
+        for (; l < m; l++)
+            reflect(x, head, scale, R + j * m + l, X + l * steps, 1);
+    }
+}
+
+/* --- What Python calls ------------------------------------------------------------------------- */
+
+static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
+
+static char *aligned(void *work) { return (char *)(((uintptr_t)work + 63) & ~(uintptr_t)63); }
+
+/* Bytes of work that the functions below need. */
+EXPORT int64_t LEVELLED(work)(const Tree *t, int64_t values)
+{
+    return 64 + (int64_t)sizeof(Frame) * (t->joints + 1) + (int64_t)sizeof(Desk)
+         + (int64_t)sizeof(P) * values;
+}
+
+#define LAY_OUT                                                                                    \
+    Frame *frames = (Frame *)aligned(work) + 1;                                                    \
+    Desk *desk = (Desk *)(frames + t->joints);                                                     \
+    ground(t, frames - 1)
+
+/* values (plan->values, samples). */
+EXPORT void LEVELLED(rows)(const Tree *t, const Plan *plan, const Motion *m, double *out,
+                           void *work)
+{
+    LAY_OUT;
+    V *values = (V *)(desk + 1);
+    for (int64_t start = 0; start < m->samples; start += BLOCK) {
+        int64_t n = least(BLOCK, m->samples - start);
+        fill(t, plan, m, start, n, frames, desk, values, 0);
+        for (int64_t i = 0; i < plan->values; i++)
+            memcpy(out + i * m->samples + start, values + i * (PANEL / LANES), 8 * n);
+    }
+}
+
+/* tau (samples, nv): the rigid-body torque of links with the ten numbers phi (carriers, 10), `dest`
+ * of a pair its degree of freedom. */
+EXPORT void LEVELLED(torque)(const Tree *t, const Plan *plan, const Motion *m, const double *phi,
+                             double *tau, void *work)
+{
+    LAY_OUT;
+    S *sums = (S *)(desk + 1), force[3], moment[3];
+    for (int64_t start = 0; start < m->samples; start += BLOCK) {
+        int64_t n = least(BLOCK, m->samples - start);
+        sweep(t, m, start, n, frames);
+        memset(sums, 0, sizeof(S) * t->nv);
+        for (int64_t c = 0; c < plan->carriers; c++) {
+            Frame *link = frames + plan->frame[c];
+            wrench(link, phi + 10 * c, force, moment);
+            for (int64_t i = plan->first[c]; i < plan->first[c + 1]; i++)
+                add_torque(sums[plan->dest[i]], link, force, moment, frames + plan->from[i],
+                           (int)plan->part[i]);
+        }
+        for (int64_t i = 0; i < t->nv; i++)
+            for (int64_t k = 0; k < n; k++)
+                tau[(start + k) * t->nv + i] = ((double *)sums[i])[k];
+    }
+}
+
+/* Y (samples, rows, width) with its zeros: the values from at[r] to at[r + 1] less one go to the
+ * columns `place` of row r, one row's after the other's. */
+EXPORT void LEVELLED(dense)(const Tree *t, const Plan *plan, const Motion *m, int64_t rows,
+                            int64_t width, const int64_t *at, const int64_t *count,
+                            const int64_t *place, double *Y, void *work)
+{
+    LAY_OUT;
+    V *values = (V *)(desk + 1);
+    for (int64_t start = 0; start < m->samples; start += BLOCK) {
+        int64_t n = least(BLOCK, m->samples - start);
+        fill(t, plan, m, start, n, frames, desk, values, 0);
+        for (int64_t k = 0; k < n; k += LANES) {
+            const int64_t *to = place;
+            for (int64_t r = 0; r < rows; to += count[r++])
+                scatter(values + at[r] * (PANEL / LANES) + k / LANES, count[r], to, width,
+                        Y + ((start + k) * rows + r) * width, rows * width, least(LANES, n - k));
+        }
+    }
+}
+
+/* Row r of `rows`: factor R[r] (size[r], size[r]) absorbs its columns, which are the values from
+ * at[r] on, and b (samples, nv) of place[r], for which the plan leaves the value after them. */
+EXPORT void LEVELLED(fold)(const Tree *t, const Plan *plan, const Motion *m, const double *b,
+                           int64_t rows, const int64_t *at, const int64_t *size,
+                           const int64_t *place, double *const *R, void *work)
+{
+    LAY_OUT;
+    V *values = (V *)(desk + 1);
+    for (int64_t start = 0; start < m->samples; start += PANEL) {
+        int64_t n = least(PANEL, m->samples - start);
+        for (int64_t offset = 0; offset < n; offset += BLOCK)
+            fill(t, plan, m, start + offset, least(BLOCK, n - offset), frames, desk, values,
+                 offset);
+        for (int64_t r = 0; r < rows; r++) {
+            V *X = values + at[r] * (PANEL / LANES);
+            double *last = (double *)(X + (size[r] - 1) * (PANEL / LANES));
+            for (int64_t k = 0; k < n; k++)
+                last[k] = b[(start + k) * t->nv + place[r]];
+            if (n < PANEL)
+                for (int64_t c = 0; c < size[r]; c++)
+                    memset((double *)(X + c * (PANEL / LANES)) + n, 0, 8 * (PANEL - n));
+            absorb(size[r], R[r], X);
+        }
+    }
+}
+
+#ifdef SOURCE_HASH /* once in the library: of which text it was compiled, and what the machine runs */
+#define TEXT_(x) #x
+#define TEXT(x) TEXT_(x)
+
+EXPORT const char *kernel_source(void) { return TEXT(SOURCE_HASH); }
+
+EXPORT int kernel_runs(const char *level)
+{
+#if defined(__x86_64__)
+    __builtin_cpu_init();
+    if (!strcmp(level, "v4"))
+        return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl")
+            && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq");
+    if (!strcmp(level, "v3"))
+        return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+#endif
+    return !strcmp(level, "base");
+}
+#endif

@@ -1,0 +1,189 @@
+"""A tree and its wanted columns as the flat arrays that kernel.c reads."""
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from sysid_bench.models.tree import BALL, FREE, SLIDE, Tree
+from sysid_bench.types import Array
+
+if TYPE_CHECKING:
+    from sysid_bench.regressors.regression import LinkColumns, Regression
+
+ABOUT, ALONG, ABOUT_X, WORLD_X = 0, 1, 2, 5
+"""What a degree of freedom of a joint does: it turns about the joint's axis or moves along it, turns
+about the joint's own x (y, z follow), moves along the world's x (y, z follow)."""
+
+TERM_CODES: Final = {"fv": 0, "fc": 1, "offset": 2, "Ia": 3, "k": 4}
+
+
+def _structure(name: str, *fields: str) -> type[ctypes.Structure]:
+    """A C struct; a word with a star is a pointer, another one an integer of 64 bits."""
+    kinds = {True: ctypes.c_void_p, False: ctypes.c_int64}
+    members = [(word.lstrip("*"), kinds[word.startswith("*")]) for word in fields]
+    return type(name, (ctypes.Structure,), {"_fields_": members})
+
+
+CTree: Final = _structure(
+    "CTree", "joints", "nq", "nv", "*kind", "*before", "*qadr", "*vadr",
+    "*R0", "*p0", "*axis", "*anchor", "*q0", "*gravity",
+)  # fmt: skip
+CPlan: Final = _structure(
+    "CPlan", "carriers", "terms", "values", "*frame", "*slot", "*outputs", "*mixed", "*first",
+    "*from", "*part", "*dest", "*mixes",
+    "*term_kind", "*term_dest", "*term_vadr", "*term_qadr", "*term_reference",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """What the kernel is to compute: a struct of the tree and one of the columns, with the arrays
+    that they point into, the number of values, and where each of its rows is among them."""
+
+    tree: Any
+    plan: Any
+    arrays: tuple[Array, ...]
+    size: int
+    rows: Array  # places in v of the rows
+    at: Array  # first value of each row; one value is left free after a row's columns
+    count: Array  # columns of each row
+    places: Array  # columns in Y of all rows, one row's after the other's
+
+
+def regression_program(regression: "Regression", rows: Sequence[int]) -> Program:
+    """The program of a regression's rows, given as places in v."""
+    chosen = np.array(rows, dtype=np.int64)
+    count = np.array([len(regression.touched[i]) for i in rows], dtype=np.int64)
+    ends = np.cumsum(count + 1)
+    places = [regression.touched[i] for i in rows]
+    start = {int(i): int(end - n - 1) for i, end, n in zip(chosen, ends, count, strict=True)}
+    plan = _Plan(regression.tree, start)
+    for columns in regression.links:
+        plan.add(columns)
+    for term in regression.terms:
+        if term.row in plan.next:
+            plan.terms.append(
+                (TERM_CODES[term.kind], plan.take(term.row, 1), term.row, term.qadr, term.reference)
+            )
+    size = int(ends[-1]) if len(ends) else 0
+    return _program(
+        plan, size, chosen, ends - count - 1, count, np.concatenate([*places, np.zeros(0, int)])
+    )
+
+
+def torque_program(tree: Tree, links: Sequence[int]) -> Program:
+    """The program of the rigid-body torque of some links: a pair's value is its place in v."""
+    plan = _Plan(tree, {})
+    for link in links:
+        plan.pair_up(link, {int(dof): int(dof) for dof in tree.links[link].dofs})
+    none = np.zeros(0, np.int64)
+    return _program(plan, tree.nv, none, none, none, none)
+
+
+class _Plan:
+    """The columns of a program while they are gathered; `next`: the next free value of each row."""
+
+    def __init__(self, tree: Tree, start: dict[int, int]) -> None:
+        self.tree, self.next = tree, start
+        self.last = np.cumsum([len(link.joints) for link in tree.links]) - 1
+        self.motions = _motions(tree)
+        self.frame: list[int] = []
+        self.slot: list[list[int]] = []
+        self.outputs: list[int] = []
+        self.mixed: list[int] = []
+        self.first = [0]
+        self.pairs: list[tuple[int, int, int]] = []  # from, part, dest
+        self.mixes: list[float] = []
+        self.terms: list[tuple[int, int, int, int, float]] = []
+
+    def add(self, columns: "LinkColumns") -> None:
+        """The columns of one link, for those of its rows that are wanted."""
+        dofs = self.tree.links[columns.link].dofs
+        wide = np.zeros((len(columns.places), 10))
+        slot = [-1] * 10
+        if columns.mix is None:
+            for place, raw in enumerate(columns.raw):
+                slot[raw] = place
+        else:
+            wide[:, columns.raw] = columns.mix
+        self.slot.append(slot)
+        self.outputs.append(len(wide))
+        self.mixed.append(-1 if columns.mix is None else len(self.mixes))
+        self.mixes += [] if columns.mix is None else wide.ravel().tolist()
+        wanted = [int(dof) for dof in dofs if int(dof) in self.next]
+        self.pair_up(columns.link, {dof: self.take(dof, len(wide)) for dof in wanted})
+
+    def take(self, row: int, count: int) -> int:
+        """The first of the next values of a row."""
+        self.next[row] += count
+        return self.next[row] - count
+
+    def pair_up(self, link: int, dest: dict[int, int]) -> None:
+        """The degrees of freedom that move a link, with the values that they go to."""
+        self.frame.append(int(self.last[link]))
+        self.pairs += [(*self.motions[dof], value) for dof, value in dest.items()]
+        self.first.append(len(self.pairs))
+
+
+def _motions(tree: Tree) -> dict[int, tuple[int, int]]:
+    """(joint, what it does) of every degree of freedom."""
+    motions = {}
+    for j, joint in enumerate(tree.joints):
+        if joint.kind == FREE:
+            parts = [WORLD_X, WORLD_X + 1, WORLD_X + 2, ABOUT_X, ABOUT_X + 1, ABOUT_X + 2]
+        elif joint.kind == BALL:
+            parts = [ABOUT_X, ABOUT_X + 1, ABOUT_X + 2]
+        else:
+            parts = [ALONG if joint.kind == SLIDE else ABOUT]
+        motions |= {dof: (j, part) for dof, part in zip(joint.dofs, parts, strict=True)}
+    return motions
+
+
+def _program(
+    plan: _Plan, size: int, rows: Array, at: Array, count: Array, places: Array
+) -> Program:
+    tree, of_tree = _tree(plan.tree)
+    pairs = np.array(plan.pairs, dtype=np.int64).reshape(-1, 3).T
+    terms = list(zip(*plan.terms, strict=True)) or [()] * 5
+    of_plan = [
+        *(_whole(x) for x in (plan.frame, plan.slot, plan.outputs, plan.mixed, plan.first)),
+        *(_whole(x) for x in pairs),
+        np.array(plan.mixes, dtype=float),
+        *(_whole(x) for x in terms[:4]),
+        np.array(terms[4], dtype=float),
+    ]
+    struct = CPlan(len(plan.frame), len(plan.terms), size, *(x.ctypes.data for x in of_plan))
+    numbers = (_whole(x) for x in (rows, at, count, places))
+    return Program(tree, struct, (*of_tree, *of_plan), size, *numbers)
+
+
+def _tree(tree: Tree) -> tuple[Any, list[Array]]:
+    """Joints in tree order, each a frame of its own: those of one body follow one another."""
+    before, R0, p0, last = [], [], [], []
+    for link in tree.links:
+        # The first joint starts at the link's pose in its parent, a later one where that one ends.
+        more = len(link.joints) - 1
+        before += [last[link.parent] if link.parent >= 0 else -1]
+        before += range(len(before) - 1, len(before) - 1 + more)
+        R0 += [link.R0, *[np.eye(3)] * more]
+        p0 += [link.p0, *[np.zeros(3)] * more]
+        last.append(len(before) - 1)
+    joints = tree.joints
+    arrays = [
+        *(_whole(x) for x in ([joint.kind for joint in joints], before)),
+        *(_whole(x) for x in ([j.qadr for j in joints], [j.vadr for j in joints])),
+        *(_real(x) for x in (R0, p0, [j.axis for j in joints], [j.anchor for j in joints])),
+        *(_real(x) for x in ([j.q0 for j in joints], tree.gravity)),
+    ]
+    return CTree(len(joints), tree.nq, tree.nv, *(x.ctypes.data for x in arrays)), arrays
+
+
+def _whole(values: Any) -> Array:
+    return np.ascontiguousarray(values, dtype=np.int64)
+
+
+def _real(values: Any) -> Array:
+    return np.ascontiguousarray(values, dtype=float)
