@@ -111,9 +111,7 @@ class Library:
 
     def dense(self, program: Program, motion: Trajectory, out: Array) -> Array:
         """Y (N, rows, p) with its zeros, into `out`."""
-        rows, width = out.shape[1:]
-        to = (program.at, program.count, program.places)
-        self._call("dense", program, motion, rows, width, *to, out)
+        self._call("dense", program, motion, program.runs, out, width=out.shape[2])
         return out
 
     def fold(self, program: Program, motion: Trajectory, b: Array, R: Sequence[Array]) -> None:
@@ -128,11 +126,12 @@ class Library:
         self._call("torque", program, motion, _plain(phi), out)
         return out
 
-    def _call(self, name: str, program: Program, motion: Trajectory, *args: Array | int) -> None:
+    def _call(self, name: str, program: Program, motion: Trajectory, *args: Any, width: int = 0) -> None:
         q, v, a = (_plain(x) for x in (motion.q, motion.v, motion.a))
         span = _Motion(len(motion), *(x.ctypes.data for x in (q, v, a)))
         tree, plan = ctypes.byref(program.tree), ctypes.byref(program.plan)
-        size = self._function("work", ctypes.c_int64)(tree, ctypes.c_int64(program.size))
+        sizes = (ctypes.c_int64(program.size), ctypes.c_int64(width))
+        size = self._function("work", ctypes.c_int64)(tree, *sizes)
         given = [_argument(x) for x in (*args, _desk(size))]
         self._function(name, None)(tree, plan, ctypes.byref(span), *given)
 
@@ -152,8 +151,10 @@ def _desk(size: int) -> Array:
     return _DESKS.room
 
 
-def _argument(x: Array | int) -> Any:
-    return ctypes.c_void_p(x.ctypes.data) if isinstance(x, np.ndarray) else ctypes.c_int64(x)
+def _argument(x: Any) -> Any:
+    if isinstance(x, np.ndarray):
+        return ctypes.c_void_p(x.ctypes.data)
+    return ctypes.c_int64(x) if isinstance(x, int) else ctypes.byref(x)
 
 
 def _plain(x: Array) -> Array:

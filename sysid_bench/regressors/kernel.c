@@ -15,6 +15,9 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+#ifdef __x86_64__
+#include <immintrin.h>
+#endif
 
 #ifndef LEVEL
 #define LEVEL base
@@ -30,6 +33,8 @@
 
 #define BLOCK 32 /* samples at once: the frames of an arm stay in the nearest caches */
 #define PANEL 64 /* samples folded at once: a column is 512 bytes */
+#define TILE 8192 /* numbers of dense rows that are put together before they leave the caches */
+#define LARGE (16 << 20) /* bytes of output that the caches do not hold */
 #if defined(__AVX512F__)
 #define LANES 8
 #elif defined(__AVX__)
@@ -581,50 +586,96 @@ static void add_torque(S tau, Frame *link, S force[3], S moment[3], Frame *from,
 
 /* --- Dense output ------------------------------------------------------------------------------ */
 
+/* Runs of neighbouring columns: `length` values from `value` on go to `column` of a row (value < 0:
+ * zeros). Those of row r are first[r] .. first[r + 1]. */
+typedef struct {
+    int64_t rows, width;
+    const int64_t *first, *value, *column, *length;
+} Runs;
+
 #if LANES == 8
 #define PICK(x, y, ...) __builtin_shuffle(x, y, (I){__VA_ARGS__})
+#elif LANES == 4
+#define PICK(x, y, ...) __builtin_shuffle(x, y, (I){__VA_ARGS__})
+#endif
 
-/* Eight columns of eight samples become eight samples of eight columns, `step` apart. */
+/* LANES columns of as many samples become samples of as many columns, `step` apart. */
 static inline void transpose(const V *x, double *y, int64_t step)
 {
-    V a[8], b[8];
+    const int64_t next = PANEL / LANES;
+    V a[LANES];
+#if LANES == 8
+    V b[LANES];
     for (int i = 0; i < 8; i += 2) {
-        a[i] = PICK(x[i * (PANEL / LANES)], x[(i + 1) * (PANEL / LANES)], 0, 8, 2, 10, 4, 12, 6, 14);
-        a[i + 1] = PICK(x[i * (PANEL / LANES)], x[(i + 1) * (PANEL / LANES)], 1, 9, 3, 11, 5, 13, 7, 15);
+        a[i] = PICK(x[i * next], x[(i + 1) * next], 0, 8, 2, 10, 4, 12, 6, 14);
+        a[i + 1] = PICK(x[i * next], x[(i + 1) * next], 1, 9, 3, 11, 5, 13, 7, 15);
     }
     for (int i = 0; i < 8; i += 4)
-        for (int l = 0; l < 2; l++) {
-            b[i + l] = PICK(a[i + l], a[i + 2 + l], 0, 1, 8, 9, 4, 5, 12, 13);
-            b[i + 2 + l] = PICK(a[i + l], a[i + 2 + l], 2, 3, 10, 11, 6, 7, 14, 15);
+        for (int l = i; l < i + 2; l++) {
+            b[l] = PICK(a[l], a[l + 2], 0, 1, 8, 9, 4, 5, 12, 13);
+            b[l + 2] = PICK(a[l], a[l + 2], 2, 3, 10, 11, 6, 7, 14, 15);
         }
     for (int l = 0; l < 4; l++) {
-        a[l] = PICK(b[l], b[4 + l], 0, 1, 2, 3, 8, 9, 10, 11);
-        a[4 + l] = PICK(b[l], b[4 + l], 4, 5, 6, 7, 12, 13, 14, 15);
+        a[l] = PICK(b[l], b[l + 4], 0, 1, 2, 3, 8, 9, 10, 11);
+        a[l + 4] = PICK(b[l], b[l + 4], 4, 5, 6, 7, 12, 13, 14, 15);
     }
-    for (int l = 0; l < 8; l++)
+#else
+    for (int l = 0; l < LANES; l++)
+        for (int i = 0; i < LANES; i++)
+            a[l][i] = x[i * next][l];
+#endif
+    for (int l = 0; l < LANES; l++)
         memcpy(y + l * step, &a[l], sizeof(V));
 }
-#endif
 
-/* One row of `many` samples: `count` columns at x go to the places `to` of y, the rest is zero. */
-static void scatter(const V *x, int64_t count, const int64_t *to, int64_t width, double *y,
-                    int64_t step, int64_t many)
+/* A run of LANES samples, `step` apart. */
+static void lay(const V *x, int64_t length, double *y, int64_t step)
 {
-    for (int64_t k = 0; k < many; k++)
-        memset(y + k * step, 0, 8 * width);
+    const int64_t next = PANEL / LANES;
     int64_t c = 0;
-    while (c < count) {
-#if LANES == 8
-        if (many == 8 && c + 8 <= count && to[c + 7] == to[c] + 7) {
-            transpose(x + c * (PANEL / LANES), y + to[c], step);
-            c += 8;
-            continue;
+    for (; c + LANES <= length; c += LANES)
+        transpose(x + c * next, y + c, step);
+    if (c < length && length >= LANES) /* once more what is there, and the rest */
+        transpose(x + (length - LANES) * next, y + length - LANES, step);
+    else
+        for (; c < length; c++)
+            for (int64_t k = 0; k < LANES; k++)
+                y[k * step + c] = x[c * next][k];
+}
+
+/* Rows from .. to of LANES samples whose values stand at x, a sample every `step` of y. */
+static void lay_rows(const Runs *runs, int64_t from, int64_t to, const V *x, double *y,
+                     int64_t step)
+{
+    for (int64_t r = from; r < to; r++, y += runs->width)
+        for (int64_t i = runs->first[r]; i < runs->first[r + 1]; i++) {
+            double *at = y + runs->column[i];
+            if (runs->value[i] >= 0)
+                lay(x + runs->value[i] * (PANEL / LANES), runs->length[i], at, step);
+            else
+                for (int64_t k = 0; k < LANES; k++)
+                    memset(at + k * step, 0, 8 * runs->length[i]);
         }
+}
+
+/* A copy past the caches: what is larger than they are would only push out what is needed. */
+static void stream(double *to, const double *from, int64_t count)
+{
+#ifdef __x86_64__
+    for (; count > 0 && ((uintptr_t)to & 63); count--)
+        *to++ = *from++;
+    for (; count >= 8; count -= 8, to += 8, from += 8)
+#if LANES == 8
+        _mm512_stream_pd(to, _mm512_loadu_pd(from));
+#elif LANES == 4
+        for (int i = 0; i < 8; i += 4)
+            _mm256_stream_pd(to + i, _mm256_loadu_pd(from + i));
+#else
+        for (int i = 0; i < 8; i += 2)
+            _mm_stream_pd(to + i, _mm_loadu_pd(from + i));
 #endif
-        for (int64_t k = 0; k < many; k++)
-            y[k * step + to[c]] = ((const double *)(x + c * (PANEL / LANES)))[k];
-        c++;
-    }
+#endif
+    memcpy(to, from, 8 * count);
 }
 
 /* --- Folding ----------------------------------------------------------------------------------- */
@@ -698,11 +749,17 @@ static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
 
 static char *aligned(void *work) { return (char *)(((uintptr_t)work + 63) & ~(uintptr_t)63); }
 
-/* Bytes of work that the functions below need. */
-EXPORT int64_t LEVELLED(work)(const Tree *t, int64_t values)
+static int64_t rows_of_tile(int64_t width)
+{
+    int64_t rows = TILE / (LANES * (width + 1));
+    return rows > 0 ? rows : 1;
+}
+
+/* Bytes of work that the functions below need; `width`: columns of a dense row. */
+EXPORT int64_t LEVELLED(work)(const Tree *t, int64_t values, int64_t width)
 {
     return 64 + (int64_t)sizeof(Frame) * (t->joints + 1) + (int64_t)sizeof(Desk)
-         + (int64_t)sizeof(P) * values;
+         + (int64_t)sizeof(P) * values + 8 * LANES * width * rows_of_tile(width);
 }
 
 #define LAY_OUT                                                                                    \
@@ -748,22 +805,31 @@ EXPORT void LEVELLED(torque)(const Tree *t, const Plan *plan, const Motion *m, c
     }
 }
 
-/* Y (samples, rows, width) with its zeros: the values from at[r] to at[r + 1] less one go to the
- * columns `place` of row r, one row's after the other's. */
-EXPORT void LEVELLED(dense)(const Tree *t, const Plan *plan, const Motion *m, int64_t rows,
-                            int64_t width, const int64_t *at, const int64_t *count,
-                            const int64_t *place, double *Y, void *work)
+/* Y (samples, rows, width) with its zeros. */
+EXPORT void LEVELLED(dense)(const Tree *t, const Plan *plan, const Motion *m, const Runs *runs,
+                            double *Y, void *work)
 {
     LAY_OUT;
     V *values = (V *)(desk + 1);
+    double *tile = (double *)(values + plan->values * (PANEL / LANES));
+    const int64_t rows = runs->rows, width = runs->width, size = rows * width;
+    const int64_t chunk = rows_of_tile(width), large = m->samples * size * 8 >= LARGE;
     for (int64_t start = 0; start < m->samples; start += BLOCK) {
         int64_t n = least(BLOCK, m->samples - start);
         fill(t, plan, m, start, n, frames, desk, values, 0);
         for (int64_t k = 0; k < n; k += LANES) {
-            const int64_t *to = place;
-            for (int64_t r = 0; r < rows; to += count[r++])
-                scatter(values + at[r] * (PANEL / LANES) + k / LANES, count[r], to, width,
-                        Y + ((start + k) * rows + r) * width, rows * width, least(LANES, n - k));
+            double *y = Y + (start + k) * size;
+            const int64_t many = least(LANES, n - k);
+            if (!large && many == LANES) {
+                lay_rows(runs, 0, rows, values + k / LANES, y, size);
+                continue;
+            }
+            for (int64_t r = 0; r < rows; r += chunk) {
+                int64_t end = least(r + chunk, rows), part = (end - r) * width;
+                lay_rows(runs, r, end, values + k / LANES, tile, part);
+                for (int64_t l = 0; l < many; l++)
+                    stream(y + l * size + r * width, tile + l * part, part);
+            }
         }
     }
 }

@@ -38,6 +38,9 @@ CPlan: Final = _structure(
 )  # fmt: skip
 
 
+CRuns: Final = _structure("CRuns", "rows", "width", "*first", "*value", "*column", "*length")
+
+
 @dataclass(frozen=True, eq=False)
 class Program:
     """What the kernel is to compute: a struct of the tree and one of the columns, with the arrays
@@ -50,7 +53,7 @@ class Program:
     rows: Array  # places in v of the rows
     at: Array  # first value of each row; one value is left free after a row's columns
     count: Array  # columns of each row
-    places: Array  # columns in Y of all rows, one row's after the other's
+    runs: Any  # struct of how dense rows are put together
 
 
 def regression_program(regression: "Regression", rows: Sequence[int]) -> Program:
@@ -58,7 +61,6 @@ def regression_program(regression: "Regression", rows: Sequence[int]) -> Program
     chosen = np.array(rows, dtype=np.int64)
     count = np.array([len(regression.touched[i]) for i in rows], dtype=np.int64)
     ends = np.cumsum(count + 1)
-    places = [regression.touched[i] for i in rows]
     start = {int(i): int(end - n - 1) for i, end, n in zip(chosen, ends, count, strict=True)}
     plan = _Plan(regression.tree, start)
     for columns in regression.links:
@@ -69,9 +71,9 @@ def regression_program(regression: "Regression", rows: Sequence[int]) -> Program
                 (TERM_CODES[term.kind], plan.take(term.row, 1), term.row, term.qadr, term.reference)
             )
     size = int(ends[-1]) if len(ends) else 0
-    return _program(
-        plan, size, chosen, ends - count - 1, count, np.concatenate([*places, np.zeros(0, int)])
-    )
+    at = ends - count - 1
+    places = [regression.touched[i] for i in rows]
+    return _program(plan, size, chosen, at, count, _runs(places, at, len(regression.columns)))
 
 
 def torque_program(tree: Tree, links: Sequence[int]) -> Program:
@@ -80,7 +82,7 @@ def torque_program(tree: Tree, links: Sequence[int]) -> Program:
     for link in links:
         plan.pair_up(link, {int(dof): int(dof) for dof in tree.links[link].dofs})
     none = np.zeros(0, np.int64)
-    return _program(plan, tree.nv, none, none, none, none)
+    return _program(plan, tree.nv, none, none, none, [])
 
 
 class _Plan:
@@ -142,8 +144,27 @@ def _motions(tree: Tree) -> dict[int, tuple[int, int]]:
     return motions
 
 
+def _runs(places: list[Array], at: Array, width: int) -> list[list[tuple[int, int, int]]]:
+    """(value or -1 for zeros, column, length) of every row's runs of neighbouring columns."""
+    rows = []
+    for columns, start in zip(places, at, strict=True):
+        source = np.full(width, -1)
+        source[columns] = start + np.arange(len(columns))
+        before, after = source[:-1], source[1:]
+        goes_on = np.where(after < 0, before < 0, (after == before + 1) & (before >= 0))
+        first = np.flatnonzero(np.concatenate([[width > 0], ~goes_on]))
+        length = np.diff([*first, width])
+        rows.append(list(zip(source[first].tolist(), first.tolist(), length.tolist(), strict=True)))
+    return rows
+
+
 def _program(
-    plan: _Plan, size: int, rows: Array, at: Array, count: Array, places: Array
+    plan: _Plan,
+    size: int,
+    rows: Array,
+    at: Array,
+    count: Array,
+    runs: list[list[tuple[int, int, int]]],
 ) -> Program:
     tree, of_tree = _tree(plan.tree)
     pairs = np.array(plan.pairs, dtype=np.int64).reshape(-1, 3).T
@@ -156,8 +177,12 @@ def _program(
         np.array(terms[4], dtype=float),
     ]
     struct = CPlan(len(plan.frame), len(plan.terms), size, *(x.ctypes.data for x in of_plan))
-    numbers = (_whole(x) for x in (rows, at, count, places))
-    return Program(tree, struct, (*of_tree, *of_plan), size, *numbers)
+    width = sum(length for _, _, length in runs[0]) if runs else 0
+    flat = np.array([run for row in runs for run in row], dtype=np.int64).reshape(-1, 3).T
+    of_runs = [_whole(np.cumsum([0, *(len(row) for row in runs)])), *(_whole(x) for x in flat)]
+    laid = CRuns(len(runs), width, *(x.ctypes.data for x in of_runs))
+    numbers = (_whole(x) for x in (rows, at, count))
+    return Program(tree, struct, (*of_tree, *of_plan, *of_runs), size, *numbers, laid)
 
 
 def _tree(tree: Tree) -> tuple[Any, list[Array]]:
