@@ -78,4 +78,7 @@ def _latex() -> dict[str, Any]:
 
 
 def _kernel() -> dict[str, Any]:
-    return _check("regressor kernel", True, "NumPy", needed=False)
+    from sysid_bench.regressors.compiled import chosen
+
+    choice = chosen()
+    return _check("regressor kernel", choice.library is not None, str(choice), needed=False)
