@@ -173,13 +173,12 @@ static void sine_cosine(S x, S s, S c)
     int64_t any = 0;
     for (int i = 0; i < LANES; i++)
         any |= wild[i];
-    if (any) {
-        double *angle = (double *)x, *si = (double *)s, *co = (double *)c;
-        for (int k = 0; k < BLOCK; k++) {
+    double *angle = (double *)x, *si = (double *)s, *co = (double *)c;
+    for (int k = 0; any && k < BLOCK; k++)
+        if (!(angle[k] < 1e6 && angle[k] > -1e6)) {
             si[k] = sin(angle[k]);
             co[k] = cos(angle[k]);
         }
-    }
 }
 
 static inline void quaternion_matrix(V *R, V w, V x, V y, V z)

@@ -26,7 +26,9 @@ def robot(request: pytest.FixtureRequest) -> RobotModel:
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_every_factor_has_the_gram_matrix_of_its_rows(robot: RobotModel, count: int) -> None:
+def test_every_factor_has_the_gram_matrix_of_its_rows(
+    robot: RobotModel, count: int, kernel_name: str
+) -> None:
     ours = regression(robot, robot.inertial_columns + robot.term_columns(TERMS))
     motion = states(robot, count)
     b = np.random.default_rng(count).normal(size=(count, robot.nv))
@@ -41,7 +43,9 @@ def test_every_factor_has_the_gram_matrix_of_its_rows(robot: RobotModel, count: 
         assert relative_gap(gram(factor.R), gram(rows)) < 1e-12
 
 
-def test_block_sizes_do_not_matter(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_block_sizes_do_not_matter(
+    robot: RobotModel, kernel_name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ours = regression(robot, robot.inertial_columns)
     motion = states(robot, 100)
     b = np.random.default_rng(0).normal(size=(100, robot.nv))
@@ -54,7 +58,7 @@ def test_block_sizes_do_not_matter(robot: RobotModel, monkeypatch: pytest.Monkey
             assert relative_gap(gram(other.R), gram(one.R)) < 1e-12
 
 
-def test_dense_blocks_are_the_rows_again(robot: RobotModel) -> None:
+def test_dense_blocks_are_the_rows_again(robot: RobotModel, kernel_name: str) -> None:
     ours = regression(robot, robot.inertial_columns)
     motion = states(robot, 1025)
     b = np.random.default_rng(0).normal(size=(1025, robot.nv))
@@ -74,7 +78,7 @@ def test_a_triangle_has_the_gram_matrix_of_its_parts(shape: tuple[int, int]) -> 
     np.testing.assert_array_equal(R, np.triu(R))
 
 
-def test_folding_leaves_its_inputs_alone() -> None:
+def test_folding_leaves_its_inputs_alone(kernel_name: str) -> None:
     robot = named_robot("ur5")
     motion = states(robot, 20)
     stack, b = np.random.default_rng(0).normal(size=(2, 20, 6))
@@ -85,15 +89,17 @@ def test_folding_leaves_its_inputs_alone() -> None:
         np.testing.assert_array_equal(array, copy)
 
 
-def test_memory_does_not_grow_with_the_motion() -> None:
+def test_memory_does_not_grow_with_the_motion(kernel_name: str) -> None:
     robot = robot_of(
         """<mujoco><worldbody><body><joint axis="0 1 0"/>
         <inertial pos=".1 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>"""
     )
     ours = regression(robot, robot.inertial_columns)
+    block = 10 * kernel.BLOCK * 8  # of one row
     short, long = (_peak(ours, robot, blocks * kernel.BLOCK) for blocks in (3, 60))
-    assert short > 10 * kernel.BLOCK * 8  # one block of one row is seen at all
-    assert long < 1.1 * short
+    assert long < 1.1 * short + 0.1 * block
+    if kernel_name == "numpy":
+        assert short > block  # one block is seen at all
 
 
 def _peak(ours: Regression, robot: RobotModel, count: int) -> int:

@@ -114,7 +114,9 @@ def test_an_axis_nearly_along_a_coordinate_is_no_special_case(
         np.testing.assert_allclose(ours, angular, atol=1e-14)
 
 
-def test_newton_euler_does_not_depend_on_block_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_newton_euler_does_not_depend_on_block_sizes(
+    kernel_name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     robot = named_robot("ur5")
     motion = states(robot, 100)
     phi = robot.tree.lumped(robot.phi)

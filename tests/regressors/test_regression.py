@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
@@ -15,6 +15,11 @@ from tests.robots import named_robot, random_robot, robot_of, states
 
 SEEDS = st.integers(0, 2**32 - 1)
 TREES = tuple(range(6))
+
+
+@pytest.fixture(autouse=True)
+def _(kernel_name: str) -> None:
+    """Every kernel."""
 
 
 def all_columns(robot: RobotModel) -> tuple[str, ...]:
@@ -61,7 +66,7 @@ def test_torque_is_y_theta(robot: RobotModel) -> None:
     np.testing.assert_allclose(ours.torque(motion, theta), tau, rtol=1e-10, atol=1e-10)
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=SEEDS)
 def test_chosen_columns_in_any_order_are_the_same_columns(seed: int) -> None:
     robot = random_robot(1)

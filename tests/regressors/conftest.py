@@ -1,0 +1,32 @@
+"""What both kernels owe is asked of both."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from sysid_bench.regressors import compiled
+from sysid_bench.regressors.compiled import VARIABLE, Choice, chosen
+
+
+@pytest.fixture
+def choose(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
+    """A function that makes a kernel, by its name in the variable, that of this process."""
+
+    def to(name: str) -> Choice:
+        monkeypatch.setenv(VARIABLE, name)
+        chosen.cache_clear()
+        return chosen()
+
+    yield to
+    monkeypatch.undo()
+    chosen.cache_clear()
+
+
+@pytest.fixture(params=["numpy", *compiled.LEVELS])
+def kernel_name(request: pytest.FixtureRequest, choose: object) -> str:
+    """Every kernel that this machine runs, in turn the one of this process."""
+    name: str = request.param
+    choice = choose(name)  # type: ignore[operator]
+    if name != "numpy" and choice.library is None:
+        pytest.skip(choice.reason)
+    return name
