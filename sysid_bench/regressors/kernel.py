@@ -53,19 +53,14 @@ def sweep(tree: Tree, q: Array, v: Array, a: Array) -> list[LinkMotion]:
     return done
 
 
-def raw_columns(state: LinkMotion, wanted: tuple[int, ...]) -> Array:
-    """Y of one link, (m, k, n): m wanted columns of its ten, k rows that move it."""
+def body_columns(state: LinkMotion, wanted: tuple[int, ...]) -> Array:
+    """A of one link, (6, m, n): m wanted columns of its ten; a row of Y is [z; u] times it."""
     columns = entries(state.w, state.alpha, state.d)
-    k, _, n = state.ZU.shape
-    out = np.empty((len(wanted), k, n))
-    product = np.empty((k, n))
+    A = np.zeros((6, len(wanted), state.w.shape[1]))
     for place, column in enumerate(wanted):
-        (first, value), *rest = columns[column]
-        np.multiply(state.ZU[:, first], value, out=out[place])
-        for row, value in rest:
-            np.multiply(state.ZU[:, row], value, out=product)
-            out[place] += product
-    return out
+        for row, value in columns[column]:
+            A[row, place] = value
+    return A
 
 
 def newton_euler(tree: Tree, phi: Array, motion: Trajectory) -> Array:

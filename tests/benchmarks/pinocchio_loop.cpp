@@ -4,6 +4,8 @@
 #include <cstdint>
 #include <string>
 
+#include <pinocchio/fwd.hpp>  // first: it widens limits of Boost
+
 #include <pinocchio/algorithm/regressor.hpp>
 #include <pinocchio/multibody.hpp>
 
