@@ -104,14 +104,13 @@ def _through_joints(link: Link, state: LinkMotion, q: Array, v: Array, a: Array)
 def _placed(state: LinkMotion, R: Array, p: Array, new: int) -> LinkMotion:
     """The state at a frame (R, p) fixed in the old one, with room for `new` more rows in ZU."""
     k, _, n = state.ZU.shape
-    d = state.d
+    d, across = state.d, skew(p)
     if p.any():
-        r = p[:, None]
-        d = d + _cross(state.alpha, r) + _cross(state.w, _cross(state.w, r))
+        d = d - across @ state.alpha - _cross(state.w, across @ state.w)
     # u at the new origin is u + z × p; both turn into the new axes.
     motion = np.zeros((6, 6))
     motion[:3, :3] = motion[3:, 3:] = R.T
-    motion[3:, :3] = -R.T @ skew(p)
+    motion[3:, :3] = -R.T @ across
     ZU = np.empty((k + new, 6, n))
     np.matmul(motion, state.ZU, out=ZU[:k])
     return LinkMotion(R.T @ state.w, R.T @ state.alpha, R.T @ d, ZU)
@@ -218,8 +217,6 @@ _CYCLES: Final = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 
 
 def _cross(x: Array, y: Array) -> Array:
-    out = np.empty(np.broadcast_shapes(x.shape, y.shape))
-    for i, j, k in _CYCLES:
-        np.multiply(x[j], y[k], out=out[i])
-        out[i] -= x[k] * y[j]
+    out = x[[1, 2, 0]] * y[[2, 0, 1]]
+    out -= x[[2, 0, 1]] * y[[1, 2, 0]]
     return out

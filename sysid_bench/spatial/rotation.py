@@ -7,9 +7,11 @@ from sysid_bench.types import Array
 
 def skew(x: Array) -> Array:
     """[x]_x (..., 3, 3) with [x]_x y = x × y."""
-    zero = np.zeros_like(x[..., 0])
-    rows = [zero, -x[..., 2], x[..., 1], x[..., 2], zero, -x[..., 0], -x[..., 1], x[..., 0], zero]
-    return np.stack(rows, axis=-1).reshape(*x.shape[:-1], 3, 3)
+    out = np.zeros((*x.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., k, j] = x[..., i]
+        out[..., j, k] = -x[..., i]
+    return out
 
 
 def matrix_of_quaternion(quaternion: Array) -> Array:
