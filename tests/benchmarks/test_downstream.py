@@ -1,0 +1,125 @@
+"""What follows the regressor: factors row by row against LAPACK on the stacked rows, and streams."""
+
+import resource
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import lapack, solve_triangular
+
+from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.regressors.compiled import chosen
+from sysid_bench.regressors.fold import fold, fold_all, triangle
+from sysid_bench.regressors.regression import Regression, regression
+from sysid_bench.types import Array, Factor, Trajectory
+from tests.robots import named_robot, states
+
+Compare = Callable[..., dict[str, float]]
+Line = Callable[..., None]
+
+
+class Subject:
+    """The base regressor of an arm."""
+
+    def __init__(self, name: str, samples: int = 10_000) -> None:
+        self.robot = named_robot(name)
+        self.base = structural_base(self.robot, self.robot.inertial_columns)
+        self.columns: Regression = regression(self.robot, self.base.names)
+        self.motion: Trajectory = states(self.robot, samples)
+        self.b = np.random.default_rng(0).normal(size=self.motion.v.shape)
+
+
+@pytest.mark.parametrize("name", ["xarm7", "ur5", "panda"])
+def test_kernel_and_factors_against_a_dense_factorisation(
+    name: str, compare: Compare, line: Line
+) -> None:
+    arm = Subject(name)
+    W = arm.columns.dense(arm.motion).Y.reshape(-1, arm.base.rank)
+    stack = np.asfortranarray(np.column_stack([W, arm.b.ravel()]))
+    again = np.empty_like(stack, order="F")
+
+    def dense() -> None:
+        lapack.dgeqrf(again, lwork=64 * stack.shape[1], overwrite_a=1)
+
+    seconds = compare(
+        {
+            "copy": lambda: np.copyto(again, stack),
+            "dense": dense,
+            "fold": lambda: fold(arm.columns, arm.motion, arm.b),
+        },
+        5,
+    )
+    must = (1.0, 0.7) if name == "xarm7" else ()
+    line(f"kernel + R per joint / LAPACK's QR of the rows alone, {name}",
+         seconds["fold"] / seconds["dense"], *must)  # fmt: skip
+
+
+def solution(factors: tuple[Factor, ...], r: int) -> Array:
+    """beta of all rows' factors."""
+    parts = []
+    for factor in factors:
+        wide = np.zeros((len(factor.R), r + 1))
+        wide[:, [*factor.columns, r]] = factor.R
+        parts.append(wide)
+    R = triangle(parts)
+    return solve_triangular(R[:r, :r], R[:r, r])
+
+
+def test_ten_million_samples(benchmark: Any, line: Line) -> None:
+    """65,536 different samples again and again: memory does not grow, theta is exact."""
+    arm = Subject("xarm7", 65_536)
+    beta = np.random.default_rng(1).normal(size=arm.base.rank)
+    tau = arm.columns.torque(arm.motion, beta)
+    passes = 153
+
+    def stream() -> Iterator[tuple[Trajectory, Array]]:
+        for _ in range(passes):
+            yield arm.motion, tau
+
+    fold_all(arm.columns, [(arm.motion, tau)])
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    factors = benchmark.pedantic(lambda: fold_all(arm.columns, stream()), rounds=1)
+    growth = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    error = np.linalg.norm(solution(factors, arm.base.rank) - beta) / np.linalg.norm(beta)
+    assert factors[0].samples == passes * 65_536
+    assert growth < 50
+    assert error < 1e-11
+    line("memory growth over 10 million streamed samples, xarm7", growth, 50, 50, unit="MB")
+    line("theta error after 10 million streamed samples, xarm7", error, 1e-11, 1e-11, unit="")
+
+
+def test_time_per_sample_is_flat(compare: Compare, line: Line) -> None:
+    """A thousand to ten million samples, in parts of at most a million."""
+    arm = Subject("xarm7", 1_000_000)
+
+    def of(samples: int) -> Callable[[], Any]:
+        m, part = arm.motion, min(samples, len(arm.motion))
+        cut = Trajectory(m.t[:part], m.q[:part], m.v[:part], m.a[:part])
+        times = max(samples // part, 1)
+        repeats = max(100_000 // samples, 1)
+        return lambda: [
+            fold_all(arm.columns, [(cut, arm.b[:part])] * times) for _ in range(repeats)
+        ]
+
+    counts = [10**k for k in range(3, 8 if chosen().library else 7)]
+    seconds = compare({str(n): of(n) for n in counts}, 2)
+    each = {n: seconds[str(n)] / max(n, 100_000) for n in counts}
+    for n in counts[1:]:
+        line(f"time per sample, {n:,} / 1,000 samples, xarm7", each[n] / each[1000], 1.2, 1.2)
+
+
+def test_growth_with_joints(compare: Compare, line: Line) -> None:
+    """Work grows with the pairs of a joint and a link that it moves."""
+    names = ("ur5", "xarm7", "panda", "solo12", "icub")
+    subjects = {name: named_robot(name) for name in names}
+    functions, pairs = {}, {}
+    for name, robot in subjects.items():
+        columns = regression(robot, robot.inertial_columns)
+        motion = states(robot, 2000)
+        functions[name] = lambda c=columns, m=motion: [None for _ in c.blocks(m)]
+        pairs[name] = sum(len(robot.tree.links[max(c, 0)].dofs) for c in robot.tree.carrier)
+    seconds = compare(functions, 5)
+    for name in names[1:]:
+        ratio = seconds[name] / seconds["ur5"] / (pairs[name] / pairs["ur5"])
+        line(f"time per pair of joint and body, {name} / ur5", ratio)
