@@ -103,7 +103,7 @@ def test_time_per_sample_is_flat(compare: Compare, line: Line) -> None:
         ]
 
     counts = [10**k for k in range(3, 8 if chosen().library else 7)]
-    seconds = compare({str(n): of(n) for n in counts}, 2)
+    seconds = compare({str(n): of(n) for n in counts}, 3)
     each = {n: seconds[str(n)] / max(n, 100_000) for n in counts}
     for n in counts[1:]:
         line(f"time per sample, {n:,} / 1,000 samples, xarm7", each[n] / each[1000], 1.2, 1.2)
