@@ -44,6 +44,7 @@ def blocks(motion: Trajectory, size: int = BLOCK) -> Iterator[slice]:
 def sweep(tree: Tree, q: Array, v: Array, a: Array) -> list[LinkMotion]:
     """The motion of every link for n samples; q (nq, n), v and a (nv, n)."""
     n = q.shape[1]
+    q, v, a = (np.ascontiguousarray(x) for x in (q, v, a))
     zero = np.zeros((3, n))
     ground = LinkMotion(zero, zero, np.tile(-tree.gravity[:, None], n), np.zeros((0, 6, n)))
     done: list[LinkMotion] = []

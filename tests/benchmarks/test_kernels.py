@@ -103,7 +103,7 @@ def test_against_memory_and_pinocchio(
     dense, rows = seconds["dense"], seconds["rows"]
     if kernel == "numpy":
         line(f"NumPy kernel, dense / Pinocchio's C++ loop, {name}", dense / seconds["C++"], 1.3, 1.0)
-        line(f"NumPy kernel, rows / Pinocchio's C++ loop, {name}", rows / seconds["C++"])
+        line(f"NumPy kernel, rows / Pinocchio's C++ loop, {name}", rows / seconds["C++"], 1.3, 1.0)
         return
     must, aim = (3.5, 5.0) if humanoid else (5.0, 8.0)
     line(f"Pinocchio's C++ loop / C kernel, dense, {name}", seconds["C++"] / dense, must, aim, True)

@@ -1,0 +1,119 @@
+"""What the house itself costs: starting, a cell that does nothing, a second worker."""
+
+import os
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import pytest
+
+import sysid_bench
+from sysid_bench.harness.run import RunResult
+
+Line = Callable[..., None]
+COMMANDS = {
+    "import numpy": ["-c", "import numpy"],
+    "import sysid_bench": ["-c", "import sysid_bench"],
+    "sysid-bench --help": ["-m", "sysid_bench", "--help"],
+}
+TRIVIAL = """
+from dataclasses import dataclass
+import numpy as np
+from sysid_bench.types import Estimate
+
+@dataclass(frozen=True)
+class Nothing:
+    number: int = 0
+    def solve(self, problem):
+        return Estimate(np.zeros(problem.base.rank))
+"""
+SUITE = """
+schema = 1
+name = "trivial"
+[run]
+repeats = {repeats}
+[defaults]
+excitation = {{ use = "fourier", period = "{period}", cycles = 1 }}
+simulation = {{ use = "{simulation}" }}
+held_out = ["ptp"]
+rate = "{rate}"
+noise = {{ tau = "0.1 %" }}
+[[robot]]
+use = "{robot}"
+"""
+
+
+def cpu_of_children(arguments: list[str]) -> float:
+    """CPU seconds of a Python process."""
+    before = os.times()
+    subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
+    after = os.times()
+    return after.children_user + after.children_system - before.children_user - before.children_system
+
+
+def test_starting(benchmark: Any, line: Line) -> None:
+    seconds: dict[str, list[float]] = {name: [] for name in COMMANDS}
+
+    def one_round() -> None:
+        for name, arguments in COMMANDS.items():
+            seconds[name].append(cpu_of_children(arguments))
+
+    benchmark.pedantic(one_round, rounds=9, warmup_rounds=1)
+    numpy, *ours = (median(values[1:]) for values in seconds.values())
+    for name, value in zip(list(COMMANDS)[1:], ours, strict=True):
+        line(f"{name} / import numpy", value / numpy, 2.5, 1.5)
+
+
+def ran(folder: Path, name: str, estimators: str, jobs: int = 1, **words: Any) -> tuple[float, int]:
+    """Wall seconds of a run, and its cells."""
+    text = {"repeats": 1, "period": "1 s", "simulation": "inverse", "rate": "100 Hz"}
+    suite = folder / f"{name}.toml"
+    suite.write_text(SUITE.format(**{**text, "robot": "random:3", **words}) + estimators)
+    start = time.perf_counter()
+    result: RunResult = sysid_bench.run(suite, out=folder / name, jobs=jobs)
+    assert set(result.counts) == {"ok"}, result.counts
+    return time.perf_counter() - start, result.asked
+
+
+def test_a_cell_that_does_nothing(benchmark: Any, line: Line, tmp_path: Path) -> None:
+    (tmp_path / "nothing.py").write_text(textwrap.dedent(TRIVIAL))
+
+    def estimators(count: int) -> str:
+        use = f"file:{tmp_path / 'nothing.py'}:Nothing"
+        return "".join(f'[[estimator]]\nuse = "{use}"\nnumber = {k}\n' for k in range(count))
+
+    costs = []
+
+    def one_round() -> None:
+        place = f"{len(costs)}"
+        few, n = ran(tmp_path, f"few{place}", estimators(20))
+        many, m = ran(tmp_path, f"many{place}", estimators(220))
+        costs.append(1e3 * (many - few) / (m - n))
+
+    benchmark.pedantic(one_round, rounds=3)
+    line("harness and scores per trivial cell", median(costs), 2, 2, unit="ms")
+
+
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core")
+def test_a_second_worker(benchmark: Any, line: Line, tmp_path: Path) -> None:
+    ratios = []
+    ols = '[[estimator]]\nuse = "ols"\n'
+    words = {"robot": "xarm7", "simulation": "closed-loop", "period": "10 s", "rate": "1 kHz"}
+
+    def one_round() -> None:
+        place = f"{len(ratios)}"
+
+        def rate(jobs: int) -> float:
+            few, n = ran(tmp_path, f"few{place}-{jobs}", ols, jobs, repeats=2 * jobs, **words)
+            many, m = ran(tmp_path, f"many{place}-{jobs}", ols, jobs, repeats=42, **words)
+            return (m - n) / (many - few)  # without starting the workers
+
+        ratios.append(rate(2) / rate(1))
+
+    benchmark.pedantic(one_round, rounds=3)
+    line("experiments per second, two workers / one (idle cores)", median(ratios), 1.8, 1.8, True)
