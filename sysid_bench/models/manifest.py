@@ -74,6 +74,12 @@ class Sensor(_Table):
     at: str
 
 
+class Couplings(_Table):
+    """Which joints of coupled ones move on their own; the rest is chosen."""
+
+    independent: tuple[str, ...] = ()
+
+
 class Source(_Table):
     """Where the model comes from."""
 
@@ -93,6 +99,8 @@ class _Text(_Table):
     terms: tuple[str, ...] = ()
     limits: dict[str, Limits] = Field(default_factory=dict)
     joints: dict[str, JointTerms] = Field(default_factory=dict)
+    couplings: bool = True
+    coupling: Couplings = Couplings()
     sensor: tuple[Sensor, ...] = ()
     source: Source = Source()
 
@@ -110,6 +118,8 @@ class Manifest:
     terms: tuple[str, ...] = ()
     limits: Mapping[str, Limits] = field(default_factory=dict)
     joints: Mapping[str, JointTerms] = field(default_factory=dict)
+    couplings: bool = True  # False: mimic joints and closed loops are ignored
+    independent: tuple[str, ...] = ()  # of coupled joints, those that must move on their own
     sensors: tuple[Sensor, ...] = ()
     licence: str = ""
     manifest_file: Path | None = None
@@ -172,6 +182,8 @@ def read_manifest(file: Path) -> Manifest:
         terms=written.terms,
         limits=written.limits,
         joints=written.joints,
+        couplings=written.couplings,
+        independent=written.coupling.independent,
         sensors=written.sensor,
         licence=written.source.licence,
         manifest_file=file,
@@ -259,5 +271,10 @@ def _line(problem: Any) -> str:
 def _known_keys(place: tuple[Any, ...]) -> set[str]:
     if len(place) == 1:
         return set(_Text.model_fields)
-    tables: dict[Any, type[BaseModel]] = {"limits": Limits, "joints": JointTerms, "sensor": Sensor}
+    tables: dict[Any, type[BaseModel]] = {
+        "limits": Limits,
+        "joints": JointTerms,
+        "coupling": Couplings,
+        "sensor": Sensor,
+    }
     return set(tables.get(place[0], Source).model_fields)

@@ -54,7 +54,7 @@ def update_of(
     A body is phi (10,) or (m, com (3,), inertia about it (3, 3) or six numbers).
     """
     refuse_unidentified(verdicts or {})
-    robot = load_robot(Manifest(path.stem, path))
+    robot = load_robot(Manifest(path.stem, path, couplings=False))
     known_joints = [j.name for j in robot.joints if j.kind in ("hinge", "slide")]
     for kind, wanted, known in (
         ("body", bodies, robot.body_names),
@@ -99,7 +99,7 @@ def prove(path: Path, text: str, update: Update) -> None:
     or torques at random states differ from what was asked for."""
     with beside(path, text) as copy:
         try:
-            again = load_robot(Manifest(path.stem, copy))
+            again = load_robot(Manifest(path.stem, copy, couplings=False))
         except ModelError as error:
             raise ModelError(f"{path.name} cannot be read with its new values: {error}") from error
     robot = update.robot
