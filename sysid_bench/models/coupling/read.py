@@ -64,7 +64,7 @@ def _no_coupling(mj: mujoco.MjModel, e: int) -> str:
         return "it couples no joints"
     if kind in (_JOINT, _TENDON):
         return ""
-    one, other = (body for body, _, _ in _ends(mj, e))
+    one, other = (body for body, _, _ in ends_of(mj, e))
     if mj.body_mocapid[one] >= 0 or mj.body_mocapid[other] >= 0:
         return "a mocap body is moved by hand"
     if not (_joints_on(mj, _way(mj, one, other)) or _joints_on(mj, _way(mj, other, one))):
@@ -74,16 +74,21 @@ def _no_coupling(mj: mujoco.MjModel, e: int) -> str:
 
 def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
     kind = int(mj.eq_type[e])
-    if kind == _JOINT:
-        return _relation(mj, e, _joint_sum)
-    if kind == _TENDON:
-        return _relation(mj, e, _tendon_sum)
+    if kind in (_JOINT, _TENDON):
+        return _relation(mj, e)
     return _loop(mj, e, kind == _WELD and mj.eq_data[e, 10] > 0)
 
 
-def _relation(mj: mujoco.MjModel, e: int, sum_of) -> Relation:  # type: ignore[no-untyped-def]
-    first = sum_of(mj, int(mj.eq_obj1id[e]))
-    second = sum_of(mj, int(mj.eq_obj2id[e])) if mj.eq_obj2id[e] >= 0 else {}
+def sums_of(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
+    """The two sums {dof: coefficient} that a joint or tendon equality relates; the second may be
+    empty."""
+    sum_of = _joint_sum if int(mj.eq_type[e]) == _JOINT else _tendon_sum
+    other = int(mj.eq_obj2id[e])
+    return sum_of(mj, int(mj.eq_obj1id[e])), sum_of(mj, other) if other >= 0 else {}
+
+
+def _relation(mj: mujoco.MjModel, e: int) -> Relation:
+    first, second = sums_of(mj, e)
     dofs = tuple(sorted(first | second))
     coefficients = np.array(mj.eq_data[e, :5])
     if not second:
@@ -115,7 +120,7 @@ def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
 
 
 def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> Loop:
-    (one, p1, R1), (other, p2, R2) = _ends(mj, e)
+    (one, p1, R1), (other, p2, R2) = ends_of(mj, e)
     ways = _way(mj, one, other), _way(mj, other, one)
     joints = [j for way in ways for j in _joints_on(mj, way)]
     for j in joints:
@@ -132,7 +137,7 @@ def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> Loop:
     return Loop(_name(mj, e), dofs, *chains, rigid)
 
 
-def _ends(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:
+def ends_of(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:
     """(body, p, R) of the two frames that a connect or weld brings together."""
     ids = int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])
     if int(mj.eq_objtype[e]) == _SITE:
