@@ -91,6 +91,12 @@ class Coupling:
             a[:, following] = _times(F, a[:, moving]) + group.drift(x, v[:, group.dofs])
         return q, v, a
 
+    def spread(self, values: Array) -> Array:
+        """Values (N, n) of the independent dofs at their places (N, nv); zero elsewhere."""
+        out = np.zeros((len(values), self.nv))
+        out[:, self.independent] = values
+        return out
+
     def reference(self, q: Array) -> Array:
         """q (nq,) with the coupled joints at their closed reference posture."""
         q = q.copy()

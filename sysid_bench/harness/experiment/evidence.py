@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.harness.prepare import Prepared, prepare
-from sysid_bench.harness.robots import Subject, subject
-from sysid_bench.harness.spec import ExperimentSpec
+from sysid_bench.harness.experiment.prepare import Prepared, prepare
+from sysid_bench.harness.experiment.robots import Subject, subject
+from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.identification.compressed import compress
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.appearance import poses, shapes_of
@@ -38,7 +38,8 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
     motion = recording.motion
     positions, quaternions = poses(model, motion.q)
     r = ready.problem.base.rank
-    places = [model.rows.index(row) for row in ready.problem.rows]
+    places = [model.torque_rows.index(row) for row in ready.problem.rows]
+    tree_rows = [model.rows.index(row) for row in ready.problem.rows]
     parents = [int(model.mj.body_parentid[b]) - 1 for b in range(1, model.mj.nbody)]
     return Evidence(
         row=row,
@@ -47,7 +48,7 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
         predicted=_predicted(ready, estimate),
         rows=ready.problem.rows,
         singular_values=np.linalg.svd(compress(ready.problem)[:r, :r], compute_uv=False),
-        gap_map=robot.check.gap_map[places],
+        gap_map=robot.check.gap_map[tree_rows],
         gap_columns=robot.check.columns,
         estimate=estimate,
         base=ready.problem.base,
