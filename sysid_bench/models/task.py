@@ -105,11 +105,10 @@ def _link(robot: RobotModel) -> Task:
 
 
 def _terminal(robot: RobotModel, terms: tuple[str, ...]) -> Task:
-    """What the last joint before the tool tells on its own: of the composite of the link that it
-    carries, and of its own terms."""
+    """What the last joint before the tool that has a torque of its own tells alone: of the composite
+    of the link that carries the tool, and of its own terms."""
     link = _link(robot)
-    carrier = robot.tree.links[int(robot.tree.carrier[robot.tool_body])]
-    dofs = carrier.joints[-1].dofs
+    dofs = _last_measured(robot)
     rows = tuple(robot.rows[dof] for dof in dofs)
     asked = [(term, dof) for term in terms for dof in dofs if dof in robot.scalar_dofs]
     values = [float(getattr(robot.joint_terms, term)[dof]) for term, dof in asked]
@@ -122,6 +121,21 @@ def _terminal(robot: RobotModel, terms: tuple[str, ...]) -> Task:
         np.concatenate([link.truth.theta, values]),
     )
     return Task("terminal", link.bodies, truth, link.known_links, known, rows)
+
+
+def _last_measured(robot: RobotModel) -> range:
+    """The degrees of freedom of the last joint of the tool's branch that does not follow others."""
+    moving, at = set(robot.torque_dofs.tolist()), int(robot.tree.carrier[robot.tool_body])
+    while at >= 0:
+        link = robot.tree.links[at]
+        for joint in reversed(link.joints):
+            if moving.issuperset(joint.dofs):
+                return joint.dofs
+        at = link.parent
+    raise UnsupportedError(
+        f"All joints before the tool {robot.body_names[robot.tool_body]!r} follow others: none has "
+        "a torque of its own. Name another tool in the manifest."
+    )
 
 
 def _terms_without(robot: RobotModel, identified: tuple[str, ...]) -> dict[str, Array]:

@@ -22,6 +22,13 @@ STIFF_EQUALITY: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])
 """solref and solimp of couplings: MuJoCo's default leaves 1 % of the torque, these 0.002 %."""
 
 
+DAMPED: Final = 0.25
+"""Share of a joint's velocity that dampers and controller of a coupled robot may take per step."""
+
+MOST_STEPS: Final = 20
+"""Steps of a coupled robot per period of its controller."""
+
+
 @dataclass(frozen=True)
 class ClosedLoop:
     """PD control of every joint at `rate`, on encoders with noise.
@@ -162,11 +169,24 @@ def controlled_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
     for equality in spec.equalities:
         equality.solref, equality.solimp = STIFF_EQUALITY
     mj = plant.compiled(spec)
-    if plant.robot.coupling is not None:
-        mj.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
     mj.opt.timestep = 1.0 / controller.rate
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    if plant.robot.coupling is not None:
+        _close(mj, plant, controller)
     return mj
+
+
+def _close(mj: mujoco.MjModel, plant: Plant, controller: Controller) -> None:
+    """Lets the couplings of a model act. An implicit integrator moves joints in spite of their
+    constraints: of a gripper's torque it leaves 7 % unexplained, an explicit one 0.01 %."""
+    bits = mujoco.mjtDisableBit
+    mj.opt.disableflags &= ~int(bits.mjDSBL_EQUALITY)
+    mj.opt.disableflags |= int(bits.mjDSBL_EULERDAMP)
+    mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_EULER)
+    # Explicit dampers are stable up to 2 per step, and smooth far below.
+    damping = on_motors(plant.robot, plant.terms.viscous, 2) + controller.kd
+    fastest = float((damping / _own_inertia(plant)).max()) / controller.rate
+    mj.opt.timestep /= max(1, min(MOST_STEPS, int(np.ceil(fastest / DAMPED))))
 
 
 def _motors(robot: RobotModel) -> list[Joint]:
@@ -195,6 +215,8 @@ def _rollout(
     """q, v, a and joint torque (N, nv) of every step, in one call of the engine."""
     batch = Batch(mj, 1, nthread=1)
     batch.bind("qpos")[0], batch.bind("qvel")[0] = commanded.q[0], commanded.v[0]
+    steps = _steps_per_sample(mj, commanded)
+    control = np.repeat(control, steps, axis=0)
     applied = np.broadcast_to(-plant.terms.offset, (len(control), mj.nv))
     state = mujoco.mjtState
     record = batch.rollout(
@@ -207,7 +229,11 @@ def _rollout(
     # A record is taken after its step; accelerations and torques belong to the state before it.
     before_q = np.concatenate([commanded.q[:1], q[:-1]])
     before_v = np.concatenate([commanded.v[:1], v[:-1]])
-    return before_q, before_v, a, tau
+    return before_q[::steps], before_v[::steps], a[::steps], tau[::steps]
+
+
+def _steps_per_sample(mj: mujoco.MjModel, commanded: Trajectory) -> int:
+    return round((commanded.t[1] - commanded.t[0]) / mj.opt.timestep)
 
 
 def _steps_with_laws(
@@ -216,14 +242,17 @@ def _steps_with_laws(
     """The same, step by step, since the force laws of effects look at each state."""
     data = mujoco.MjData(mj)
     data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
+    steps = _steps_per_sample(mj, commanded)
     out = tuple(np.empty((len(control), size)) for size in (mj.nq, mj.nv, mj.nv, mj.nv))
     for k, t in enumerate(commanded.t):
-        extra = plant.extra(t, data.qpos, data.qvel)
-        data.qfrc_applied[:] = -plant.terms.offset - extra
         data.ctrl[:] = control[k]
         out[0][k], out[1][k] = data.qpos, data.qvel
-        mujoco.mj_step(mj, data)
-        out[2][k], out[3][k] = data.qacc, data.qfrc_actuator
+        for step in range(steps):
+            extra = plant.extra(t, data.qpos, data.qvel)
+            data.qfrc_applied[:] = -plant.terms.offset - extra
+            mujoco.mj_step(mj, data)
+            if step == 0:
+                out[2][k], out[3][k] = data.qacc, data.qfrc_actuator
     return out  # type: ignore[return-value]
 
 
