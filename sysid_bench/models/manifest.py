@@ -136,8 +136,8 @@ def find_manifest(
     source: str, robots_dir: Path | None = None, folder: Path | None = None
 ) -> Manifest:
     """The robot called `source`: a name, a folder with robot.toml, a model file, a file of a
-    package ("example-robot-data:ur_description/urdf/ur5_robot.urdf", "robot_descriptions:NAME"), or
-    a random tree ("random:7").
+    package ("example-robot-data:ur_description/urdf/ur5_robot.urdf", "robot_descriptions:NAME"), a
+    random tree ("random:7"), or a random robot with a mechanism ("random:four-bar:7").
 
     Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Raises UsageError for
     a name or file that does not exist, ModelError for a manifest that cannot be read.
@@ -213,13 +213,19 @@ def is_model(source: str) -> bool:
     return bool(colon) and scheme in (RANDOM, "file", *PACKAGES)
 
 
-def _random(source: str, seed: str) -> Manifest:
+def _random(source: str, rest: str) -> Manifest:
+    from sysid_bench.models.random_coupled import random_coupled
     from sysid_bench.models.random_robot import random_robot
 
+    kind, _, seed = rest.rpartition(":")
     if not (seed.isascii() and seed.isdigit() and len(seed) <= 18):
-        raise UsageError(f"{source!r}: a random robot goes by a whole number; write 'random:7'.")
-    text = random_robot(int(seed))
-    return Manifest(source, Path(source), title=f"A random tree, seed {int(seed)}", text=text)
+        raise UsageError(
+            f"{source!r}: a random robot goes by a whole number; write 'random:7' for a tree, "
+            "'random:four-bar:7' for one with a mechanism."
+        )
+    text = random_coupled(kind, int(seed)) if kind else random_robot(int(seed))
+    title = f"A random {kind or 'tree'}, seed {int(seed)}"
+    return Manifest(source, Path(source), title=title, text=text)
 
 
 def _from_package(source: str, rest: str) -> Manifest:
