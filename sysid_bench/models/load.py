@@ -97,6 +97,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
             coupling = coupling_of(
                 equalities.constraints, dofs, source.actuated, manifest.independent
             )
+            repairs += coupling.repairs
     return RobotModel(
         name=manifest.name,
         manifest=manifest,

@@ -1,5 +1,6 @@
 """What is unknown: the parameters of a task, their true values, and what methods take as known."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -105,8 +106,8 @@ def _link(robot: RobotModel) -> Task:
 
 
 def _terminal(robot: RobotModel, terms: tuple[str, ...]) -> Task:
-    """What the last joint before the tool that has a torque of its own tells alone: of the composite
-    of the link that carries the tool, and of its own terms."""
+    """What the last joint before the tool tells on its own: of the composite of the link that it
+    carries, and of its own terms; where it follows another joint, that one's torque and terms."""
     link = _link(robot)
     dofs = _last_measured(robot)
     rows = tuple(robot.rows[dof] for dof in dofs)
@@ -123,18 +124,23 @@ def _terminal(robot: RobotModel, terms: tuple[str, ...]) -> Task:
     return Task("terminal", link.bodies, truth, link.known_links, known, rows)
 
 
-def _last_measured(robot: RobotModel) -> range:
-    """The degrees of freedom of the last joint of the tool's branch that does not follow others."""
+def _last_measured(robot: RobotModel) -> Sequence[int]:
+    """The degrees of freedom whose torque is that of the last joint of the tool's branch: its own,
+    or where it follows others the last that it follows."""
     moving, at = set(robot.torque_dofs.tolist()), int(robot.tree.carrier[robot.tool_body])
     while at >= 0:
         link = robot.tree.links[at]
         for joint in reversed(link.joints):
             if moving.issuperset(joint.dofs):
                 return joint.dofs
+            assert robot.coupling is not None
+            drivers = robot.coupling.drivers(joint.vadr)
+            if len(drivers):
+                return [int(drivers[-1])]
         at = link.parent
     raise UnsupportedError(
-        f"All joints before the tool {robot.body_names[robot.tool_body]!r} follow others: none has "
-        "a torque of its own. Name another tool in the manifest."
+        f"No joint before the tool {robot.body_names[robot.tool_body]!r} can move; name another "
+        "tool in the manifest."
     )
 
 

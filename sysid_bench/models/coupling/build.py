@@ -59,9 +59,11 @@ def coupling_of(
             "couplings = false in a robot.toml to let every joint move on its own."
         )
     low, high, slower = dofs.low.copy(), dofs.high.copy(), np.ones(len(dofs.names))
+    repairs = []
     for group in groups:
         own = group.dofs[group.independent]
-        low[own], high[own], slower[own] = _room(group, dofs)
+        low[own], high[own], slower[own], told = _room(group, dofs)
+        repairs += [told] if told else []
     return Coupling(
         nv=len(dofs.names),
         names=dofs.names,
@@ -73,23 +75,34 @@ def coupling_of(
         low=low[moving],
         high=high[moving],
         slower=slower[moving],
+        repairs=tuple(repairs),
     )
 
 
-def _room(group: Group, dofs: Dofs) -> tuple[Array, Array, Array]:
-    """(low, high, slower) of the independent joints of a group."""
+def _room(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
+    """(low, high, slower) of the independent joints of a group, and in words what was ignored."""
     moving, following = group.dofs[group.independent], group.dofs[group.dependent]
     if len(moving) == 0:
-        return np.zeros(0), np.zeros(0), np.ones(0)
+        return np.zeros(0), np.zeros(0), np.ones(0), ""
     q0 = dofs.q0[group.dofs]
     bounds = dofs.stated[0][group.dofs], dofs.stated[1][group.dofs]
     bounds[0][group.independent], bounds[1][group.independent] = dofs.low[moving], dofs.high[moving]
     low, high = reach_of(group, bounds[0] - q0, bounds[1] - q0)
-    if not (high - low > 1e-3 * group.units[group.independent]).all():
+    told = ""
+    if not _roomy(group, low, high):
+        # Files couple joints against their own limits; a follower's limit binds nothing then.
+        for bound, none in zip(bounds, (-np.inf, np.inf), strict=True):
+            bound[group.dependent] = none
+        low, high = reach_of(group, bounds[0] - q0, bounds[1] - q0)
+        told = (
+            f"limits of {names_of(dofs.names, following)} ignored: they leave "
+            f"{names_of(dofs.names, moving)}, which they follow, no room"
+        )
+    if not _roomy(group, low, high):
         raise ModelError(
             f"The coupling of {names_of(dofs.names, group.dofs)} leaves {names_of(dofs.names, moving)}"
-            " no room: a joint that follows is at its limit, or the closure is lost; state wider "
-            "limits, or other independent joints, in the manifest."
+            " no room: the closure is lost at once; state other independent joints in the manifest."
+            
         )
     slope = steepest(group, low, high)
     fastest = slope @ dofs.v[moving]
@@ -97,4 +110,8 @@ def _room(group: Group, dofs: Dofs) -> tuple[Array, Array, Array]:
         share = np.minimum(1.0, dofs.stated[2][following] / fastest)
     share = np.where(fastest > 0, share, 1.0)
     slower = np.where(slope > 0, share[:, None], 1.0).min(axis=0, initial=1.0)
-    return low + dofs.q0[moving], high + dofs.q0[moving], slower
+    return low + dofs.q0[moving], high + dofs.q0[moving], slower, told
+
+
+def _roomy(group: Group, low: Array, high: Array) -> bool:
+    return bool((high - low > 1e-3 * group.units[group.independent]).all())

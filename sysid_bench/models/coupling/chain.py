@@ -78,7 +78,7 @@ class Reached:
                 J[:, 3:, joint.place] = axis
             else:
                 J[:, :3, joint.place] = axis
-                J[:, 3:, joint.place] = np.cross(axis, self.p - anchor)
+                J[:, 3:, joint.place] = _cross(axis, self.p - anchor)
         return J
 
     def drift(self, v: Array) -> Array:
@@ -87,14 +87,14 @@ class Reached:
         velocity = np.einsum("nij,nj->ni", self.jacobian(v.shape[1])[:, 3:], v)
         for i, (joint, axis) in enumerate(zip(self.joints, self.axes, strict=True)):
             rate = v[:, joint.place, None]
-            turning = np.cross(w, axis)
+            turning = _cross(w, axis)
             if joint.slide:
                 out[:, 3:] += turning * rate
                 continue
             carried = self._carried(self.anchors[i], i, v)
             out[:, :3] += turning * rate
-            out[:, 3:] += np.cross(turning, self.p - self.anchors[i]) * rate
-            out[:, 3:] += np.cross(axis, velocity - carried) * rate
+            out[:, 3:] += _cross(turning, self.p - self.anchors[i]) * rate
+            out[:, 3:] += _cross(axis, velocity - carried) * rate
             w = w + axis * rate
         return out
 
@@ -104,9 +104,17 @@ class Reached:
         for joint, axis, anchor in zip(
             self.joints[:count], self.axes[:count], self.anchors[:count], strict=True
         ):
-            arm = axis if joint.slide else np.cross(axis, point - anchor)
+            arm = axis if joint.slide else _cross(axis, point - anchor)
             velocity += arm * v[:, joint.place, None]
         return velocity
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """a x b of vectors (N, 3): numpy's own spends more on its axes than on the numbers."""
+    out = np.empty_like(a)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
+    return out
 
 
 def _turns_about(axis: Array, angle: Array) -> Array:

@@ -28,6 +28,7 @@ class Coupling:
     low: Array
     high: Array
     slower: Array
+    repairs: tuple[str, ...] = ()
 
     @cached_property
     def _columns(self) -> tuple[tuple[Group, Array, Array], ...]:
@@ -52,6 +53,10 @@ class Coupling:
             else:
                 out[np.ix_(rows, columns)] = True
         return out
+
+    def drivers(self, dof: int) -> Array:
+        """The independent dofs that a dependent one follows, in tree order."""
+        return self.independent[self.touches[int(np.searchsorted(self.dependent, dof))]]
 
     def follow(self, q: Array) -> Array:
         """F (N, m, n) with v_dep = F v_ind at closed q (N, nq)."""

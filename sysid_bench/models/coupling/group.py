@@ -55,8 +55,7 @@ class Group:
 
     def follow(self, x: Array) -> Array:
         """F (N, r, k - r) at closed x (N, k); one for all (1, r, k - r) where it is constant."""
-        J = self._jacobian(x[:1] if self.linear else x)
-        return self._resolved(J, -J[:, :, self.independent])
+        return self._followed(self._jacobian(x[:1] if self.linear else x))
 
     def drift(self, x: Array, v: Array) -> Array:
         """What the dependent joints accelerate (N, r) when the independent ones do not."""
@@ -69,18 +68,24 @@ class Group:
 
     def regularity(self, x: Array) -> Array:
         """Smallest singular value (N,) of the scaled J_dep; infinite where nothing depends."""
+        return self._regularity(self._jacobian(x))
+
+    def _regularity(self, J: Array) -> Array:
         if len(self.dependent) == 0:
-            return np.full(len(x), np.inf)
-        D = self.scaled(x)[:, :, self.dependent]
+            return np.full(len(J), np.inf)
+        D = self._scaled(J)[:, :, self.dependent]
         return np.sqrt(np.maximum(np.linalg.eigvalsh(D.swapaxes(1, 2) @ D)[:, 0], 0.0))
 
     def scaled(self, x: Array) -> Array:
         """J (N, m, k) with its rows and columns scaled to entries of order one."""
-        return self._jacobian(x) * self.units / self.row_units[:, None]
+        return self._scaled(self._jacobian(x))
+
+    def _scaled(self, J: Array) -> Array:
+        return J * self.units / self.row_units[:, None]
 
     def settled(self, x: Array) -> Array | None:
         """The closed posture (k,) with the independent joints of x (k,); None where none is near."""
-        found, good = self._newton(x[None], PATIENT)
+        found, _, good = self._newton(x[None], PATIENT)
         return found[0] if good[0] and np.isfinite(found).all() else None
 
     def relaxed(self, x: Array) -> Array:
@@ -103,39 +108,44 @@ class Group:
         regular = np.repeat(regular, stride)[: len(independent)]
         if stride > 1:
             at, moved = self.independent, independent - x[:, self.independent]
-            x[:, self.dependent] += np.einsum("nij,nj->ni", self.follow(x), moved)
+            x[:, self.dependent] += _times(self.follow(x), moved)
             x[:, at] = independent
-            x, found = self._newton(x, ITERATIONS)
-            regular = regular & found
-        return x, regular & (self.regularity(x) >= SINGULAR)
+            x, J, found = self._newton(x, ITERATIONS)
+            regular = regular & found & (self._regularity(J) >= SINGULAR)
+        return x, regular
 
     def walked(self, targets: Array) -> tuple[Array, Array]:
         """`closed` for targets (N, k - r) that may lie far apart: each is walked to from the
         reference; where the closure is lost on the way, x stays at the last place that closes."""
         x = np.tile(self.reference, (len(targets), 1))
+        J = self._jacobian(x)
         stretch = targets - x[:, self.independent]
         far = np.abs(stretch / self.units[self.independent]).max(initial=0.0)
         count = max(1, int(np.ceil(far / STEP)))
         good = np.ones(len(targets), dtype=bool)
         for k in range(count):
             ahead = x.copy()
-            ahead[:, self.dependent] += np.einsum("nij,nj->ni", self.follow(x), stretch) / count
+            ahead[:, self.dependent] += _times(self._followed(J), stretch) / count
             part = (k + 1) / count
             ahead[:, self.independent] = self.reference[self.independent] + part * stretch
-            ahead, found = self._newton(ahead, ITERATIONS if k == count - 1 else 3)
+            ahead, J, found = self._newton(ahead, ITERATIONS if k == count - 1 else 2)
             jump = np.abs((ahead - x) / self.units).max(axis=1, initial=0.0)
-            good = good & found & (jump < 1.0) & (self.regularity(ahead) >= SINGULAR)
+            good = good & found & (jump < 1.0) & (self._regularity(J) >= SINGULAR)
             x = np.where(good[:, None], ahead, x)
         return x, good
 
-    def _newton(self, x: Array, iterations: int) -> tuple[Array, Array]:
-        """Dependent joints moved until the constraints hold; whether (N,) they do."""
+    def _newton(self, x: Array, iterations: int) -> tuple[Array, Array, Array]:
+        """Dependent joints moved until the constraints hold; J there; whether (N,) they do."""
         x = x.copy()
         for _ in range(iterations):
             r, J = self._equation(x)
-            x[:, self.dependent] -= self._resolved(J, r[:, :, None])[:, :, 0]
-        left = np.abs(self._equation(x)[0]).max(axis=1, initial=0.0)
-        return x, left <= CLOSED
+            moves, most = self._resolved(J, r[:, :, None])[:, :, 0], self.units[self.dependent]
+            x[:, self.dependent] -= np.clip(moves, -most, most)  # a lost closure stays finite
+        r, J = self._equation(x)
+        return x, J, np.abs(r).max(axis=1, initial=0.0) <= CLOSED
+
+    def _followed(self, J: Array) -> Array:
+        return self._resolved(J, -J[:, :, self.independent])
 
     def _closed_at_once(self, independent: Array) -> Array:
         x = np.tile(self.reference, (len(independent), 1))
@@ -188,3 +198,8 @@ def _located(
     constraints: Sequence[Constraint], dofs: Array
 ) -> list[tuple[Constraint, Array]]:
     return [(c, np.searchsorted(dofs, np.array(c.dofs))) for c in constraints]
+
+
+def _times(F: Array, v: Array) -> Array:
+    """F v (N, r) for F (N, r, c) and v (N, c)."""
+    return np.matmul(F, v[:, :, None])[:, :, 0]

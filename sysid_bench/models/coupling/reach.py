@@ -52,6 +52,8 @@ _ROUNDING: Final = 1e-9
 def _along(group: Group, i: int, limit: float, low: Array, high: Array) -> float:
     """How far joint i goes towards a limit while the others rest."""
     start = group.reference[group.independent]
+    if group.linear:
+        return start[i] + _linear_share(group, i, limit - start[i], low, high) * (limit - start[i])
     shares = np.arange(1, RAY + 1) / RAY
     targets = np.tile(start, (RAY, 1))
     targets[:, i] += shares * (limit - start[i])
@@ -60,6 +62,15 @@ def _along(group: Group, i: int, limit: float, low: Array, high: Array) -> float
         return limit
     reached = shares[int(np.argmin(good)) - 1] if good[0] else 0.0
     return float(start[i] + INSIDE * reached * (limit - start[i]))
+
+
+def _linear_share(group: Group, i: int, stretch: float, low: Array, high: Array) -> float:
+    """The share of a joint's way that the limits of the joints that follow it leave."""
+    follow = group.dependent
+    moves = group.follow(group.reference[None])[0][:, i] * stretch
+    room = np.where(moves > 0, high[follow], low[follow]) - group.reference[follow]
+    shares = room[moves != 0.0] / moves[moves != 0.0]
+    return float(np.clip(shares.min(initial=1.0), 0.0, 1.0))
 
 
 def _share(group: Group, bounds: Array, centre: Array, low: Array, high: Array) -> float:
