@@ -18,8 +18,9 @@ STIFF_FRICTION: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])
 """solref and solimp of friction loss: MuJoCo's default is soft and leaves 12 % of the torque of a
 joint with Coulomb friction unexplained; with these settings a moving joint leaves 0.03 %."""
 
-STIFF_EQUALITY: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])
-"""solref and solimp of couplings: MuJoCo's default leaves 1 % of the torque, these 0.002 %."""
+STIFF_EQUALITY: Final = ([0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0])
+"""solref and solimp of couplings, stiff from the start: the default leaves 1 % of the torque, these
+less than 0.01 %."""
 
 
 DAMPED: Final = 0.25
@@ -27,6 +28,11 @@ DAMPED: Final = 0.25
 
 MOST_STEPS: Final = 20
 """Steps of a coupled robot per period of its controller."""
+
+
+LEAD_IN: Final = 50
+"""Control periods before the motion of a coupled robot, which are not recorded: constraints that
+give way by a hair need a moment to find their place, and torques jump meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +83,12 @@ class ClosedLoop:
         # The engine takes an input that is not a number for zero, with a warning alone.
         check_finite(robot.name, encoder, "encoder error")
         mj = controlled_model(plant, controller)
-        control = commands(controller, commanded, encoder, robot, self.velocity_cutoff)
+        lead = 0 if robot.coupling is None else LEAD_IN
+        whole = _led_in(robot, commanded, lead)
+        encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
+        control = commands(controller, whole, encoder, robot, self.velocity_cutoff)
         steps = _steps_with_laws if plant.laws else _rollout
-        q, v, a, tau = steps(plant, mj, commanded, control)
+        q, v, a, tau = (signal[lead:] for signal in steps(plant, mj, whole, control))
         motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
         for name, array in (("position", q), ("acceleration", a)):
             check_finite(robot.name, array, f"{name} in closed loop")
@@ -187,6 +196,21 @@ def _close(mj: mujoco.MjModel, plant: Plant, controller: Controller) -> None:
     damping = on_motors(plant.robot, plant.terms.viscous, 2) + controller.kd
     fastest = float((damping / _own_inertia(plant)).max()) / controller.rate
     mj.opt.timestep /= max(1, min(MOST_STEPS, int(np.ceil(fastest / DAMPED))))
+
+
+def _led_in(robot: RobotModel, commanded: Trajectory, count: int) -> Trajectory:
+    """The motion with `count` samples before it, at its first acceleration."""
+    if robot.coupling is None or count == 0:
+        return commanded
+    step = commanded.t[1] - commanded.t[0]
+    dt = -step * np.arange(count, 0, -1.0)[:, None]
+    q0, v0, a0 = commanded.q[:1], commanded.v[:1], commanded.a[:1]
+    v, a = v0 + a0 * dt, np.repeat(a0, count, axis=0)
+    # Hinges and slides alone: q and v have the same places.
+    before = robot.coupling.completed(q0 + v0 * dt + 0.5 * a0 * dt**2, v, a)
+    signals = zip(before, (commanded.q, commanded.v, commanded.a), strict=True)
+    t = np.concatenate([commanded.t[0] + dt[:, 0], commanded.t])
+    return Trajectory(t, *(np.concatenate(pair) for pair in signals), commanded.name)
 
 
 def _motors(robot: RobotModel) -> list[Joint]:
