@@ -101,7 +101,9 @@ def _room(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
     if not _roomy(group, low, high):
         raise ModelError(
             f"The coupling of {names_of(dofs.names, group.dofs)} leaves {names_of(dofs.names, moving)}"
-            " no room: the closure is lost at once; state other independent joints in the manifest."
+            " no room: next to the reference posture the closure is lost or singular (smallest "
+            f"singular value there {float(group.regularity(group.reference[None])[0]):.2g}); draw "
+            "the model in a posture that is not flat or stretched."
             
         )
     slope = steepest(group, low, high)

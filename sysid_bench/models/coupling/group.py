@@ -108,10 +108,11 @@ class Group:
         regular = np.repeat(regular, stride)[: len(independent)]
         if stride > 1:
             at, moved = self.independent, independent - x[:, self.independent]
-            x[:, self.dependent] += _times(self.follow(x), moved)
+            before = self._jacobian(x)
+            x[:, self.dependent] += _times(self._followed(before), moved)
             x[:, at] = independent
             x, J, found = self._newton(x, ITERATIONS)
-            regular = regular & found & (self._regularity(J) >= SINGULAR)
+            regular = regular & found & self._same_branch(before, J)
         return x, regular
 
     def walked(self, targets: Array) -> tuple[Array, Array]:
@@ -128,9 +129,10 @@ class Group:
             ahead[:, self.dependent] += _times(self._followed(J), stretch) / count
             part = (k + 1) / count
             ahead[:, self.independent] = self.reference[self.independent] + part * stretch
+            before = J
             ahead, J, found = self._newton(ahead, ITERATIONS if k == count - 1 else 2)
             jump = np.abs((ahead - x) / self.units).max(axis=1, initial=0.0)
-            good = good & found & (jump < 1.0) & (self._regularity(J) >= SINGULAR)
+            good = good & found & (jump < 1.0) & self._same_branch(before, J)
             x = np.where(good[:, None], ahead, x)
         return x, good
 
@@ -143,6 +145,13 @@ class Group:
             x[:, self.dependent] -= np.clip(moves, -most, most)  # a lost closure stays finite
         r, J = self._equation(x)
         return x, J, np.abs(r).max(axis=1, initial=0.0) <= CLOSED
+
+    def _same_branch(self, before: Array, after: Array) -> Array:
+        """Whether (N,) J is regular, and was on the way from one place to the other: where a
+        singular posture lies between the two, one direction of J_dep has changed its sign."""
+        D, E = (self._scaled(J)[:, :, self.dependent] for J in (before, after))
+        kept = np.linalg.det(D.swapaxes(1, 2) @ E) > 0.0
+        return kept & (self._regularity(after) >= SINGULAR)
 
     def _followed(self, J: Array) -> Array:
         return self._resolved(J, -J[:, :, self.independent])
