@@ -62,6 +62,13 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
         f"{verdict['base_parameters']} base parameters"
         + (f" ({verdict['near_degenerate']} near-degenerate)" if verdict["near_degenerate"] else "")
     )
+    if verdict["coupling"] is not None:
+        coupling = verdict["coupling"]
+        click.echo(
+            f"  {len(coupling['dependent'])} joints follow others "
+            f"({', '.join(coupling['dependent'])}): gap {coupling['gap']:.1e}  closure "
+            f"{coupling['closure']:.1e}, {coupling['coupled_base_parameters']} base parameters"
+        )
     for repair in verdict["repairs"]:
         click.echo(f"  repaired: {repair}")
     if verdict["reason"]:

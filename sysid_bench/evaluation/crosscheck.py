@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.evaluation.coupling import CouplingCheck, check_coupling, relative
 from sysid_bench.errors import UnsupportedError
+from sysid_bench.evaluation.coupling import CouplingCheck, check_coupling, relative
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.states import random_states
 from sysid_bench.regressors.native import native_regressor
@@ -81,4 +81,3 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
         gap_map=np.abs(Y - witness).max(axis=0),
         columns=robot.inertial_columns,
     )
-

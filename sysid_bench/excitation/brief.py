@@ -65,9 +65,7 @@ class Brief:
         if self.coupling is None:
             return Trajectory(t, *self._tree_motion(x, dx, ddx), name, period)
         spread = (self.coupling.spread(profile) for profile in (x, dx, ddx))
-        return Trajectory(
-            t, *self.coupling.completed(*self._tree_motion(*spread)), name, period
-        )
+        return Trajectory(t, *self.coupling.completed(*self._tree_motion(*spread)), name, period)
 
     def _tree_motion(self, x: Array, dx: Array, ddx: Array) -> tuple[Array, Array, Array]:
         """q, v, a of profiles (N, nv) of every degree of freedom."""

@@ -96,7 +96,13 @@ def _slider_crank(rng: np.random.Generator) -> _Mechanism:
 def _geared_pair(rng: np.random.Generator) -> _Mechanism:
     parts = (
         _Part("drive", None, rng.normal(size=3) * 0.1, "hinge", _direction(rng)),
-        _Part("driven", rng.choice([None, "drive"]), rng.normal(size=3) * 0.1, "hinge", _direction(rng)),
+        _Part(
+            "driven",
+            "drive" if rng.random() < 0.5 else None,
+            rng.normal(size=3) * 0.1,
+            "hinge",
+            _direction(rng),
+        ),
     )
     ratio = rng.uniform(0.4, 2.5) * rng.choice([-1.0, 1.0])
     bend = float(rng.choice([0.0, 0.2]))
@@ -186,9 +192,12 @@ def _children(
             continue
         R, p = frames[part.name]
         reference = float(rng.choice([0.0, 0.4]))
-        limits = "" if part.range is None else f' range="{_words(np.array(part.range) + reference)}"'
+        limits = (
+            "" if part.range is None else f' range="{_words(np.array(part.range) + reference)}"'
+        )
+        axis = _words(R.T @ np.array(part.axis))
         joint = (
-            f'<joint name="{part.name}" type="{part.kind}" axis="{_words(R.T @ np.array(part.axis))}" '
+            f'<joint name="{part.name}" type="{part.kind}" axis="{axis}" '
             f'ref="{reference}"{limits}{_losses(rng)}/>'
         )
         inside = "".join(_children(rng, part.name, mechanism, frames))

@@ -103,9 +103,7 @@ class ClosedLoop:
         viscous = on_motors(plant.robot, plant.terms.viscous, 2)
         # Beyond this the sampled loop rings: half a radian per sample of the inertia, or of the lag
         # that the joint's own viscous friction makes.
-        kp = np.minimum(
-            kp, np.maximum(J * (0.5 * self.rate) ** 2, viscous * 0.5 * self.rate)
-        )
+        kp = np.minimum(kp, np.maximum(J * (0.5 * self.rate) ** 2, viscous * 0.5 * self.rate))
         kp = _one_digit(kp)
         return Controller(kp, _one_digit(2 * self.damping * np.sqrt(kp * J)), self.rate)
 
@@ -207,10 +205,14 @@ def _led_in(robot: RobotModel, commanded: Trajectory, count: int) -> Trajectory:
     q0, v0, a0 = commanded.q[:1], commanded.v[:1], commanded.a[:1]
     v, a = v0 + a0 * dt, np.repeat(a0, count, axis=0)
     # Hinges and slides alone: q and v have the same places.
-    before = robot.coupling.completed(q0 + v0 * dt + 0.5 * a0 * dt**2, v, a)
-    signals = zip(before, (commanded.q, commanded.v, commanded.a), strict=True)
-    t = np.concatenate([commanded.t[0] + dt[:, 0], commanded.t])
-    return Trajectory(t, *(np.concatenate(pair) for pair in signals), commanded.name)
+    q, v, a = robot.coupling.completed(q0 + v0 * dt + 0.5 * a0 * dt**2, v, a)
+    return Trajectory(
+        np.concatenate([commanded.t[0] + dt[:, 0], commanded.t]),
+        np.concatenate([q, commanded.q]),
+        np.concatenate([v, commanded.v]),
+        np.concatenate([a, commanded.a]),
+        commanded.name,
+    )
 
 
 def _motors(robot: RobotModel) -> list[Joint]:

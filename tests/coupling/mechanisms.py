@@ -33,13 +33,13 @@ def mjcf(bodies: str, equality: str, more: str = "") -> str:
     )
 
 
-def four_bar(
-    height: float = 0.2, pin: float = 0.4, joint: str = "", base: str = ""
-) -> str:
+def four_bar(height: float = 0.2, pin: float = 0.4, joint: str = "", base: str = "") -> str:
     """Crank, coupler and rocker; flat where the height is zero. `pin`: where the rocker stands,
     `joint`: words of its joint, `base`: the joint of the body that carries all."""
     bars = hinge("crank", "0 0 0", hinge("coupler", f"0.1 0 {height}"))
     rocker = hinge("rocker", f"{pin} 0 0", more=joint)
     loop = '<connect name="loop" body1="coupler" body2="rocker" anchor="0.2 0 0"/>'
-    body = f'<body name="ground" pos="0 0 1" euler="0.2 0.3 0.1">{base}{INERTIAL}{bars}{rocker}</body>'
+    body = (
+        f'<body name="ground" pos="0 0 1" euler="0.2 0.3 0.1">{base}{INERTIAL}{bars}{rocker}</body>'
+    )
     return mjcf(body, loop)

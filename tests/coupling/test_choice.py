@@ -1,5 +1,8 @@
 """Which joints move and which follow: chosen, wished for, refused; and how far they can go."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,8 +12,6 @@ from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.task import task_of
 from tests.coupling.mechanisms import KINDS, LOOPS, four_bar, hinge, mechanism, mjcf
 from tests.robots import robot_of, states
-from dataclasses import replace
-from pathlib import Path
 
 PAIR = hinge("a", "0 0 0") + hinge("b", "0 0 1")
 
@@ -29,7 +30,9 @@ def test_the_motor_moves_and_no_joint_is_lost(kind: str) -> None:
     for seed in range(4):
         robot = mechanism(kind, seed)
         assert robot.coupling is not None
-        assert set(robot.coupling.independent) | set(robot.coupling.dependent) == set(range(robot.nv))
+        assert set(robot.coupling.independent) | set(robot.coupling.dependent) == set(
+            range(robot.nv)
+        )
         motor = {"geared-pair": "drive", "mimic-gripper": "left", "tendon": "first"}
         assert motor.get(kind, "crank") in robot.torque_rows
 
@@ -78,7 +81,9 @@ def test_a_robot_toml_says_so(tmp_path: Path) -> None:
 
 def test_a_flat_four_bar_is_refused_with_its_configuration() -> None:
     flat = four_bar(height=0.0, pin=0.2)
-    with pytest.raises(ModelError, match=r"crank, coupler, rocker is singular.*singular value.*crank"):
+    with pytest.raises(
+        ModelError, match=r"crank, coupler, rocker is singular.*singular value.*crank"
+    ):
         robot_of(flat)
     assert load_robot(_manifest_of(flat, couplings=False)).coupling is None
 
@@ -153,7 +158,9 @@ def test_loops_through_balls_and_spatial_tendons_are_refused_with_advice() -> No
 
 def test_what_couples_nothing_is_left_out() -> None:
     mocap = '<body name="hand" mocap="true"/>'
-    held = '<weld body1="hand" body2="a"/><connect active="false" body1="a" body2="b" anchor="0 0 0"/>'
+    held = (
+        '<weld body1="hand" body2="a"/><connect active="false" body1="a" body2="b" anchor="0 0 0"/>'
+    )
     robot = robot_of(mjcf(mocap + PAIR, held))
     assert robot.coupling is None
     (told,) = (text for text in robot.repairs if "left out" in text)
@@ -199,7 +206,9 @@ def urdf(*mimics: str, kind: str = "revolute") -> str:
     words = ["", *mimics]
     links = "".join(LINK.format(f"l{k}") for k in range(3))
     joints = "".join(
-        JOINT.format(f"j{k}", f"l{k - 1}" if k else "base", f"l{k}", kind if k == 2 else "revolute", w)
+        JOINT.format(
+            f"j{k}", f"l{k - 1}" if k else "base", f"l{k}", kind if k == 2 else "revolute", w
+        )
         for k, w in enumerate(words)
     )
     return MIMIC.format(links=links, joints=joints)

@@ -15,8 +15,8 @@ from sysid_bench.naming import build
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.fold import fold
 from sysid_bench.simulation.bare import bare_robot
-from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.witness import constrained_torque
 from tests.coupling.mechanisms import KINDS, LOOPS, four_bar, mechanism
 from tests.experiments.experiment_world import executed, ready, spec
@@ -137,8 +137,9 @@ def test_noisy_encoders_are_read_where_motors_are_and_the_rest_follows(kind: str
     made = ready(robot=robot, excitation=SHORT, rate=200.0, noise=noise, signals=signals)
     recording, coupling = made.experiment.recording, made.robot.coupling
     assert coupling is not None
-    again = coupling.completed(recording.q, recording.motion.v, recording.motion.a)
-    for ours, theirs in zip(again, (recording.q, recording.v, recording.a), strict=True):
+    motion = recording.motion
+    again = coupling.completed(motion.q, motion.v, motion.a)
+    for ours, theirs in zip(again, (motion.q, motion.v, motion.a), strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())
     assert recording.tau.shape[1] == len(made.robot.torque_rows) == len(recording.rows)
 

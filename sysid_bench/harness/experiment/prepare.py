@@ -224,7 +224,9 @@ def _held_out(spec: ExperimentSpec, subject: Subject, plant: Plant) -> dict[str,
         rng = np.random.default_rng(held_out_seed(spec, place))
         design = subject.build("excitation", excitation).design
         motion = design(brief_of(plant.robot, spec.rate), rng)
-        oracle, _ = Inverse().run(plant, motion, np.zeros((len(motion), len(plant.robot.torque_dofs))))
+        oracle, _ = Inverse().run(
+            plant, motion, np.zeros((len(motion), len(plant.robot.torque_dofs)))
+        )
         name = excitation["use"]
         motions[name if name not in motions else f"{name}-{place}"] = oracle
     return motions

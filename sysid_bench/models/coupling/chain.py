@@ -13,7 +13,7 @@ from sysid_bench.types import Array
 
 @dataclass(frozen=True, eq=False)
 class ChainJoint:
-    """One hinge or slide: its place in the chain's coordinates, axis and anchor (3,) in its body."""
+    """One hinge or slide: its place among the coordinates, axis and anchor (3,) in its body."""
 
     place: int
     slide: bool
@@ -62,7 +62,7 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class Reached:
-    """The end of a chain, p (N, 3) and R (N, 3, 3), and the axis and anchor (N, 3) of its joints."""
+    """The end of a chain, p (N, 3) and R (N, 3, 3); axis and anchor (N, 3) of each joint."""
 
     p: Array
     R: Array

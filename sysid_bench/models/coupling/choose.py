@@ -125,7 +125,8 @@ def _followers_first(
 
 def _pivots(scaled: Array, order: list[int], count: int) -> Array:
     """At most `count` independent columns among `order`, early ones where they stand out enough."""
-    rest, chosen = scaled.copy(), []
+    chosen: list[int] = []
+    rest = scaled.copy()
     floor = RANK * float(np.linalg.norm(scaled, axis=0).max(initial=0.0))
     while len(chosen) < count and order:
         heights = np.linalg.norm(rest, axis=0)

@@ -13,8 +13,8 @@ from sysid_bench.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """The couplings of a robot with `nv` degrees of freedom: those of `independent` (n,) move, those
-    of `dependent` (m,) follow. Arrays (n,): `low`, `high` bound positions that all close, `slower`
+    """The couplings of a robot with `nv` degrees of freedom: `independent` (n,) ones move, the
+    `dependent` (m,) ones follow. Arrays (n,): `low`, `high` bound positions that all close, `slower`
     is the share of its limits that an independent joint may use so that its followers keep theirs.
     `qadr` and `q0` (nv,): place in q and reference of hinges and slides (-1, 0 elsewhere)."""
 

@@ -84,7 +84,7 @@ class Group:
         return J * self.units / self.row_units[:, None]
 
     def settled(self, x: Array) -> Array | None:
-        """The closed posture (k,) with the independent joints of x (k,); None where none is near."""
+        """The closed posture (k,) with the independent joints of x; None where none is near."""
         found, _, good = self._newton(x[None], PATIENT)
         return found[0] if good[0] and np.isfinite(found).all() else None
 
@@ -189,9 +189,7 @@ class Group:
         return out + np.linalg.solve(normal, T @ (rows - D @ out))
 
 
-def equation(
-    constraints: Sequence[Constraint], dofs: Array, x: Array
-) -> tuple[Array, Array]:
+def equation(constraints: Sequence[Constraint], dofs: Array, x: Array) -> tuple[Array, Array]:
     """r (N, m) and J (N, m, k) of all constraints at x (N, k)."""
     values, slopes = [], []
     for constraint, at in _located(constraints, dofs):
@@ -203,9 +201,7 @@ def equation(
     return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
 
-def _located(
-    constraints: Sequence[Constraint], dofs: Array
-) -> list[tuple[Constraint, Array]]:
+def _located(constraints: Sequence[Constraint], dofs: Array) -> list[tuple[Constraint, Array]]:
     return [(c, np.searchsorted(dofs, np.array(c.dofs))) for c in constraints]
 
 

@@ -130,11 +130,9 @@ def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> Loop:
                 f"joint; loops of hinges and slides alone can be closed. Delete it, or {ADVICE}."
             )
     dofs = tuple(sorted(int(mj.jnt_dofadr[j]) for j in joints))
-    chains = [
-        Chain(tuple(_steps(mj, way, dofs)), p, R)
-        for way, p, R in zip(ways, (p1, p2), (R1, R2), strict=True)
-    ]
-    return Loop(_name(mj, e), dofs, *chains, rigid)
+    first = Chain(tuple(_steps(mj, ways[0], dofs)), p1, R1)
+    second = Chain(tuple(_steps(mj, ways[1], dofs)), p2, R2)
+    return Loop(_name(mj, e), dofs, first, second, rigid)
 
 
 def ends_of(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:
