@@ -295,11 +295,11 @@ class Evidence:
 
     row: Mapping[str, Any]  # the row as stored (Row)
     motion: Trajectory  # the measured motion
-    measured: Float[Array, "N rows"]
-    predicted: Float[Array, "N rows"] | None
+    measured: Float[Array, "N n"]
+    predicted: Float[Array, "N n"] | None
     rows: tuple[str, ...]
     singular_values: Float[Array, " k"]
-    gap_map: Float[Array, "rows columns"]  # max over samples of |Y - Y_pin|
+    gap_map: Float[Array, "rows p"]  # max over samples of |Y - Y_pin|
     gap_columns: tuple[str, ...]
     estimate: Estimate | None
     base: BaseMap | None

@@ -64,9 +64,10 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
     )
     if verdict["coupling"] is not None:
         coupling = verdict["coupling"]
+        followers = coupling["dependent"]
+        names = ", ".join(followers[:6]) + (", ..." if len(followers) > 6 else "")
         click.echo(
-            f"  {len(coupling['dependent'])} joints follow others "
-            f"({', '.join(coupling['dependent'])}): gap {coupling['gap']:.1e}  closure "
+            f"  {len(followers)} joints follow others ({names}): gap {coupling['gap']:.1e}  closure "
             f"{coupling['closure']:.1e}, {coupling['coupled_base_parameters']} base parameters"
         )
     for repair in verdict["repairs"]:
