@@ -67,7 +67,7 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
         followers = coupling["dependent"]
         names = ", ".join(followers[:6]) + (", ..." if len(followers) > 6 else "")
         click.echo(
-            f"  {len(followers)} joints follow others ({names}): gap {coupling['gap']:.1e}  "
+            f"  coupled, {len(followers)} followers ({names}): gap {coupling['gap']:.1e}  "
             f"closure {coupling['closure']:.1e}, "
             f"{coupling['coupled_base_parameters']} base parameters"
         )
