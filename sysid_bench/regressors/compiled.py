@@ -36,7 +36,6 @@ FOLDER: Final = Path(__file__).parent
 SOURCE: Final = FOLDER / "kernel.c"
 
 
-
 @dataclass(frozen=True)
 class Choice:
     """Which kernel works in this process; `reason`: why it is NumPy where it is."""
@@ -126,7 +125,9 @@ class Library:
         self._call("torque", program, motion, _plain(phi), out)
         return out
 
-    def _call(self, name: str, program: Program, motion: Trajectory, *args: Any, width: int = 0) -> None:
+    def _call(
+        self, name: str, program: Program, motion: Trajectory, *args: Any, width: int = 0
+    ) -> None:
         q, v, a = (_plain(x) for x in (motion.q, motion.v, motion.a))
         span = _Motion(len(motion), *(x.ctypes.data for x in (q, v, a)))
         tree, plan = ctypes.byref(program.tree), ctypes.byref(program.plan)

@@ -10,19 +10,20 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sysid_bench.regressors.compiled import chosen, program_of
+from sysid_bench.regressors.coupled import AnyRegression
 from sysid_bench.regressors.regression import Regression
 from sysid_bench.types import Array, Factor, Trajectory
 
 
 def fold(
-    regression: Regression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
+    regression: AnyRegression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> tuple[Factor, ...]:
-    """One Factor per row for the right-hand side b (N, nv); `rows`: only these (None: all)."""
+    """One Factor per row for the right-hand side b (N, n); `rows`: only these (None: all)."""
     return fold_all(regression, [(motion, b)], rows)
 
 
 def fold_all(
-    regression: Regression,
+    regression: AnyRegression,
     parts: Iterable[tuple[Trajectory, Array]],
     rows: Sequence[int] | None = None,
 ) -> tuple[Factor, ...]:
@@ -34,11 +35,12 @@ def fold_all(
     samples = 0
     library = chosen().library
     for motion, b in parts:
-        if library is None or len(motion) < widest:
-            factors = _folded(regression, motion, b, chosen_rows, factors)
-        else:
+        # Fewer samples than columns leave a factor with fewer rows, which the kernel's has not.
+        if library and isinstance(regression, Regression) and len(motion) >= widest:
             factors = [_square(R) for R in factors]
             library.fold(program_of(regression, chosen_rows), motion, b, factors)
+        else:
+            factors = _folded(regression, motion, b, chosen_rows, factors)
         samples += len(motion)
     return tuple(
         Factor(regression.rows[i], regression.touched[i], R, samples)
@@ -54,14 +56,18 @@ def _square(R: Array) -> Array:
 
 
 def _folded(
-    regression: Regression, motion: Trajectory, b: Array, rows: Sequence[int], factors: list[Array]
+    regression: AnyRegression,
+    motion: Trajectory,
+    b: Array,
+    rows: Sequence[int],
+    factors: list[Array],
 ) -> list[Array]:
     for block in regression.blocks(motion):
-        for place, i in enumerate(rows):
-            start, end = regression.starts[i], regression.starts[i] + len(regression.touched[i])
-            block.values[end] = b[block.samples, i]
-            # C order here is Fortran order of the transpose, which LAPACK reads without a copy.
-            factors[place] = _absorb(factors[place], block.values[start : end + 1].T)
+        # C order here is Fortran order of the transpose, which LAPACK reads without a copy.
+        factors = [
+            _absorb(R, block.joined(i, b[block.samples, i]).T)
+            for R, i in zip(factors, rows, strict=True)
+        ]
     return factors
 
 
@@ -97,7 +103,7 @@ def _triangle(stack: Array) -> Array:
 
 
 def dense_blocks(
-    regression: Regression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
+    regression: AnyRegression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> Iterator[tuple[Array, Array]]:
     """The rows themselves again: (Y (n, rows, p), b (n, rows)) block by block; as for `fold`."""
     chosen = slice(None) if rows is None else list(rows)

@@ -69,7 +69,7 @@ def newton_euler(tree: Tree, phi: Array, motion: Trajectory) -> Array:
     library = chosen().library
     if library is not None:
         heavy = np.flatnonzero(phi.any(axis=1))
-        return library.torque(torque_program(tree, heavy), motion, phi[heavy])
+        return library.torque(torque_program(tree, heavy.tolist()), motion, phi[heavy])
     tau = np.zeros((len(motion), tree.nv))
     for part in blocks(motion):
         states = sweep(tree, motion.q[part].T, motion.v[part].T, motion.a[part].T)

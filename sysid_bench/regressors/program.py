@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from sysid_bench.regressors.regression import LinkColumns, Regression
 
 ABOUT, ALONG, ABOUT_X, WORLD_X = 0, 1, 2, 5
-"""What a degree of freedom of a joint does: it turns about the joint's axis or moves along it, turns
-about the joint's own x (y, z follow), moves along the world's x (y, z follow)."""
+"""What a degree of freedom of a joint does: it turns about the joint's axis or moves along it,
+turns about the joint's own x (y, z follow), moves along the world's x (y, z follow)."""
 
 TERM_CODES: Final = {"fv": 0, "fc": 1, "offset": 2, "Ia": 3, "k": 4}
 
@@ -132,7 +132,7 @@ class _Plan:
 
 def _motions(tree: Tree) -> dict[int, tuple[int, int]]:
     """(joint, what it does) of every degree of freedom."""
-    motions = {}
+    motions: dict[int, tuple[int, int]] = {}
     for j, joint in enumerate(tree.joints):
         if joint.kind == FREE:
             parts = [WORLD_X, WORLD_X + 1, WORLD_X + 2, ABOUT_X, ABOUT_X + 1, ABOUT_X + 2]
@@ -181,13 +181,16 @@ def _program(
     flat = np.array([run for row in runs for run in row], dtype=np.int64).reshape(-1, 3).T
     of_runs = [_whole(np.cumsum([0, *(len(row) for row in runs)])), *(_whole(x) for x in flat)]
     laid = CRuns(len(runs), width, *(x.ctypes.data for x in of_runs))
-    numbers = (_whole(x) for x in (rows, at, count))
-    return Program(tree, struct, (*of_tree, *of_plan, *of_runs), size, *numbers, laid)
+    places, at, count = (_whole(x) for x in (rows, at, count))
+    return Program(tree, struct, (*of_tree, *of_plan, *of_runs), size, places, at, count, laid)
 
 
 def _tree(tree: Tree) -> tuple[Any, list[Array]]:
     """Joints in tree order, each a frame of its own: those of one body follow one another."""
-    before, R0, p0, last = [], [], [], []
+    before: list[int] = []
+    R0: list[Array] = []
+    p0: list[Array] = []
+    last: list[int] = []
     for link in tree.links:
         # The first joint starts at the link's pose in its parent, a later one where that one ends.
         more = len(link.joints) - 1

@@ -87,10 +87,7 @@ class Regression:
         library = chosen().library
         for part in blocks(motion):
             span = _cut(motion, part)
-            if library is None:
-                values = self._values(span)
-            else:
-                values = library.rows(program_of(self), span)
+            values = library.rows(program_of(self), span) if library else self._values(span)
             yield Block(self, part, values)
 
     def _values(self, motion: Trajectory) -> Array:
@@ -158,6 +155,13 @@ class Block:
             return values
         out[:] = values
         return out
+
+    def joined(self, i: int, b: Array) -> Array:
+        """Row i with a right-hand side b (n,) below it, (k + 1, n): a view, in the place kept."""
+        start = self.regression.starts[i]
+        end = start + len(self.regression.touched[i])
+        self.values[end] = b
+        return self.values[start : end + 1]
 
     def dense(self, out: Array | None = None) -> Array:
         """Y (n, nv, p) with its zeros: a new array, or the given one filled."""

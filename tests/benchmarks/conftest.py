@@ -32,10 +32,12 @@ class Line:
     def words(self) -> tuple[str, str, str, str, str]:
         """quantity, measured, must, aim, verdict."""
         sign = "≥" if self.least else "≤"
-        targets = [
-            "" if x is None else f"{sign} {number(x)} {self.unit}" for x in (self.must, self.aim)
-        ]
-        return (self.quantity, f"{number(self.value)} {self.unit}", *targets, self.verdict())
+
+        def target(x: float | None) -> str:
+            return "" if x is None else f"{sign} {number(x)} {self.unit}"
+
+        measured = f"{number(self.value)} {self.unit}"
+        return self.quantity, measured, target(self.must), target(self.aim), self.verdict()
 
     def verdict(self) -> str:
         def met(target: float | None) -> bool:
@@ -81,8 +83,8 @@ def compare(benchmark: Any) -> Callable[[dict[str, Function], int], dict[str, fl
                 seconds[name].append(time.thread_time() - start)
 
         benchmark.pedantic(one_round, rounds=rounds, warmup_rounds=1)
-        middle = {name: median(values[1:]) for name, values in seconds.items()}
-        benchmark.extra_info.update({name: value for name, value in middle.items()})
+        middle = {name: median(values[1:] or values) for name, values in seconds.items()}
+        benchmark.extra_info.update(middle)
         return middle
 
     return timed
@@ -117,7 +119,8 @@ def table() -> Iterator[str]:
     yield "# Speed"
     yield ""
     yield f"Made by `{TABLE}=reports/reference/speed.md make bench`: ratios of CPU time of one"
-    yield "thread, each pair timed in turn in one process, medians. `must` and `aim` are the targets."
+    yield "thread, what is compared timed in turn in one process, medians. `must` and `aim` are the"
+    yield "targets."
     yield ""
     yield f"- machine: {processor()}, {os.cpu_count()} cores, {platform.system()}"
     yield f"- regressor kernel: {chosen()}"

@@ -1,7 +1,7 @@
 """Other ways to the same regressor, each as its users would write it.
 
-A peer that is not there skips with its reason: `pip install cmeel-eigen idyntree` and a C++ compiler
-bring most of them.
+A peer that is not there skips with its reason: `pip install cmeel-eigen idyntree` and a C++
+compiler bring most of them.
 """
 
 import ctypes
@@ -28,8 +28,15 @@ Run = Callable[[], Any]
 
 SOURCE: Final = Path(__file__).parent / "pinocchio_loop.cpp"
 KINDS: Final = {
-    **{"RX": 0, "RY": 1, "RZ": 2, "RevoluteUnaligned": 3},
-    **{"PX": 4, "PY": 5, "PZ": 6, "PrismaticUnaligned": 7, "FreeFlyer": 8},
+    "RX": 0,
+    "RY": 1,
+    "RZ": 2,
+    "RevoluteUnaligned": 3,
+    "PX": 4,
+    "PY": 5,
+    "PZ": 6,
+    "PrismaticUnaligned": 7,
+    "FreeFlyer": 8,
 }
 
 
@@ -50,9 +57,7 @@ def quickest_model(robot: RobotModel) -> pin.Model:
     return robot.pairing.model
 
 
-def in_pinocchios_coordinates(
-    robot: RobotModel, motion: Trajectory
-) -> tuple[Array, Array, Array]:
+def in_pinocchios_coordinates(robot: RobotModel, motion: Trajectory) -> tuple[Array, Array, Array]:
     q = robot.pairing.configuration(motion.q)
     v, a = robot.pairing.rates(motion.q, motion.v, motion.a)
     return tuple(np.ascontiguousarray(x) for x in (q, v, a))  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""What follows the regressor: factors row by row against LAPACK on the stacked rows, and streams."""
+"""What follows the regressor: factors row by row against LAPACK on stacked rows, and streams."""
 
 import resource
 from collections.abc import Callable, Iterator

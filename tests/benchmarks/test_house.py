@@ -53,7 +53,9 @@ def cpu_of_children(arguments: list[str]) -> float:
     before = os.times()
     subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
     after = os.times()
-    return after.children_user + after.children_system - before.children_user - before.children_system
+    return (
+        after.children_user + after.children_system - before.children_user - before.children_system
+    )
 
 
 def test_starting(benchmark: Any, line: Line) -> None:
@@ -64,7 +66,7 @@ def test_starting(benchmark: Any, line: Line) -> None:
             seconds[name].append(cpu_of_children(arguments))
 
     benchmark.pedantic(one_round, rounds=9, warmup_rounds=1)
-    numpy, *ours = (median(values[1:]) for values in seconds.values())
+    numpy, *ours = (median(values[1:] or values) for values in seconds.values())
     for name, value in zip(list(COMMANDS)[1:], ours, strict=True):
         line(f"{name} / import numpy", value / numpy, 2.5, 1.5)
 
@@ -87,7 +89,7 @@ def test_a_cell_that_does_nothing(benchmark: Any, line: Line, tmp_path: Path) ->
         use = f"file:{tmp_path / 'nothing.py'}:Nothing"
         return "".join(f'[[estimator]]\nuse = "{use}"\nnumber = {k}\n' for k in range(count))
 
-    costs = []
+    costs: list[float] = []
 
     def one_round() -> None:
         place = f"{len(costs)}"
@@ -101,7 +103,7 @@ def test_a_cell_that_does_nothing(benchmark: Any, line: Line, tmp_path: Path) ->
 
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core")
 def test_a_second_worker(benchmark: Any, line: Line, tmp_path: Path) -> None:
-    ratios = []
+    ratios: list[float] = []
     ols = '[[estimator]]\nuse = "ols"\n'
     words = {"robot": "xarm7", "simulation": "closed-loop", "period": "10 s", "rate": "1 kHz"}
 

@@ -102,7 +102,9 @@ def test_against_memory_and_pinocchio(
     name, humanoid = f"{subject.name} ({subject.kind})", subject.humanoid
     dense, rows = seconds["dense"], seconds["rows"]
     if kernel == "numpy":
-        line(f"NumPy kernel, dense / Pinocchio's C++ loop, {name}", dense / seconds["C++"], 1.3, 1.0)
+        line(
+            f"NumPy kernel, dense / Pinocchio's C++ loop, {name}", dense / seconds["C++"], 1.3, 1.0
+        )
         line(f"NumPy kernel, rows / Pinocchio's C++ loop, {name}", rows / seconds["C++"], 1.3, 1.0)
         return
     must, aim = (3.5, 5.0) if humanoid else (5.0, 8.0)
@@ -110,8 +112,18 @@ def test_against_memory_and_pinocchio(
     line(f"Pinocchio's C++ loop / C kernel, rows, {name}", seconds["C++"] / rows)
     line(f"Pinocchio from Python / C kernel, dense, {name}", seconds["Python"] / dense)
     must, aim = (1.6, 1.3) if humanoid else (2.5, 2.0)
-    line(f"C kernel, dense / numpy.fill of the same bytes, {name}", dense / seconds["fill"], must, aim)
-    line(f"C kernel, dense / libc memset of the same bytes, {name}", dense / seconds["memset"], must, aim)
+    line(
+        f"C kernel, dense / numpy.fill of the same bytes, {name}",
+        dense / seconds["fill"],
+        must,
+        aim,
+    )
+    line(
+        f"C kernel, dense / libc memset of the same bytes, {name}",
+        dense / seconds["memset"],
+        must,
+        aim,
+    )
 
 
 @pytest.mark.parametrize(
@@ -151,4 +163,6 @@ def test_instruction_sets(subject: Subject, compare: Compare, line: Line) -> Non
     }
     seconds = compare(functions, 5)
     for level in levels[1:]:
-        line(f"C kernel, {level} / {levels[0]}, {subject.name}", seconds[level] / seconds[levels[0]])
+        line(
+            f"C kernel, {level} / {levels[0]}, {subject.name}", seconds[level] / seconds[levels[0]]
+        )
