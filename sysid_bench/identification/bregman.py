@@ -13,11 +13,24 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sysid_bench.errors import EstimationError
+from sysid_bench.identification.base_coordinates import BaseCoordinates
 from sysid_bench.identification.physical import BASIS, Physical
 from sysid_bench.types import Array
 
 DECREMENT: Final = 1e-10
 """Newton's decrement, relative to the weight of the divergence, at which the fit is at rest."""
+
+ON_THE_WAY: Final = 0.1
+"""The same where the fit is only led somewhere."""
+
+DIRECT: Final = 20
+"""Iterations that most fits need fewer than."""
+
+LED: Final = 100
+"""Iterations for each weight on the way, at most."""
+
+STAGE: Final = 10.0
+"""By how much the leading weight sinks at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +55,18 @@ class Divergence:
         logs = 2 * np.log(np.einsum("bii->bi", roots)).sum() + np.log(terms).sum()
         away = x[self.free] - self.x0[self.free]
         return float(self.linear @ x - logs + 0.5 * self.pull @ away**2)
+
+    def room(self, x: Array, move: Array) -> float:
+        """The share of a move (p,) that leaves every body and joint term a hundredth of itself: on
+        the edge of what can exist curvature is all there is, and Newton's steps are small."""
+        roots = np.linalg.inv(np.linalg.cholesky(self.of.pseudo_inertias(x)))
+        turned = roots @ self.of.pseudo_inertias(move) @ roots.swapaxes(1, 2)
+        terms = self.of.not_negative
+        most = max(
+            -float(np.linalg.eigvalsh(turned).min(initial=0.0)),
+            -float((move[terms] / x[terms]).min(initial=0.0)),
+        )
+        return 0.99 / most if most > 0 else np.inf
 
     def derivatives(self, x: Array) -> tuple[Array, Array]:
         """Gradient (p,) and Hessian (p, p)."""
@@ -73,49 +98,81 @@ def divergence(of: Physical, x0: Array, std: Array) -> Divergence:
 
 
 def newton(
-    A: Array, z: Array, weight: float, from_prior: Divergence, iterations: int = 100
+    from_prior: Divergence, at: BaseCoordinates, weight: float, y: Array
 ) -> tuple[Array, int, float]:
-    """(x, iterations, decrement) of min |A x - z|^2 / 2 + weight d(x, x0), started at x0.
+    """(x, iterations, decrement) of min |y[:rank]|^2 / 2 + weight d(x(y), x0), started at y.
 
-    Convex, so that damped Newton ends at its only minimum. Raises EstimationError where it does not.
+    Convex, so that damped Newton ends at its only minimum. Squares that are large beside the weight
+    may drive it to the edge of what can exist, where it creeps: then larger weights lead it.
+    Raises EstimationError where it does not come to rest.
     """
-    gram, x = A.T @ A, from_prior.x0
-    value = 0.5 * float(np.sum((A @ x - z) ** 2)) + weight * from_prior.value(x)
-    for iteration in range(1, iterations + 1):
-        gradient, hessian = from_prior.derivatives(x)
-        gradient = A.T @ (A @ x - z) + weight * gradient
-        hessian = gram + weight * hessian
-        size = 1 / np.sqrt(np.diag(hessian))
-        factor = cho_factor(hessian * size * size[:, None], overwrite_a=True, check_finite=False)
-        move = -size * cho_solve(factor, size * gradient, check_finite=False)
-        decrement = float(-gradient @ move)
-        if decrement <= DECREMENT * weight:
-            return x, iteration, decrement
-        x, value, moved = _searched(A, z, weight, from_prior, x, move, value, decrement)
-        if not moved:  # what is left is rounding error
-            return x, iteration, decrement
-    raise EstimationError(
-        f"Newton's method did not come to rest in {iterations} iterations: the prior and the "
-        "data are too far apart; check the units of both."
-    )
+    count = 0
+    try:
+        found, count, decrement = _newton(
+            from_prior, at, weight, y, DIRECT, DECREMENT, inside=False
+        )
+        if count < DIRECT:
+            return at.x(found), count, decrement
+    except np.linalg.LinAlgError:
+        pass  # on the edge, where the curvature is beyond numbers
+    leading = max(weight, float(np.sum(y[: at.rank] ** 2)) / len(y))
+    while True:
+        rest = DECREMENT if leading == weight else ON_THE_WAY
+        y, more, decrement = _newton(from_prior, at, leading, y, LED, rest, inside=True)
+        count += more
+        if leading == weight:
+            break
+        leading = max(weight, leading / STAGE)
+    if more == LED:
+        raise EstimationError(
+            f"Newton's method did not come to rest in {count} iterations: the prior and the data "
+            "are too far apart; check the units of both."
+        )
+    return at.x(y), count, decrement
 
 
-def _searched(
-    A: Array,
-    z: Array,
-    weight: float,
+def _newton(
     d: Divergence,
-    x: Array,
-    move: Array,
-    value: float,
-    slope: float,
-) -> tuple[Array, float, bool]:
-    """The first halving of the step that goes down enough, its value, and whether there is one."""
-    share = 1.0
-    while share > 1e-12:
-        further = x + share * move
-        new = 0.5 * float(np.sum((A @ further - z) ** 2)) + weight * d.value(further)
-        if new <= value - 1e-4 * share * slope:
-            return further, new, True
-        share *= 0.5
-    return x, value, False
+    at: BaseCoordinates,
+    weight: float,
+    y: Array,
+    most: int,
+    rest: float,
+    inside: bool,
+) -> tuple[Array, int, float]:
+    """(y, iterations, decrement) after `most` iterations, or where the decrement over the weight is
+    `rest` or nothing goes down any more; `inside`: no step comes near the edge."""
+    squares = np.append(np.ones(at.rank), np.zeros(at.T.shape[1] - at.rank))
+
+    def value(y: Array) -> float:
+        return 0.5 * float(squares @ y**2) + weight * d.value(at.x(y))
+
+    now = value(y)
+    for iteration in range(1, most + 1):
+        gradient, hessian = d.derivatives(at.x(y))
+        gradient = squares * y + weight * (at.T.T @ gradient)
+        move = _newton_step(gradient, np.diag(squares) + weight * (at.T.T @ (hessian @ at.T)))
+        decrement = float(-gradient @ move)
+        if decrement <= rest * weight:
+            return y, iteration, decrement
+        share = min(1.0, d.room(at.x(y), at.T @ move)) if inside else 1.0
+        while not (new := value(y + share * move)) <= now - 1e-4 * share * decrement:
+            share *= 0.5
+            if share < 1e-12:  # what is left is rounding error
+                return y, iteration, decrement
+        y, now = y + share * move, new
+    return y, most, decrement
+
+
+def _newton_step(gradient: Array, hessian: Array) -> Array:
+    """-H^-1 g, with coordinates scaled to a diagonal of ones; where rounding has made H indefinite,
+    with as much more on the diagonal as it takes."""
+    size = 1 / np.sqrt(np.diag(hessian))
+    scaled = hessian * size * size[:, None]
+    more = 0.0
+    while True:
+        try:
+            factor = cho_factor(scaled + more * np.eye(len(size)), check_finite=False)
+            return np.asarray(-size * cho_solve(factor, size * gradient, check_finite=False))
+        except np.linalg.LinAlgError:
+            more = max(100.0 * more, 1e-14)

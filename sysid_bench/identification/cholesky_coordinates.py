@@ -5,7 +5,9 @@ J = U U' with U = exp(a) [[exp(d1), s12, s13, t1], [0, exp(d2), s23, t2], [0, 0,
 too; the others are taken as they are.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -13,6 +15,9 @@ from scipy.linalg import cho_factor, cho_solve
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.physical import BASIS, Physical
 from sysid_bench.types import Array
+
+AT_REST: Final = 1e-9
+"""Of the weight: the decrement at which the fit is at rest."""
 
 _OFF = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # s12 s23 s13 t1 t2 t3
 _OF_MATRIX = np.linalg.pinv(BASIS.reshape(10, 16).T)
@@ -44,6 +49,24 @@ class Coordinates:
         out[of.places[:, :, None], of.places[:, None, :]] = turned.swapaxes(1, 2)
         return out
 
+    def curvature(self, eta: Array, pull: Array) -> Array:
+        """sum_i pull_i d2x_i / deta2 (p, p) for a gradient `pull` (p,) with respect to x."""
+        of, out = self.of, np.zeros((len(eta), len(eta)))
+        out[of.not_negative, of.not_negative] = pull[of.not_negative] * np.exp(eta[of.not_negative])
+        bodies = eta[of.places]
+        U, dU = _upper(bodies), _slopes(bodies)
+        C = (pull[of.places] @ _OF_MATRIX).reshape(-1, 4, 4)
+        C = 0.5 * (C + C.swapaxes(1, 2))  # pull . x = tr(C J)
+        turned = (C[:, None] @ dU).reshape(len(U), 10, 16)
+        block = turned @ dU.reshape(len(U), 10, 16).swapaxes(1, 2)
+        single = np.einsum("bkij,bij->bk", dU, C @ U)
+        block[:, 0, :] += single
+        block[:, 1:, 0] += single[:, 1:]
+        for k in (1, 2, 3):  # the exponentials on the diagonal are their own derivatives
+            block[:, k, k] += single[:, k]
+        out[of.places[:, :, None], of.places[:, None, :]] = 2 * block
+        return out
+
 
 def coordinates(of: Physical, x0: Array) -> Coordinates:
     """The coordinates, and eta of a strictly possible x0 (p,)."""
@@ -60,50 +83,68 @@ def coordinates(of: Physical, x0: Array) -> Coordinates:
     return Coordinates(of, eta)
 
 
-def levenberg_marquardt(
-    A: Array, z: Array, at: Coordinates, weight: float, iterations: int
+def damped_newton(
+    to_squares: Callable[[Array], Array],
+    rows: Array,
+    at: Coordinates,
+    eta: Array,
+    weight: float,
+    iterations: int,
 ) -> tuple[Array, int, float]:
-    """(x, iterations, decrement) of min |A x(eta) - z|^2 / 2 + weight |eta - eta0|^2 / 2 from eta0.
+    """(eta, iterations, decrement) of min |u(x(eta))|^2 / 2 + weight |eta - eta0|^2 / 2 from eta,
+    with u (r,) = `to_squares(x)` and `rows` (r, p) its derivative.
 
-    Raises EstimationError where it does not come to rest.
+    Levenberg's damping, with the second derivatives of x: Gauss and Newton leave them out, and then
+    creep along the curved valley that exact data make. Raises EstimationError where it does not
+    come to rest.
     """
-    eta, damping = at.eta0, 1e-3
-    value = _value(A, z, at, weight, eta)
+
+    def value(eta: Array) -> float:
+        with np.errstate(over="ignore", invalid="ignore"):
+            u = to_squares(at.x(eta))
+            found = 0.5 * float(u @ u) + 0.5 * weight * float(np.sum((eta - at.eta0) ** 2))
+        return found if np.isfinite(found) else np.inf
+
+    damping, now = 1e-3, value(eta)
     for iteration in range(1, iterations + 1):
-        rest = A @ at.x(eta) - z
-        J = A @ at.jacobian(eta)
-        gradient = J.T @ rest + weight * (eta - at.eta0)
+        u, J = to_squares(at.x(eta)), rows @ at.jacobian(eta)
+        gradient = J.T @ u + weight * (eta - at.eta0)
         hessian = J.T @ J + weight * np.eye(len(eta))
         size = 1 / np.sqrt(np.diag(hessian))
-        scaled = hessian * size * size[:, None]
-        decrement = float(gradient @ _step(scaled, size, gradient, 0.0))
-        if decrement <= 1e-9 * weight:
-            return at.x(eta), iteration, decrement
-        while True:
-            further = eta - _step(scaled, size, gradient, damping)
-            new = _value(A, z, at, weight, further)
-            if new < value:
-                break
-            if damping > 1e12:  # what is left is rounding error
-                return at.x(eta), iteration, decrement
-            damping *= 8.0
-        eta, value, damping = further, new, max(damping / 8.0, 1e-12)
+        exact = hessian + at.curvature(eta, rows.T @ u)
+        while damping <= 1e12:
+            solve = _solver(exact, size, damping)
+            if solve is not None:
+                step = solve(gradient)
+                decrement = float(gradient @ step)
+                if decrement <= AT_REST * weight:
+                    return eta, iteration, decrement
+                further = eta - step
+                # The valley curves: what the step misses of it is put right before it is judged.
+                missed = to_squares(at.x(further)) - (u - J @ step)
+                further = further - solve(J.T @ missed)
+                new = value(further)
+                if new < now:
+                    break
+            damping = max(damping, 1e-9) * 8.0
+        else:  # what is left is rounding error
+            return eta, iteration, float(np.sum((gradient * size) ** 2))
+        eta, now, damping = further, new, damping / 16.0
     raise EstimationError(
         f"Log-Cholesky least squares did not come to rest in {iterations} iterations; allow more, "
         "or weigh the prior more."
     )
 
 
-def _step(scaled: Array, size: Array, gradient: Array, damping: float) -> Array:
-    damped = scaled + damping * np.eye(len(size))
-    return np.asarray(size * cho_solve(cho_factor(damped), size * gradient))
-
-
-def _value(A: Array, z: Array, at: Coordinates, weight: float, eta: Array) -> float:
-    with np.errstate(over="ignore", invalid="ignore"):
-        x = at.x(eta)
-        value = 0.5 * np.sum((A @ x - z) ** 2) + 0.5 * weight * np.sum((eta - at.eta0) ** 2)
-    return float(value) if np.isfinite(value) else np.inf
+def _solver(hessian: Array, size: Array, damping: float) -> Callable[[Array], Array] | None:
+    """g -> (H + damping diag)^-1 g, or None where that is not positive definite."""
+    scaled = hessian * size * size[:, None]
+    scaled[np.diag_indices(len(size))] += damping
+    try:
+        factor = cho_factor(scaled, overwrite_a=True)
+    except np.linalg.LinAlgError:
+        return None
+    return lambda gradient: np.asarray(size * cho_solve(factor, size * gradient))
 
 
 def _upper(bodies: Array) -> Array:

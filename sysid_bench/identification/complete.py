@@ -1,20 +1,21 @@
-"""From base parameters to whole bodies: the feasible theta with K theta = beta nearest to a prior."""
+"""From base parameters to whole bodies: the nearest to a prior that can exist."""
 
 from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, unknown_name
-from sysid_bench.identification.bregman import divergence, newton
-from sysid_bench.identification.feasible import Limits, nearest
+from sysid_bench.errors import unknown_name
+from sysid_bench.identification.base_coordinates import BaseCoordinates, unseen
+from sysid_bench.identification.bregman import Divergence, divergence, newton
+from sysid_bench.identification.feasible import nearest
 from sysid_bench.identification.physical import Physical
 from sysid_bench.identification.prior import existing, spread_of
 from sysid_bench.types import Array, BaseMap, Prior
 
 DISTANCES: Final = ("entropic", "euclidean", "pullback")
 
-STIFF: Final = 1e-5
-"""Of a base parameter's scale: how near Newton's method brings it before the rest is solved for."""
+TINY: Final = 1e-12
+"""N m and the like: a joint term of zero, whose logarithm is asked for."""
 
 
 def completed(
@@ -31,37 +32,18 @@ def completed(
         raise unknown_name("distance", distance, DISTANCES)
     std = spread_of(of, prior)
     x0 = existing(of, prior.theta / of.scale, std)
-    A = base.K * of.scale
-    if distance == "entropic":
-        return of.scale * _entropic(of, A, beta, x0, std)
-    free = np.setdiff1d(np.arange(len(x0)), base.pivots)
-    N = np.zeros((len(x0), len(free)))
-    N[free] = np.eye(len(free))
-    N[base.pivots] = -A[:, free] / of.scale[base.pivots, None]
-    metric = np.diag(1 / std**2)
-    if distance == "pullback":
-        _, metric = divergence(of, x0, std).derivatives(x0)
-    found = nearest(of, Limits(), base.embed(beta) / of.scale, N, x0, metric)
-    x = found.x.copy()
-    x[of.not_negative] = np.maximum(x[of.not_negative], 0.0)
-    return of.scale * _on(A, beta, x)
-
-
-def _entropic(of: Physical, A: Array, beta: Array, x0: Array, std: Array) -> Array:
-    """Newton's method with K theta = beta as a stiff spring, then the rest of the way at once."""
-    stiffness = 1 / (STIFF * np.linalg.norm(A, axis=1))
     near = divergence(of, x0, std)
-    x, _, _ = newton(stiffness[:, None] * A, stiffness * beta, 1.0, near, iterations=200)
-    on = _on(A, beta, x)
-    if not np.isfinite(near.value(on)):
-        missed = np.abs(stiffness * STIFF * (A @ x - beta)).max()
-        raise EstimationError(
-            "No bodies that can exist have these base parameters: the nearest ones miss them by "
-            f"{missed:.1e} of their scale. Take a feasible fit ('lmi', 'entropic') instead."
-        )
-    return on
+    metric = np.diag(1 / std**2) if distance == "euclidean" else near.derivatives(x0)[1]
+    found = nearest(of, base, beta, x0, metric)
+    if distance != "entropic":
+        return of.scale * found.x
+    return of.scale * _entropic(near, found.x, unseen(of, base))
 
 
-def _on(A: Array, beta: Array, x: Array) -> Array:
-    """The nearest x (p,) with A x = beta."""
-    return x + np.linalg.lstsq(A, beta - A @ x, rcond=None)[0]
+def _entropic(near: Divergence, start: Array, N: Array) -> Array:
+    """Newton's method among start + N n, from one that can exist, if barely."""
+    x = start.copy()
+    terms = near.of.not_negative
+    x[terms] = np.maximum(x[terms], TINY)
+    found, _, _ = newton(near, BaseCoordinates(x, N, 0), 1.0, np.zeros(N.shape[1]))
+    return found

@@ -9,22 +9,12 @@ import numpy as np
 from scipy import sparse
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.compressed import EXCITED, compress
+from sysid_bench.identification.base_coordinates import WEAK, unseen, weighted_coordinates
 from sysid_bench.identification.physical import BASIS, LENGTH, Physical, physical
-from sysid_bench.identification.weights import own_sigmas, torque_rms
-from sysid_bench.types import Array, Body, Estimate, Problem
+from sysid_bench.types import Array, BaseMap, Body, Estimate, Problem
 
-TOLERANCE: Final = 1e-9
-"""Relative, of Clarabel's residuals and duality gap."""
-
-TIE: Final = 1e-9
-"""Of the largest curvature of the fit: what decides where torques do not, towards the start."""
-
-NOISE: Final = 1e-4
-"""Of a joint's RMS torque: the least noise that feasible fits take it to have."""
-
-ZERO: Final = 1e-12
-"""kg, N m and the like: rounding error of a joint term or mass that is zero."""
+TOLERANCE: Final = 1e-7
+"""Of Clarabel's duality gap: squares of residuals whose noise has the variance one."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +47,9 @@ class Fit:
     """x (p,) that can exist, and the certificate that nothing better does."""
 
     x: Array
-    gap: float  # primal minus dual objective, relative
+    gap: float  # primal minus dual objective, where noise has the variance one
     iterations: int
-    exact: bool  # the constraints cost nothing: the torques are those of least squares
+    excess: float  # squares that the constraints add to those of least squares
 
 
 @lru_cache(maxsize=64)
@@ -115,15 +105,36 @@ def _triangle(margin: float) -> Array:
     )
 
 
-def weighted_rows(problem: Problem, of: Physical) -> tuple[Array, Array]:
-    """(A (r, p), z (r,)) of min |A x - z|: the compressed rows, each divided by its noise.
+def fit(
+    of: Physical, problem: Problem, limits: Limits, start: Array, pull: Array | None = None
+) -> Fit:
+    """The least-squares fit, plus (x - start)' pull (x - start) / 2, over what can exist.
 
-    The noise is at least NOISE of the torque: below, the weights of joints would differ by more than
-    a solver can tell.
+    Without a pull the fit alone decides, and `start` only where it says nothing. Raises
+    EstimationError with Clarabel's status where it does not solve to TOLERANCE.
     """
-    sigma = np.maximum(own_sigmas(problem), NOISE * torque_rms(problem))
-    R = compress(problem, (1.0 / sigma).tolist())
-    return R[:-1, :-1] @ (problem.base.K * of.scale), R[:-1, -1]
+    at = weighted_coordinates(of, problem, start)
+    p, r = len(start), at.rank
+    P, q = np.diag(np.repeat([1.0, WEAK], [r, p - r])), np.zeros(p)
+    if pull is not None:
+        P, q = P + at.T.T @ pull @ at.T, at.T.T @ (pull @ (at.origin - start))
+    y, gap, iterations = _solved(of, limits, at.origin, at.T, P, q)
+    return Fit(_clipped(of, at.origin + at.T @ y), gap, iterations, float(y[:r] @ y[:r]))
+
+
+def nearest(of: Physical, base: BaseMap, beta: Array, start: Array, metric: Array) -> Fit:
+    """min (x - start)' metric (x - start) / 2 over what can exist with the base parameters beta.
+
+    Raises EstimationError where nothing can exist that has them.
+    """
+    N = unseen(of, base)
+    x = start.copy()
+    free = np.setdiff1d(np.arange(len(x)), base.pivots)
+    x[base.pivots] = beta / of.scale[base.pivots] + N[base.pivots] @ start[free]
+    P, q = N.T @ metric @ N, N.T @ (metric @ (x - start))
+    size = float(np.trace(P)) / max(len(P), 1) or 1.0
+    n, gap, iterations = _solved(of, Limits(), x, N, P / size, q / size)
+    return Fit(_clipped(of, x + N @ n), gap * size, iterations, 0.0)
 
 
 def estimate_of(of: Physical, fit: Fit) -> Estimate:
@@ -132,58 +143,27 @@ def estimate_of(of: Physical, fit: Fit) -> Estimate:
         "duality_gap": fit.gap,
         "iterations": float(fit.iterations),
         "roundness": float(of.roundness(fit.x).min(initial=0.25)),
-        "least_squares": float(fit.exact),
+        "excess": fit.excess,
     }
     return Estimate(theta=of.scale * fit.x, stats=stats)
 
 
-def fit(
-    of: Physical, limits: Limits, A: Array, z: Array, start: Array, pull: Array | None = None
-) -> Fit:
-    """min |A x - z|^2 / 2 + (x - start)' pull (x - start) / 2 over what can exist.
-
-    Without a pull the fit alone decides, and `start` only where it says nothing. Raises
-    EstimationError with Clarabel's status where it does not solve to TOLERANCE.
-    """
-    U, values, Vt = np.linalg.svd(A, full_matrices=False)
-    told = values > EXCITED * values.max(initial=0.0)
-    U, values, Vt = U[:, told], values[told], Vt[told]
-    size = float(values.max(initial=1.0)) ** 2
-    untold = TIE * (np.eye(len(start)) - Vt.T @ Vt)
-    P, q = A.T @ A / size + untold, -(A.T @ z) / size - untold @ start
-    if pull is not None:
-        P, q = P + pull / size, q - pull @ start / size
+def _solved(
+    of: Physical, limits: Limits, origin: Array, T: Array, P: Array, q: Array
+) -> tuple[Array, float, int]:
+    """(y, duality gap, iterations) of min y'Py / 2 + q'y where origin + T y can exist."""
     cones = cones_of(of.parameters, of.bodies, limits)
-    found = _solved(P, q, cones.G, cones.h, cones)
-    if pull is None:
-        free = found.x + Vt.T @ ((U.T @ (z - A @ found.x)) / values)
-        free[of.not_negative] = np.where(
-            np.abs(free[of.not_negative]) < ZERO, 0.0, free[of.not_negative]
-        )
-        if _exists(of, limits, cones, free):
-            return Fit(free, 0.0, found.iterations, True)
-    return found
-
-
-def nearest(of: Physical, limits: Limits, x: Array, N: Array, start: Array, metric: Array) -> Fit:
-    """min (x - start)' metric (x - start) / 2 over what can exist among x + N n (p, k).
-
-    Raises EstimationError where nothing of it can exist.
-    """
-    cones = cones_of(of.parameters, of.bodies, limits)
-    P, q = N.T @ metric @ N, N.T @ (metric @ (x - start))
-    size = float(np.trace(P)) / max(len(P), 1) or 1.0
-    G = sparse.csc_matrix(cones.G @ N)
-    found = _solved(P / size, q / size, G, cones.h - cones.G @ x, cones)
-    return Fit(x + N @ found.x, found.gap, found.iterations, True)
-
-
-def _solved(P: Array, q: Array, G: sparse.csc_matrix, h: Array, cones: Cones) -> Fit:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
-    upper = sparse.csc_matrix(np.triu(P))
-    answer = clarabel.DefaultSolver(upper, q, G, h, cones.cones(), settings).solve()
+    settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
+    answer = clarabel.DefaultSolver(
+        sparse.csc_matrix(np.triu(P)),
+        q,
+        sparse.csc_matrix(cones.G @ T),
+        cones.h - cones.G @ origin,
+        cones.cones(),
+        settings,
+    ).solve()
     status = str(answer.status)
     if "PrimalInfeasible" in status:
         raise EstimationError(
@@ -195,16 +175,11 @@ def _solved(P: Array, q: Array, G: sparse.csc_matrix, h: Array, cones: Cones) ->
             f"Clarabel answers {status} after {answer.iterations} iterations: no fit that can "
             "exist was found to full accuracy; a prior or limits on mass would bound it."
         )
-    gap = abs(answer.obj_val - answer.obj_val_dual) / max(abs(answer.obj_val), TOLERANCE)
-    return Fit(np.array(answer.x), float(gap), int(answer.iterations), False)
+    return np.array(answer.x), abs(answer.obj_val - answer.obj_val_dual), int(answer.iterations)
 
 
-def _exists(of: Physical, limits: Limits, cones: Cones, x: Array) -> bool:
-    """Whether x keeps the half-spaces, and half of the margin: rounding has moved it."""
-    if not (cones.h - cones.G @ x)[: cones.linear].min(initial=0.0) >= -ZERO:
-        return False
-    if limits.margin is None or not of.bodies:
-        return True
-    J = of.pseudo_inertias(x)
-    smallest = np.linalg.eigvalsh(J)[:, 0]
-    return bool((smallest >= 0.5 * limits.margin * np.trace(J, axis1=1, axis2=2)).all())
+def _clipped(of: Physical, x: Array) -> Array:
+    """x (p,) with joint terms that are negative by rounding made zero."""
+    out = x.copy()
+    out[of.not_negative] = np.maximum(x[of.not_negative], 0.0)
+    return out

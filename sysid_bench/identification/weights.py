@@ -3,16 +3,17 @@
 from typing import Final
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import qr, solve_triangular
 
 from sysid_bench.identification.compressed import (
+    EXCITED,
     compress,
     require_excited,
     residual_norms,
     spread,
     triangular,
 )
-from sysid_bench.types import Array, Problem
+from sysid_bench.types import Array, Factor, Problem
 
 ROUNDING: Final = 1e-10
 """Residuals below this share of a row's RMS torque are rounding error and tell no noise: a floor
@@ -34,15 +35,26 @@ def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, A
 def own_sigmas(problem: Problem) -> Array:
     """Noise (rows,) of each row, from a fit of that row alone: N_j - b_j degrees of freedom.
 
-    b_j base parameters act on row j. A fit of its own leaves out what other rows add: the expected
-    variance is that of the row, however loud its neighbours are.
+    b_j base parameters are told apart by row j. A fit of its own leaves out what other rows add:
+    the expected variance is that of the row, however loud its neighbours are.
     """
-    sigma = np.zeros(len(problem.factors))
-    for i, factor in enumerate(problem.factors):
-        k = len(factor.columns)
-        if len(factor.R) > k:  # the last diagonal entry of R is the residual of the row's own fit
-            sigma[i] = abs(factor.R[k, k]) / np.sqrt(max(factor.samples - k, 1))
-    return floored(problem, sigma)
+    return floored(problem, np.array([_own_sigma(factor) for factor in problem.factors]))
+
+
+def _own_sigma(factor: Factor) -> float:
+    R, k = factor.R, len(factor.columns)
+    if len(R) <= k or k == 0:
+        return 0.0
+    norms = np.linalg.norm(R[:, :k], axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    rank, rest = k, R[k:, k]
+    if np.abs(np.diag(R)[:k] / norms).min() <= EXCITED:
+        # Columns that depend on one another leave rows of R that are residual: found by pivoting.
+        turned, upper, _ = qr(R[:, :k] / norms, mode="economic", pivoting=True)
+        size = np.abs(np.diag(upper))
+        rank = int((size > EXCITED * size[0]).sum())
+        rest = R[:, k] - turned[:, :rank] @ (turned[:, :rank].T @ R[:, k])
+    return float(np.linalg.norm(rest)) / np.sqrt(max(factor.samples - rank, 1))
 
 
 def fit_sigmas(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:

@@ -63,7 +63,7 @@ def whitening_taps(noise: Array, order: int) -> Array:
 
 
 def _whitened(problem: Problem, residual: Array, taps: Array) -> Iterator[tuple[Array, Array]]:
-    """Rows and residuals filtered in time, block after block; the first `order` samples are lost."""
+    """Rows and residuals filtered in time, block after block; `order` samples are lost."""
     order = taps.shape[1] - 1
     past = np.zeros((0, *(len(problem.rows), problem.base.rank))), residual[:0]
     for Y, rest in beside(problem, residual):

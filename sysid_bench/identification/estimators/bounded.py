@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.identification.feasible import Limits, fit, weighted_rows
+from sysid_bench.identification.feasible import Limits, fit
 from sysid_bench.identification.physical import physical_of
 from sysid_bench.identification.prior import start_of
 from sysid_bench.types import Estimate, Problem
@@ -25,7 +25,6 @@ class Bounded:
     def solve(self, problem: Problem) -> Estimate:
         """The estimate; raises EstimationError where Clarabel does not solve it."""
         of = physical_of(problem)
-        A, z = weighted_rows(problem, of)
-        found = fit(of, Limits(None, tuple(self.mass)), A, z, start_of(of, problem.prior))
-        stats = {"duality_gap": found.gap, "least_squares": float(found.exact)}
+        found = fit(of, problem, Limits(None, tuple(self.mass)), start_of(of, problem.prior))
+        stats = {"duality_gap": found.gap, "excess": found.excess}
         return Estimate(problem.base.K @ (of.scale * found.x), stats=stats)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+from sysid_bench.identification.base_coordinates import weighted_coordinates
 from sysid_bench.identification.bregman import divergence, newton
-from sysid_bench.identification.feasible import weighted_rows
 from sysid_bench.identification.physical import physical_of
 from sysid_bench.identification.prior import existing, required_prior, spread_of
 from sysid_bench.types import Estimate, Problem
@@ -20,15 +20,16 @@ class Entropic:
     """
 
     weight: float = 1.0
-    bias: ClassVar[str] = "drawn towards the prior, as if every torque had 0.01 % of noise at least"
+    bias: ClassVar[str] = "drawn towards the prior, as if torques had 0.001 % of noise at least"
 
     def solve(self, problem: Problem) -> Estimate:
         """The estimate, for motions too that do not excite every direction; raises EstimationError
         without a prior, or where Newton's method does not come to rest."""
         of, prior = physical_of(problem), required_prior(problem)
         std = spread_of(of, prior)
-        near = divergence(of, existing(of, prior.theta / of.scale, std), std)
-        x, iterations, decrement = newton(*weighted_rows(problem, of), self.weight, near)
+        x0 = existing(of, prior.theta / of.scale, std)
+        at = weighted_coordinates(of, problem, x0)
+        x, iterations, decrement = newton(divergence(of, x0, std), at, self.weight, at.y(x0))
         stats = {
             "iterations": float(iterations),
             "decrement": decrement,

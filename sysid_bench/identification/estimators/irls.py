@@ -12,7 +12,7 @@ from sysid_bench.identification.weights import floored, weighted_fit
 from sysid_bench.types import Array, Estimate, Problem
 
 SETTLED = 10
-"""Iterations after which it is held which samples count: a sample on the edge would flip forever."""
+"""Iterations after which it is held which samples count: one on the edge would flip forever."""
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class IRLS:
     `cut` standard deviations left out, Lambda from the new residuals, until beta rests.
 
     Lambda is divided by the share that Gaussian noise keeps within the cut, and has sqrt((N - b_i)
-    (N - b_j)) degrees of freedom, b_j base parameters on joint j. Covariance of beta by the whitened
-    rows. Han, Wu, Liu, Xiong (2020). Assumes W exact and noise white in time.
+    (N - b_j)) degrees of freedom, b_j base parameters on joint j. Covariance of beta by the
+    whitened rows. Han, Wu, Liu, Xiong (2020). Assumes W exact and noise white in time.
     """
 
     cut: float = 3.0

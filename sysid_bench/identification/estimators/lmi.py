@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sysid_bench.identification.feasible import Limits, estimate_of, fit, weighted_rows
+from sysid_bench.identification.feasible import Limits, estimate_of, fit
 from sysid_bench.identification.physical import physical_of
 from sysid_bench.identification.prior import start_of
 from sysid_bench.types import Estimate, Problem
@@ -31,5 +31,4 @@ class LMI:
         where Clarabel does not solve it."""
         of = physical_of(problem)
         limits = Limits(self.margin, tuple(self.mass), self.com)
-        A, z = weighted_rows(problem, of)
-        return estimate_of(of, fit(of, limits, A, z, start_of(of, problem.prior)))
+        return estimate_of(of, fit(of, problem, limits, start_of(of, problem.prior)))

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.feasible import Limits, estimate_of, fit, weighted_rows
+from sysid_bench.identification.feasible import Limits, estimate_of, fit
 from sysid_bench.identification.physical import physical_of
 from sysid_bench.identification.prior import required_prior, spread_of
 from sysid_bench.types import Estimate, Problem
@@ -19,12 +19,11 @@ class LMIEuclidean:
 
     weight: float = 1.0
     margin: float = 1e-7
-    bias: ClassVar[str] = "drawn towards the prior, as if every torque had 0.01 % of noise at least"
+    bias: ClassVar[str] = "drawn towards the prior, as if torques had 0.001 % of noise at least"
 
     def solve(self, problem: Problem) -> Estimate:
         """The estimate, for motions too that do not excite every direction; raises EstimationError
         without a prior, or where Clarabel does not solve it."""
         of, prior = physical_of(problem), required_prior(problem)
-        A, z = weighted_rows(problem, of)
         pull = self.weight * np.diag(1 / spread_of(of, prior) ** 2)
-        return estimate_of(of, fit(of, Limits(self.margin), A, z, prior.theta / of.scale, pull))
+        return estimate_of(of, fit(of, problem, Limits(self.margin), prior.theta / of.scale, pull))

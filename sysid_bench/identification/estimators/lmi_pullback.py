@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sysid_bench.identification.bregman import divergence
-from sysid_bench.identification.feasible import Limits, estimate_of, fit, weighted_rows
+from sysid_bench.identification.feasible import Limits, estimate_of, fit
 from sysid_bench.identification.physical import physical_of
 from sysid_bench.identification.prior import existing, required_prior, spread_of
 from sysid_bench.types import Estimate, Problem
@@ -12,14 +12,14 @@ from sysid_bench.types import Estimate, Problem
 
 @dataclass(frozen=True)
 class LMIPullback:
-    """min |S^-1/2 (W K theta - b)|^2 + weight d' M d, d = theta - theta0, where every body can exist
-    (as `lmi`); M_kl = tr(J0^-1 E_k J0^-1 E_l) is the affine-invariant metric of pseudo-inertias
-    pulled back to theta and held at the prior. It does not depend on frames or units. Lee and Park
-    (2018); Lee, Wensing, Park (2020)."""
+    """min |S^-1/2 (W K theta - b)|^2 + weight d' M d, d = theta - theta0, where every body can
+    exist (as `lmi`); M_kl = tr(J0^-1 E_k J0^-1 E_l) is the affine-invariant metric of
+    pseudo-inertias pulled back to theta and held at the prior. It does not
+    depend on frames or units. Lee and Park (2018); Lee, Wensing, Park (2020)."""
 
     weight: float = 1.0
     margin: float = 1e-7
-    bias: ClassVar[str] = "drawn towards the prior, as if every torque had 0.01 % of noise at least"
+    bias: ClassVar[str] = "drawn towards the prior, as if torques had 0.001 % of noise at least"
 
     def solve(self, problem: Problem) -> Estimate:
         """The estimate, for motions too that do not excite every direction; raises EstimationError
@@ -28,5 +28,4 @@ class LMIPullback:
         std = spread_of(of, prior)
         x0 = existing(of, prior.theta / of.scale, std)
         _, metric = divergence(of, x0, std).derivatives(x0)
-        A, z = weighted_rows(problem, of)
-        return estimate_of(of, fit(of, Limits(self.margin), A, z, x0, self.weight * metric))
+        return estimate_of(of, fit(of, problem, Limits(self.margin), x0, self.weight * metric))

@@ -15,7 +15,7 @@ class TLS:
 
     Assumes independent errors of equal size in all columns of W and in b, each relative to its
     RMS: so the answer does not depend on units, but on which base parameters are taken. Encoder
-    noise makes dependent errors of different size, and TLS is then biased. Covariance (1 + |beta|^2)
+    noise makes dependent errors of different size: TLS is then biased. Covariance (1 + |beta|^2)
     s^2 / M (W'W - s^2 1)^-1, first order in the noise. Golub and Van Loan (1980); Van Huffel and
     Vandewalle (1991), section 8.3; Gautier, Vandanjon, Presse (1994).
     """

@@ -11,8 +11,8 @@ from sysid_bench.types import Estimate, Problem
 class WLS:
     """Rows of joint j divided by sigma_j; covariance (W' S^-1 W)^-1.
 
-    sigma_j is the residual of joint j's own least squares with N_j - b_j degrees of freedom, b_j the
-    base parameters that act on joint j: unbiased whatever the noise of the other joints. Each of
+    sigma_j is the residual of joint j's own least squares with N_j - b_j degrees of freedom, b_j
+    base parameters that joint j tells apart: unbiased whatever the noise of other joints. Each of
     `iterations` beyond the first takes the residuals of the weighted fit instead, with
     N_j - tr(H_jj) degrees of freedom, H its hat matrix.
 
