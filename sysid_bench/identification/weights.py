@@ -3,7 +3,7 @@
 from typing import Final
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import solve_triangular
 
 from sysid_bench.identification.compressed import (
     EXCITED,
@@ -43,17 +43,16 @@ def own_sigmas(problem: Problem) -> Array:
 
 def _own_sigma(factor: Factor) -> float:
     R, k = factor.R, len(factor.columns)
-    if len(R) <= k or k == 0:
+    if len(R) <= k:
         return 0.0
     norms = np.linalg.norm(R[:, :k], axis=0)
     norms = np.where(norms > 0, norms, 1.0)
     rank, rest = k, R[k:, k]
-    if np.abs(np.diag(R)[:k] / norms).min() <= EXCITED:
-        # Columns that depend on one another leave rows of R that are residual: found by pivoting.
-        turned, upper, _ = qr(R[:, :k] / norms, mode="economic", pivoting=True)
-        size = np.abs(np.diag(upper))
-        rank = int((size > EXCITED * size[0]).sum())
-        rest = R[:, k] - turned[:, :rank] @ (turned[:, :rank].T @ R[:, k])
+    if np.abs(np.diag(R)[:k] / norms).min(initial=1.0) <= EXCITED:
+        # Columns that depend on one another leave rows of R that are residual.
+        U, values, _ = np.linalg.svd(R[:, :k] / norms, full_matrices=False)
+        rank = int((values > EXCITED * values[0]).sum())
+        rest = R[:, k] - U[:, :rank] @ (U[:, :rank].T @ R[:, k])
     return float(np.linalg.norm(rest)) / np.sqrt(max(factor.samples - rank, 1))
 
 

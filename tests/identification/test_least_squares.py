@@ -78,16 +78,15 @@ def test_ols_is_least_squares_on_all_rows(place: tuple[str, str, str]) -> None:
 
 
 def own_spreads(problem: Problem, Y: Array, B: Array) -> Array:
-    """Noise (rows,) of each row by a fit of it alone; rows that feel nothing get the largest."""
+    """Noise (rows,) of each row by a fit of it alone; silent rows get the largest."""
     sigma = np.zeros(len(problem.rows))
     for i, factor in enumerate(problem.factors):
-        if len(factor.columns):
-            norms = np.linalg.norm(Y[:, i, factor.columns], axis=0)
-            unit = Y[:, i, factor.columns] / np.where(norms > 0, norms, 1.0)
-            U, values, _ = np.linalg.svd(unit, full_matrices=False)
-            U = U[:, values > 1e-9 * values[0]]
-            rest = B[:, i] - U @ (U.T @ B[:, i])
-            sigma[i] = np.linalg.norm(rest) / np.sqrt(len(B) - U.shape[1])
+        norms = np.linalg.norm(Y[:, i, factor.columns], axis=0)
+        unit = Y[:, i, factor.columns] / np.where(norms > 0, norms, 1.0)
+        U, values, _ = np.linalg.svd(unit, full_matrices=False)
+        U = U[:, values > 1e-9 * values.max(initial=0.0)]
+        rest = B[:, i] - U @ (U.T @ B[:, i])
+        sigma[i] = np.linalg.norm(rest) / np.sqrt(len(B) - U.shape[1])
     return np.where(sigma > 0, sigma, sigma.max())
 
 
