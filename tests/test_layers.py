@@ -42,6 +42,12 @@ SIDE_BY_SIDE = (
     frozenset({"excitation", "simulation", "signals", "identification"}),
     frozenset({"harness", "reporting"}),
 )
+# Inside the harness: a folder -> what of the harness it may import beside itself.
+HARNESS: dict[str, frozenset[str]] = {
+    "suite": frozenset({"canonical", "words"}),
+    "work": frozenset({"canonical", "words"}),
+    "experiment": frozenset({"canonical", "words", "provenance", "suite"}),
+}
 ENGINES = frozenset({"mujoco", "pinocchio"})
 SECRETS = re.compile(r"\b(Oracle|Truth)\b")
 SECRET_ROOMS = frozenset({"types", "models", "simulation", "evaluation", "harness"})
@@ -98,6 +104,21 @@ def across_the_landing(file: Path, root: Path) -> list[str]:
         f"{file}:{line} imports {other}, which stands beside {room}: they meet one floor up."
         for line, other in rooms_imported(file, root)
         if other in neighbours
+    ]
+
+
+def up_the_stairs_of_the_harness(file: Path, root: Path) -> list[str]:
+    """Reading a suite, work in processes and one experiment know nothing of plans and runs."""
+    place = file.relative_to(root).parts
+    if place[0] != "harness" or len(place) < 3:
+        return []
+    granted = HARNESS[place[1]] | {place[1]}
+    inner = f"{PACKAGE}.harness."
+    names = ", ".join(sorted(granted))
+    return [
+        f"{file}:{line} imports {module}; harness/{place[1]} may import {names}."
+        for line, module in imports(file, root)
+        if module.startswith(inner) and module.removeprefix(inner).partition(".")[0] not in granted
     ]
 
 
@@ -165,6 +186,7 @@ Rule = Callable[[Path, Path], list[str]]
 RULES: tuple[Rule, ...] = (
     off_the_map,
     across_the_landing,
+    up_the_stairs_of_the_harness,
     plant_sees_the_tested,
     witness_knows_us,
     method_holds_an_engine,
@@ -204,6 +226,9 @@ BAD = [
     (across_the_landing, "signals/noise.py", "from ..simulation import inverse"),
     (across_the_landing, "reporting/html.py", "from sysid_bench import harness"),
     (across_the_landing, "harness/run.py", "import sysid_bench.reporting.html as html"),
+    (up_the_stairs_of_the_harness, "harness/suite/read.py", "from sysid_bench.harness import run"),
+    (up_the_stairs_of_the_harness, "harness/work/crew.py", "from ..suite.names import Names"),
+    (up_the_stairs_of_the_harness, "harness/experiment/prepare.py", "from ..plan import Cell"),
     (plant_sees_the_tested, "simulation/inverse.py", "import sysid_bench.regressors.body"),
     (plant_sees_the_tested, "simulation/effects/a.py", "from ...identification import identify"),
     (witness_knows_us, "regressors/reference.py", "from sysid_bench.regressors.body import Y"),

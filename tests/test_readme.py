@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("reader")
     script = made / ".bin" / "sysid-bench"
     script.parent.mkdir()
-    script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m sysid_bench.cli "$@"\n')
+    script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m sysid_bench "$@"\n')
     script.chmod(0o755)
     for _, text in blocks():
         named = FILE.match(text)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.harness.names import located
 from sysid_bench.harness.plan import Cell
-from sysid_bench.harness.suite_model import Suite
+from sysid_bench.harness.suite.model import Suite
+from sysid_bench.harness.suite.names import located
 from sysid_bench.units import quantity
 
 

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from sysid_bench.harness.canonical import canonical, digest
-from sysid_bench.harness.names import Names
-from sysid_bench.harness.spec import normal_noise, normal_payload, normal_prior
-from sysid_bench.harness.suite_model import Noise, Plugin, Prior, Suite
+from sysid_bench.harness.experiment.spec import normal_noise, normal_payload, normal_prior
+from sysid_bench.harness.suite.model import Noise, Plugin, Prior, Suite
+from sysid_bench.harness.suite.names import Names
 
 
 def distinct(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:

@@ -9,16 +9,16 @@ from typing import Any
 
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.harness.canonical import canonical, digest
-from sysid_bench.harness.expression import Expression
-from sysid_bench.harness.labels import labels_of, robot_key
-from sysid_bench.harness.names import Names, installed_names
-from sysid_bench.harness.spec import (
+from sysid_bench.harness.experiment.spec import (
     ExperimentSpec,
     normal_noise,
     normal_payload,
     normal_prior,
 )
-from sysid_bench.harness.suite_model import Prior, Suite
+from sysid_bench.harness.labels import labels_of, robot_key
+from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.harness.suite.model import Prior, Suite
+from sysid_bench.harness.suite.names import Names, installed_names
 from sysid_bench.harness.words import CELL_FIELDS, LABELS
 from sysid_bench.units import quantity
 

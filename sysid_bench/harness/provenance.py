@@ -16,8 +16,8 @@ from typing import Any, Final
 from sysid_bench import naming
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.canonical import digest
-from sysid_bench.harness.names import located
 from sysid_bench.harness.plan import Cell
+from sysid_bench.harness.suite.names import located
 
 PACKAGES: Final = ("sysid-bench", "numpy", "scipy", "mujoco", "pin", "pandas", "clarabel")
 """Distributions whose version can change a number."""

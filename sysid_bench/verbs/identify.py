@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 from sysid_bench.errors import EstimationError, ModelError
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.spec import ExperimentSpec
+    from sysid_bench.harness.experiment.spec import ExperimentSpec
 
 ESTIMATOR: Final = {"terminal": "min-norm"}
 """The method of a task where none is named: that of its source; elsewhere least squares."""
@@ -37,8 +37,8 @@ def identify(
     """
     from sysid_bench.evaluation.score import score
     from sysid_bench.harness.canonical import plain
-    from sysid_bench.harness.prepare import prepare
-    from sysid_bench.harness.robots import subject
+    from sysid_bench.harness.experiment.prepare import prepare
+    from sysid_bench.harness.experiment.robots import subject
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.naming import build
     from sysid_bench.verbs.answer import bodies_of, joints_of, warnings_of
@@ -125,7 +125,7 @@ def _spec(
     seed: int,
 ) -> "ExperimentSpec":
     """The experiment as a suite with nothing but defaults would have it."""
-    from sysid_bench.harness.spec import ExperimentSpec, normal_noise
+    from sysid_bench.harness.experiment.spec import ExperimentSpec, normal_noise
 
     measured = normal_noise(noise)
     return ExperimentSpec(

@@ -6,8 +6,8 @@ from typing import Final
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.write_mjcf import updated_mjcf
-from sysid_bench.models.write_urdf import updated_urdf
+from sysid_bench.models.writing.mjcf import updated_mjcf
+from sysid_bench.models.writing.urdf import updated_urdf
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.verbs.answer import values_of
 

@@ -74,8 +74,8 @@ def view(folder: str | Path, identifier: str, web: bool = False) -> "subprocess.
 
 
 def _matching(run_folder: "RunFolder", expression: str) -> list[str]:
-    from sysid_bench.harness.expression import Expression
     from sysid_bench.harness.plan import fields
+    from sysid_bench.harness.suite.expression import Expression
     from sysid_bench.harness.words import ROW_FIELDS
 
     condition = Expression.parse(expression, run_folder.plan.fields | ROW_FIELDS)
@@ -117,12 +117,12 @@ def _write(
     run_folder: "RunFolder", cell: str, row: Mapping[str, Any], max_hz: Any, robots_dir: Path | None
 ) -> Path:
     from sysid_bench.harness.argument import argument_of
-    from sysid_bench.harness.evidence import evidence
+    from sysid_bench.harness.experiment.evidence import evidence
     from sysid_bench.reporting.recording import record as write
     from sysid_bench.units import quantity
 
     (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
-    argument = argument_of([planned], run_folder.suite, robots_dir)
+    argument = argument_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_dir)
     path = _path(run_folder, cell)
     path.parent.mkdir(parents=True, exist_ok=True)
     return write(evidence(argument, dict(row)), path, quantity(max_hz, "Hz"))

@@ -10,7 +10,7 @@ from sysid_bench.verbs.folders import find_cell, open_run
 if TYPE_CHECKING:
     from sysid_bench.harness.plan import Plan
     from sysid_bench.harness.run import Rerun, RunResult
-    from sysid_bench.harness.supervisor import OnEvent
+    from sysid_bench.harness.work.supervisor import OnEvent
 
 
 def plan(
@@ -23,9 +23,9 @@ def plan(
     from dataclasses import replace
 
     from sysid_bench import places
-    from sysid_bench.harness.names import installed_names
     from sysid_bench.harness.plan import expand
-    from sysid_bench.harness.suite import load_suite
+    from sysid_bench.harness.suite.names import installed_names
+    from sysid_bench.harness.suite.read import load_suite
 
     names = installed_names(robots_dir)
     whole = expand(load_suite(places.suite(str(suite)), names, overrides), names)

@@ -19,7 +19,7 @@ def cli(tmp_path: Path) -> Run:
 
     def run(*words: str, timeout: float = 120) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-m", "sysid_bench.cli", *words],
+            [sys.executable, "-m", "sysid_bench", *words],
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
             text=True,

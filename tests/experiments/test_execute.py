@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.harness import robots
-from sysid_bench.harness.experiment import execute
-from sysid_bench.harness.robots import KEPT, subject
-from sysid_bench.harness.spec import ExperimentSpec
+from sysid_bench.harness.experiment import robots
+from sysid_bench.harness.experiment.execute import execute
+from sysid_bench.harness.experiment.robots import KEPT, subject
+from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.types import Row
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from sysid_bench.harness.prepare import Prepared
+from sysid_bench.harness.experiment.prepare import Prepared
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.task import Task
 from sysid_bench.types import Array, Oracle, Truth

@@ -11,7 +11,7 @@ import sympy as sp
 from sysid_bench import places
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
-from sysid_bench.harness.evidence import evidence
+from sysid_bench.harness.experiment.evidence import evidence
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.min_norm import MinNorm

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.expression import Expression
+from sysid_bench.harness.suite.expression import Expression
 
 CELL: dict[str, Any] = {
     "robot": ("panda", "file:panda.urdf"),

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.plan import Plan, expand, fields
-from sysid_bench.harness.spec import (
+from sysid_bench.harness.experiment.spec import (
     ExperimentSpec,
     held_out_seed,
     motion_seed,
@@ -20,6 +19,7 @@ from sysid_bench.harness.spec import (
     prior_seed,
     seed_of,
 )
+from sysid_bench.harness.plan import Plan, expand, fields
 from sysid_bench.harness.words import LABELS
 
 

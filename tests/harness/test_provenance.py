@@ -11,7 +11,7 @@ from harness_world import NAMES, small
 from sysid_bench.harness import provenance
 from sysid_bench.harness.plan import Cell, expand
 from sysid_bench.harness.provenance import cell_fingerprint, environment, fingerprint
-from sysid_bench.harness.suite import parse_suite
+from sysid_bench.harness.suite.read import parse_suite
 
 CACHES = ("_fingerprint", "_tree", "_file", "_model", "_plugin", "_model_files", "_versions")
 

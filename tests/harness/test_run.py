@@ -15,11 +15,11 @@ from harness_world import FULL, NAMES, read, small
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness import provenance
-from sysid_bench.harness.names import Names
-from sysid_bench.harness.row_files import read_rows
 from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.suite import parse_suite
+from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.suite.read import parse_suite
+from sysid_bench.harness.work.row_files import read_rows
 
 HERE = Path(__file__).parent
 CALL = "harness_tasks:execute"

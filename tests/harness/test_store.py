@@ -18,8 +18,8 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.canonical import canonical, plain
 from sysid_bench.harness.frames import frames_of
 from sysid_bench.harness.plan import expand
-from sysid_bench.harness.row_files import RowWriter, ids_in, new_row_file, read_rows
 from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.work.row_files import RowWriter, ids_in, new_row_file, read_rows
 
 
 def make(folder: Path, text: str = FULL) -> RunFolder:

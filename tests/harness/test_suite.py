@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness import words
-from sysid_bench.harness.names import Names, installed_names, located
 from sysid_bench.harness.plan import expand
-from sysid_bench.harness.suite import (
+from sysid_bench.harness.suite.names import Names, installed_names, located
+from sysid_bench.harness.suite.read import (
     dump_suite,
     load_suite,
     override,

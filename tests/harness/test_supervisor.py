@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.harness.crew import Task, Workplace
-from sysid_bench.harness.row_files import StoredRows, read_rows
-from sysid_bench.harness.supervisor import Ending, supervise
+from sysid_bench.harness.work.crew import Task, Workplace
+from sysid_bench.harness.work.row_files import StoredRows, read_rows
+from sysid_bench.harness.work.supervisor import Ending, supervise
 
 HERE = Path(__file__).parent
 CHECKOUT = HERE.parents[1]
@@ -173,8 +173,8 @@ PARENT = """
 import sys, threading
 from pathlib import Path
 sys.path.insert(0, {here!r})
-from sysid_bench.harness.crew import Task, Workplace
-from sysid_bench.harness.supervisor import supervise
+from sysid_bench.harness.work.crew import Task, Workplace
+from sysid_bench.harness.work.supervisor import supervise
 cells = [str(n) for n in range(4)]
 def task(cell):
     argument = {{"do": "sleep {seconds}", "cells": [cell]}}
@@ -214,7 +214,7 @@ def test_a_deaf_orphan_writes_no_row_without_the_help_of_linux(
     monkeypatch.setattr(sys, "path", [str(HERE), *sys.path])
     environment = {**os.environ, "PYTHONPATH": str(CHECKOUT)}
     with (tmp_path / "log").open("w") as log, subprocess.Popen(
-        [sys.executable, "-m", "sysid_bench.harness.worker"], stdin=subprocess.PIPE,
+        [sys.executable, "-m", "sysid_bench.harness.work.worker"], stdin=subprocess.PIPE,
         stdout=subprocess.PIPE, stderr=log, text=True, env=environment,
     ) as worker:  # fmt: skip
         assert worker.stdin is not None

@@ -8,8 +8,8 @@ from harness_world import FULL
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench.harness.toml_places import key_lines, line_of
-from sysid_bench.harness.toml_text import toml_text
+from sysid_bench.harness.suite.toml_places import key_lines, line_of
+from sysid_bench.harness.suite.toml_text import toml_text
 
 SAMPLE = '''# a comment = 1
 top = 1

@@ -10,10 +10,10 @@ from sysid_bench import places
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.write_mjcf import updated_mjcf
-from sysid_bench.models.write_urdf import updated_urdf
-from sysid_bench.models.written import JOINT_KEYS
-from sysid_bench.models.xml_text import elements_of
+from sysid_bench.models.writing.mjcf import updated_mjcf
+from sysid_bench.models.writing.update import JOINT_KEYS
+from sysid_bench.models.writing.urdf import updated_urdf
+from sysid_bench.models.writing.xml_text import elements_of
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array
 from tests.robots import random_mjcf, random_phi, urdf_files

@@ -5,16 +5,14 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.load import LARGEST_FILE
-from sysid_bench.models.written import Bodies, Joints, prove, update_of
-from sysid_bench.models.xml_text import (
+from sysid_bench.models.writing.rewrite import rewritten
+from sysid_bench.models.writing.update import Bodies, Joints, Update
+from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
     attribute_edits,
-    elements_of,
     insertion,
     numbers,
-    spliced,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia, six_of_matrix
 from sysid_bench.types import Array
@@ -35,22 +33,17 @@ def updated_urdf(
     `bodies`: name -> phi (10,) or (m, com, inertia about it); `joints`: name -> damping,
     frictionloss in SI units; `verdicts`: parameter -> verdict of all that is to be written. The
     text is read again before it is returned. Raises ModelError for what must not be written (see
-    models/written.py), and for joint terms that a URDF cannot hold.
+    models/writing/update.py), and for joint terms that a URDF cannot hold.
     """
-    path = Path(path)
-    update = update_of(path, bodies, joints or {}, verdicts)
-    data = path.read_bytes()[: LARGEST_FILE + 1]
-    root = elements_of(data, path.name)
-    if root.tag != "robot":
-        raise ModelError(f"{path.name} is no URDF: its root element is <{root.tag}>, not <robot>.")
-    edits: list[Edit] = []
+    return rewritten(path, bodies, joints, verdicts, "robot", _edits)
+
+
+def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
+    file = update.robot.manifest.path.name
     for name, phi in update.phi.items():
-        edits += _link_edits(data, _called(root, "link", name, path.name), phi)
+        yield from _link_edits(data, _called(root, "link", name, file), phi)
     for name, terms in update.joints.items():
-        edits += _joint_edits(data, _called(root, "joint", name, path.name), terms, path.name)
-    text = spliced(data, edits)
-    prove(path, text, update)
-    return text
+        yield from _joint_edits(data, _called(root, "joint", name, file), terms, file)
 
 
 def _called(root: Element, tag: str, name: str, file: str) -> Element:

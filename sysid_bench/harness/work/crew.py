@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.harness.row_files import ids_in, new_row_file
+from sysid_bench.harness.work.row_files import ids_in, new_row_file
 from sysid_bench.types import Row
 
 Inbox = queue.SimpleQueue[tuple["Worker", dict[str, Any] | None]]
@@ -64,7 +64,7 @@ class Worker:
         with self.log_file.open("ab") as log:
             self.log_start = log.tell()
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "sysid_bench.harness.worker"],
+                [sys.executable, "-m", "sysid_bench.harness.work.worker"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -168,7 +168,7 @@ class Worker:
 
 def _environment(threads: int) -> Mapping[str, str]:
     environment = {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, str(threads))}
-    home = Path(__file__).resolve().parents[2]
+    home = Path(__file__).resolve().parents[3]
     if home.name not in ("site-packages", "dist-packages"):
         # A checkout that is on our path without being installed must be on the worker's as well.
         paths = [str(home), *filter(None, [os.environ.get("PYTHONPATH")])]

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.harness.prepare import Prepared, prepare
-from sysid_bench.harness.robots import Subject, subject
-from sysid_bench.harness.spec import ExperimentSpec
+from sysid_bench.harness.experiment.prepare import Prepared, prepare
+from sysid_bench.harness.experiment.robots import Subject, subject
+from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.identification.compressed import compress
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.appearance import poses, shapes_of

@@ -1,4 +1,4 @@
-"""The process that runs tasks: `python -m sysid_bench.harness.worker`, JSON lines both ways.
+"""The process that runs tasks: `python -m sysid_bench.harness.work.worker`, JSON lines both ways.
 
 In: a greeting {parent, path, rows}, then tasks {call, argument, cells}.
 Out: {begin}, {row: id, status, reason}, and {done} or {failed: reason, traceback}.
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.harness.row_files import RowWriter
+from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
 
 Tell = Callable[[dict[str, Any]], None]

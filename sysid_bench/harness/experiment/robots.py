@@ -8,7 +8,7 @@ from typing import Any
 
 from sysid_bench.evaluation.crosscheck import CrossCheck, crosscheck
 from sysid_bench.harness.canonical import canonical
-from sysid_bench.harness.names import located
+from sysid_bench.harness.suite.names import located
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest

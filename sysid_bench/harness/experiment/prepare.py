@@ -9,8 +9,8 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
 from sysid_bench.excitation.brief import brief_of
-from sysid_bench.harness.robots import Subject
-from sysid_bench.harness.spec import (
+from sysid_bench.harness.experiment.robots import Subject
+from sysid_bench.harness.experiment.spec import (
     ExperimentSpec,
     held_out_seed,
     motion_seed,

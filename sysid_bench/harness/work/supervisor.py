@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Literal
 
-from sysid_bench.harness.crew import Inbox, Task, Worker, Workplace
-from sysid_bench.harness.row_files import RowWriter, new_row_file
 from sysid_bench.harness.words import FAILURES
+from sysid_bench.harness.work.crew import Inbox, Task, Worker, Workplace
+from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.types import Row
 
 OnEvent = Callable[[str, Mapping[str, Any]], None]

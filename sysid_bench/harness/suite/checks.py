@@ -7,8 +7,8 @@ from typing import Any, cast
 from pydantic import BaseModel, BeforeValidator, PlainValidator, ValidationInfo
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.harness.expression import Expression
-from sysid_bench.harness.names import Names, complaint
+from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.harness.suite.names import Names, complaint
 from sysid_bench.harness.words import CELL_FIELDS, ROW_FIELDS
 from sysid_bench.units import quantity
 

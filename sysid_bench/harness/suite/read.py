@@ -9,11 +9,11 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.names import Names, installed_names, no_names
-from sysid_bench.harness.suite_checks import Context
-from sysid_bench.harness.suite_model import Suite
-from sysid_bench.harness.toml_places import Key, key_lines, line_of
-from sysid_bench.harness.toml_text import toml_text
+from sysid_bench.harness.suite.checks import Context
+from sysid_bench.harness.suite.model import Suite
+from sysid_bench.harness.suite.names import Names, installed_names, no_names
+from sysid_bench.harness.suite.toml_places import Key, key_lines, line_of
+from sysid_bench.harness.suite.toml_text import toml_text
 
 __all__ = ["Suite", "dump_suite", "load_suite", "override", "parse_frozen", "parse_suite"]
 

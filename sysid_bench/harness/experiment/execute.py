@@ -11,10 +11,10 @@ import numpy as np
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
 from sysid_bench.evaluation.score import data_figures, score
 from sysid_bench.harness.canonical import plain
-from sysid_bench.harness.prepare import Prepared, prepare
+from sysid_bench.harness.experiment.prepare import Prepared, prepare
+from sysid_bench.harness.experiment.robots import Subject, subject
+from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.harness.provenance import versions
-from sysid_bench.harness.robots import Subject, subject
-from sysid_bench.harness.spec import ExperimentSpec
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build

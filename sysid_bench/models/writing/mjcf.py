@@ -7,17 +7,16 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.load import LARGEST_FILE
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.written import Bodies, Joints, Update, as_written, prove, update_of
-from sysid_bench.models.xml_text import (
+from sysid_bench.models.writing.proof import as_written
+from sysid_bench.models.writing.rewrite import rewritten
+from sysid_bench.models.writing.update import Bodies, Joints, Update
+from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
     attribute_edits,
-    elements_of,
     insertion,
     numbers,
-    spliced,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.spatial.rotation import quaternion_of_matrix
@@ -43,29 +42,23 @@ def updated_mjcf(
     `bodies`: name -> phi (10,) or (m, com, inertia about it); `joints`: name -> damping,
     frictionloss, armature, stiffness, springref in SI units; `verdicts`: parameter -> verdict of
     all that is to be written. The text is read again before it is returned. Raises ModelError for
-    what must not be written (see models/written.py), and for bodies of included files.
+    what must not be written (see models/writing/update.py), and for bodies of included files.
     """
-    path = Path(path)
-    update = update_of(path, bodies, joints or {}, verdicts)
-    data = path.read_bytes()[: LARGEST_FILE + 1]
-    root = elements_of(data, path.name)
-    if root.tag != "mujoco":
-        raise ModelError(f"{path.name} is no MJCF: its root element is <{root.tag}>, not <mujoco>.")
-    edits: list[Edit] = []
-    places = _Places(root, update.robot, path.name)
+    return rewritten(path, bodies, joints, verdicts, "mujoco", _edits)
+
+
+def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
+    places = _Places(root, update.robot)
     for name, phi in update.phi.items():
-        edits += _body_edits(data, places.body(name), phi)
+        yield from _body_edits(data, places.body(name), phi)
     for name, terms in update.joints.items():
-        edits += _joint_edits(data, places.joint(name), terms, update, name)
-    text = spliced(data, edits)
-    prove(path, text, update)
-    return text
+        yield from _joint_edits(data, places.joint(name), terms, update, name)
 
 
 class _Places:
     """Where the bodies and joints of a robot are written in the main file."""
 
-    def __init__(self, root: Element, robot: RobotModel, file: str) -> None:
+    def __init__(self, root: Element, robot: RobotModel) -> None:
         world = [section for section in root.children if section.tag == "worldbody"]
         inside = [element for section in world for element in section.walk()]
         bodies = [element for element in inside if element.tag == "body"]
@@ -74,7 +67,7 @@ class _Places:
         self.names = {"body": robot.body_names, "joint": [joint.name for joint in robot.joints]}
         self.copied = [e.tag for e in inside if e.tag in _COPIES]
         self.included = any(e.tag == "include" for e in root.walk())
-        self.file = file
+        self.file = robot.manifest.path.name
 
     def body(self, name: str) -> Element:
         return self._find("body", name)

@@ -1,0 +1,39 @@
+"""A model file with edits in its text, proved: what both formats share."""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Final
+
+from sysid_bench.errors import ModelError
+from sysid_bench.models.load import LARGEST_FILE
+from sysid_bench.models.writing.proof import prove
+from sysid_bench.models.writing.update import Bodies, Joints, Update, update_of
+from sysid_bench.models.writing.xml_text import Edit, Element, elements_of, spliced
+
+FORMATS: Final = {"mujoco": "MJCF", "robot": "URDF"}
+Edits = Callable[[bytes, Element, Update], Iterable[Edit]]
+
+
+def rewritten(
+    path: Path | str,
+    bodies: Bodies,
+    joints: Joints | None,
+    verdicts: Mapping[str, str] | None,
+    tag: str,
+    edits: Edits,
+) -> str:
+    """The text of a file whose root is <tag>, changed by `edits(data, root, update)`, read again.
+
+    Raises ModelError for what must not be written, and for a file of another format.
+    """
+    path = Path(path)
+    update = update_of(path, bodies, joints or {}, verdicts)
+    data = path.read_bytes()[: LARGEST_FILE + 1]
+    root = elements_of(data, path.name)
+    if root.tag != tag:
+        raise ModelError(
+            f"{path.name} is no {FORMATS[tag]}: its root element is <{root.tag}>, not <{tag}>."
+        )
+    text = spliced(data, edits(data, root, update))
+    prove(path, text, update)
+    return text

@@ -1,0 +1,120 @@
+"""What may be written into a model.
+
+Values that no motion can tell, or bodies that cannot exist, are refused by name: a file carries no
+verdicts, and whoever reads it would believe them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import ModelError, UsageError, unknown_name
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.spatial.inertia import matrix_of_six, phi_of, smallest_eigenvalue
+from sysid_bench.types import Array
+
+JOINT_KEYS: Final = ("damping", "frictionloss", "armature", "stiffness", "springref")
+"""Joint terms in MuJoCo's words: N m s/rad, N m, kg m^2, N m/rad, rad (or N s/m, N, kg, N/m, m)."""
+
+POSSIBLE: Final = 1e-12
+"""Of a body's largest number: how far rounding may take a pseudo-inertia below zero."""
+
+BodyValue = Array | Sequence[Any]
+Bodies = Mapping[str, BodyValue]
+Joints = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """A model as it is, and what it shall become: `phi` by body name (10,), `joints` by name."""
+
+    robot: RobotModel
+    phi: dict[str, Array]
+    joints: dict[str, dict[str, float]]
+
+
+def update_of(
+    path: Path, bodies: Bodies, joints: Joints, verdicts: Mapping[str, str] | None
+) -> Update:
+    """The update of a model file, checked: raises UsageError for names and numbers that make no
+    sense, ModelError for bodies that cannot exist and parameters that were not identified.
+
+    A body is phi (10,) or (m, com (3,), inertia about it (3, 3) or six numbers).
+    """
+    refuse_unidentified(verdicts or {})
+    robot = load_robot(Manifest(path.stem, path))
+    known_joints = [j.name for j in robot.joints if j.kind in ("hinge", "slide")]
+    for kind, wanted, known in (
+        ("body", bodies, robot.body_names),
+        ("joint", joints, known_joints),
+    ):
+        for name in wanted:
+            if name not in known:
+                raise unknown_name(kind, name, known, f"({path.name})")
+    phi = {name: _phi(name, value) for name, value in bodies.items()}
+    terms = {name: _terms(name, values) for name, values in joints.items()}
+    refuse_impossible(phi)
+    return Update(robot, phi, terms)
+
+
+def refuse_unidentified(verdicts: Mapping[str, str]) -> None:
+    """Raises ModelError that names every parameter whose verdict is not "identifiable"."""
+    doubtful = [name for name, verdict in verdicts.items() if verdict != "identifiable"]
+    if doubtful:
+        raise ModelError(
+            f"Not written: {len(doubtful)} of {len(verdicts)} parameters were not identified: "
+            f"{', '.join(doubtful[:12])}{', ...' if len(doubtful) > 12 else ''}. Use a task that "
+            "tells them (link: all joint torques), or leave the model as it is."
+        )
+
+
+def refuse_impossible(phi: Mapping[str, Array]) -> None:
+    """Raises ModelError that names every body whose pseudo-inertia is not positive semidefinite."""
+    impossible = []
+    for name, values in phi.items():
+        smallest = float(smallest_eigenvalue(values))
+        if not smallest >= -POSSIBLE * float(np.abs(values).max()):
+            impossible.append(f"{name} (m = {values[0]:.4g} kg, {smallest:.2g})")
+    if impossible:
+        raise ModelError(
+            f"Not written: no body can have the parameters of {', '.join(impossible)}; the "
+            "pseudo-inertia must be positive semidefinite: use a method that keeps to that."
+        )
+
+
+def _phi(name: str, value: BodyValue) -> Array:
+    try:
+        if len(value) == 3:
+            mass, com, inertia = value[0], np.asarray(value[1], float), np.asarray(value[2], float)
+            phi = phi_of(
+                float(mass), com, matrix_of_six(inertia) if inertia.shape == (6,) else inertia
+            )
+        else:
+            phi = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"The body {name!r} cannot have {value!r}: {error}.") from error
+    if phi.shape != (10,) or not np.isfinite(phi).all():
+        raise UsageError(
+            f"The body {name!r} needs ten finite numbers m hx hy hz Ixx Ixy Ixz Iyy Iyz Izz, or "
+            f"(m, com, inertia about it); got {value!r}."
+        )
+    return phi
+
+
+def _terms(name: str, values: Mapping[str, float]) -> dict[str, float]:
+    for key, value in values.items():
+        if key not in JOINT_KEYS:
+            raise unknown_name("term of a joint in a file", key, JOINT_KEYS)
+        if not np.isfinite(value):
+            raise UsageError(f"{key} of the joint {name!r} is {value!r}; it must be finite.")
+        if value < 0 and key != "springref":
+            raise ModelError(
+                f"Not written: {key} of the joint {name!r} is {value:.4g}, and no joint has less "
+                "than none of it."
+            )
+    return {key: float(value) for key, value in values.items()}
