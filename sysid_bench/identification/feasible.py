@@ -7,6 +7,7 @@ from typing import Final
 import clarabel
 import numpy as np
 from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.base_coordinates import WEAK, unseen, weighted_coordinates
@@ -15,6 +16,15 @@ from sysid_bench.types import Array, BaseMap, Body, Estimate, Problem
 
 TOLERANCE: Final = 1e-7
 """Of Clarabel's duality gap: squares of residuals whose noise has the variance one."""
+
+FEASIBLE: Final = (1e-9, 1e-8)
+"""What constraints may be missed by, and what is taken where rounding allows no less."""
+
+LEAST: Final = 3e-8
+"""kg, lengths in LENGTH: the least eigenvalue of J, above what constraints may be missed by."""
+
+ACCEPTED: Final = 1e-4
+"""The gap, absolute or relative, that is taken where rounding allows no less."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +82,9 @@ def cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Limi
     blocks = sparse.lil_matrix((10 * nb, p))
     for b, at in enumerate(of.places):
         blocks[10 * b : 10 * b + 10, at] = -triangle
-    return Cones(
-        sparse.vstack([G, blocks], format="csc"), np.append(h, np.zeros(10 * nb)), len(rows), nb
-    )
+    stacked = sparse.vstack([G, blocks], format="csc")
+    least = np.tile(-LEAST * _entries(np.eye(4)), nb)
+    return Cones(stacked, np.append(h, least), len(rows), nb)
 
 
 def _body_rows(at: Array, limits: Limits) -> list[tuple[Array, Array, float]]:
@@ -97,11 +107,16 @@ def _body_rows(at: Array, limits: Limits) -> list[tuple[Array, Array, float]]:
 
 
 def _triangle(margin: float) -> Array:
-    """Entries (10, 10) of J - margin tr(J) 1 as Clarabel wants a triangle: upper, column by
-    column, off the diagonal times the root of two."""
+    """Entries (10, 10) of J - margin tr(J) 1 for each unit x: the upper triangle, column by column,
+    off the diagonal times the root of two."""
     inner = BASIS - margin * np.trace(BASIS, axis1=1, axis2=2)[:, None, None] * np.eye(4)
+    return np.stack([_entries(one) for one in inner], axis=1)
+
+
+def _entries(M: Array) -> Array:
+    """The ten numbers of a symmetric matrix (4, 4) that Clarabel calls its triangle."""
     return np.array(
-        [inner[:, i, j] * (1.0 if i == j else np.sqrt(2.0)) for j in range(4) for i in range(j + 1)]
+        [M[i, j] * (1.0 if i == j else np.sqrt(2.0)) for j in range(4) for i in range(j + 1)]
     )
 
 
@@ -119,7 +134,8 @@ def fit(
     if pull is not None:
         P, q = P + at.T.T @ pull @ at.T, at.T.T @ (pull @ (at.origin - start))
     y, gap, iterations = _solved(of, limits, at.origin, at.T, P, q)
-    return Fit(_clipped(of, at.origin + at.T @ y), gap, iterations, float(y[:r] @ y[:r]))
+    x = _existing(of, limits, at.origin + at.T @ y)
+    return Fit(x, gap, iterations, float(y[:r] @ y[:r]))
 
 
 def nearest(of: Physical, base: BaseMap, beta: Array, start: Array, metric: Array) -> Fit:
@@ -132,9 +148,8 @@ def nearest(of: Physical, base: BaseMap, beta: Array, start: Array, metric: Arra
     free = np.setdiff1d(np.arange(len(x)), base.pivots)
     x[base.pivots] = beta / of.scale[base.pivots] + N[base.pivots] @ start[free]
     P, q = N.T @ metric @ N, N.T @ (metric @ (x - start))
-    size = float(np.trace(P)) / max(len(P), 1) or 1.0
-    n, gap, iterations = _solved(of, Limits(), x, N, P / size, q / size)
-    return Fit(_clipped(of, x + N @ n), gap * size, iterations, 0.0)
+    n, gap, iterations = _solved(of, Limits(), x, N, P, q)
+    return Fit(_existing(of, Limits(), x + N @ n), gap, iterations, 0.0)
 
 
 def estimate_of(of: Physical, fit: Fit) -> Estimate:
@@ -151,14 +166,24 @@ def estimate_of(of: Physical, fit: Fit) -> Estimate:
 def _solved(
     of: Physical, limits: Limits, origin: Array, T: Array, P: Array, q: Array
 ) -> tuple[Array, float, int]:
-    """(y, duality gap, iterations) of min y'Py / 2 + q'y where origin + T y can exist."""
+    """(y, duality gap, iterations) of min y'Py / 2 + q'y where origin + T y can exist.
+
+    Solved for the way d from the minimum y0 without constraints, y = y0 + d / sqrt(diag(P)): the
+    objective is then what the constraints cost, and its accuracy that of the cost alone.
+    """
     cones = cones_of(of.parameters, of.bodies, limits)
+    size = 1 / np.sqrt(np.maximum(np.diag(P), 1.0))
+    P = P * size * size[:, None]
+    free = -size * cho_solve(cho_factor(P), size * q) if q.any() else np.zeros(len(q))
+    origin, T = origin + T @ free, T * size
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
+    settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = ACCEPTED
+    settings.tol_feas, settings.reduced_tol_feas = FEASIBLE
     answer = clarabel.DefaultSolver(
         sparse.csc_matrix(np.triu(P)),
-        q,
+        np.zeros(len(q)),
         sparse.csc_matrix(cones.G @ T),
         cones.h - cones.G @ origin,
         cones.cones(),
@@ -170,16 +195,25 @@ def _solved(
             "No bodies that can exist have these parameters: Clarabel finds the constraints "
             "contradictory. Take a feasible fit instead, or wider limits."
         )
-    if status != "Solved":
+    if status not in ("Solved", "AlmostSolved"):
         raise EstimationError(
             f"Clarabel answers {status} after {answer.iterations} iterations: no fit that can "
             "exist was found to full accuracy; a prior or limits on mass would bound it."
         )
-    return np.array(answer.x), abs(answer.obj_val - answer.obj_val_dual), int(answer.iterations)
+    gap = abs(answer.obj_val - answer.obj_val_dual)
+    return free + size * np.array(answer.x), gap, int(answer.iterations)
 
 
-def _clipped(of: Physical, x: Array) -> Array:
-    """x (p,) with joint terms that are negative by rounding made zero."""
+def _existing(of: Physical, limits: Limits, x: Array) -> Array:
+    """x (p,) with joint terms that are negative by rounding made zero; raises EstimationError where
+    the eigenvalues of a body say that it cannot exist, whatever the solver does."""
     out = x.copy()
     out[of.not_negative] = np.maximum(x[of.not_negative], 0.0)
+    if limits.margin is not None and of.bodies:
+        smallest = float(np.linalg.eigvalsh(of.pseudo_inertias(out))[:, 0].min())
+        if not smallest >= 0:
+            raise EstimationError(
+                f"Clarabel's answer has a pseudo-inertia with the eigenvalue {smallest:.1e}: it "
+                "cannot exist; a larger margin leaves more room for rounding."
+            )
     return out

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid_bench.identification.compressed import compress, require_excited
 from sysid_bench.identification.feasible import Limits, fit
 from sysid_bench.identification.physical import physical_of
 from sysid_bench.identification.prior import start_of
@@ -23,7 +24,9 @@ class Bounded:
     mass: tuple[float, float] = (0.0, np.inf)
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate; raises EstimationError where Clarabel does not solve it."""
+        """The estimate; raises EstimationError where the motion does not excite every direction, or
+        where Clarabel does not solve it."""
+        require_excited(compress(problem))
         of = physical_of(problem)
         found = fit(of, problem, Limits(None, tuple(self.mass)), start_of(of, problem.prior))
         stats = {"duality_gap": found.gap, "excess": found.excess}

@@ -1,12 +1,13 @@
 """Iteratively reweighted least squares with the full covariance of the noise across joints."""
 
 from dataclasses import dataclass
-from math import erf, exp, pi, sqrt
+from math import erfc, sqrt
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.special import chdtr, chdtri
 
 from sysid_bench.errors import EstimationError
+from sysid_bench.identification.robust import robust_scales
 from sysid_bench.identification.rows import at_rest, beside, residuals, step
 from sysid_bench.identification.weights import floored, weighted_fit
 from sysid_bench.types import Array, Estimate, Problem
@@ -17,10 +18,11 @@ SETTLED = 10
 
 @dataclass(frozen=True)
 class IRLS:
-    """Samples whitened by the covariance Lambda (rows, rows) of their residuals, entries beyond
-    `cut` standard deviations left out, Lambda from the new residuals, until beta rests.
+    """Samples whitened by the covariance Lambda (rows, rows) of their residuals across joints,
+    Lambda from the new residuals, until beta rests. Samples further out than `cut` standard
+    deviations would be in one dimension, by their chi-square, do not count.
 
-    Lambda is divided by the share that Gaussian noise keeps within the cut, and has sqrt((N - b_i)
+    Lambda is divided by the share of the variance that Gaussian noise keeps, and has sqrt((N - b_i)
     (N - b_j)) degrees of freedom, b_j base parameters on joint j. Covariance of beta by the
     whitened rows. Han, Wu, Liu, Xiong (2020). Assumes W exact and noise white in time.
     """
@@ -31,26 +33,24 @@ class IRLS:
     def solve(self, problem: Problem) -> Estimate:
         """The estimate; raises EstimationError where the motion does not excite every direction or
         beta does not come to rest."""
-        beta, weighted, sigma = weighted_fit(problem)
+        beta, weighted, _ = weighted_fit(problem)
         R = weighted[:-1, :-1]
         felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
-        lower = np.diag(sigma[felt])
-        counted = np.ones((problem.samples, len(lower)))
+        farthest, share = _within(self.cut, int(felt.sum()))
+        whiten = np.diag(1 / robust_scales(problem, residuals(problem, beta))[felt])
         for iteration in range(1, self.iterations + 1):
             residual = residuals(problem, beta)[:, felt]
-            white = _whitened(lower, residual)
             if iteration <= SETTLED:
-                counted = (np.abs(white) <= self.cut).astype(float)
-            lower = self._covariance_factor(problem, felt, lower, white * counted)
-            whiten = solve_triangular(lower, np.eye(len(lower)), lower=True)
+                counted = ((residual @ whiten.T) ** 2).sum(axis=1) <= farthest
+            whiten = _whitening(problem, felt, residual * counted[:, None] / np.sqrt(share))
             blocks = (
-                ((whiten @ Y[:, felt]) * kept[..., None], rest * kept)
-                for Y, rest, kept in beside(problem, _whitened(lower, residual), counted)
+                ((whiten @ Y[:, felt]) * kept[:, None, None], rest * kept[:, None])
+                for Y, rest, kept in beside(problem, residual @ whiten.T, counted)
             )
             change, spread = step(R, blocks)
             beta = beta + change
             if iteration > SETTLED and at_rest(R, change, beta):
-                left = float(counted.size - counted.sum())
+                left = float(len(counted) - counted.sum())
                 stats = {"iterations": float(iteration), "left_out": left}
                 return Estimate(beta, covariance=spread @ spread.T, stats=stats)
         raise EstimationError(
@@ -58,25 +58,24 @@ class IRLS:
             "method 'wls'."
         )
 
-    def _covariance_factor(
-        self, problem: Problem, felt: Array, lower: Array, white: Array
-    ) -> Array:
-        """L (k, k) of the covariance L L' of the k rows that feel parameters, from residuals (N, k)
-        that the last L has whitened; with a floor, since exact data leave a covariance of nothing.
-        """
-        acting = np.array([len(factor.columns) for factor in problem.factors])[felt]
-        freedom = np.maximum(problem.samples - acting, 1.0) * _kept_share(self.cut)
-        scaled = (white / np.sqrt(freedom)) @ lower.T
-        floor = floored(problem, np.zeros(len(problem.factors)))[felt]
-        return np.asarray(cholesky(scaled.T @ scaled + np.diag(floor**2), lower=True))
+
+def _whitening(problem: Problem, felt: Array, residual: Array) -> Array:
+    """C^-1/2 D^-1 (k, k) of the covariance D C D of residuals (N, k), D their deviations: symmetric
+    in C, so that joints are alike. Above rounding, since exact data leave a covariance of nothing.
+    """
+    acting = np.array([len(factor.columns) for factor in problem.factors])[felt]
+    freedom = np.maximum(np.count_nonzero(residual.any(axis=1)) - acting, 1.0)
+    floor = floored(problem, np.zeros(len(problem.factors)))[felt]
+    deviations = np.sqrt((residual**2).sum(axis=0) / freedom + floor**2)
+    scaled = residual / np.sqrt(freedom) / deviations
+    values, axes = np.linalg.eigh(scaled.T @ scaled + np.diag((floor / deviations) ** 2))
+    return np.asarray((axes / np.sqrt(np.maximum(values, 1e-12))) @ axes.T / deviations)
 
 
-def _whitened(lower: Array, residual: Array) -> Array:
-    """Residuals (N, k) of unit covariance."""
-    return np.asarray(solve_triangular(lower, residual.T, lower=True).T)
-
-
-def _kept_share(cut: float) -> float:
-    """The variance of Gaussian noise cut at `cut` standard deviations, as a share of all of it."""
-    density = exp(-0.5 * cut * cut) / sqrt(2 * pi)
-    return 1.0 - 2 * cut * density / erf(cut / sqrt(2))
+def _within(cut: float, k: int) -> tuple[float, float]:
+    """The square of the length of k Gaussian numbers that is exceeded as often as `cut` by one of
+    them, and the share of their variance that is left within."""
+    farthest = float(chdtri(k, erfc(cut / sqrt(2)))) if cut < 30 else np.inf
+    if farthest == np.inf:
+        return np.inf, 1.0
+    return farthest, float(chdtr(k + 2, farthest) / chdtr(k, farthest))

@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.identification.base_coordinates import weighted_coordinates
 from sysid_bench.identification.cholesky_coordinates import coordinates, damped_newton
 from sysid_bench.identification.physical import physical_of
-from sysid_bench.identification.prior import existing, spread_of, start_of
+from sysid_bench.identification.prior import existing, required_prior, spread_of
 from sysid_bench.types import Estimate, Problem
 
 STAGE = 10.0
@@ -20,10 +20,10 @@ class LogCholesky:
     """min |S^-1/2 (W K theta(eta) - b)|^2 + weight |eta - eta0|^2 with J = U U', U upper triangular
     with exponentials on its diagonal (Rucker and Wensing 2022): ten free numbers for a body.
 
-    By Newton's method from the prior, or from spheres of a kilogram, the rows weighing more from
-    stage to stage: at once they would make a narrow curved valley. The weight keeps eta from
-    running off along what torques do not tell, and from the boundary, where least squares alone
-    never comes to rest. S is the noise per joint (as `wls`).
+    By Newton's method from the prior, the rows weighing more from stage to stage: at once they
+    would make a narrow curved valley. The weight keeps eta from running off along what torques do
+    not tell, and from the boundary, where least squares alone never comes to rest. S is the noise
+    per joint (as `wls`).
     """
 
     weight: float = 1.0
@@ -32,10 +32,9 @@ class LogCholesky:
 
     def solve(self, problem: Problem) -> Estimate:
         """The estimate, for motions too that do not excite every direction; raises EstimationError
-        where the iteration does not come to rest."""
-        of, prior = physical_of(problem), problem.prior
-        x0 = start_of(of, prior)
-        x0 = existing(of, x0, 0.1 + 0 * x0 if prior is None else spread_of(of, prior))
+        without a prior, or where the iteration does not come to rest."""
+        of, prior = physical_of(problem), required_prior(problem)
+        x0 = existing(of, prior.theta / of.scale, spread_of(of, prior))
         at, rows = coordinates(of, x0), weighted_coordinates(of, problem, x0)
         inverse = np.linalg.inv(rows.T)[: rows.rank]
         eta, total = at.eta0, 0

@@ -19,7 +19,7 @@ class RLS:
     The square-root form (a QR update of [R | z] per block): no start value, and no drift of
     rounding errors. Rows are divided by the noise of their joint (as `wls`); with forgetting 1 the
     answer is that of `wls`. Covariance for white noise of constant parameters. Ljung and
-    Soederstroem (1983); Haykin, Adaptive Filter Theory, chapter on square-root filters. Assumes W exact.
+    Soederstroem (1983); Haykin, Adaptive Filter Theory, on square-root filters. Assumes W exact.
     """
 
     forgetting: float = 0.999
