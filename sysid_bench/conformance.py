@@ -62,8 +62,8 @@ def check(estimator: Any, worlds: Sequence[World]) -> list[Finding]:
         try:
             first = _answer(estimator, world)
         except Exception as error:
-            law = "leaves its input alone" if "read-only" in str(error) else "answers"
-            findings.append(Finding(law, world.name, False, f"it raised {reason_of(error)}"))
+            name = "leaves its input alone" if "read-only" in str(error) else "answers"
+            findings.append(Finding(name, world.name, False, f"it raised {reason_of(error)}"))
             continue
         answered = answered or first.status == "ok"
         for name, law in LAWS.items():
@@ -91,7 +91,7 @@ def _answer(estimator: Any, world: World) -> Estimate:
 
 def tells_the_truth(estimator: Any, world: World, first: Estimate) -> str | None:
     """Exact data give the truth; a method that is biased by design says so in `bias`."""
-    if not world.exact or getattr(estimator, "bias", ""):
+    if not world.exact or _bias(estimator):
         return None
     if first.beta is None or first.status != "ok":
         return None
@@ -159,7 +159,7 @@ def refuses_what_is_not_told(estimator: Any, world: World, first: Estimate) -> s
     if len(problem.rows) >= problem.base.rank:
         return None
     estimate = identify(estimator, problem)
-    if estimate.status != "ok" or getattr(estimator, "bias", "") or estimate.theta is not None:
+    if estimate.status != "ok" or _bias(estimator) or estimate.theta is not None:
         return None
     return "one sample and no prior give it all base parameters, and it does not say how"
 
@@ -234,7 +234,7 @@ def shortened(problem: Problem, samples: int) -> Problem:
     factors = []
     for i, factor in enumerate(problem.factors):
         stack = np.column_stack([Y[:, i, factor.columns], b[:, i]])
-        R = np.linalg.qr(stack, mode="r")
+        R = np.asarray(np.linalg.qr(stack, mode="r"))
         factors.append(Factor(factor.row, factor.columns, R, len(b)))
     blocks = partial(_once, Y, b)
     return _fresh(problem, factors=tuple(factors), blocks=blocks, samples=len(b))
@@ -259,6 +259,10 @@ def _reversed(blocks: Callable[[], Iterator[RowBlock]]) -> Iterator[RowBlock]:
 
 def _once(Y: Array, b: Array) -> Iterator[RowBlock]:
     yield Y, b
+
+
+def _bias(estimator: Any) -> str:
+    return str(getattr(estimator, "bias", ""))
 
 
 def _relative(difference: Array, reference: Array) -> float:

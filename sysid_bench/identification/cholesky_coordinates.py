@@ -84,15 +84,15 @@ def coordinates(of: Physical, x0: Array) -> Coordinates:
 
 
 def damped_newton(
-    to_squares: Callable[[Array], Array],
     rows: Array,
+    origin: Array,
     at: Coordinates,
     eta: Array,
     weight: float,
     iterations: int,
 ) -> tuple[Array, int, float]:
-    """(eta, iterations, decrement) of min |u(x(eta))|^2 / 2 + weight |eta - eta0|^2 / 2 from eta,
-    with u (r,) = `to_squares(x)` and `rows` (r, p) its derivative.
+    """(eta, iterations, decrement) of min |u|^2 / 2 + weight |eta - eta0|^2 / 2 from eta, with
+    u (r,) = rows (x(eta) - origin).
 
     Levenberg's damping, with the second derivatives of x: Gauss and Newton leave them out, and then
     creep along the curved valley that exact data make. Raises EstimationError where it does not
@@ -101,13 +101,13 @@ def damped_newton(
 
     def value(eta: Array) -> float:
         with np.errstate(over="ignore", invalid="ignore"):
-            u = to_squares(at.x(eta))
+            u = rows @ (at.x(eta) - origin)
             found = 0.5 * float(u @ u) + 0.5 * weight * float(np.sum((eta - at.eta0) ** 2))
         return found if np.isfinite(found) else np.inf
 
     damping, now = 1e-3, value(eta)
     for iteration in range(1, iterations + 1):
-        u, J = to_squares(at.x(eta)), rows @ at.jacobian(eta)
+        u, J = rows @ (at.x(eta) - origin), rows @ at.jacobian(eta)
         gradient = J.T @ u + weight * (eta - at.eta0)
         hessian = J.T @ J + weight * np.eye(len(eta))
         size = 1 / np.sqrt(np.diag(hessian))
@@ -121,7 +121,7 @@ def damped_newton(
                     return eta, iteration, decrement
                 further = eta - step
                 # The valley curves: what the step misses of it is put right before it is judged.
-                missed = to_squares(at.x(further)) - (u - J @ step)
+                missed = rows @ (at.x(further) - origin) - (u - J @ step)
                 further = further - solve(J.T @ missed)
                 new = value(further)
                 if new < now:

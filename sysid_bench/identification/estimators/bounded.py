@@ -28,6 +28,8 @@ class Bounded:
         where Clarabel does not solve it."""
         require_excited(compress(problem))
         of = physical_of(problem)
-        found = fit(of, problem, Limits(None, tuple(self.mass)), start_of(of, problem.prior))
+        found = fit(
+            of, problem, Limits(None, (self.mass[0], self.mass[1])), start_of(of, problem.prior)
+        )
         stats = {"duality_gap": found.gap, "excess": found.excess}
         return Estimate(problem.base.K @ (of.scale * found.x), stats=stats)

@@ -30,5 +30,5 @@ class LMI:
         """The estimate, for motions too that do not excite every direction; raises EstimationError
         where Clarabel does not solve it."""
         of = physical_of(problem)
-        limits = Limits(self.margin, tuple(self.mass), self.com)
+        limits = Limits(self.margin, (self.mass[0], self.mass[1]), self.com)
         return estimate_of(of, fit(of, problem, limits, start_of(of, problem.prior)))

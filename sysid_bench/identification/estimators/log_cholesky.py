@@ -40,11 +40,9 @@ class LogCholesky:
         eta, total = at.eta0, 0
         share = 1.0 / max(float(np.linalg.norm(inverse @ (x0 - rows.origin))), 1.0)
         while True:
-            scaled = share * inverse
             eta, count, decrement = damped_newton(
-                lambda x, scaled=scaled: scaled @ (x - rows.origin),
-                scaled, at, eta, self.weight, self.iterations,
-            )  # fmt: skip
+                share * inverse, rows.origin, at, eta, self.weight, self.iterations
+            )
             total += count
             if share == 1.0:
                 break
