@@ -40,6 +40,7 @@ def identify(
     from sysid_bench.harness.experiment.prepare import prepare
     from sysid_bench.harness.experiment.robots import subject
     from sysid_bench.identification.identify import identify as solve
+    from sysid_bench.models.extents import extents
     from sysid_bench.naming import build
     from sysid_bench.verbs.answer import bodies_of, joints_of, warnings_of
     from sysid_bench.verbs.model_out import check_target, write_model
@@ -56,7 +57,8 @@ def identify(
     estimate = solve(method, ready.problem, ready.experiment)
     if estimate.status != "ok":
         raise EstimationError(f"{name} on {robot.robot.name}: {estimate.reason}")
-    figures = score(estimate, ready.problem, ready.held_out, ready.truth)
+    reach = extents(ready.robot)
+    figures = score(estimate, ready.problem, ready.held_out, ready.truth, reach)
     bodies = bodies_of(estimate, ready.problem)
     answer = {
         "model": robot.robot.name,
@@ -78,6 +80,7 @@ def identify(
         "joints": joints_of(estimate, ready.problem),
         "payload": next(iter(bodies.values())) if task == "payload" else None,
         "feasible": figures.feasible,
+        "plausible": figures.plausible,
         "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem)],
     }
     if model_out is not None:
