@@ -1,16 +1,17 @@
 """From base parameters to whole bodies: the nearest to a prior that can exist."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import unknown_name
+from sysid_bench.errors import EstimationError, unknown_name
 from sysid_bench.identification.base_coordinates import BaseCoordinates, unseen
 from sysid_bench.identification.bregman import Divergence, divergence, newton
 from sysid_bench.identification.feasible import nearest
-from sysid_bench.identification.physical import Physical
-from sysid_bench.identification.prior import existing, spread_of
-from sysid_bench.types import Array, BaseMap, Prior
+from sysid_bench.identification.physical import Physical, physical_of
+from sysid_bench.identification.prior import existing, required_prior, spread_of
+from sysid_bench.types import Array, BaseMap, Estimate, Prior, Problem
 
 DISTANCES: Final = ("entropic", "euclidean", "pullback")
 
@@ -38,6 +39,16 @@ def completed(
     if distance != "entropic":
         return of.scale * found.x
     return of.scale * _entropic(near, found.x, unseen(of, base))
+
+
+def completed_estimate(estimate: Estimate, problem: Problem, distance: str) -> Estimate:
+    """The estimate with a theta that can exist and has the same base parameters; raises
+    EstimationError without a prior, or where none does."""
+    if estimate.beta is None:
+        raise EstimationError("There are no base parameters to complete: the method gave none.")
+    of, prior = physical_of(problem), required_prior(problem)
+    theta = completed(of, problem.base, estimate.beta, prior, distance)
+    return replace(estimate, theta=theta)
 
 
 def _entropic(near: Divergence, start: Array, N: Array) -> Array:
