@@ -236,4 +236,4 @@ def test_completed_bodies_are_written_with_the_torques_that_were_identified(
 def test_what_cannot_be_completed_is_one_sentence(cli: Run) -> None:
     done = cli("identify", "z1", "--simulate", "--noise", "tau=20 %", "--complete", "entropic")
     assert done.returncode == 2
-    assert "can exist" in one_sentence(done.stderr)
+    assert "can exist" in one_sentence(done)

@@ -154,7 +154,7 @@ def test_with_a_cut_beyond_all_samples_they_are_least_squares(method: Huber | Tu
         (Huber(), lambda u: np.clip(u, -1.345, 1.345)),
         (Tukey(), lambda u: np.where(np.abs(u) < 4.685, u * (1 - (u / 4.685) ** 2) ** 2, 0.0)),
     ],
-    ids=str,
+    ids=["huber", "tukey"],
 )
 def test_influences_balance(method: Huber | Tukey, influence) -> None:  # type: ignore[no-untyped-def]
     """W' psi(r / s) / s = 0: the definition of an M-estimate."""
