@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from sysid_bench.models.load import load_robot
     from sysid_bench.verbs.basis import basis
     from sysid_bench.verbs.catalogue import list_, show
+    from sysid_bench.verbs.check_plugin import check_plugin
     from sysid_bench.verbs.crosscheck import crosscheck
     from sysid_bench.verbs.doctor import doctor
     from sysid_bench.verbs.folders import open_run
@@ -22,6 +23,7 @@ _PLACES = {
     "load_robot": "sysid_bench.models.load",
     "crosscheck": "sysid_bench.verbs.crosscheck",
     "basis": "sysid_bench.verbs.basis",
+    "check_plugin": "sysid_bench.verbs.check_plugin",
     "identify": "sysid_bench.verbs.identify",
     "list_": "sysid_bench.verbs.catalogue",
     "show": "sysid_bench.verbs.catalogue",
@@ -38,8 +40,8 @@ _PLACES = {
 }
 
 __all__ = [
-    "basis", "cell", "crosscheck", "doctor", "identify", "list_", "load_robot", "open_run", "plan",
-    "record", "report", "run", "show", "status", "table", "view",
+    "basis", "cell", "check_plugin", "crosscheck", "doctor", "identify", "list_", "load_robot",
+    "open_run", "plan", "record", "report", "run", "show", "status", "table", "view",
 ]  # fmt: skip
 
 

@@ -23,8 +23,25 @@ from sysid_bench.units import quantity
 BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
         "estimator": {
+            "a-priori": "sysid_bench.identification.estimators.a_priori:APriori",
+            "ar-gls": "sysid_bench.identification.estimators.ar_gls:ARGLS",
+            "bounded": "sysid_bench.identification.estimators.bounded:Bounded",
+            "entropic": "sysid_bench.identification.estimators.entropic:Entropic",
+            "essential": "sysid_bench.identification.estimators.essential:Essential",
+            "huber": "sysid_bench.identification.estimators.huber:Huber",
+            "irls": "sysid_bench.identification.estimators.irls:IRLS",
+            "kalman": "sysid_bench.identification.estimators.kalman:Kalman",
+            "lmi": "sysid_bench.identification.estimators.lmi:LMI",
+            "lmi-euclidean": "sysid_bench.identification.estimators.lmi_euclidean:LMIEuclidean",
+            "lmi-pullback": "sysid_bench.identification.estimators.lmi_pullback:LMIPullback",
+            "log-cholesky": "sysid_bench.identification.estimators.log_cholesky:LogCholesky",
             "min-norm": "sysid_bench.identification.estimators.min_norm:MinNorm",
             "ols": "sysid_bench.identification.estimators.ols:OLS",
+            "reconstruction": "sysid_bench.identification.estimators.reconstruction:Reconstruction",
+            "ridge": "sysid_bench.identification.estimators.ridge:Ridge",
+            "rls": "sysid_bench.identification.estimators.rls:RLS",
+            "tls": "sysid_bench.identification.estimators.tls:TLS",
+            "tukey": "sysid_bench.identification.estimators.tukey:Tukey",
             "wls": "sysid_bench.identification.estimators.wls:WLS",
         },
         "excitation": {

@@ -153,6 +153,16 @@ class Prior:
     std: Float[Array, " p"]
 
 
+@dataclass(frozen=True, eq=False)
+class Extent:
+    """Where a body can be: corners of the box, in its frame, that its centre of mass lies in (m),
+    and the volume that can hold its mass (m^3)."""
+
+    low: Float[Array, "3"]
+    high: Float[Array, "3"]
+    volume: float
+
+
 @dataclass(frozen=True)
 class Body:
     """One body of the parameter vector and the names of its ten columns, `m` ... `Izz`."""

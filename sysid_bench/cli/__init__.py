@@ -34,6 +34,6 @@ for _verb in (
     catalogue.list_, catalogue.show,
     suites.plan, suites.run,
     results.status, results.cell, results.table, results.report, results.record, results.view,
-    catalogue.doctor,
+    catalogue.check_plugin, catalogue.doctor,
 ):  # fmt: skip
     main.add_command(_verb)

@@ -53,6 +53,27 @@ def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
     return OK
 
 
+@click.command(name="check-plugin")
+@click.argument("name", metavar="PKG:OBJ")
+@robots_option
+@json_option
+@verb
+def check_plugin(name: str, robots_dir: Path | None, as_json: bool) -> int:
+    """Run an estimator through its laws.
+
+    Exit code 1 where it breaks one.
+    """
+    from sysid_bench.verbs import check_plugin as checks
+
+    answer = checks.check_plugin(name, robots_dir)
+    if as_json:
+        print_json(answer)
+    else:
+        for line in checks.summary(answer):
+            click.echo(line)
+    return OK if answer["ok"] else FAILED
+
+
 @click.command()
 @json_option
 @verb

@@ -119,6 +119,11 @@ def basis(
 @click.option(
     "--model-out", type=click.Path(path_type=Path), help="The model again, with identified values."
 )
+@click.option(
+    "--complete",
+    type=click.Choice(["entropic", "euclidean", "pullback"]),
+    help="Whole bodies that can exist, nearest to the prior in this distance.",
+)
 @click.option("--json-out", type=click.Path(path_type=Path), help="The answer as a file.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
 @robots_option
@@ -133,6 +138,7 @@ def identify(
     estimator: str | None,
     noise: str | None,
     model_out: Path | None,
+    complete: str | None,
     json_out: Path | None,
     seed: int,
     robots_dir: Path | None,
@@ -149,7 +155,7 @@ def identify(
         raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
     answer = identification.identify(
         model, task, payload, chosen_terms(terms), estimator, chosen_noise(noise), model_out, seed,
-        robots_dir,
+        robots_dir, complete,
     )  # fmt: skip
     if json_out is not None:
         json_out.write_text(json.dumps(answer, indent=2) + "\n", encoding="utf-8")

@@ -6,10 +6,11 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from sysid_bench.evaluation.plausible import oddities
 from sysid_bench.identification.compressed import compress, excited_rank, residual_norms
 from sysid_bench.regressors.fold import triangle
 from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
-from sysid_bench.types import Array, Estimate, Problem, Score, Truth
+from sysid_bench.types import Array, Estimate, Extent, Problem, Score, Truth
 
 SMALL_JOINT: Final = 0.01
 """A row whose RMS torque is below this share of the largest of its kind is listed apart; forces
@@ -17,9 +18,15 @@ and torques, joints and a floating base are kinds of their own (`Problem.kinds`)
 
 
 def score(
-    estimate: Estimate, problem: Problem, held_out: Mapping[str, Problem], truth: Truth
+    estimate: Estimate,
+    problem: Problem,
+    held_out: Mapping[str, Problem],
+    truth: Truth,
+    extents: Mapping[str, Extent] | None = None,
 ) -> Score:
-    """The figures of one estimate; `held_out` are problems posed with exact signals (the Oracle).
+    """The figures of one estimate; `held_out` are problems posed with exact signals (the Oracle),
+    `extents` tell of bodies by name where they can be (None: whether they are plausible is left
+    open).
 
     What does not depend on the estimate (rank, condition) is there even where it failed.
     """
@@ -41,7 +48,7 @@ def score(
         parameter_error=_parameter_error(tests, beta, beta_true) if tests else None,
         beta_error=_relative(beta - beta_true, beta_true),
         joints=tuple(joints),
-        **_body_figures(estimate, problem, truth),
+        **_body_figures(estimate, problem, truth, extents),
     )
 
 
@@ -158,7 +165,12 @@ def _joint_figures(problem: Problem, tests: list[Problem], beta: Array) -> list[
     return joints
 
 
-def _body_figures(estimate: Estimate, problem: Problem, truth: Truth) -> dict[str, Any]:
+def _body_figures(
+    estimate: Estimate,
+    problem: Problem,
+    truth: Truth,
+    extents: Mapping[str, Extent] | None,
+) -> dict[str, Any]:
     """What can be said of whole bodies: only where all their ten numbers are claimed or known."""
     theta = estimate.theta
     if theta is None and problem.base.rank == len(problem.parameters) and estimate.beta is not None:
@@ -174,6 +186,9 @@ def _body_figures(estimate: Estimate, problem: Problem, truth: Truth) -> dict[st
         # A point mass has a pseudo-inertia of rank one: zero up to rounding is still feasible.
         "feasible": bool((smallest >= -1e-9 * scale).all()),
     }
+    if extents is not None:
+        named = {body.name: one for body, one in zip(problem.bodies, phi, strict=True)}
+        figures["plausible"] = not oddities(named, extents)
     if len(problem.bodies) == 1:
         figures |= _payload_figures(
             phi[0], truth.theta[[places[c] for c in problem.bodies[0].columns]]

@@ -36,6 +36,12 @@ def spread(factor: Factor, r: int) -> Array:
 
 def solve(R: Array) -> Array:
     """beta (r,) that minimises |R [beta; -1]|; raises EstimationError naming the rank it has."""
+    require_excited(R)
+    return triangular(R)
+
+
+def require_excited(R: Array) -> None:
+    """Raises EstimationError where the data do not excite every base parameter."""
     r = R.shape[1] - 1
     rank = excited_rank(R[:r, :r])
     if rank < r:
@@ -43,7 +49,18 @@ def solve(R: Array) -> Array:
             f"The motion excites {rank} of {r} base parameters; record a richer motion, or use a "
             "method with a prior."
         )
+
+
+def triangular(R: Array) -> Array:
+    """beta (r,) of R (r + 1, r + 1) whose data are known to excite every direction."""
+    r = R.shape[1] - 1
     return solve_triangular(R[:r, :r], R[:r, r])
+
+
+def inverse_of(R: Array) -> Array:
+    """R^-1 (r, r) of the base parameters' part of R (r + 1, r + 1)."""
+    r = R.shape[1] - 1
+    return solve_triangular(R[:r, :r], np.eye(r))
 
 
 def excited_rank(R: Array) -> int:

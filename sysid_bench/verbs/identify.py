@@ -28,18 +28,23 @@ def identify(
     model_out: str | Path | None = None,
     seed: int = 0,
     robots_dir: Path | None = None,
+    complete: str | None = None,
 ) -> dict[str, Any]:
     """Identifies a robot from its own simulation; the answer as `identify --json` prints it.
 
     `noise` as in a suite ({"q": "1e-4 rad", "tau": "0.5 %"}); `model_out`: the model file again,
-    with the identified values. Raises UsageError for unknown words, ModelError for a model that
+    with the identified values. `complete`: whole bodies from what was identified, those that can
+    exist and lie nearest to the prior in a distance ("entropic", "euclidean", "pullback"), so that
+    all of them can be written. Raises UsageError for unknown words, ModelError for a model that
     cannot be used or values that must not be written, EstimationError where the method fails.
     """
     from sysid_bench.evaluation.score import score
     from sysid_bench.harness.canonical import plain
     from sysid_bench.harness.experiment.prepare import prepare
     from sysid_bench.harness.experiment.robots import subject
+    from sysid_bench.identification.complete import completed_estimate
     from sysid_bench.identification.identify import identify as solve
+    from sysid_bench.models.extents import extents
     from sysid_bench.naming import build
     from sysid_bench.verbs.answer import bodies_of, joints_of, warnings_of
     from sysid_bench.verbs.model_out import check_target, write_model
@@ -56,7 +61,10 @@ def identify(
     estimate = solve(method, ready.problem, ready.experiment)
     if estimate.status != "ok":
         raise EstimationError(f"{name} on {robot.robot.name}: {estimate.reason}")
-    figures = score(estimate, ready.problem, ready.held_out, ready.truth)
+    if complete is not None:
+        estimate = completed_estimate(estimate, ready.problem, complete)
+    reach = extents(ready.robot)
+    figures = score(estimate, ready.problem, ready.held_out, ready.truth, reach)
     bodies = bodies_of(estimate, ready.problem)
     answer = {
         "model": robot.robot.name,
@@ -77,11 +85,14 @@ def identify(
         "bodies": bodies,
         "joints": joints_of(estimate, ready.problem),
         "payload": next(iter(bodies.values())) if task == "payload" else None,
+        "completed": complete,
         "feasible": figures.feasible,
+        "plausible": figures.plausible,
         "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem)],
     }
     if model_out is not None:
-        write_model(robot.robot, task, estimate, ready.problem, Path(model_out))
+        whole = complete is not None
+        write_model(robot.robot, task, estimate, ready.problem, Path(model_out), whole)
         answer["model_out"] = str(model_out)
     return dict(plain(answer))
 

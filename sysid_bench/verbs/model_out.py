@@ -37,14 +37,21 @@ def check_target(robot: RobotModel, task: str, target: Path) -> None:
 
 
 def write_model(
-    robot: RobotModel, task: str, estimate: Estimate, problem: Problem, target: Path
+    robot: RobotModel,
+    task: str,
+    estimate: Estimate,
+    problem: Problem,
+    target: Path,
+    whole: bool = False,
 ) -> None:
     """Writes the model with the estimate's values; raises ModelError for what must not be written.
+    `whole`: they were completed, so that those count too that are not identifiable alone.
 
     Bodies welded to a link that was identified as a whole stay as they are; the link gets the rest.
     """
     theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
-    told = dict(zip(problem.parameters, verdicts(problem.base), strict=True))
+    seen = ("identifiable",) * len(problem.parameters) if whole else verdicts(problem.base)
+    told = dict(zip(problem.parameters, seen, strict=True))
     bodies = {}
     for body in problem.bodies:
         phi = [theta.pop(column) for column in body.columns]

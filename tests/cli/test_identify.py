@@ -212,3 +212,28 @@ def test_words_of_options() -> None:
     assert chosen_terms("viscous, coulomb") == ("viscous", "coulomb")
     assert chosen_noise(None) == {}
     assert chosen_noise("tau=0.5 %, q=1e-4 rad") == {"tau": "0.5 %", "q": "1e-4 rad"}
+
+
+@pytest.mark.parametrize("distance", ["entropic", "euclidean", "pullback"])
+@pytest.mark.parametrize("name", ["ur5", "z1", "solo12"])
+def test_completed_bodies_are_written_with_the_torques_that_were_identified(
+    name: str, distance: str, tmp_path: Path
+) -> None:
+    """Nobody can tell all masses from torques: completed ones leave every torque as it was."""
+    out = tmp_path / "out.urdf"
+    answer = identify(name, terms=(), model_out=out, complete=distance)
+    assert answer["completed"] == distance
+    assert answer["feasible"]
+    written, robot = load_robot(out), named_robot(name)
+    base = structural_base(robot, robot.inertial_columns)
+    # Compared by name: the file has the robot's own bodies, in its own order.
+    mine = dict(zip(written.inertial_columns, written.phi.ravel(), strict=True))
+    phi = np.array([mine[column] for column in robot.inertial_columns])
+    beta, truth = base.K @ phi, base.K @ robot.phi.ravel()
+    assert np.linalg.norm(beta - truth) <= 1e-6 * np.linalg.norm(truth)
+
+
+def test_what_cannot_be_completed_is_one_sentence(cli: Run) -> None:
+    done = cli("identify", "z1", "--simulate", "--noise", "tau=20 %", "--complete", "entropic")
+    assert done.returncode == 2
+    assert "can exist" in one_sentence(done)

@@ -17,6 +17,7 @@ from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.harness.provenance import versions
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
+from sysid_bench.models.extents import extents
 from sysid_bench.naming import build
 from sysid_bench.types import Estimate, Problem, Row, Truth
 
@@ -98,7 +99,9 @@ def _judged(estimate: Estimate, ready: Prepared) -> Row:
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
     }
-    outcome |= asdict(score(estimate, ready.problem, ready.held_out, ready.truth))
+    outcome |= asdict(
+        score(estimate, ready.problem, ready.held_out, ready.truth, extents(ready.robot))
+    )
     outcome["stats"] = stats
     outcome["parameters_table"] = list(_parameters(estimate, ready.problem, ready.truth))
     return dict(plain(outcome))

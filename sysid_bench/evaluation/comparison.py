@@ -1,0 +1,102 @@
+"""Methods against each other: arrays in, numbers out.
+
+Robots and motions are what a claim about methods is drawn over; noise seeds of one robot tell of
+that robot alone. Values are errors, smaller is better; NaN is a failure, and loses to any number.
+"""
+
+from collections.abc import Callable
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.types import Array
+
+DRAWS: Final = 2000
+
+
+def interquartile_mean(values: Array, axis: int = 0) -> Array:
+    """The mean of the middle half, its edges by their share (Agarwal et al. 2021)."""
+    ordered = np.sort(np.moveaxis(np.asarray(values, dtype=float), axis, 0), axis=0)
+    n = len(ordered)
+    edges = np.arange(n + 1) / n
+    weight = np.clip(np.minimum(edges[1:], 0.75) - np.maximum(edges[:-1], 0.25), 0.0, None)
+    used = weight > 0
+    return np.asarray(np.tensordot(weight[used] / weight.sum(), ordered[used], axes=1))
+
+
+def robot_bootstrap(
+    values: Array,
+    statistic: Callable[[Array], Array] = interquartile_mean,
+    level: float = 0.95,
+    draws: int = DRAWS,
+    seed: int = 0,
+) -> tuple[Array, Array]:
+    """(low, high) of a statistic over robots and motions of values (robots, motions, ...): robots
+    are drawn again, and motions of each drawn robot."""
+    rng = np.random.default_rng(seed)
+    robots, motions = values.shape[0], values.shape[1]
+    found = []
+    for _ in range(draws):
+        chosen = rng.integers(robots, size=(robots, 1))
+        within = rng.integers(motions, size=(robots, motions))
+        drawn = values[chosen, within]
+        found.append(statistic(drawn.reshape(-1, *values.shape[2:])))
+    low, high = np.quantile(found, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+    return low, high
+
+
+def wilcoxon_holm(values: Array) -> Array:
+    """p (methods, methods) of Wilcoxon's signed-rank test between methods over robots, values
+    (robots, methods), Holm's correction over all pairs; the diagonal is one.
+
+    Signed ranks of the logarithm of the ratio: robots of different size count alike.
+    """
+    from scipy.stats import wilcoxon
+
+    ranked = _with_failures_last(values)
+    count = values.shape[1]
+    pairs = list(combinations(range(count), 2))
+    raw = []
+    for i, j in pairs:
+        difference = np.log(ranked[:, i]) - np.log(ranked[:, j])
+        raw.append(float(wilcoxon(difference).pvalue) if difference.any() else 1.0)
+    p = np.eye(count)
+    for (i, j), corrected in zip(pairs, holm(np.array(raw)), strict=True):
+        p[i, j] = p[j, i] = corrected
+    return p
+
+
+def holm(p: Array) -> Array:
+    """p-values (k,) corrected for being k (Holm 1979)."""
+    order = np.argsort(p)
+    stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
+    out = np.empty(len(p))
+    out[order] = np.minimum(stepped, 1.0)
+    return out
+
+
+def win_rates(values: Array) -> Array:
+    """Share (methods, methods) of the cases (cases, methods) in which row beats column; ties, and
+    two failures, count half."""
+    ranked = np.where(np.isnan(values), np.inf, values)
+    better = ranked[:, :, None] < ranked[:, None, :]
+    same = ranked[:, :, None] == ranked[:, None, :]
+    return np.asarray((better + 0.5 * same).mean(axis=0))
+
+
+def performance_profile(values: Array, ratios: Array) -> Array:
+    """Share (ratios, methods) of the cases (cases, methods) in which a method is within a ratio of
+    the best of that case (Dolan and More 2002). A failure never is."""
+    failed = np.isnan(values)
+    best = np.where(failed, np.inf, values).min(axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative = np.where(values == best, 1.0, values / best)
+    within = (relative <= np.asarray(ratios)[:, None, None]) & ~failed
+    return np.asarray(within.mean(axis=1))
+
+
+def _with_failures_last(values: Array) -> Array:
+    """Values whose failures are ten times the worst of their robot."""
+    worst = np.nanmax(np.where(np.isnan(values).all(axis=1)[:, None], 1.0, values), axis=1)
+    return np.where(np.isnan(values), 10.0 * worst[:, None], values)

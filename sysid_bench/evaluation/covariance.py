@@ -1,0 +1,106 @@
+"""How sure an estimate is: covariances that hold where noise is not white.
+
+The textbook covariance of weighted least squares takes every sample for new. Slow noise and errors
+in q make neighbours alike, and its intervals too short; the two here let the data say how alike.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import stdtrit
+
+from sysid_bench.errors import UsageError
+from sysid_bench.identification.compressed import compress
+from sysid_bench.identification.rows import beside, residuals
+from sysid_bench.types import Array, Problem
+
+LEAST_PERIODS: Final = 2
+"""A spread needs two."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """A covariance (r, r) and the degrees of freedom that it was estimated with."""
+
+    covariance: Array
+    freedom: float = np.inf
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (r,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def interval(self, beta: Array, level: float = 0.95) -> tuple[Array, Array]:
+        """(low, high), each (r,), by Student's distribution."""
+        reach = quantile(level, self.freedom) * self.std
+        return beta - reach, beta + reach
+
+
+def quantile(level: float, freedom: float) -> float:
+    """Half the width of the interval of a level, in standard deviations."""
+    return float(stdtrit(min(freedom, 1e9), 0.5 + 0.5 * level))
+
+
+def period_spread(problem: Problem, beta: Array, sigma: Array, samples: int) -> Spread:
+    """From the spread over repeated periods of `samples` samples each, of a fit `beta` (r,) with
+    rows divided by `sigma` (rows,).
+
+    H^-1 (M / (M - 1) sum_m g_m g_m') H^-1 with g_m the sum of W' S^-1 r over period m of M: what
+    each period alone would have moved the fit by. It assumes nothing of the noise but that periods
+    are alike and independent, and covers errors in q too, though not their bias. Samples after
+    the last full period are left out of the spread. Raises UsageError where fewer than two fit.
+    """
+    periods = problem.samples // samples if samples > 0 else 0
+    if periods < LEAST_PERIODS:
+        raise UsageError(
+            f"{problem.samples} samples hold {periods} full periods of {samples}; two at least are "
+            "needed to see a spread. Record more cycles, or take the sandwich."
+        )
+    inverse, scores = _scores(problem, beta, sigma)
+    sums = scores[: periods * samples].reshape(periods, samples, -1).sum(axis=1)
+    sums = sums - sums.mean(axis=0)
+    # Full periods alone carry the spread; the fit rests on all samples.
+    share = problem.samples / (periods * samples)
+    middle = share * periods / (periods - 1) * sums.T @ sums
+    return Spread(inverse @ middle @ inverse.T, periods - 1)
+
+
+def sandwich_spread(problem: Problem, beta: Array, sigma: Array, lags: int | None = None) -> Spread:
+    """With neighbours as alike as the residuals show: H^-1 S H^-1, S the long-run covariance of
+    W' S^-1 r with Bartlett weights (Newey and West 1987).
+
+    `lags`: samples that are told to be alike; None takes Andrews' (1991) rule for the slowest of
+    the scores. Samples are in the order of time, and W is exact.
+    """
+    inverse, scores = _scores(problem, beta, sigma)
+    if lags is None:
+        lags = bandwidth(scores)
+    middle = scores.T @ scores
+    for k in range(1, min(lags, len(scores) - 1) + 1):
+        shifted = scores[k:].T @ scores[:-k]
+        middle += (1 - k / (lags + 1)) * (shifted + shifted.T)
+    return Spread(inverse @ middle @ inverse.T)
+
+
+def bandwidth(scores: Array) -> int:
+    """Andrews' rule for Bartlett weights: 1.1447 (a N)^(1/3) of the autoregressions of scores
+    (N, r), the largest; at most a quarter of the samples."""
+    count = len(scores)
+    past, now = scores[:-1], scores[1:]
+    squares = np.maximum((past**2).sum(axis=0), 1e-300)
+    rho = np.clip((past * now).sum(axis=0) / squares, -0.99, 0.99)
+    slowest = float((4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2)).max(initial=0.0))
+    return int(min(np.ceil(1.1447 * (slowest * count) ** (1 / 3)), count // 4))
+
+
+def _scores(problem: Problem, beta: Array, sigma: Array) -> tuple[Array, Array]:
+    """R^-1 (r, r) of the weighted rows, and the scores (N, r) in its coordinates: H^-1 W' S^-1 r is
+    R^-1 times their sum."""
+    R = compress(problem, (1 / sigma).tolist())[:-1, :-1]
+    parts = []
+    for Y, residual in beside(problem, residuals(problem, beta)):
+        force = np.einsum("nir,ni->nr", Y, residual / sigma**2)
+        parts.append(solve_triangular(R, force.T, trans="T").T)
+    return solve_triangular(R, np.eye(len(R))), np.concatenate(parts)

@@ -1,0 +1,62 @@
+"""The Cramer-Rao bound: how sure any unbiased method could be, and how near one comes to it."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from sysid_bench.types import Array
+
+
+def torque_bound(rows: Iterable[Array], covariance: Array) -> Array:
+    """The bound (r, r) where torque alone is noisy: (sum W_k' C^-1 W_k)^-1 along the true motion.
+
+    `rows`: blocks of the base regressor (n, rows, r) of the exact motion; `covariance` (rows, rows)
+    of the torque noise, white in time.
+    """
+    inverse = np.linalg.inv(covariance)
+    return np.linalg.inv(sum(np.einsum("nir,ij,njs->rs", W, inverse, W) for W in rows))
+
+
+def trajectory_bound(
+    rows: Iterable[Array], slopes: Iterable[Array], torque: Array, motion: Array
+) -> Array:
+    """The bound (r, r) where the motion is unknown too: (sum W_k' (C + G_k M G_k')^-1 W_k)^-1.
+
+    Each sample's (q, v, a) is a nuisance, measured with the covariance `motion` (3 nv, 3 nv) and
+    eliminated by linearisation; `slopes`: blocks G (n, rows, 3 nv) of the derivatives of the torque
+    by (q, v, a) along the true motion. Errors of different samples are taken as independent, so
+    that derivatives made by a filter from the same q are more certain than this says.
+    """
+    total: Array = np.zeros(())
+    for W, G in zip(rows, slopes, strict=True):
+        noise = torque + G @ motion @ G.swapaxes(1, 2)
+        total = total + np.einsum("nir,nis->rs", W, np.linalg.solve(noise, W))
+    return np.linalg.inv(total)
+
+
+def efficiency(
+    estimates: Array, bound: Array, level: float = 0.95, draws: int = 2000, seed: int = 0
+) -> tuple[float, float, float]:
+    """(efficiency, low, high) of repeated estimates (n, r): the mean over parameters of the bound's
+    variance over the variance of the estimates; the interval by resampling the repeats.
+
+    One: as sure as any unbiased method can be. A biased method may seem to exceed it.
+    """
+    rng = np.random.default_rng(seed)
+    best, n = np.diag(bound), len(estimates)
+    told = float((best / estimates.var(axis=0, ddof=1)).mean())
+    again = [
+        float((best / estimates[rng.integers(n, size=n)].var(axis=0, ddof=1)).mean())
+        for _ in range(draws)
+    ]
+    # A resample holds n distinct repeats no more: its variance is short by (n - 1) / n.
+    low, high = np.quantile(again, [0.5 - 0.5 * level, 0.5 + 0.5 * level]) * (n - 1) / n
+    return told, float(low), float(high)
+
+
+def coverage(low: Array, high: Array, truth: Array) -> tuple[float, float]:
+    """(share, standard error) of intervals (n, r) that hold the truth (r,), over all parameters;
+    parameters of one repeat share their noise, so that repeats alone count for the error."""
+    held = ((low <= truth) & (truth <= high)).mean(axis=1)
+    spread = held.std(ddof=1) / np.sqrt(len(held)) if len(held) > 1 else np.nan
+    return float(held.mean()), float(spread)

@@ -1,0 +1,80 @@
+"""Generalised least squares with autoregressive noise: rows are whitened in time."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_toeplitz
+
+from sysid_bench.errors import EstimationError
+from sysid_bench.identification.compressed import compress
+from sysid_bench.identification.rows import at_rest, beside, residuals, step
+from sysid_bench.identification.weights import floored, weighted_fit
+from sysid_bench.types import Array, Estimate, Problem
+
+
+@dataclass(frozen=True)
+class ARGLS:
+    """Noise of joint j follows e_t = -a_1 e_(t-1) - ... + w_t: rows and torque are filtered by what
+    makes it white, coefficients from the residuals (Yule-Walker), until beta rests.
+
+    Covariance of the whitened rows. Cochrane and Orcutt (1949), without the first `order` samples.
+    Assumes W exact, and rows of one recording in the order of time at a steady rate.
+    """
+
+    order: int = 4
+    iterations: int = 50
+
+    def solve(self, problem: Problem) -> Estimate:
+        """The estimate; raises EstimationError where the motion does not excite every direction,
+        is too short, or beta does not come to rest."""
+        if problem.samples <= 4 * self.order:
+            raise EstimationError(
+                f"{problem.samples} samples are too few for noise of order {self.order}; record a "
+                "longer motion, or take the method 'wls'."
+            )
+        beta, _, _ = weighted_fit(problem)
+        acting = np.array([len(factor.columns) for factor in problem.factors])
+        freedom = np.maximum(problem.samples - 2 * self.order - acting, 1)
+        for iteration in range(1, self.iterations + 1):
+            residual = residuals(problem, beta)
+            taps = np.array([whitening_taps(column, self.order) for column in residual.T])
+            white = _filtered(residual, taps)
+            sigma = floored(problem, np.sqrt((white**2).sum(axis=0) / freedom))
+            R = compress(problem, (1.0 / sigma).tolist())[:-1, :-1]
+            change, spread = step(R, _whitened(problem, residual, taps / sigma[:, None]))
+            beta = beta + change
+            if at_rest(R, change, beta):
+                poles = [float(np.abs(np.roots(tap)).max(initial=0.0)) for tap in taps]
+                stats = {"iterations": float(iteration), "largest_pole": max(poles)}
+                return Estimate(beta, covariance=spread @ spread.T, stats=stats)
+        raise EstimationError(
+            f"beta did not come to rest in {self.iterations} iterations; allow more, or take the "
+            "method 'wls'."
+        )
+
+
+def whitening_taps(noise: Array, order: int) -> Array:
+    """[1, a_1, ..., a_order]: the filter that makes a series (N,) white, by Yule and Walker."""
+    lags = np.array([noise[k:] @ noise[: len(noise) - k] for k in range(order + 1)])
+    if order == 0 or lags[0] == 0.0:
+        return np.concatenate([[1.0], np.zeros(order)])
+    return np.concatenate([[1.0], solve_toeplitz(lags[:-1], -lags[1:])])
+
+
+def _whitened(problem: Problem, residual: Array, taps: Array) -> Iterator[tuple[Array, Array]]:
+    """Rows and residuals filtered in time, block after block; `order` samples are lost."""
+    order = taps.shape[1] - 1
+    past = np.zeros((0, *(len(problem.rows), problem.base.rank))), residual[:0]
+    for Y, rest in beside(problem, residual):
+        Y, rest = np.concatenate([past[0], Y]), np.concatenate([past[1], rest])
+        if len(Y) > order:
+            yield _filtered(Y, taps[..., None]), _filtered(rest, taps)
+        past = Y[len(Y) - min(order, len(Y)) :], rest[len(Y) - min(order, len(Y)) :]
+
+
+def _filtered(values: Array, taps: Array) -> Array:
+    """sum_k taps_k (rows, order + 1, ...) values_(t - k) (N, rows, ...): (N - order, rows, ...)."""
+    order = taps.shape[1] - 1
+    count = len(values) - order
+    return sum(taps[:, k] * values[order - k : order - k + count] for k in range(order + 1))

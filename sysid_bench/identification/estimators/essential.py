@@ -1,0 +1,60 @@
+"""Essential parameters: base parameters that the data do not tell from zero are left out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import qr
+from scipy.special import fdtri
+
+from sysid_bench.identification.compressed import inverse_of, triangular
+from sysid_bench.identification.weights import weighted_fit
+from sysid_bench.types import Array, Estimate, Problem
+
+
+@dataclass(frozen=True)
+class Essential:
+    """Weighted least squares; then the base parameter with the largest relative standard deviation
+    goes, one after the other, until that is no more than `ratio` times the smallest, or until an
+    F-test at `level` says that the next one is needed.
+
+    What is left out is zero, with no variance. Pham and Gautier (1991); Gautier and Khalil (1991).
+    Assumes W exact and white noise per joint; the answer depends on the base parameters taken.
+    """
+
+    ratio: float = 20.0
+    level: float = 0.05
+
+    def solve(self, problem: Problem) -> Estimate:
+        """The estimate; raises EstimationError where the motion does not excite every direction."""
+        _, full, _ = weighted_fit(problem)
+        r = problem.base.rank
+        # Noise was scaled to one, row by row: the squares that leaving out adds are a chi-square.
+        freedom = max(sum(f.samples for f in problem.factors if len(f.columns)) - r, 1)
+        kept, R = np.arange(r), full
+        while len(kept) > 1:
+            worst, over = _least_certain(R)
+            if over <= self.ratio:
+                break
+            fewer = np.delete(kept, worst)
+            smaller = _without(full, fewer)
+            added = (smaller[-1, -1] ** 2 - full[-1, -1] ** 2) / (r - len(fewer))
+            if added > fdtri(r - len(fewer), freedom, 1.0 - self.level):
+                break
+            kept, R = fewer, smaller
+        beta, covariance = np.zeros(r), np.zeros((r, r))
+        beta[kept] = triangular(R)
+        inverse = inverse_of(R)
+        covariance[np.ix_(kept, kept)] = inverse @ inverse.T
+        return Estimate(beta, covariance=covariance, stats={"essential": float(len(kept))})
+
+
+def _least_certain(R: Array) -> tuple[int, float]:
+    """The parameter with the largest relative standard deviation, and its ratio to the smallest."""
+    relative = np.linalg.norm(inverse_of(R), axis=1) / np.maximum(np.abs(triangular(R)), 1e-300)
+    worst = int(np.argmax(relative))
+    return worst, float(relative[worst] / relative.min())
+
+
+def _without(R: Array, kept: Array) -> Array:
+    """The factor (k + 1, k + 1) of the columns that are kept, and of the right-hand side."""
+    return np.asarray(qr(R[:, [*kept, -1]], mode="r")[0][: len(kept) + 1])

@@ -1,0 +1,59 @@
+"""The Kalman filter for parameters that wander: a random walk measured by torques."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.identification.compressed import compress, inverse_of, require_excited, triangular
+from sysid_bench.identification.prior import required_prior
+from sysid_bench.identification.recursion import updated, upper
+from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.types import Array, Estimate, Problem
+
+
+@dataclass(frozen=True)
+class Kalman:
+    """beta_(k+1) = beta_k + w_k, b_k = W_k beta_k + v_k; the answer is that after the last sample.
+
+    v has the noise of each joint (as `wls`). `drift` is the standard deviation of the walk over the
+    whole recording, relative to the prior's: parameter by parameter, so that no unit is favoured.
+    The start is diffuse, so that without drift the answer is that of `wls`. Square-root information
+    form (Bierman 1977, chapter 5); the walk takes a step every `hold` samples, which are taken as
+    one state. Gautier and Poignet (2001). Assumes W exact and white noise.
+    """
+
+    drift: float = 0.0
+    hold: int = 20
+
+    def solve(self, problem: Problem) -> Estimate:
+        """The estimate; raises EstimationError where the motion does not excite every direction, or
+        where there is a drift and no prior to scale it."""
+        if self.drift < 0 or self.hold < 1:
+            raise UsageError(f"{self} is no filter: drift is 0 or more, hold at least 1.")
+        require_excited(compress(problem))
+        sigma, r = own_sigmas(problem), problem.base.rank
+        walk = self._walk(problem) if self.drift > 0 else None
+        R = np.zeros((r + 1, r + 1))
+        for Y, b in problem.blocks():
+            for start in range(0, len(b), self.hold):
+                part = slice(start, start + self.hold)
+                R = updated(R if walk is None else _walked(R, walk), Y[part], b[part], sigma)
+        inverse = inverse_of(R)
+        return Estimate(triangular(R), covariance=inverse @ inverse.T)
+
+    def _walk(self, problem: Problem) -> Array:
+        """S (r, r) with S S' the covariance of one step of the walk."""
+        steps = max(problem.samples / self.hold, 1.0)
+        spread = problem.base.K * required_prior(problem).std
+        return np.asarray(upper(spread.T).T) * self.drift / np.sqrt(steps)
+
+
+def _walked(R: Array, walk: Array) -> Array:
+    """[R | z] after one step of the walk: what is known of beta + S u is what [1, 0; -R S, R]
+    says of (u, beta + S u), u eliminated."""
+    r = len(walk)
+    known = np.vstack(
+        [np.hstack([np.eye(r), np.zeros((r, r + 1))]), np.hstack([-R[:, :r] @ walk, R])]
+    )
+    return upper(known)[r:, r:]

@@ -1,0 +1,31 @@
+"""The feasible fit drawn towards the prior by the geometry of inertias at the prior."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from sysid_bench.identification.bregman import divergence
+from sysid_bench.identification.feasible import Limits, estimate_of, fit
+from sysid_bench.identification.physical import physical_of
+from sysid_bench.identification.prior import existing, required_prior, spread_of
+from sysid_bench.types import Estimate, Problem
+
+
+@dataclass(frozen=True)
+class LMIPullback:
+    """min |S^-1/2 (W K theta - b)|^2 + weight d' M d, d = theta - theta0, where every body can
+    exist (as `lmi`); M_kl = tr(J0^-1 E_k J0^-1 E_l) is the affine-invariant metric of
+    pseudo-inertias pulled back to theta and held at the prior. It does not
+    depend on frames or units. Lee and Park (2018); Lee, Wensing, Park (2020)."""
+
+    weight: float = 1.0
+    margin: float = 1e-7
+    bias: ClassVar[str] = "drawn towards the prior, as if torques had 0.001 % of noise at least"
+
+    def solve(self, problem: Problem) -> Estimate:
+        """The estimate, for motions too that do not excite every direction; raises EstimationError
+        without a prior, or where Clarabel does not solve it."""
+        of, prior = physical_of(problem), required_prior(problem)
+        std = spread_of(of, prior)
+        x0 = existing(of, prior.theta / of.scale, std)
+        _, metric = divergence(of, x0, std).derivatives(x0)
+        return estimate_of(of, fit(of, problem, Limits(self.margin), x0, self.weight * metric))

@@ -1,0 +1,258 @@
+"""Statistics against simulation and against their definitions: does a 95 % interval hold 95 %?"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import logm, sqrtm
+from scipy.stats import wilcoxon
+
+from sysid_bench.errors import UsageError
+from sysid_bench.evaluation.comparison import (
+    holm,
+    interquartile_mean,
+    performance_profile,
+    robot_bootstrap,
+    wilcoxon_holm,
+    win_rates,
+)
+from sysid_bench.evaluation.covariance import (
+    Spread,
+    bandwidth,
+    period_spread,
+    quantile,
+    sandwich_spread,
+)
+from sysid_bench.evaluation.cramer_rao import (
+    coverage,
+    efficiency,
+    torque_bound,
+    trajectory_bound,
+)
+from sysid_bench.evaluation.distances import (
+    entropic_distance,
+    geodesic_distance,
+    subspace_distance,
+)
+from sysid_bench.identification.estimators.ols import OLS
+from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.spatial.inertia import pseudo_inertia, transport
+from sysid_bench.types import Array
+from tests.identification.test_least_squares import problem_of
+from tests.robots import random_phi, random_rotation
+
+TRUTH = np.array([1.0, -2.0, 0.5, 3.0])
+PERIOD, PERIODS, REPEATS = 150, 10, 250
+
+
+@cache
+def regressor() -> Array:
+    """Two rows of four parameters along a motion with ten periods."""
+    t = 2 * np.pi * np.arange(PERIOD * PERIODS) / PERIOD
+    base = np.stack([np.sin(t), np.cos(2 * t), np.sin(3 * t + 1), np.ones_like(t)], axis=-1)
+    return np.stack([base, base[:, [1, 0, 3, 2]]], axis=1)
+
+
+def noise(kind: str, rng: np.random.Generator) -> Array:
+    from scipy.signal import lfilter
+
+    white = rng.normal(size=(PERIOD * PERIODS + 500, 2)) * [0.3, 0.1]
+    slow = {"white": 0.0, "slow": 0.95}[kind]
+    return np.asarray(lfilter([1.0], [1.0, -slow], white, axis=0)[500:])
+
+
+@cache
+def covered(kind: str) -> dict[str, float]:
+    """The share of intervals that hold the truth, of three ways to make them."""
+    rng = np.random.default_rng(4)
+    ends: dict[str, list[tuple[Array, Array]]] = {"textbook": [], "sandwich": [], "periods": []}
+    for _ in range(REPEATS):
+        W = regressor()
+        problem = problem_of(W, W @ TRUTH + noise(kind, rng))
+        estimate, sigma = WLS().solve(problem), own_sigmas(problem)
+        assert estimate.beta is not None
+        assert estimate.covariance is not None
+        for name, spread in (
+            ("textbook", Spread(estimate.covariance)),
+            ("sandwich", sandwich_spread(problem, estimate.beta, sigma)),
+            ("periods", period_spread(problem, estimate.beta, sigma, PERIOD)),
+        ):
+            ends[name].append(spread.interval(estimate.beta))
+    found = {}
+    for name, pairs in ends.items():
+        low, high = (np.array(side) for side in zip(*pairs, strict=True))
+        found[name], error = coverage(low, high, TRUTH)
+        assert error < 0.02
+    return found
+
+
+def test_white_noise_is_covered_by_all() -> None:
+    found = covered("white")
+    assert 0.93 < found["textbook"] < 0.97
+    assert 0.92 < found["sandwich"] < 0.97
+    assert 0.925 < found["periods"] < 0.975
+
+
+def test_slow_noise_is_covered_by_repeated_periods_and_not_by_the_textbook() -> None:
+    found = covered("slow")
+    assert found["textbook"] < 0.85
+    assert 0.88 < found["sandwich"] < 0.98
+    assert 0.925 < found["periods"] < 0.975
+
+
+def test_two_periods_are_needed_to_see_a_spread() -> None:
+    W = regressor()
+    problem = problem_of(W, W @ TRUTH)
+    for samples in (PERIOD * PERIODS, 10 * PERIOD * PERIODS, 0):
+        with pytest.raises(UsageError, match="two at least"):
+            period_spread(problem, TRUTH, np.ones(2), samples)
+    assert period_spread(problem, TRUTH, np.ones(2), PERIOD * PERIODS // 2).freedom == 1
+
+
+def test_a_spread_of_exact_data_is_nothing() -> None:
+    W = regressor()
+    problem = problem_of(W, W @ TRUTH)
+    for spread in (
+        period_spread(problem, TRUTH, np.ones(2), PERIOD),
+        sandwich_spread(problem, TRUTH, np.ones(2)),
+    ):
+        assert np.abs(spread.std).max() < 1e-12
+
+
+def test_the_bandwidth_grows_with_how_slow_noise_is() -> None:
+    rng = np.random.default_rng(0)
+    white, slow = (noise(kind, rng) for kind in ("white", "slow"))
+    assert bandwidth(white) < 8 < 30 < bandwidth(slow)
+
+
+def test_quantiles_are_students() -> None:
+    assert quantile(0.95, np.inf) == pytest.approx(1.959964, rel=1e-5)
+    assert quantile(0.95, 1.0) == pytest.approx(12.7062, rel=1e-5)
+    assert quantile(0.9, 9.0) == pytest.approx(1.833113, rel=1e-5)
+
+
+# --- The bound ----------------------------------------------------------------------------------
+
+
+def estimates(method: OLS | WLS, repeats: int) -> Array:
+    rng, found = np.random.default_rng(5), []
+    for _ in range(repeats):
+        W = regressor()[:300]
+        beta = method.solve(problem_of(W, W @ TRUTH + noise("white", rng)[:300])).beta
+        assert beta is not None
+        found.append(beta)
+    return np.array(found)
+
+
+def test_weighted_least_squares_reaches_the_bound_and_plain_does_not() -> None:
+    bound = torque_bound([regressor()[:300]], np.diag([0.3, 0.1]) ** 2)
+    told, low, high = efficiency(estimates(WLS(), 400), bound)
+    assert low < told < high
+    assert low < 1.0 < high
+    told, low, high = efficiency(estimates(OLS(), 400), bound)
+    assert high < 0.9
+
+
+def test_a_motion_that_is_unknown_makes_the_bound_wider() -> None:
+    rng = np.random.default_rng(6)
+    W, G = regressor(), rng.normal(size=(PERIOD * PERIODS, 2, 6))
+    torque = np.diag([0.09, 0.01])
+    known = torque_bound([W[:100], W[100:]], torque)
+    np.testing.assert_allclose(
+        known, trajectory_bound([W], [G], torque, np.zeros((6, 6))), atol=1e-15
+    )
+    wider = trajectory_bound([W[:70], W[70:]], [G[:70], G[70:]], torque, 0.01 * np.eye(6))
+    assert np.linalg.eigvalsh(wider - known).min() > 0
+    # One sample: the covariance of torque and motion together, by elimination.
+    joint = np.zeros((10, 10))
+    measured = np.linalg.inv(0.01 * np.eye(6))
+    stack = np.zeros((2, 10))
+    for k in range(len(W)):
+        stack[:, :4], stack[:, 4:] = W[k], G[k]
+        information = stack.T @ np.linalg.inv(torque) @ stack
+        information[4:, 4:] += measured
+        inner = np.linalg.solve(information[4:, 4:], information[4:, :4])
+        joint[:4, :4] += information[:4, :4] - information[:4, 4:] @ inner
+    np.testing.assert_allclose(np.linalg.inv(joint[:4, :4]), wider, rtol=1e-8)
+
+
+# --- Comparisons --------------------------------------------------------------------------------
+
+
+def test_the_interquartile_mean_is_the_mean_of_the_middle() -> None:
+    values = np.arange(8.0)[::-1]
+    assert interquartile_mean(values) == pytest.approx(3.5)
+    assert interquartile_mean(np.array([0, 1, 2, 3, 4, 1e9])) == pytest.approx(2.5)
+    assert interquartile_mean(np.array([[1.0, 7.0]]), axis=1) == pytest.approx(4.0)
+
+
+def test_holm_is_the_textbook_example() -> None:
+    np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
+
+
+def test_robots_and_not_motions_make_the_interval() -> None:
+    """Many motions of few robots do not make a claim about robots sure."""
+    rng = np.random.default_rng(7)
+    robots = rng.normal(size=(6, 1, 1))
+    few = robots + 0.1 * rng.normal(size=(6, 3, 1))
+    many = robots + 0.1 * rng.normal(size=(6, 60, 1))
+    width = [float(np.diff(robot_bootstrap(v, draws=400), axis=0)[0, 0]) for v in (few, many)]
+    assert width[1] > 0.6 * width[0]
+    naive = float(np.diff(robot_bootstrap(many.reshape(360, 1, 1), draws=400), axis=0)[0, 0])
+    assert naive < 0.5 * width[1]
+
+
+def test_wilcoxon_over_robots() -> None:
+    rng = np.random.default_rng(8)
+    size = np.exp(3 * rng.normal(size=(12, 1)))  # robots of very different size
+    values = size * np.exp(0.1 * rng.normal(size=(12, 3)) + [0.0, 0.0, 0.5])
+    p = wilcoxon_holm(values)
+    np.testing.assert_array_equal(p, p.T)
+    assert p[0, 2] < 0.01
+    assert p[0, 1] > 0.05
+    single = wilcoxon(np.log(values[:, 0] / values[:, 2])).pvalue
+    assert single <= p[0, 2] <= 3 * single + 1e-12
+    failed = values.copy()
+    failed[:, 0] = np.nan
+    assert wilcoxon_holm(failed)[0, 1] < 0.01
+
+
+def test_wins_and_profiles_count_failures_as_lost() -> None:
+    values = np.array([[1.0, 2.0, np.nan], [1.0, 1.0, 4.0], [3.0, 1.5, np.nan], [np.nan] * 3])
+    wins = win_rates(values)
+    np.testing.assert_allclose(wins + wins.T, 1.0)
+    assert wins[0, 1] == pytest.approx((1 + 0.5 + 0 + 0.5) / 4)
+    profile = performance_profile(values, np.array([1.0, 2.0, 4.0, np.inf]))
+    np.testing.assert_allclose(profile[:, 0], [0.5, 0.75, 0.75, 0.75])
+    np.testing.assert_allclose(profile[:, 2], [0.0, 0.0, 0.25, 0.25])
+    assert (np.diff(profile, axis=0) >= 0).all()
+
+
+# --- Distances ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_distances_of_inertias_are_their_definitions_in_any_frame(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    phi, phi0 = random_phi(rng, 2)
+    J, J0 = pseudo_inertia(phi), pseudo_inertia(phi0)
+    root = np.linalg.inv(sqrtm(J0))
+    geodesic = np.linalg.norm(logm(root @ J @ root))
+    assert geodesic_distance(phi, phi0) == pytest.approx(geodesic, rel=1e-9)
+    ratio = np.linalg.solve(J0, J)
+    entropic = np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4
+    assert entropic_distance(phi, phi0) == pytest.approx(entropic, rel=1e-9)
+    X = 3.0 * transport(random_rotation(rng), rng.normal(size=3))
+    for distance in (geodesic_distance, entropic_distance):
+        assert distance(X @ phi, X @ phi0) == pytest.approx(float(distance(phi, phi0)), rel=1e-8)
+        assert distance(phi, phi) == pytest.approx(0.0, abs=1e-6)
+        assert distance(-phi, phi0) == distance(phi, -phi0) == np.inf
+    assert geodesic_distance(phi, phi0) == pytest.approx(float(geodesic_distance(phi0, phi)))
+
+
+def test_subspaces_are_compared_by_their_angle() -> None:
+    a = np.array([[1.0], [0.0], [0.0]])
+    b = np.array([[np.cos(0.3)], [np.sin(0.3)], [0.0]])
+    assert subspace_distance(a, 5 * b) == pytest.approx(0.3)
+    assert subspace_distance(np.hstack([a, b]), np.eye(3)[:, :2]) == pytest.approx(0.0, abs=1e-7)

@@ -1,0 +1,164 @@
+"""Our own estimators keep the laws that strangers are held to; wrong ones are caught by name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import count
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from sysid_bench.cli import main
+from sysid_bench.conformance import World, broken, check
+from sysid_bench.errors import EstimationError
+from sysid_bench.identification.compressed import compress, solve
+from sysid_bench.identification.estimators.ols import OLS
+from sysid_bench.naming import BUILTIN, build, resolve
+from sysid_bench.pytest_plugin import _worlds, assert_conforms
+from sysid_bench.types import Estimate, Problem
+
+LINEAR = sorted(
+    name for name in BUILTIN["estimator"] if hasattr(resolve("estimator", name), "solve")
+)
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_our_estimators_keep_the_laws(name: str) -> None:
+    assert_conforms(name)
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_who_claims_no_bias_answers_an_exact_world(name: str) -> None:
+    """A law that never applies proves nothing."""
+    estimator = build("estimator", name)
+    exact = [world for world in _worlds(False) if world.exact]
+    assert any(estimator.solve(world.problem).status == "ok" for world in exact)
+
+
+# --- Wrong on purpose ---------------------------------------------------------------------------
+
+
+def beta_of(problem: Problem) -> np.ndarray:
+    beta = OLS().solve(problem).beta
+    assert beta is not None
+    return beta
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """Least squares with one mistake."""
+
+    answer: Callable[[Problem], Any]
+
+    def solve(self, problem: Problem) -> Any:
+        return self.answer(problem)
+
+
+def mutating(problem: Problem) -> Estimate:
+    beta = beta_of(problem)
+    problem.factors[0].R[0, 0] += 1.0
+    return Estimate(beta)
+
+
+def prying(problem: Problem) -> Estimate:
+    beta = beta_of(problem)
+    R = problem.factors[0].R
+    R.flags.writeable = True
+    R *= 1.0 + 1e-12
+    R.flags.writeable = False
+    return Estimate(beta)
+
+
+def starting(problem: Problem) -> Estimate:
+    if problem.prior is None:
+        raise EstimationError("This method starts from a prior, and there is none.")
+    return Estimate(theta=problem.prior.theta)
+
+
+calls = count()
+
+WRONG: dict[str, tuple[Callable[[Problem], Any], str]] = {
+    "biased": (lambda p: Estimate(1.001 * beta_of(p)), "tells the truth"),
+    "mutating": (mutating, "leaves its input alone"),
+    "prying": (prying, "leaves its input alone"),
+    "silent": (lambda p: Estimate(status="failed"), "says why it cannot"),
+    "failing": (lambda p: Estimate(status="failed", reason="the solver gave up"), "answers"),
+    "zero": (lambda p: Estimate(np.zeros(p.base.rank)), "does more than start"),
+    "starting": (starting, "does more than start"),
+    "restless": (lambda p: Estimate(beta_of(p) + 1e-13 * next(calls)), "answers the same twice"),
+    "in newton": (
+        lambda p: Estimate(beta_of(p) * (1 + 1e-3 * (np.abs(p.factors[0].R).max() > 200))),
+        "does not care for units",
+    ),
+    "first joint": (
+        lambda p: Estimate(solve(compress(p, [9.0] + [1.0] * (len(p.factors) - 1)))),
+        "does not care for the order",
+    ),
+    "guessing": (
+        lambda p: Estimate(np.linalg.lstsq(p.W, p.b)[0]),
+        "refuses what is not told",
+    ),
+    "raising": (lambda p: 1 / 0, "ZeroDivisionError"),
+}
+
+
+def copied() -> list[World]:
+    """Worlds of a test's own: a wrong method may damage them."""
+    from sysid_bench.verbs.check_plugin import worlds
+
+    return worlds()[2:5]
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_estimator_is_caught(name: str) -> None:
+    answer, law = WRONG[name]
+    lines = broken(check(Wrong(answer), copied()))
+    assert lines
+    assert any(law in line for line in lines), lines
+
+
+def test_least_squares_itself_is_not_caught() -> None:
+    """The wrong ones above are caught for their mistake alone."""
+    assert broken(check(Wrong(lambda p: OLS().solve(p)), copied())) == []
+
+
+def test_a_bias_that_is_told_is_no_mistake() -> None:
+    class Shrunk(Wrong):
+        bias = "shrunk by a thousandth"
+
+    assert broken(check(Shrunk(lambda p: Estimate(0.999 * beta_of(p))), copied())) == []
+
+
+# --- The verb -----------------------------------------------------------------------------------
+
+MINE = """
+from dataclasses import dataclass
+import numpy as np
+from sysid_bench.types import Estimate
+
+@dataclass(frozen=True)
+class Mine:
+    factor: float = {factor}
+    def solve(self, problem):
+        beta, _, rank, _ = np.linalg.lstsq(problem.W, problem.b)
+        if rank < problem.base.rank:
+            return Estimate(status="failed", reason=f"only rank {{rank}} is excited")
+        return Estimate(self.factor * beta)
+"""
+
+
+@pytest.mark.parametrize(("factor", "code"), [(1.0, 0), (1.1, 1)])
+def test_check_plugin_tells_right_from_wrong(factor: float, code: int, tmp_path: Any) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(MINE.format(factor=factor))
+    result = CliRunner().invoke(main, ["check-plugin", f"file:{file}:Mine"])
+    assert result.exit_code == code, result.output
+    assert ("tells the truth" in result.output) == bool(code)
+    assert ("keeps its laws" in result.output) == (not code)
+
+
+def test_check_plugin_names_the_nearest_estimator() -> None:
+    result = CliRunner().invoke(main, ["check-plugin", "hubert"])
+    assert result.exit_code == 2
+    assert "Did you mean 'huber'" in result.output
