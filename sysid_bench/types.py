@@ -59,6 +59,8 @@ class Recording:
     commanded: Trajectory | None = None
     controller: Controller | None = None
     period: float | None = None  # s
+    wrench: Float[Array, "N k"] | None = None  # [n; f] of each force/torque sensor, in their order
+    wrench_rows: tuple[str, ...] = ()  # names of its columns
 
     def __len__(self) -> int:
         return len(self.t)
@@ -77,6 +79,7 @@ class Oracle:
 
     motion: Trajectory  # exact
     tau: Float[Array, "N nv"]  # noise-free joint torque
+    wrench: Float[Array, "N k"] | None = None  # noise-free, of the sensors of the recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +267,7 @@ class Score:
     payload_error: float | None = None  # |phi - phi*| / |phi*|, ten SI numbers of the payload
     mass_error: float | None = None  # kg, payload and link tasks
     com_error: float | None = None  # m
+    inertia_error: float | None = None  # |I - I*| / |I*| about the centre of mass, Frobenius
     feasible: bool | None = None
     min_eigenvalue: float | None = None  # smallest of any body's pseudo-inertia
     plausible: bool | None = None

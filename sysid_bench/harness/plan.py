@@ -199,7 +199,7 @@ def _cells(suite: Suite, names: Names) -> list[Cell]:
             payload = names.payload(written)
             facts = {"robot.free_base": free, "payload.mass": payload.mass}
             drafts += [
-                (replace(spec, free_base=free_base), facts)
+                (replace(spec, free_base=free_base, sensor=entry.sensor), facts)
                 for spec in _specs(suite, source, normal_payload(written))
             ]
     estimators = [estimator.spec for estimator in suite.estimator]
@@ -248,7 +248,7 @@ def _labelled(
     spec: ExperimentSpec, estimator: Mapping[str, Any], label: Mapping[str, Mapping[str, str]]
 ) -> dict[str, str]:
     plain = {
-        "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base))],
+        "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base, spec.sensor))],
         "task": spec.task,
         "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
         "rate": f"{spec.rate:.12g} Hz",

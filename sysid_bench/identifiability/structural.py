@@ -4,6 +4,7 @@ import numpy as np
 
 from sysid_bench.identifiability.base import base_map
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import Cut, instruments_of
 from sysid_bench.models.states import random_states
 from sysid_bench.regressors.fold import triangle
 from sysid_bench.regressors.regression import regression
@@ -14,22 +15,29 @@ SEED = 0
 
 
 def structural_base(
-    robot: RobotModel, parameters: tuple[str, ...], rows: tuple[str, ...] | None = None
+    robot: RobotModel,
+    parameters: tuple[str, ...],
+    rows: tuple[str, ...] | None = None,
+    cuts: tuple[Cut, ...] = (),
 ) -> BaseMap:
     """The base map of the named parameters over all motions of the robot; `rows`: what is measured
-    (None: the torque of every degree of freedom)."""
-    return base_map(structural_factor(robot, parameters, rows), parameters)
+    (None: the torque of every degree of freedom), among those of the sensors `cuts` too."""
+    return base_map(structural_factor(robot, parameters, rows, cuts), parameters)
 
 
 def structural_factor(
-    robot: RobotModel, parameters: tuple[str, ...], rows: tuple[str, ...] | None = None
+    robot: RobotModel,
+    parameters: tuple[str, ...],
+    rows: tuple[str, ...] | None = None,
+    cuts: tuple[Cut, ...] = (),
 ) -> Array:
     """R (m, p) of the regressor over random states, whose column space is that of all motions."""
-    columns = regression(robot, parameters)
-    measured = [robot.rows.index(row) for row in (robot.rows if rows is None else rows)]
+    instruments = instruments_of(robot, cuts)
+    columns = regression(robot, parameters, instruments)
+    measured = [instruments.rows.index(row) for row in (robot.rows if rows is None else rows)]
     count = 64 + 3 * len(parameters) // len(measured)
     motion = random_states(robot, count, np.random.default_rng(SEED))
     factors = []
-    for block in columns.blocks(motion):
+    for block in columns.blocks(instruments.motion(motion)):
         factors.append(triangle([block.dense()[:, measured].reshape(-1, len(parameters))]))
     return triangle(factors)

@@ -138,6 +138,23 @@ def joint_torque_regressor(
     return Regressor(made.joint_torque(base), made.rows, made.columns)
 
 
+def handed_on(
+    instruments: Instruments, motion: Trajectory, cut: Cut, stop: Cut, wrench: Array
+) -> Array:
+    """What a wrench (N, 6) at the sensor `stop` is at the sensor `cut` before it (N, 6)."""
+    link = int(instruments.tree.carrier[stop.body])
+    own = instruments.tree.links[link].dofs.tolist()
+    out = np.empty_like(wrench)
+    for part, state in _states(instruments.tree, instruments.motion(motion), link):
+        T_cut, T_stop = (
+            _columns(state, [own.index(dof) for dof in instruments.root(at)]).transpose(0, 2, 1)
+            for at in (cut, stop)
+        )
+        at_link = np.linalg.solve(T_stop, wrench[part, :, None])
+        out[part] = (T_cut @ at_link)[..., 0]
+    return out
+
+
 def columns_of(robot: RobotModel, cut: Cut) -> tuple[str, ...]:
     """Names of the parameters behind a sensor, ten per body."""
     return tuple(column for body in cut.bodies for column in robot.bodies[body].columns)

@@ -46,6 +46,7 @@ _ALL: Final = (
     Metric("payload_error", "Relative payload error"),
     Metric("mass_error", "Mass error", "kg"),
     Metric("com_error", "Error of the centre of mass", "m"),
+    Metric("inertia_error", "Relative error of the inertia"),
     Metric("feasible", "Share of feasible estimates"),
     Metric("plausible", "Share of plausible estimates"),
     Metric("min_eigenvalue", "Smallest pseudo-inertia eigenvalue"),

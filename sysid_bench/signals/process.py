@@ -41,10 +41,14 @@ class Processing:
         else:
             v, a = smooth(recording.v, rate), smooth(recording.a, rate)
         tau = recording.tau if self.raw_torque else smooth(recording.tau, rate)
+        wrench = recording.wrench
+        if wrench is not None and not self.raw_torque:
+            wrench = smooth(wrench, rate)
         keep = slice(edge, len(recording) - edge)
         return replace(
-            recording, t=recording.t[keep], q=q[keep], v=v[keep], a=a[keep], tau=tau[keep]
-        )
+            recording, t=recording.t[keep], q=q[keep], v=v[keep], a=a[keep], tau=tau[keep],
+            wrench=None if wrench is None else wrench[keep],
+        )  # fmt: skip
 
 
 def processing_of(spec: Mapping[str, object]) -> Processing:

@@ -9,8 +9,9 @@ from sysid_bench.errors import EstimationError, ModelError
 if TYPE_CHECKING:
     from sysid_bench.harness.experiment.spec import ExperimentSpec
 
-ESTIMATOR: Final = {"terminal": "min-norm"}
-"""The method of a task where none is named: that of its source; elsewhere least squares."""
+ESTIMATOR: Final = {"terminal": "min-norm", "wrench": "wls", "wrench-payload": "wls"}
+"""The method of a task where none is named: that of its source; where forces and moments are rows
+of one problem, weights by their noise; elsewhere least squares."""
 
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
@@ -28,6 +29,7 @@ def identify(
     model_out: str | Path | None = None,
     seed: int = 0,
     robots_dir: Path | None = None,
+    sensor: str | None = None,
 ) -> dict[str, Any]:
     """Identifies a robot from its own simulation; the answer as `identify --json` prints it.
 
@@ -46,7 +48,7 @@ def identify(
 
     name = estimator or ESTIMATOR.get(task, "ols")
     method = build("estimator", name)
-    spec = _spec(str(model), task, payload, terms, noise or {}, seed)
+    spec = _spec(str(model), task, payload, terms, noise or {}, seed, sensor)
     robot = subject(spec.robot, spec.payload, None if robots_dir is None else str(robots_dir), None)
     if model_out is not None:
         check_target(robot.robot, task, Path(model_out))
@@ -76,7 +78,7 @@ def identify(
         "gap": robot.check.gap,
         "bodies": bodies,
         "joints": joints_of(estimate, ready.problem),
-        "payload": next(iter(bodies.values())) if task == "payload" else None,
+        "payload": next(iter(bodies.values())) if task.endswith("payload") else None,
         "feasible": figures.feasible,
         "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem)],
     }
@@ -123,6 +125,7 @@ def _spec(
     terms: Sequence[str] | None,
     noise: Mapping[str, str],
     seed: int,
+    sensor: str | None,
 ) -> "ExperimentSpec":
     """The experiment as a suite with nothing but defaults would have it."""
     from sysid_bench.harness.experiment.spec import ExperimentSpec, normal_noise
@@ -143,4 +146,5 @@ def _spec(
         noise=measured,
         signals=ENCODERS if {"q", "quantum"} & set(measured) else IDEAL,
         repeat=0,
+        sensor=sensor,
     )

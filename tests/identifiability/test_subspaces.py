@@ -17,7 +17,7 @@ from sysid_bench.models.random_robot import random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import cut_at
 from sysid_bench.regressors.wrench import sub_tree
-from sysid_bench.types import Trajectory
+from sysid_bench.types import Array, Trajectory
 from tests.robots import named_robot, revolute_tree, robot_of, states
 
 ANGLE = 1e-10
@@ -120,7 +120,7 @@ def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
     made = sub_tree(robot, cut, _moving(robot, moved, seed))
     told = excitation_of(made, structural_subspaces(robot, cut))
     basis, _ = span(made.Y_n)
-    change = rng.normal(size=made.Y_n.shape[-1])
+    change = np.array(rng.normal(size=made.Y_n.shape[-1:]))
     change = change - basis @ (basis.T @ change)
     assert np.abs(made.Y_n @ change).max() < 1e-10
     other = sub_tree(robot, cut, states(robot, 50, seed + 1))

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from sysid_bench.errors import EstimationError, UnsupportedError
 from sysid_bench.excitation.brief import brief_of
 from sysid_bench.harness.experiment.robots import Subject
+from sysid_bench.harness.experiment.sensing import Sensing, true_offset
 from sysid_bench.harness.experiment.spec import (
     ExperimentSpec,
     held_out_seed,
@@ -19,16 +20,19 @@ from sysid_bench.harness.experiment.spec import (
 )
 from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.sensor import Instruments, instruments_of
 from sysid_bench.models.task import Task, task_of
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
 from sysid_bench.regressors.regression import TERM, Regression, regression
+from sysid_bench.regressors.wrench import handed_on
 from sysid_bench.signals.process import processing_of
 from sysid_bench.simulation.candidate import Declared, candidate, declared
 from sysid_bench.simulation.closed_loop import ClosedLoop
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import Plant, plant_of
 from sysid_bench.simulation.sensors import Noise, draw, encoder_error, sense
+from sysid_bench.simulation.wrench import WRENCH_NOISE
 from sysid_bench.types import (
     Array,
     BaseMap,
@@ -59,19 +63,22 @@ class Prepared:
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
     robot = subject.robot
-    task = task_of(robot, spec.task, _terms(spec, robot))
-    base = subject.base(task.parameters, task.rows)
-    posing = Posing(robot, task, base, regression(robot, base.names))
+    task = task_of(robot, spec.task, _terms(spec, robot), spec.sensor, true_offset(spec))
+    base = subject.base(task.parameters, task.rows, task.cuts)
+    instruments = instruments_of(robot, task.cuts)
+    posing = Posing(robot, task, base, regression(robot, base.names, instruments))
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
-    raw, recording = _record(spec, subject, plant)
+    sensing = Sensing(spec, plant, task)
+    raw, recording = _record(spec, subject, plant, sensing)
     prior = _prior(spec, task)
-    problem = posing.pose(recording.motion, recording.tau, prior)
+    problem = posing.pose(recording.motion, recorded(recording), prior)
     held_out = {
-        name: posing.pose(oracle.motion, oracle.tau)
+        name: posing.pose(oracle.motion, sensing.exact(oracle))
         for name, oracle in _held_out(spec, subject, plant).items()
     }
-    regress = partial(regressor_blocks, posing.regression, posing.places)
-    experiment = Experiment(problem, recording, raw, regress, _Simulate(declared(robot, task), raw))
+    regress = partial(regressor_blocks, posing.regression, posing.places, instruments)
+    simulate = _nothing_to_simulate if task.cuts else _Simulate(declared(robot, task), raw)
+    experiment = Experiment(problem, recording, raw, regress, simulate)
     seal(experiment)
     return Prepared(
         robot, task, problem, experiment, held_out, task.truth,
@@ -112,40 +119,60 @@ class Posing:
     base: BaseMap
     regression: Regression
 
+    @cached_property
+    def instruments(self) -> Instruments:
+        """What is measured: joint torques, and the sensors of the task."""
+        return instruments_of(self.robot, self.task.cuts)
+
     @property
     def places(self) -> tuple[int, ...]:
-        """The rows of the robot that the task measures, as places in v."""
+        """The rows that the task measures, as places in v of the robot with its sensors."""
         rows = self.robot.rows if self.task.rows is None else self.task.rows
-        return tuple(self.robot.rows.index(row) for row in rows)
+        return tuple(self.instruments.rows.index(row) for row in rows)
 
-    def pose(self, motion: Trajectory, tau: Array, prior: Prior | None = None) -> Problem:
-        """W beta = b along a motion, the known torque taken from tau (N, nv)."""
-        b = tau - self.known(motion)
+    def pose(self, motion: Trajectory, measured: Array, prior: Prior | None = None) -> Problem:
+        """W beta = b along a motion, what is known taken from what is measured (N, nv + 6 sensors):
+        known torque, and the wrenches of the sensors that end the sub-tree."""
+        b = measured - self.known(motion)
+        cut, *stops = self.task.cuts or (None,)
+        for stop in stops:
+            assert cut is not None
+            root, end = list(self.instruments.root(cut)), list(self.instruments.root(stop))
+            b[:, root] -= handed_on(self.instruments, motion, cut, stop, measured[:, end])
+        motion = self.instruments.motion(motion)
         return Problem(
             parameters=self.task.parameters,
             base=self.base,
-            rows=tuple(self.robot.rows[i] for i in self.places),
+            rows=tuple(self.instruments.rows[i] for i in self.places),
             factors=fold(self.regression, motion, b, self.places),
             bodies=self.task.bodies,
             blocks=partial(dense_blocks, self.regression, motion, b, self.places),
             samples=len(motion),
             prior=prior,
-            kinds=tuple(self.robot.row_kinds[i] for i in self.places),
+            kinds=tuple(self.instruments.kinds[i] for i in self.places),
         )
 
     def known(self, motion: Trajectory) -> Array:
-        """Torque (N, nv) of the parts that the task declares known."""
+        """Torque and wrench (N, nv + 6 sensors) of the parts that the task declares known."""
+        tree, whole = self.instruments.tree, self.instruments.motion(motion)
         if not self.task.knows_something:
-            return np.zeros_like(motion.v)
-        tau = newton_euler(self.robot.tree, self.task.known_links, motion)
-        return tau + known_terms(self.robot, self.task, motion)
+            return np.zeros_like(whole.v)
+        tau = newton_euler(tree, self.task.known_links, whole)
+        tau[:, : self.robot.nv] += known_terms(self.robot, self.task, motion)
+        return tau
+
+
+def recorded(recording: Recording) -> Array:
+    """All that is measured (N, nv + 6 sensors): torque, then wrenches."""
+    parts = [recording.tau] if recording.wrench is None else [recording.tau, recording.wrench]
+    return np.hstack(parts)
 
 
 def regressor_blocks(
-    regression: Regression, rows: tuple[int, ...], motion: Trajectory
+    regression: Regression, rows: tuple[int, ...], instruments: Instruments, motion: Trajectory
 ) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
-    for block in regression.blocks(motion):
+    for block in regression.blocks(instruments.motion(motion)):
         yield block.dense()[:, list(rows)]
 
 
@@ -160,9 +187,12 @@ def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:
     return tau
 
 
-def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recording, Recording]:
+def _record(
+    spec: ExperimentSpec, subject: Subject, plant: Plant, sensing: Sensing
+) -> tuple[Recording, Recording]:
     """The recording as sensed and as filtered."""
-    robot, noise = plant.robot, Noise(**spec.noise)
+    robot = plant.robot
+    noise = Noise(**{k: x for k, x in spec.noise.items() if k not in WRENCH_NOISE})
     simulation = subject.build("simulation", spec.simulation)
     processing = processing_of(spec.signals)
     rate = simulation.design_rate(spec.rate)
@@ -193,6 +223,7 @@ def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recor
         controller,
         ideal_rates=not processing.differentiate,
     )
+    raw = sensing.felt(raw, oracle, every)
     return raw, processing.apply(raw, robot.joints)
 
 
@@ -223,6 +254,13 @@ def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
         return None
     spread = None if isinstance(spec.prior, str) else PriorSpread(**spec.prior)
     return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
+
+
+def _nothing_to_simulate(theta: Array) -> Recording:
+    """A force/torque sensor says nothing of the joints' friction and of what carries it."""
+    raise UnsupportedError(
+        "A task on a force/torque sensor alone declares no whole robot: nothing to simulate with."
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -106,6 +106,15 @@ class Noise(Section):
     q: Annotated[Any, measured("rad|m")] = None
     tau: Annotated[Any, measured("N m|N|%")] = None
     quantum: Annotated[Any, measured("rad|m")] = None
+    force: Annotated[Any, measured("N")] = None  # and so on: force/torque sensors
+    moment: Annotated[Any, measured("N m")] = None
+    force_offset: Annotated[Any, measured("N")] = None
+    moment_offset: Annotated[Any, measured("N m")] = None
+    force_drift: Annotated[Any, measured("N")] = None  # per second
+    moment_drift: Annotated[Any, measured("N m")] = None  # per second
+    gain: Annotated[Any, measured("%")] = None
+    crosstalk: Annotated[Any, measured("%")] = None
+    mounting: Annotated[Any, measured("rad")] = None
 
 
 class Prior(Section):
@@ -192,6 +201,7 @@ class RobotEntry(Section):
     use: Annotated[tuple[Annotated[str, PlainValidator(_robot_name)], ...], Sweep]
     payloads: Annotated[tuple[Annotated[Any, PlainValidator(_payload)], ...], Sweep] = ("none",)
     free_base: StrictBool | None = None  # None: as the robot's manifest has it
+    sensor: StrictStr | None = None  # of the manifest, or a fixed joint, site or body to cut at
 
 
 class Exclude(Section):
