@@ -1,14 +1,14 @@
-"""Joint torques and contact wrenches from a force/torque sensor: the reordered Newton-Euler method.
+"""Joint torques and contact wrenches from a force/torque sensor: the reordered Newton-Euler.
 
-With the base at the link beta where an unknown wrench acts, and the wrench f_b of the sensor and the
-parameters phi of the sub-tree known (Traversaro et al. 2015, section III):
+With the base at the link beta where an unknown wrench acts, and the wrench f_b of the sensor and
+the parameters phi of the sub-tree known (Traversaro et al. 2015, section III):
 
     f_beta = X (Y_n phi - f_b)                    the external wrench on beta
     tau_j  = Y_c(b)_j phi - [beta behind j] M_j (Y_n phi - f_b)
            = Y_c(beta)_j phi + [beta behind j] M_j f_b
 
 Torques are those of the rigid bodies, as a sensor between gear and link has them: no friction, no
-rotor. A joint before the sensor needs the parameters of the links between it and the sensor as well,
+rotor. A joint before the sensor needs the parameters of the links between it and the sensor too,
 which this sensor does not tell: tau_j = M_j f_b + Y_j phi_upstream.
 """
 

@@ -1,7 +1,7 @@
 """Parameters on-line: recursive least squares and a Kalman filter, sample after sample.
 
-Both work on whitened rows G_k = W_k / sigma, g_k = f_k / sigma of one sample each, several rows at a
-time, in covariance form, which starts from a prior: without one the estimate runs wild before the
+Both work on whitened rows G_k = W_k / sigma, g_k = f_k / sigma of one sample each, several rows at
+a time, in covariance form, which starts from a prior: without one the estimate runs wild before the
 motion excites (measured on the iCub's arm: 7 N m of torque error where the CAD model has 0.03).
 """
 
@@ -38,9 +38,9 @@ class Recursion:
     """Recursive least squares, or a Kalman filter where parameters wander.
 
     `forgetting`: weight of all that came before, per sample. `walk`: standard deviation of a random
-    walk per root sample, as a share of the prior's (the Kalman version). With `gate`, forgetting and
-    walk leave alone what has become less certain than the prior: without excitation the covariance
-    would blow up. `reject`: samples whose forecast misses by more than this chi-square per row are
+    walk per root sample, as a share of the prior's (the Kalman version). With `gate`, forgetting
+    and walk make nothing less certain than the prior: without excitation the covariance would blow
+    up. `reject`: samples whose forecast misses by more than this chi-square per row are
     left out, as contacts are, once the filter is `settled` (samples). `every`: history kept.
     """
 

@@ -31,12 +31,18 @@ class Task:
     """Names of the degrees of freedom whose torque is measured, or of a sensor's six components;
     None: all degrees of freedom."""
     cuts: tuple[Cut, ...] = ()
-    """The force/torque sensor that is measured, then those that end its sub-tree."""
+    """The force/torque sensors that are looked at; where one is measured alone, those that end its
+    sub-tree come after it."""
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the unknowns (p,)."""
         return self.truth.parameters
+
+    @property
+    def stops(self) -> tuple[Cut, ...]:
+        """The sensors whose wrench is taken from that of the first."""
+        return self.cuts[1:] if self.name in SENSOR_TASKS else ()
 
     @property
     def knows_something(self) -> bool:
@@ -58,17 +64,18 @@ def task_of(
     payload's ten numbers from it, the rest known. With the term "offset" the sensor's constants are
     unknown as well; `offset` (6,) are the true ones.
 
-    Joint terms that are not identified are known. Raises UnsupportedError where the robot or the
-    payload has no such unknowns.
+    With a `sensor` (several: "left, right") the tasks `robot` and `payload` look at it beside all
+    joint torques. Joint terms that are not identified are known. Raises UnsupportedError where the
+    robot or the payload has no such unknowns.
     """
     for term in terms:
         if term not in SUFFIX:
             raise unknown_name("joint term", term, SUFFIX)
     match name:
         case "robot":
-            return _robot(robot, terms)
+            return _beside_sensors(robot, _robot(robot, terms), sensor)
         case "payload":
-            return _payload(robot)
+            return _beside_sensors(robot, _payload(robot), sensor)
         case "link":
             return _link(robot)
         case "terminal":
@@ -115,6 +122,21 @@ def _behind_sensor(robot: RobotModel, sensor: str, all_bodies: bool) -> Task:
         cut.rows,
         cuts,
     )
+
+
+def _beside_sensors(robot: RobotModel, task: Task, sensor: str | None) -> Task:
+    """The task with the rows of sensors after those of all joints."""
+    if sensor is None:
+        return task
+    names = [name.strip() for name in sensor.split(",")]
+    cuts = tuple(cut_at(robot, name, ()) for name in names)
+    known = np.zeros_like(robot.phi)
+    if task.name == "payload":
+        known[:] = robot.phi
+        known[robot.payload_body] = 0.0
+    lumped = instruments_of(robot, cuts).tree.lumped(known)
+    rows = robot.rows + tuple(row for cut in cuts for row in cut.rows)
+    return replace(task, rows=rows, cuts=cuts, known_links=lumped)
 
 
 def _with_offset(task: Task, terms: tuple[str, ...], offset: Array) -> Task:

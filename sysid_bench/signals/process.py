@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from sysid_bench.models.robot import Joint
 from sysid_bench.signals.filters import Filter, filter_of
 from sysid_bench.spatial.rotation import conjugate, product
 from sysid_bench.types import Array, Recording
+
+SETTINGS: Final = ("filter", "derivatives", "torque", "calibration")
+"""Keys of a table of signals; the harness itself sees to the calibration."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +58,8 @@ class Processing:
 def processing_of(spec: Mapping[str, object]) -> Processing:
     """The processing of a suite's table {filter, derivatives, torque}."""
     for key in spec:
-        if key not in ("filter", "derivatives", "torque"):
-            raise unknown_name("signals setting", key, ("filter", "derivatives", "torque"))
+        if key not in SETTINGS:
+            raise unknown_name("signals setting", key, SETTINGS)
     derivatives = spec.get("derivatives", "exact")
     if derivatives not in ("exact", "from q"):
         raise UsageError(f"derivatives = {derivatives!r}: write 'exact' or 'from q'.")

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -15,7 +16,10 @@ from sysid_bench.spatial.rotation import (
 )
 from sysid_bench.types import Array, Trajectory
 
-SITE = "force/torque sensor {}"
+LEVER: Final = 0.1
+"""Moment per force (m) in the ranges of common six-axis sensors: the scale of crosstalk."""
+
+SITE: Final = "force/torque sensor {}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +100,7 @@ class WrenchNoise:
     """How a sensor errs. Standard deviations: white `force` (N) and `moment` (N m), of constants
     (`..._offset`) and of slopes in time (`..._drift`, per second), and of `gain` (share, each of
     the six axes) and `crosstalk` (share, each of the thirty other entries; between force and moment
-    in the ratio of their RMS in the noise-free motion). `mounting`: the sensor is turned by this
+    in the ratio `LEVER`). `mounting`: the sensor is turned by this
     angle (rad) about an axis drawn at random."""
 
     force: float = 0.0
@@ -136,13 +140,11 @@ class Fault:
         return np.asarray(wrench @ self.A.T + self.offset + t[:, None] * self.slope)
 
 
-def fault_of(noise: WrenchNoise, wrench: Array, rng: np.random.Generator) -> Fault:
-    """A sensor drawn with these errors; `wrench` (N, 6), noise-free, gives the scale of crosstalk.
-    Levels share their draws, so that comparisons are paired."""
+def fault_of(noise: WrenchNoise, rng: np.random.Generator) -> Fault:
+    """A sensor drawn with these errors. Levels share their draws: comparisons are paired."""
     z_gain, z_cross = rng.normal(size=6), rng.normal(size=(6, 6))
     z_axis, z_offset, z_slope = rng.normal(size=3), rng.normal(size=6), rng.normal(size=6)
-    rms = [np.sqrt((wrench[:, part] ** 2).mean()) for part in (slice(0, 3), slice(3, 6))]
-    size = np.repeat(np.maximum(rms, 1e-12), 3)
+    size = np.repeat([LEVER, 1.0], 3)
     cross = noise.crosstalk * z_cross * (size[:, None] / size)
     np.fill_diagonal(cross, 1.0 + noise.gain * z_gain)
     R = matrix_of_quaternion(quaternion_of_vector(noise.mounting * z_axis / np.linalg.norm(z_axis)))

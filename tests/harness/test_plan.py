@@ -17,8 +17,8 @@ from sysid_bench.harness.experiment.spec import (
     motion_seed,
     noise_seed,
     prior_seed,
-    sensor_seed,
     seed_of,
+    sensor_seed,
 )
 from sysid_bench.harness.plan import Plan, expand, fields
 from sysid_bench.harness.words import LABELS

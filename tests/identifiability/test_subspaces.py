@@ -17,7 +17,7 @@ from sysid_bench.models.random_robot import random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import cut_at
 from sysid_bench.regressors.wrench import sub_tree
-from sysid_bench.types import Array, Trajectory
+from sysid_bench.types import Trajectory
 from tests.robots import named_robot, revolute_tree, robot_of, states
 
 ANGLE = 1e-10

@@ -18,9 +18,12 @@ from sysid_bench.harness.experiment.spec import (
     noise_seed,
     prior_seed,
 )
+from sysid_bench.identification.calibration import Calibration, calibrate
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import Instruments, instruments_of
+from sysid_bench.models.sensor import Instruments, cut_at, instruments_of
 from sysid_bench.models.task import Task, task_of
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
@@ -70,6 +73,9 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
     sensing = Sensing(spec, plant, task)
     raw, recording = _record(spec, subject, plant, sensing)
+    if "calibration" in spec.signals and task.cuts:
+        calibration = _calibration(spec, subject, task)
+        raw, recording = _corrected(raw, calibration), _corrected(recording, calibration)
     prior = _prior(spec, task)
     problem = posing.pose(recording.motion, recorded(recording), prior)
     held_out = {
@@ -134,9 +140,8 @@ class Posing:
         """W beta = b along a motion, what is known taken from what is measured (N, nv + 6 sensors):
         known torque, and the wrenches of the sensors that end the sub-tree."""
         b = measured - self.known(motion)
-        cut, *stops = self.task.cuts or (None,)
-        for stop in stops:
-            assert cut is not None
+        for stop in self.task.stops:
+            cut = self.task.cuts[0]
             root, end = list(self.instruments.root(cut)), list(self.instruments.root(stop))
             b[:, root] -= handed_on(self.instruments, motion, cut, stop, measured[:, end])
         motion = self.instruments.motion(motion)
@@ -227,6 +232,32 @@ def _record(
     return raw, processing.apply(raw, robot.joints)
 
 
+def _calibration(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibration:
+    """What the measured sensor tells of itself with known payloads, on the same motion."""
+    readings, known = [], []
+    for run, load in enumerate(spec.signals["calibration"], 1):
+        robot = load_robot(subject.robot.manifest, parse_payload(load), spec.free_base)
+        cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
+        plant = plant_of(robot, [subject.build("plant", spec.plant)])
+        sensing = Sensing(spec, plant, replace(task, cuts=cuts), run)
+        _, recording = _record(spec, replace(subject, robot=robot), plant, sensing)
+        instruments = instruments_of(robot, cuts)
+        motion = instruments.motion(recording.motion)
+        model = newton_euler(instruments.tree, instruments.tree.lumped(robot.phi), motion)
+        assert recording.wrench is not None
+        readings.append(recording.wrench[:, :6])
+        known.append(model[:, robot.nv : robot.nv + 6])
+    return calibrate(np.concatenate(readings), np.concatenate(known))
+
+
+def _corrected(recording: Recording, calibration: Calibration) -> Recording:
+    """The recording with the first sensor's reading corrected."""
+    assert recording.wrench is not None
+    wrench = recording.wrench.copy()
+    wrench[:, :6] = calibration.corrected(wrench[:, :6])
+    return replace(recording, wrench=wrench)
+
+
 def _scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
     """Positions (N, nv) of hinges and slides; zero elsewhere."""
     out = np.zeros_like(motion.v)
@@ -257,9 +288,9 @@ def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
 
 
 def _nothing_to_simulate(theta: Array) -> Recording:
-    """A force/torque sensor says nothing of the joints' friction and of what carries it."""
+    """What a loop needs beside the sensors is not declared."""
     raise UnsupportedError(
-        "A task on a force/torque sensor alone declares no whole robot: nothing to simulate with."
+        "A task with force/torque sensors declares no whole robot: nothing to simulate with."
     )
 
 

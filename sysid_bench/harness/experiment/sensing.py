@@ -23,17 +23,20 @@ class Sensing:
     spec: ExperimentSpec
     plant: Plant
     task: Task
+    run: int = 0  # further runs of the same sensor have noise of their own
 
     def felt(self, raw: Recording, oracle: Oracle, every: int) -> Recording:
         """A recording of every `every`-th step with the reading of the sensors."""
         if not self.task.cuts:
             return raw
-        white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench"))
+        white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench", self.run))
         noise = wrench_noise(self.spec.noise)
         exact = self._wrench(_kept(oracle.motion, every))
         parts = [
             fault.reads(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
-            for fault, wrench in zip(faults(self.spec, exact), _by_sensor(exact), strict=True)
+            for fault, wrench in zip(
+                faults(self.spec, len(self.task.cuts)), _by_sensor(exact), strict=True
+            )
         ]
         rows = tuple(row for cut in self.task.cuts for row in cut.rows)
         return replace(raw, wrench=np.hstack(parts), wrench_rows=rows)
@@ -44,7 +47,8 @@ class Sensing:
         if not self.task.cuts:
             return oracle.tau
         wrench = self._wrench(oracle.motion)
-        if len(self.task.parameters) > 10 * len(self.task.bodies):
+        alone = self.task.name in SENSOR_TASKS
+        if alone and len(self.task.parameters) > 10 * len(self.task.bodies):
             wrench[:, :6] += self.task.truth.theta[-6:]
         return np.hstack([oracle.tau, wrench])
 
@@ -54,13 +58,13 @@ class Sensing:
 
 def true_offset(spec: ExperimentSpec) -> Array | None:
     """The constants (6,) of the sensor that is measured; None where none is."""
-    return faults(spec, np.ones((1, 6)))[0].offset if spec.task in SENSOR_TASKS else None
+    return faults(spec, 1)[0].offset if spec.task in SENSOR_TASKS else None
 
 
-def faults(spec: ExperimentSpec, exact: Array) -> list[Fault]:
-    """How the sensors of an experiment were made, for exact wrenches (N, 6 sensors)."""
+def faults(spec: ExperimentSpec, count: int) -> list[Fault]:
+    """How the sensors of an experiment were made."""
     rng, noise = np.random.default_rng(sensor_seed(spec)), wrench_noise(spec.noise)
-    return [fault_of(noise, wrench, rng) for wrench in _by_sensor(exact)]
+    return [fault_of(noise, rng) for _ in range(count)]
 
 
 def _by_sensor(wrenches: Array) -> list[Array]:

@@ -134,10 +134,21 @@ def _filter(value: Any) -> str:
     return text
 
 
+def _payload(value: Any, info: ValidationInfo) -> Any:
+    if not isinstance(value, (str, Mapping)):
+        raise ValueError(f"a payload is a name or a table {{ mass = ... }}; got {value!r}.")
+    proved(lambda: context(info).names.payload(value))
+    return value
+
+
+Loads = tuple[Annotated[Any, PlainValidator(_payload)], ...] | None
+
+
 class Signals(Section):
     filter: Annotated[str, PlainValidator(_filter)] = "none"
     derivatives: Annotated[str, word("way to differentiate", ("from q", "exact"))] = "exact"
     torque: Annotated[str, word("way to take torque", ("filtered", "raw"))] = "filtered"
+    calibration: Loads = None  # of force/torque sensors, with these payloads, which are known
 
 
 PriorChoice = Annotated[
@@ -187,13 +198,6 @@ def _robot_name(value: Any, info: ValidationInfo) -> str:
     if not isinstance(value, str):
         raise ValueError(f"a robot is a name or a path; got {value!r}.")
     proved(lambda: context(info).names.robot(value, context(info).folder))
-    return value
-
-
-def _payload(value: Any, info: ValidationInfo) -> Any:
-    if not isinstance(value, (str, Mapping)):
-        raise ValueError(f"a payload is a name or a table {{ mass = ... }}; got {value!r}.")
-    proved(lambda: context(info).names.payload(value))
     return value
 
 
