@@ -6,8 +6,8 @@ from sysid_bench.identifiability.base import base_map
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Cut, instruments_of
 from sysid_bench.models.states import random_states
+from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.fold import triangle
-from sysid_bench.regressors.regression import regression
 from sysid_bench.types import Array, BaseMap
 
 SEED = 0
@@ -21,7 +21,8 @@ def structural_base(
     cuts: tuple[Cut, ...] = (),
 ) -> BaseMap:
     """The base map of the named parameters over all motions of the robot; `rows`: what is measured
-    (None: the torque of every degree of freedom), among those of the sensors `cuts` too."""
+    (None: `robot.torque_rows`), among the rows of the sensors `cuts` too. `robot.uncoupled` has the
+    base of the whole tree."""
     return base_map(structural_factor(robot, parameters, rows, cuts), parameters)
 
 
@@ -33,8 +34,9 @@ def structural_factor(
 ) -> Array:
     """R (m, p) of the regressor over random states, whose column space is that of all motions."""
     instruments = instruments_of(robot, cuts)
-    columns = regression(robot, parameters, instruments)
-    measured = [instruments.rows.index(row) for row in (robot.rows if rows is None else rows)]
+    columns = torque_regression(robot, parameters, instruments)
+    own = instruments.measured
+    measured = [own.index(row) for row in (own if rows is None else rows)]
     count = 64 + 3 * len(parameters) // len(measured)
     motion = random_states(robot, count, np.random.default_rng(SEED))
     factors = []

@@ -63,8 +63,11 @@ class Instruments:
 
     cuts: tuple[Cut, ...]
     tree: Tree
-    rows: tuple[str, ...]
-    kinds: tuple[str, ...]
+    rows: tuple[str, ...]  # of the tree: every degree of freedom, then the sensors
+    measured: tuple[
+        str, ...
+    ]  # without joints that follow others, which have no torque of their own
+    kinds: tuple[str, ...]  # of `measured`
 
     def motion(self, motion: Trajectory) -> Trajectory:
         """The motion (N, nv) with the places of all sensors (N, nv + 6 sensors), at rest."""
@@ -75,7 +78,7 @@ class Instruments:
         return replace(motion, q=q, v=v, a=a)
 
     def root(self, cut: Cut) -> range:
-        """The six places of a cut's wrench among the rows."""
+        """The six places of a cut's wrench among the rows of the tree."""
         first = self.rows.index(cut.rows[0])
         return range(first, first + 6)
 
@@ -91,11 +94,13 @@ def instruments_of(robot: RobotModel, cuts: Sequence[Cut] = ()) -> Instruments:
             f"{robot.name}: two of the sensors {', '.join(cut.name for cut in cuts)} cut at one "
             "body; they measure the same."
         )
+    wrenches = tuple(row for cut in cuts for row in cut.rows)
     return Instruments(
         tuple(cuts),
         tree_of(robot.mj, more) if cuts else robot.tree,
-        robot.rows + tuple(row for cut in cuts for row in cut.rows),
-        robot.row_kinds + KINDS * len(cuts),
+        robot.rows + wrenches,
+        robot.torque_rows + wrenches,
+        robot.torque_kinds + KINDS * len(cuts),
     )
 
 

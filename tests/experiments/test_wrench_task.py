@@ -191,7 +191,7 @@ def test_sensors_combine_with_joint_torques(sensors: str) -> None:
 def test_a_payload_is_found_better_with_both() -> None:
     noise = {"tau": 0.5, **WHITE}
     made = [
-        ready(**{**WRIST, "task": task}, sensor=sensor, noise=noise)
+        ready(**{**WRIST, "task": task}, sensor=sensor, noise=noise, rate=200.0)
         for task, sensor in (("payload", None), ("wrench-payload", "wrist"), ("payload", "wrist"))
     ]
     std = []

@@ -41,7 +41,7 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
     motion = recording.motion
     positions, quaternions = poses(model, motion.q)
     r = ready.problem.base.rank
-    names = (*model.rows, *recording.wrench_rows)
+    names = (*model.torque_rows, *recording.wrench_rows)
     places = [names.index(row) for row in ready.problem.rows]
     parents = [int(model.mj.body_parentid[b]) - 1 for b in range(1, model.mj.nbody)]
     return Evidence(

@@ -25,9 +25,10 @@ from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, cut_at, instruments_of
 from sysid_bench.models.task import Task, task_of
+from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
-from sysid_bench.regressors.regression import TERM, Regression, regression
+from sysid_bench.regressors.regression import TERM
 from sysid_bench.regressors.wrench import handed_on
 from sysid_bench.signals.process import processing_of
 from sysid_bench.simulation.candidate import Declared, candidate, declared
@@ -69,7 +70,7 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     task = task_of(robot, spec.task, _terms(spec, robot), spec.sensor, true_offset(spec))
     base = subject.base(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
-    posing = Posing(robot, task, base, regression(robot, base.names, instruments))
+    posing = Posing(robot, task, base, torque_regression(robot, base.names, instruments))
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
     sensing = Sensing(spec, plant, task)
     raw, recording = _record(spec, subject, plant, sensing)
@@ -123,7 +124,7 @@ class Posing:
     robot: RobotModel
     task: Task
     base: BaseMap
-    regression: Regression
+    regression: AnyRegression
 
     @cached_property
     def instruments(self) -> Instruments:
@@ -132,23 +133,23 @@ class Posing:
 
     @property
     def places(self) -> tuple[int, ...]:
-        """The rows that the task measures, as places in v of the robot with its sensors."""
-        rows = self.robot.rows if self.task.rows is None else self.task.rows
-        return tuple(self.instruments.rows.index(row) for row in rows)
+        """The rows that the task measures, as places among all that is measured."""
+        own = self.instruments.measured
+        return tuple(own.index(row) for row in (own if self.task.rows is None else self.task.rows))
 
     def pose(self, motion: Trajectory, measured: Array, prior: Prior | None = None) -> Problem:
-        """W beta = b along a motion, what is known taken from what is measured (N, nv + 6 sensors):
+        """W beta = b along a motion, what is known taken from what is measured (N, n + 6 sensors):
         known torque, and the wrenches of the sensors that end the sub-tree."""
         b = measured - self.known(motion)
         for stop in self.task.stops:
-            cut = self.task.cuts[0]
-            root, end = list(self.instruments.root(cut)), list(self.instruments.root(stop))
+            cut, names = self.task.cuts[0], self.instruments.measured
+            root, end = ([names.index(row) for row in at.rows] for at in (cut, stop))
             b[:, root] -= handed_on(self.instruments, motion, cut, stop, measured[:, end])
         motion = self.instruments.motion(motion)
         return Problem(
             parameters=self.task.parameters,
             base=self.base,
-            rows=tuple(self.instruments.rows[i] for i in self.places),
+            rows=tuple(self.instruments.measured[i] for i in self.places),
             factors=fold(self.regression, motion, b, self.places),
             bodies=self.task.bodies,
             blocks=partial(dense_blocks, self.regression, motion, b, self.places),
@@ -158,23 +159,24 @@ class Posing:
         )
 
     def known(self, motion: Trajectory) -> Array:
-        """Torque and wrench (N, nv + 6 sensors) of the parts that the task declares known."""
-        tree, whole = self.instruments.tree, self.instruments.motion(motion)
+        """Torque and wrench (N, n + 6 sensors) of the parts that the task declares known."""
+        robot = self.robot
         if not self.task.knows_something:
-            return np.zeros_like(whole.v)
-        tau = newton_euler(tree, self.task.known_links, whole)
-        tau[:, : self.robot.nv] += known_terms(self.robot, self.task, motion)
-        return tau
+            return np.zeros((len(motion), len(self.instruments.measured)))
+        whole = self.instruments.motion(motion)
+        tau = newton_euler(self.instruments.tree, self.task.known_links, whole)
+        joints = tau[:, : robot.nv] + known_terms(robot, self.task, motion)
+        return np.hstack([robot.reduced(motion.q, joints), tau[:, robot.nv :]])
 
 
 def recorded(recording: Recording) -> Array:
-    """All that is measured (N, nv + 6 sensors): torque, then wrenches."""
+    """All that is measured (N, n + 6 sensors): torque, then wrenches."""
     parts = [recording.tau] if recording.wrench is None else [recording.tau, recording.wrench]
     return np.hstack(parts)
 
 
 def regressor_blocks(
-    regression: Regression, rows: tuple[int, ...], instruments: Instruments, motion: Trajectory
+    regression: AnyRegression, rows: tuple[int, ...], instruments: Instruments, motion: Trajectory
 ) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
     for block in regression.blocks(instruments.motion(motion)):
@@ -205,17 +207,20 @@ def _record(
     design = subject.build("excitation", spec.excitation).design
     commanded = design(brief_of(robot, rate), np.random.default_rng(motion_seed(spec)))
     rng = np.random.default_rng(noise_seed(spec))
-    draws = draw(len(commanded), len(range(0, len(commanded), every)), robot.nv, rng)
+    moving = robot.torque_dofs
+    draws = draw(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
     error = encoder_error(noise, draws)
     oracle, controller = simulation.run(plant, commanded, error)
     if noise.quantum > 0:
         # Rounding depends on where the robot is: the positions of a first run tell, the second runs
         # with the loop seeing it.
-        scalar = robot.scalar_dofs
-        error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
+        scalar = np.flatnonzero(np.isin(moving, robot.scalar_dofs))
+        there = _scalar_positions(robot, oracle.motion)[:, moving]
+        error = encoder_error(noise, draws, there, scalar)
         oracle, controller = simulation.run(plant, commanded, error)
         # Recorded is what is read where the robot was then: it lies on the encoder's grid.
-        error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
+        there = _scalar_positions(robot, oracle.motion)[:, moving]
+        error = encoder_error(noise, draws, there, scalar)
     raw = sense(
         robot,
         oracle,
@@ -229,7 +234,15 @@ def _record(
         ideal_rates=not processing.differentiate,
     )
     raw = sensing.felt(raw, oracle, every)
-    return raw, processing.apply(raw, robot.joints)
+    return raw, _completed(robot, processing.apply(raw, robot.joints))
+
+
+def _completed(robot: RobotModel, recording: Recording) -> Recording:
+    """The recording with the joints that follow where filtered signals put the others."""
+    if robot.coupling is None:
+        return recording
+    motion = robot.completed(recording.motion)
+    return replace(recording, q=motion.q, v=motion.v, a=motion.a)
 
 
 def _calibration(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibration:
@@ -274,7 +287,9 @@ def _held_out(spec: ExperimentSpec, subject: Subject, plant: Plant) -> dict[str,
         rng = np.random.default_rng(held_out_seed(spec, place))
         design = subject.build("excitation", excitation).design
         motion = design(brief_of(plant.robot, spec.rate), rng)
-        oracle, _ = Inverse().run(plant, motion, np.zeros_like(motion.v))
+        oracle, _ = Inverse().run(
+            plant, motion, np.zeros((len(motion), len(plant.robot.torque_dofs)))
+        )
         name = excitation["use"]
         motions[name if name not in motions else f"{name}-{place}"] = oracle
     return motions
@@ -315,7 +330,7 @@ class _Simulate:
             raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
         plant = candidate(self.told, theta)
         oracle = ClosedLoop(rate=controller.rate).track(
-            plant, controller, commanded, np.zeros_like(commanded.v)
+            plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
         every = round(controller.rate / self.raw.rate)
         kept = slice(None, None, every)
