@@ -293,6 +293,15 @@ class Shape:
 
 
 @dataclass(frozen=True, eq=False)
+class Curve:
+    """Lines of one picture over time: `series` by name, (K,) each."""
+
+    name: str
+    t: Float[Array, " K"]  # s
+    series: Mapping[str, Float[Array, " K"]]
+
+
+@dataclass(frozen=True, eq=False)
 class Evidence:
     """Everything a picture of one cell needs, made by re-executing it; arrays and labels only."""
 
@@ -311,6 +320,7 @@ class Evidence:
     positions: Float[Array, "N bodies 3"] | None = None  # m, world
     quaternions: Float[Array, "N bodies 4"] | None = None  # w x y z
     shapes: tuple[Shape, ...] = ()
+    curves: tuple[Curve, ...] = ()
 
 
 Row = dict[str, Any]

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError
+from sysid_bench.verbs.sensing import told as sensor_lines
 
 if TYPE_CHECKING:
     from sysid_bench.harness.experiment.spec import ExperimentSpec
@@ -45,6 +46,7 @@ def identify(
     from sysid_bench.naming import build
     from sysid_bench.verbs.answer import bodies_of, joints_of, warnings_of
     from sysid_bench.verbs.model_out import check_target, write_model
+    from sysid_bench.verbs.sensing import compared, excited
 
     name = estimator or ESTIMATOR.get(task, "ols")
     method = build("estimator", name)
@@ -56,8 +58,12 @@ def identify(
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
     ready = prepare(spec, robot)
     estimate = solve(method, ready.problem, ready.experiment)
+    told = excited(ready) if task == "wrench" else None
+    missing = [told["warning"]] if told and told["warning"] else []
     if estimate.status != "ok":
-        raise EstimationError(f"{name} on {robot.robot.name}: {estimate.reason}")
+        raise EstimationError(
+            " ".join([f"{name} on {robot.robot.name}: {estimate.reason}", *missing])
+        )
     figures = score(estimate, ready.problem, ready.held_out, ready.truth)
     bodies = bodies_of(estimate, ready.problem)
     answer = {
@@ -80,8 +86,10 @@ def identify(
         "joints": joints_of(estimate, ready.problem),
         "payload": next(iter(bodies.values())) if task.endswith("payload") else None,
         "feasible": figures.feasible,
-        "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem)],
+        "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem), *missing],
     }
+    if told is not None:
+        answer["sensor"] = told | {"estimation": compared(spec, ready, estimate)}
     if model_out is not None:
         write_model(robot.robot, task, estimate, ready.problem, Path(model_out))
         answer["model_out"] = str(model_out)
@@ -97,6 +105,8 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
         f"  RMSE {_number(answer['rmse_train'])} in training, {_number(answer['rmse_test'])} on "
         f"other motions, torque error {_number(answer['torque_error'])}",
     ]
+    if "sensor" in answer:
+        lines += sensor_lines(answer["sensor"])
     for name, body in answer["bodies"].items():
         lines.append(f"  {name}: mass {_number(body['mass'], 'not identifiable')}")
         told = [

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.harness.experiment.online import curves_of
 from sysid_bench.harness.experiment.prepare import Prepared, prepare, recorded
 from sysid_bench.harness.experiment.robots import Subject, subject
 from sysid_bench.harness.experiment.spec import ExperimentSpec
@@ -59,6 +60,7 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
         positions=positions,
         quaternions=quaternions,
         shapes=shapes_of(model),
+        curves=curves_of(ready),
     )
 
 
