@@ -14,6 +14,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.identifiability.base import RANK_TOLERANCE
+from sysid_bench.identifiability.structural import NARROWEST
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Cut, Floating, floating
 from sysid_bench.models.states import random_states
@@ -113,8 +114,9 @@ def _span_of(factors: Sequence[Array], size: int) -> Array:
 def floating_states(
     robot: RobotModel, alone: Floating, count: int, rng: np.random.Generator
 ) -> Trajectory:
-    """Random states of a sub-tree on its own: joints within their limits, any base motion."""
-    states = random_states(robot, count, rng)
+    """Random states of a sub-tree on its own: joints within their limits (narrow ones beyond, as
+    for the ranks of joint torques), any base motion."""
+    states = random_states(robot, count, rng, NARROWEST)
     turn = rng.normal(size=(count, 4))
     place = rng.normal(size=(count, 3))
     free = np.hstack([place, turn / np.linalg.norm(turn, axis=1, keepdims=True)])
