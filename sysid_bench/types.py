@@ -60,6 +60,8 @@ class Recording:
     commanded: Trajectory | None = None
     controller: Controller | None = None
     period: float | None = None  # s
+    wrench: Float[Array, "N k"] | None = None  # [n; f] of each force/torque sensor, in their order
+    wrench_rows: tuple[str, ...] = ()  # names of its columns
 
     def __len__(self) -> int:
         return len(self.t)
@@ -277,6 +279,7 @@ class Score:
     payload_error: float | None = None  # |phi - phi*| / |phi*|, ten SI numbers of the payload
     mass_error: float | None = None  # kg, payload and link tasks
     com_error: float | None = None  # m
+    inertia_error: float | None = None  # |I - I*| / |I*| about the centre of mass, Frobenius
     feasible: bool | None = None
     min_eigenvalue: float | None = None  # smallest of any body's pseudo-inertia
     plausible: bool | None = None
@@ -302,6 +305,15 @@ class Shape:
 
 
 @dataclass(frozen=True, eq=False)
+class Curve:
+    """Lines of one picture over time: `series` by name, (K,) each."""
+
+    name: str
+    t: Float[Array, " K"]  # s
+    series: Mapping[str, Float[Array, " K"]]
+
+
+@dataclass(frozen=True, eq=False)
 class Evidence:
     """Everything a picture of one cell needs, made by re-executing it; arrays and labels only."""
 
@@ -320,6 +332,7 @@ class Evidence:
     positions: Float[Array, "N bodies 3"] | None = None  # m, world
     quaternions: Float[Array, "N bodies 4"] | None = None  # w x y z
     shapes: tuple[Shape, ...] = ()
+    curves: tuple[Curve, ...] = ()
 
 
 Row = dict[str, Any]

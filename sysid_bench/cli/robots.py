@@ -16,6 +16,8 @@ from sysid_bench.cli.frame import (
     verb,
 )
 
+SENSOR = "Force/torque sensor: a name of the manifest, or a fixed joint, site or body to cut at."
+
 
 @click.command()
 @click.argument("robots", nargs=-1, required=True, metavar="ROBOT|FILE...")
@@ -79,8 +81,14 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
 
 @click.command()
 @click.argument("robot", metavar="ROBOT|FILE")
-@click.option("--task", default="robot", show_default=True, help="robot, payload, link, terminal.")
+@click.option(
+    "--task",
+    default="robot",
+    show_default=True,
+    help="robot, payload, link, terminal, wrench, wrench-payload.",
+)
 @click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
+@click.option("--sensor", metavar="NAME|PLACE", help=SENSOR)
 @click.option("--free-base", is_flag=True, default=None, help="Let the root body float.")
 @click.option("--paper", is_flag=True, help="The sums alone, one per line, single ones first.")
 @robots_option
@@ -90,6 +98,7 @@ def basis(
     robot: str,
     task: str,
     terms: str | None,
+    sensor: str | None,
     free_base: bool | None,
     paper: bool,
     robots_dir: Path | None,
@@ -99,7 +108,7 @@ def basis(
     from sysid_bench.verbs import basis as bases
     from sysid_bench.verbs.chosen import chosen_terms
 
-    answer = bases.basis(robot, task, chosen_terms(terms), free_base, robots_dir)
+    answer = bases.basis(robot, task, chosen_terms(terms), free_base, robots_dir, sensor)
     if as_json:
         print_json(answer)
         return OK
@@ -111,10 +120,16 @@ def basis(
 @click.command()
 @click.argument("model", metavar="MODEL")
 @click.option("--simulate", is_flag=True, help="Data from the robot's own simulation.")
-@click.option("--task", default="robot", show_default=True, help="robot, payload, link, terminal.")
+@click.option(
+    "--task",
+    default="robot",
+    show_default=True,
+    help="robot, payload, link, terminal, wrench, wrench-payload.",
+)
+@click.option("--sensor", metavar="NAME|PLACE", help=SENSOR)
 @click.option("--payload", default="none", show_default=True, help="What is mounted at the tool.")
 @click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
-@click.option("--estimator", metavar="NAME", help="Default: ols; min-norm for the task terminal.")
+@click.option("--estimator", metavar="NAME", help="Default: ols; terminal: min-norm, wrench: wls.")
 @click.option("--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none.")
 @click.option(
     "--model-out", type=click.Path(path_type=Path), help="The model again, with identified values."
@@ -133,6 +148,7 @@ def identify(
     model: str,
     simulate: bool,
     task: str,
+    sensor: str | None,
     payload: str,
     terms: str | None,
     estimator: str | None,
@@ -155,7 +171,7 @@ def identify(
         raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
     answer = identification.identify(
         model, task, payload, chosen_terms(terms), estimator, chosen_noise(noise), model_out, seed,
-        robots_dir, complete,
+        robots_dir, complete, sensor,
     )  # fmt: skip
     if json_out is not None:
         json_out.write_text(json.dumps(answer, indent=2) + "\n", encoding="utf-8")

@@ -197,10 +197,11 @@ def _body_figures(
 
 
 def _payload_figures(phi: Array, phi_true: Array) -> dict[str, Any]:
-    mass, com, _ = mass_com_inertia(phi)
-    mass_true, com_true, _ = mass_com_inertia(phi_true)
+    mass, com, inertia = mass_com_inertia(phi)
+    mass_true, com_true, inertia_true = mass_com_inertia(phi_true)
     return {
         "payload_error": _relative(phi - phi_true, phi_true),
         "mass_error": abs(mass - mass_true),
         "com_error": float(np.linalg.norm(com - com_true)),
+        "inertia_error": _relative(inertia - inertia_true, inertia_true),
     }

@@ -6,7 +6,7 @@ from typing import Any
 
 from sysid_bench.harness.canonical import canonical, digest
 from sysid_bench.harness.experiment.spec import normal_noise, normal_payload, normal_prior
-from sysid_bench.harness.suite.model import Noise, Plugin, Prior, Suite
+from sysid_bench.harness.suite.model import Noise, Plugin, Prior, RobotEntry, Suite
 from sysid_bench.harness.suite.names import Names
 
 
@@ -52,7 +52,10 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         (e.spec, *plugin_texts(e.spec, e.label)) for e in suite.estimator
     )
     labels["robot"] = distinct(
-        (robot_key(source, entry.free_base), *_robot_texts(names, suite, source, entry.free_base))
+        (
+            robot_key(source, entry.free_base, entry.sensor),
+            *_robot_texts(names, suite, source, entry),
+        )
         for entry, source in suite.robots
     )
     payloads = [payload for entry in suite.robot for payload in entry.payloads]
@@ -65,16 +68,17 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     return labels
 
 
-def robot_key(source: str, free_base: bool | None) -> Any:
-    """What tells robots apart: the source, and the base where the suite says what it does."""
+def robot_key(source: str, free_base: bool | None, sensor: str | None = None) -> Any:
+    """What tells robots apart: the source, and base and sensor where the suite says which."""
+    if sensor is not None:
+        return [source, free_base, sensor]
     return source if free_base is None else [source, free_base]
 
 
-def _robot_texts(
-    names: Names, suite: Suite, source: str, free_base: bool | None
-) -> tuple[str, str]:
-    base = {None: "", True: " (free base)", False: " (fixed base)"}[free_base]
-    return names.robot(source, suite.folder).name + base, source + base
+def _robot_texts(names: Names, suite: Suite, source: str, entry: RobotEntry) -> tuple[str, str]:
+    base = {None: "", True: " (free base)", False: " (fixed base)"}[entry.free_base]
+    at = "" if entry.sensor is None else f" @ {entry.sensor}"
+    return names.robot(source, suite.folder).name + base, source + base + at
 
 
 def _noise_texts(noise: Noise) -> tuple[Any, str, str]:

@@ -17,9 +17,10 @@ from sysid_bench.harness.experiment.spec import (
 )
 from sysid_bench.harness.labels import labels_of, robot_key
 from sysid_bench.harness.suite.expression import Expression
-from sysid_bench.harness.suite.model import Prior, Suite
+from sysid_bench.harness.suite.model import Prior, Signals, Suite
 from sysid_bench.harness.suite.names import Names, installed_names
 from sysid_bench.harness.words import CELL_FIELDS, LABELS
+from sysid_bench.models.payload import parse_payload
 from sysid_bench.units import quantity
 
 # A crude model of the cost, on one core of 2025: set-up and cross-check of a robot, simulation and
@@ -199,7 +200,7 @@ def _cells(suite: Suite, names: Names) -> list[Cell]:
             payload = names.payload(written)
             facts = {"robot.free_base": free, "payload.mass": payload.mass}
             drafts += [
-                (replace(spec, free_base=free_base), facts)
+                (replace(spec, free_base=free_base, sensor=entry.sensor), facts)
                 for spec in _specs(suite, source, normal_payload(written))
             ]
     estimators = [estimator.spec for estimator in suite.estimator]
@@ -233,11 +234,19 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
             simulation=simulation.spec,
             rate=quantity(rate, "Hz"),
             noise=normal_noise(noise.model_dump(exclude_none=True)),
-            signals=signals.model_dump(),
+            signals=_signals(signals),
             repeat=0,
         )
         repeats = 1 if _repeats_nothing(spec) else suite.run.repeats
         yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
+
+
+def _signals(signals: Signals) -> dict[str, Any]:
+    """A table of signals; calibrations are not written where there are none: ids are older."""
+    written = signals.model_dump(exclude_none=True)
+    if signals.calibration is not None:
+        written["calibration"] = [normal_payload(load) for load in signals.calibration]
+    return written
 
 
 def _written(prior: Prior | str) -> str | dict[str, Any]:
@@ -248,7 +257,7 @@ def _labelled(
     spec: ExperimentSpec, estimator: Mapping[str, Any], label: Mapping[str, Mapping[str, str]]
 ) -> dict[str, str]:
     plain = {
-        "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base))],
+        "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base, spec.sensor))],
         "task": spec.task,
         "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
         "rate": f"{spec.rate:.12g} Hz",
@@ -263,7 +272,9 @@ def _labelled(
 
 def _signals_text(signals: Mapping[str, Any]) -> str:
     raw = ", raw torque" if signals.get("torque") == "raw" else ""
-    return f"{signals['filter']}, {signals['derivatives']}{raw}"
+    loads = [parse_payload(load).name for load in signals.get("calibration", ())]
+    calibrated = f", calibrated with {', '.join(loads)}" if loads else ""
+    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}"
 
 
 def _cost(spec: ExperimentSpec, estimators: int) -> float:

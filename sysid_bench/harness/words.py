@@ -5,7 +5,7 @@ from typing import Final
 
 from sysid_bench.types import Score
 
-TASKS: Final = ("robot", "payload", "link", "terminal", "wrench")
+TASKS: Final = ("robot", "payload", "link", "terminal", "wrench", "wrench-payload")
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
 STATUSES: Final = ("ok", "failed", "timeout", "crash", "unsupported", "skipped")
 FAILURES: Final = ("failed", "timeout", "crash")
@@ -37,6 +37,15 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "noise.q",
     "noise.tau",
     "noise.quantum",
+    "noise.force",
+    "noise.moment",
+    "noise.force_offset",
+    "noise.moment_offset",
+    "noise.force_drift",
+    "noise.moment_drift",
+    "noise.gain",
+    "noise.crosstalk",
+    "noise.mounting",
     "prior.mass",
     "prior.com",
     "prior.inertia",

@@ -4,7 +4,9 @@ import numpy as np
 
 from sysid_bench.identifiability.base import base_map
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import Cut, instruments_of
 from sysid_bench.models.states import random_states
+from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.fold import triangle
 from sysid_bench.types import Array, BaseMap
@@ -17,33 +19,43 @@ SEED = 0
 
 
 def structural_base(
-    robot: RobotModel, parameters: tuple[str, ...], rows: tuple[str, ...] | None = None
+    robot: RobotModel,
+    parameters: tuple[str, ...],
+    rows: tuple[str, ...] | None = None,
+    cuts: tuple[Cut, ...] = (),
 ) -> BaseMap:
     """The base map of the named parameters over all motions of the robot; `rows`: what is measured
-    (None: `robot.torque_rows`). `robot.uncoupled` has the base of the whole tree."""
-    return base_map(structural_factor(robot, parameters, rows), parameters)
+    (None: `robot.torque_rows`), among the rows of the sensors `cuts` too. `robot.uncoupled` has the
+    base of the whole tree."""
+    return base_map(structural_factor(robot, parameters, rows, cuts), parameters)
 
 
 def structural_factor(
-    robot: RobotModel, parameters: tuple[str, ...], rows: tuple[str, ...] | None = None
+    robot: RobotModel,
+    parameters: tuple[str, ...],
+    rows: tuple[str, ...] | None = None,
+    cuts: tuple[Cut, ...] = (),
 ) -> Array:
     """R (m, p) of the regressor over random states, whose column space is that of all motions."""
-    carried, X = _carried(robot, parameters)
-    columns = torque_regression(robot, carried)
-    own = robot.torque_rows
+    instruments = instruments_of(robot, cuts)
+    carried, X = _carried(robot, instruments.tree, parameters)
+    columns = torque_regression(robot, carried, instruments)
+    own = instruments.measured
     measured = [own.index(row) for row in (own if rows is None else rows)]
     count = 64 + 3 * len(carried) // len(measured)
     motion = random_states(robot, count, np.random.default_rng(SEED), NARROWEST)
     factors = []
-    for block in columns.blocks(motion):
+    for block in columns.blocks(instruments.motion(motion)):
         factors.append(triangle([block.dense()[:, measured].reshape(-1, len(carried))]))
     return triangle(factors) @ X
 
 
-def _carried(robot: RobotModel, parameters: tuple[str, ...]) -> tuple[tuple[str, ...], Array]:
+def _carried(
+    robot: RobotModel, tree: Tree, parameters: tuple[str, ...]
+) -> tuple[tuple[str, ...], Array]:
     """Columns that all others are mixed from, and the mixture X (m, p): what is welded to a link
     acts through that link's ten numbers, however many bodies that are."""
-    tree, place = robot.tree, {name: j for j, name in enumerate(robot.inertial_columns)}
+    place = {name: j for j, name in enumerate(robot.inertial_columns)}
     rows: dict[str, dict[int, float]] = {}
     for j, name in enumerate(parameters):
         if name not in place:

@@ -1,18 +1,21 @@
 """What is unknown: the parameters of a task, their true values, and what methods take as known."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.sensor import Cut, cut_at, instruments_of, the_sensor
 from sysid_bench.spatial.inertia import transport
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Body, Truth
 
-TASKS: Final = ("robot", "payload", "link", "terminal", "wrench")
+TASKS: Final = ("robot", "payload", "link", "terminal", "wrench", "wrench-payload")
+SENSOR_TASKS: Final = ("wrench", "wrench-payload")
+"""Tasks that look at a force/torque sensor alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +29,11 @@ class Task:
     known_links: Array
     known_terms: dict[str, Array]
     rows: tuple[str, ...] | None = None
-    """Names of the degrees of freedom whose torque is measured; None: all."""
+    """Names of the degrees of freedom whose torque is measured, or of a sensor's six components;
+    None: all degrees of freedom."""
+    cuts: tuple[Cut, ...] = ()
+    """The force/torque sensors that are looked at; where one is measured alone, those that end its
+    sub-tree come after it."""
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -34,36 +41,54 @@ class Task:
         return self.truth.parameters
 
     @property
+    def stops(self) -> tuple[Cut, ...]:
+        """The sensors whose wrench is taken from that of the first."""
+        return self.cuts[1:] if self.name in SENSOR_TASKS else ()
+
+    @property
     def knows_something(self) -> bool:
         """Whether a known torque has to be taken from the measured one."""
         return bool(self.known_links.any() or any(v.any() for v in self.known_terms.values()))
 
 
-def task_of(robot: RobotModel, name: str, terms: tuple[str, ...]) -> Task:
+def task_of(
+    robot: RobotModel,
+    name: str,
+    terms: tuple[str, ...],
+    sensor: str | None = None,
+    offset: Array | None = None,
+) -> Task:
     """The task `robot` (links and `terms`), `payload` or `link` (ten numbers, the rest known), or
     `terminal` (the last joint's torque alone: ten numbers of its link, and its `terms`).
 
-    Joint terms that are not identified are known. Raises UnsupportedError where the robot or the
-    payload has no such unknowns.
+    `wrench`: what is behind a force/torque `sensor`, from that sensor alone; `wrench-payload`: the
+    payload's ten numbers from it, the rest known. With the term "offset" the sensor's constants are
+    unknown as well; `offset` (6,) are the true ones.
+
+    With a `sensor` (several: "left, right") the tasks `robot` and `payload` look at it beside all
+    joint torques. Joint terms that are not identified are known. Raises UnsupportedError where the
+    robot or the payload has no such unknowns.
     """
     for term in terms:
         if term not in SUFFIX:
             raise unknown_name("joint term", term, SUFFIX)
     match name:
         case "robot":
-            return _robot(robot, terms)
+            return _beside_sensors(robot, _robot(robot, terms), sensor)
         case "payload":
-            return _payload(robot)
+            return _beside_sensors(robot, _payload(robot), sensor)
         case "link":
             return _link(robot)
         case "terminal":
             return _terminal(robot, terms)
-        case "wrench":
-            raise UnsupportedError(f"The task {name!r} is not available in this version.")
+        case "wrench" | "wrench-payload":
+            behind = _behind_sensor(robot, the_sensor(robot, sensor), name == "wrench")
+            return _with_offset(behind, terms, np.zeros(6) if offset is None else offset)
     raise unknown_name("task", name, TASKS)
 
 
-def _robot(robot: RobotModel, terms: tuple[str, ...]) -> Task:
+def _with_payload(robot: RobotModel) -> Array:
+    """phi (nb, 10) with the payload's as part of the body that carries it."""
     phi = robot.phi.copy()
     if robot.payload_body is not None:
         b = robot.payload_body + 1  # MuJoCo counts the world
@@ -71,6 +96,66 @@ def _robot(robot: RobotModel, terms: tuple[str, ...]) -> Task:
         phi[robot.tool_body] += (
             transport(R, np.array(robot.mj.body_pos[b])) @ phi[robot.payload_body]
         )
+    return phi
+
+
+def _behind_sensor(robot: RobotModel, sensor: str, all_bodies: bool) -> Task:
+    """All bodies behind a sensor, or the payload alone with the others known."""
+    cut = cut_at(robot, sensor)
+    cuts = (cut, *(cut_at(robot, stop) for stop in cut.stops))
+    own = [b for b in cut.bodies if b != robot.payload_body]
+    known, phi = np.zeros_like(robot.phi), _with_payload(robot)
+    if not all_bodies:
+        if robot.payload_body is None or robot.payload_body not in cut.bodies:
+            raise UnsupportedError(
+                f"No payload is mounted behind the sensor {sensor!r}: the task 'wrench-payload' "
+                "has nothing to identify."
+            )
+        known[own], phi, own = robot.phi[own], robot.phi, [robot.payload_body]
+    bodies = tuple(robot.bodies[b] for b in own)
+    columns = tuple(column for body in bodies for column in body.columns)
+    return Task(
+        "wrench" if all_bodies else "wrench-payload",
+        bodies,
+        Truth(columns, phi[own].ravel()),
+        instruments_of(robot, cuts).tree.lumped(known),
+        {},
+        cut.rows,
+        cuts,
+    )
+
+
+def _beside_sensors(robot: RobotModel, task: Task, sensor: str | None) -> Task:
+    """The task with the rows of sensors after those of all joints."""
+    if sensor is None:
+        return task
+    names = [name.strip() for name in sensor.split(",")]
+    cuts = tuple(cut_at(robot, name, ()) for name in names)
+    known = np.zeros_like(robot.phi)
+    if task.name == "payload":
+        known[:] = robot.phi
+        known[robot.payload_body] = 0.0
+    lumped = instruments_of(robot, cuts).tree.lumped(known)
+    rows = robot.torque_rows + tuple(row for cut in cuts for row in cut.rows)
+    return replace(task, rows=rows, cuts=cuts, known_links=lumped)
+
+
+def _with_offset(task: Task, terms: tuple[str, ...], offset: Array) -> Task:
+    """The task with the constants of its sensor unknown as well, where that is asked for."""
+    if not terms:
+        return task
+    if terms != ("offset",):
+        raise UnsupportedError(
+            f"A force/torque sensor feels no joint term: {', '.join(terms)} cannot be identified "
+            f"with the task {task.name!r}; 'offset' alone can, the sensor's own constants."
+        )
+    columns = tuple(f"{row}.{SUFFIX['offset']}" for row in task.rows or ())
+    truth = Truth(task.parameters + columns, np.concatenate([task.truth.theta, offset]))
+    return replace(task, truth=truth)
+
+
+def _robot(robot: RobotModel, terms: tuple[str, ...]) -> Task:
+    phi = _with_payload(robot)
     own = [i for i in range(len(phi)) if i != robot.payload_body]
     bodies = tuple(robot.bodies[i] for i in own)
     columns = tuple(column for body in bodies for column in body.columns) + robot.term_columns(

@@ -6,7 +6,9 @@ one body, each about its own anchor `jnt_pos`, with `q - qpos0`; a free joint ha
 the world and angular velocity in the body.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -82,8 +84,14 @@ class Tree:
         return total
 
 
-def tree_of(mj: "mujoco.MjModel") -> Tree:
-    """The tree of a compiled model; body b here is MuJoCo's body b + 1 (the world is none)."""
+NOTHING: Final[Mapping[int, tuple[TreeJoint, ...]]] = MappingProxyType({})
+
+
+def tree_of(mj: "mujoco.MjModel", more: Mapping[int, tuple[TreeJoint, ...]] = NOTHING) -> Tree:
+    """The tree of a compiled model; body b here is MuJoCo's body b + 1 (the world is none).
+
+    `more`: joints that body b has behind its own, at places in q and v behind the model's.
+    """
     links: list[Link] = []
     carrier: list[int] = [-1]
     pose: list[tuple[Array, Array]] = [(np.eye(3), np.zeros(3))]  # of each body in its carrier
@@ -93,12 +101,13 @@ def tree_of(mj: "mujoco.MjModel") -> Tree:
         R_p, p_p = pose[p]
         R0 = R_p @ matrix_of_quaternion(np.array(mj.body_quat[b]))
         p0 = p_p + R_p @ np.array(mj.body_pos[b])
-        if mj.body_jntnum[b] == 0:
+        joints = tuple(_joint(mj, int(mj.body_jntadr[b]) + k) for k in range(mj.body_jntnum[b]))
+        joints += more.get(b - 1, ())
+        if not joints:
             carrier.append(carrier[p])
             pose.append((R0, p0))
             X.append(transport(R0, p0))
             continue
-        joints = tuple(_joint(mj, int(mj.body_jntadr[b]) + k) for k in range(mj.body_jntnum[b]))
         own = [dof for joint in joints for dof in joint.dofs]
         before = links[carrier[p]].dofs if carrier[p] >= 0 else np.zeros(0, dtype=int)
         links.append(
@@ -108,9 +117,10 @@ def tree_of(mj: "mujoco.MjModel") -> Tree:
         pose.append((np.eye(3), np.zeros(3)))
         X.append(np.eye(10))
     stacked = np.stack(X) if X else np.zeros((0, 10, 10))
-    return Tree(
-        tuple(links), np.array(carrier[1:], dtype=int), stacked, gravity_of(mj), mj.nq, mj.nv
-    )
+    added = [joint.kind for joints in more.values() for joint in joints]
+    nq = mj.nq + sum(COORDINATES[kind] for kind in added)
+    nv = mj.nv + sum(DOFS[kind] for kind in added)
+    return Tree(tuple(links), np.array(carrier[1:], dtype=int), stacked, gravity_of(mj), nq, nv)
 
 
 def gravity_of(mj: "mujoco.MjModel") -> Array:

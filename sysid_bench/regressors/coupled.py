@@ -9,6 +9,7 @@ import numpy as np
 
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import Measured
 from sysid_bench.regressors.regression import Block, Regression, regression
 from sysid_bench.types import Array, Regressor, Trajectory
 
@@ -23,7 +24,14 @@ class CoupledRegression:
     @property
     def rows(self) -> tuple[str, ...]:
         """Names of the independent degrees of freedom (n,)."""
-        return tuple(self.tree.rows[dof] for dof in self.coupling.independent)
+        return tuple(self.tree.rows[dof] for dof in self.places)
+
+    @cached_property
+    def places(self) -> Array:
+        """The rows as places in the tree's: independent joints, then the sensors behind all joints,
+        on which no joint acts as another would."""
+        joints = len(self.coupling.independent) + len(self.coupling.dependent)
+        return np.concatenate([self.coupling.independent, np.arange(joints, len(self.tree.rows))])
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -35,13 +43,13 @@ class CoupledRegression:
         """For each row the dependent ones, as places among them, that act on it."""
         return tuple(
             tuple(int(d) for d in np.flatnonzero(column)) for column in self.coupling.touches.T
-        )
+        ) + ((),) * (len(self.places) - len(self.coupling.independent))
 
     @cached_property
     def touched(self) -> tuple[Array, ...]:
         """For each row the places (k,) in Y that it can be non-zero in, as `Block.row` has them."""
         touched = []
-        for dof, sources in zip(self.coupling.independent, self.sources, strict=True):
+        for dof, sources in zip(self.places, self.sources, strict=True):
             own = self.tree.touched[dof]
             others = [self.tree.touched[self.coupling.dependent[d]] for d in sources]
             new = np.setdiff1d(np.concatenate(others), own) if others else own[:0]
@@ -50,8 +58,10 @@ class CoupledRegression:
 
     def blocks(self, motion: Trajectory) -> Iterator["CoupledBlock"]:
         """Y of consecutive samples, a cacheful at a time."""
+        still = len(self.places) - len(self.coupling.independent)  # sensors are still joints
         for block in self.tree.blocks(motion):
-            yield CoupledBlock(self, block, self.coupling.follow(motion.q[block.samples]))
+            q = motion.q[block.samples, : motion.q.shape[1] - still]
+            yield CoupledBlock(self, block, self.coupling.follow(q))
 
     def dense(self, motion: Trajectory) -> Regressor:
         """Y (N, n, p) at once: for small motions and witnesses."""
@@ -87,7 +97,7 @@ class CoupledBlock:
         touched = regression.touched[i]
         if out is None:
             out = np.empty((len(touched), self.count))
-        own = int(coupling.independent[i])
+        own = int(regression.places[i])
         size = len(regression.tree.touched[own])
         self.tree.row(own, out[:size])
         out[size:] = 0.0
@@ -116,8 +126,10 @@ class CoupledBlock:
 AnyRegression = Regression | CoupledRegression
 
 
-def torque_regression(robot: RobotModel, columns: Sequence[str]) -> AnyRegression:
-    """The regression of a robot's measured torques, rows `robot.torque_rows`, on the parameters
-    named in `columns`; raises UsageError for a name that the robot does not have."""
-    tree = regression(robot, columns)
+def torque_regression(
+    robot: RobotModel, columns: Sequence[str], measured: Measured | None = None
+) -> AnyRegression:
+    """The regression of a robot's measured torques, rows `robot.torque_rows` and those of sensors,
+    on the parameters named in `columns`; raises UsageError for a name that it does not have."""
+    tree = regression(robot, columns, measured)
     return tree if robot.coupling is None else CoupledRegression(tree, robot.coupling)

@@ -14,6 +14,7 @@ import numpy as np
 
 from sysid_bench.errors import unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.sensor import Measured
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.compiled import chosen, program_of
 from sysid_bench.regressors.kernel import blocks, body_columns, sweep
@@ -188,13 +189,17 @@ def _cut(motion: Trajectory, part: slice) -> Trajectory:
     return Trajectory(motion.t[part], motion.q[part], motion.v[part], motion.a[part])
 
 
-def regression(robot: RobotModel, columns: Sequence[str]) -> Regression:
-    """The regression of a robot on the parameters named in `columns`, in that order.
+def regression(
+    robot: RobotModel, columns: Sequence[str], measured: Measured | None = None
+) -> Regression:
+    """The regression of a robot on the parameters named in `columns`, in that order; `measured`:
+    with the rows of sensors, along motions that have their places (None: joint torques alone).
 
     Raises UsageError for a name that the robot does not have.
     """
+    tree, rows = (robot.tree, robot.rows) if measured is None else (measured.tree, measured.rows)
     inertial = {name: i for i, name in enumerate(robot.inertial_columns)}
-    joint_terms = _term_names(robot)
+    joint_terms = _term_names(robot) | _offset_names(rows[robot.nv :], robot)
     weights: dict[int, list[tuple[int, Array]]] = {}
     terms = []
     for place, name in enumerate(columns):
@@ -203,13 +208,13 @@ def regression(robot: RobotModel, columns: Sequence[str]) -> Regression:
             terms.append(TermColumn(place, row, kind, qadr, reference))
         elif name in inertial:
             body, parameter = divmod(inertial[name], 10)
-            if robot.tree.carrier[body] >= 0:  # a body welded to the world moves nothing
-                weight = robot.tree.X[body][:, parameter]
-                weights.setdefault(int(robot.tree.carrier[body]), []).append((place, weight))
+            if tree.carrier[body] >= 0:  # a body welded to the world moves nothing
+                weight = tree.X[body][:, parameter]
+                weights.setdefault(int(tree.carrier[body]), []).append((place, weight))
         else:
             raise unknown_name("parameter", name, [*inertial, *joint_terms])
     links = tuple(_link_columns(link, weights[link]) for link in sorted(weights))
-    return Regression(robot.tree, robot.rows, tuple(columns), links, tuple(terms))
+    return Regression(tree, rows, tuple(columns), links, tuple(terms))
 
 
 def _term_names(robot: RobotModel) -> dict[str, tuple[int, str, int, float]]:
@@ -223,6 +228,16 @@ def _term_names(robot: RobotModel) -> dict[str, tuple[int, str, int, float]]:
             )
             names[f"{joint.name}.{kind}"] = (joint.vadr, kind, joint.qadr, reference)
     return names
+
+
+def _offset_names(
+    rows: tuple[str, ...], robot: RobotModel
+) -> dict[str, tuple[int, str, int, float]]:
+    """The constant that each row of a sensor may have."""
+    return {
+        f"{row}.offset": (robot.nv + k, "offset", robot.mj.nq + k, 0.0)
+        for k, row in enumerate(rows)
+    }
 
 
 def _link_columns(link: int, weights: list[tuple[int, Array]]) -> LinkColumns:

@@ -49,6 +49,7 @@ _ALL: Final = (
     Metric("payload_error", "Relative payload error", floor=_ROUNDING),
     Metric("mass_error", "Mass error", "kg", floor=_ROUNDING),
     Metric("com_error", "Error of the centre of mass", "m", floor=_ROUNDING),
+    Metric("inertia_error", "Relative error of the inertia", floor=_ROUNDING),
     Metric("feasible", "Share of feasible estimates"),
     Metric("plausible", "Share of plausible estimates"),
     Metric("min_eigenvalue", "Smallest pseudo-inertia eigenvalue"),

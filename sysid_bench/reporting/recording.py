@@ -99,6 +99,10 @@ def _log(stream: "rr.RecordingStream", scene: Scene, picked: np.ndarray) -> None
         residual = measured - predicted
         _log_series(stream, ["torque", row, "predicted"], "predicted", _PREDICTED, predicted, times)
         _log_series(stream, ["residual", row], row, _colour(i), residual, times)
+    for curve in evidence.curves:
+        over = rr.TimeColumn(TIMELINE, duration=curve.t)
+        for i, (name, values) in enumerate(curve.series.items()):
+            _log_series(stream, ["curves", curve.name, name], name, _colour(i), values, over)
     if len(evidence.singular_values):
         bars = rr.BarChart(_log10(evidence.singular_values), color=_MEASURED)
         stream.log("singular_values", bars, static=True)
@@ -147,7 +151,10 @@ def _blueprint(evidence: Evidence) -> "rrb.Blueprint":
 
     about = rrb.TextDocumentView(name="Summary", origin="/summary")
     left = rrb.Vertical(_robot_view(evidence), about, row_shares=[3, 2])
-    parts: list[rrb.Container | rrb.View] = [_torque_pages(evidence)]
+    pages = _torque_pages(evidence)
+    if evidence.curves:
+        pages = rrb.Tabs(pages, _curve_page(evidence))
+    parts: list[rrb.Container | rrb.View] = [pages]
     if evidence.predicted is not None:
         parts.append(rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual"))
     regressor: list[rrb.View] = []
@@ -203,6 +210,17 @@ def _torque_pages(evidence: Evidence) -> "rrb.Container":
         for i, page in enumerate(pages)
     ]
     return grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
+
+
+def _curve_page(evidence: Evidence) -> "rrb.Container":
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    plots = [
+        rrb.TimeSeriesView(name=curve.name, origin=rr.new_entity_path(["curves", curve.name]))
+        for curve in evidence.curves
+    ]
+    return rrb.Grid(*plots, grid_columns=_columns_for(len(plots)), name="On-line")
 
 
 def _columns_for(plots: int) -> int:

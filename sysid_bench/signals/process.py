@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from sysid_bench.models.robot import Joint
 from sysid_bench.signals.filters import Filter, filter_of
 from sysid_bench.spatial.rotation import conjugate, product
 from sysid_bench.types import Array, Recording
+
+SETTINGS: Final = ("filter", "derivatives", "torque", "calibration")
+"""Keys of a table of signals; the harness itself sees to the calibration."""
 
 
 @dataclass(frozen=True)
@@ -41,17 +45,21 @@ class Processing:
         else:
             v, a = smooth(recording.v, rate), smooth(recording.a, rate)
         tau = recording.tau if self.raw_torque else smooth(recording.tau, rate)
+        wrench = recording.wrench
+        if wrench is not None and not self.raw_torque:
+            wrench = smooth(wrench, rate)
         keep = slice(edge, len(recording) - edge)
         return replace(
-            recording, t=recording.t[keep], q=q[keep], v=v[keep], a=a[keep], tau=tau[keep]
-        )
+            recording, t=recording.t[keep], q=q[keep], v=v[keep], a=a[keep], tau=tau[keep],
+            wrench=None if wrench is None else wrench[keep],
+        )  # fmt: skip
 
 
 def processing_of(spec: Mapping[str, object]) -> Processing:
     """The processing of a suite's table {filter, derivatives, torque}."""
     for key in spec:
-        if key not in ("filter", "derivatives", "torque"):
-            raise unknown_name("signals setting", key, ("filter", "derivatives", "torque"))
+        if key not in SETTINGS:
+            raise unknown_name("signals setting", key, SETTINGS)
     derivatives = spec.get("derivatives", "exact")
     if derivatives not in ("exact", "from q"):
         raise UsageError(f"derivatives = {derivatives!r}: write 'exact' or 'from q'.")

@@ -14,10 +14,12 @@ def basis(
     terms: Sequence[str] | None = None,
     free_base: bool | None = None,
     robots_dir: Path | None = None,
+    sensor: str | None = None,
 ) -> dict[str, Any]:
     """The base parameters of a task, as `basis --json` prints them.
 
     `terms`: joint terms that are unknown as well (None: the robot's own with the task `robot`).
+    `sensor`: for the tasks `wrench` and `wrench-payload`, one of the manifest or a place to cut.
     Raises UsageError for unknown words, ModelError for a file that cannot be used, and
     UnsupportedError where the robot has no such task.
     """
@@ -29,12 +31,12 @@ def basis(
     from sysid_bench.models.payload import PAYLOADS
     from sysid_bench.models.task import task_of
 
-    load = PAYLOADS[LOAD if task == "payload" else "none"]
+    load = PAYLOADS[LOAD if task.endswith("payload") else "none"]
     robot = load_robot(source, load, free_base, robots_dir)
     own = robot.manifest.terms if task == "robot" else ()
     chosen = own if terms is None else tuple(terms)
-    asked = task_of(robot, task, chosen)
-    R = structural_factor(robot, asked.parameters, asked.rows)
+    asked = task_of(robot, task, chosen, sensor)
+    R = structural_factor(robot, asked.parameters, asked.rows, asked.cuts)
     base = base_map(R, asked.parameters)
     inertial = {column for body in asked.bodies for column in body.columns}
     return {

@@ -23,14 +23,14 @@ def chosen_terms(text: str | None) -> tuple[str, ...] | None:
 
 def chosen_noise(text: str | None) -> dict[str, str]:
     """The [noise] table of "tau=0.5 %,q=1e-4 rad". Raises UsageError for another key."""
+    from sysid_bench.harness.experiment.spec import NOISE_UNITS
+
     table: dict[str, str] = {}
     for part in (text or "").split(","):
         key, _, value = part.partition("=")
         if not part.strip():
             continue
-        if key.strip() not in ("q", "tau", "quantum"):
-            raise unknown_name(
-                "noise", key.strip(), ("q", "tau", "quantum"), "Write q=1e-4 rad,tau=0.5 %."
-            )
+        if key.strip() not in NOISE_UNITS:
+            raise unknown_name("noise", key.strip(), NOISE_UNITS, "Write q=1e-4 rad,tau=0.5 %.")
         table[key.strip()] = value.strip()
     return table

@@ -5,12 +5,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError
+from sysid_bench.verbs.sensing import told as sensor_lines
 
 if TYPE_CHECKING:
     from sysid_bench.harness.experiment.spec import ExperimentSpec
 
-ESTIMATOR: Final = {"terminal": "min-norm"}
-"""The method of a task where none is named: that of its source; elsewhere least squares."""
+ESTIMATOR: Final = {"terminal": "min-norm", "wrench": "wls", "wrench-payload": "wls"}
+"""The method of a task where none is named: that of its source; where forces and moments are rows
+of one problem, weights by their noise; elsewhere least squares."""
 
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
@@ -29,6 +31,7 @@ def identify(
     seed: int = 0,
     robots_dir: Path | None = None,
     complete: str | None = None,
+    sensor: str | None = None,
 ) -> dict[str, Any]:
     """Identifies a robot from its own simulation; the answer as `identify --json` prints it.
 
@@ -48,10 +51,11 @@ def identify(
     from sysid_bench.naming import build
     from sysid_bench.verbs.answer import bodies_of, joints_of, warnings_of
     from sysid_bench.verbs.model_out import check_target, write_model
+    from sysid_bench.verbs.sensing import compared, excited
 
     name = estimator or ESTIMATOR.get(task, "ols")
     method = build("estimator", name)
-    spec = _spec(str(model), task, payload, terms, noise or {}, seed)
+    spec = _spec(str(model), task, payload, terms, noise or {}, seed, sensor)
     robot = subject(spec.robot, spec.payload, None if robots_dir is None else str(robots_dir), None)
     if model_out is not None:
         check_target(robot.robot, task, Path(model_out))
@@ -59,8 +63,12 @@ def identify(
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
     ready = prepare(spec, robot)
     estimate = solve(method, ready.problem, ready.experiment)
+    told = excited(ready) if task == "wrench" else None
+    missing = [told["warning"]] if told and told["warning"] else []
     if estimate.status != "ok":
-        raise EstimationError(f"{name} on {robot.robot.name}: {estimate.reason}")
+        raise EstimationError(
+            " ".join([f"{name} on {robot.robot.name}: {estimate.reason}", *missing])
+        )
     if complete is not None:
         estimate = completed_estimate(estimate, ready.problem, complete)
     reach = extents(ready.robot)
@@ -84,12 +92,14 @@ def identify(
         "gap": robot.check.gap,
         "bodies": bodies,
         "joints": joints_of(estimate, ready.problem),
-        "payload": next(iter(bodies.values())) if task == "payload" else None,
+        "payload": next(iter(bodies.values())) if task.endswith("payload") else None,
         "completed": complete,
         "feasible": figures.feasible,
         "plausible": figures.plausible,
-        "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem)],
+        "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem), *missing],
     }
+    if told is not None:
+        answer["sensor"] = told | {"estimation": compared(spec, ready, estimate)}
     if model_out is not None:
         whole = complete is not None
         write_model(robot.robot, task, estimate, ready.problem, Path(model_out), whole)
@@ -106,6 +116,8 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
         f"  RMSE {_number(answer['rmse_train'])} in training, {_number(answer['rmse_test'])} on "
         f"other motions, torque error {_number(answer['torque_error'])}",
     ]
+    if "sensor" in answer:
+        lines += sensor_lines(answer["sensor"])
     for name, body in answer["bodies"].items():
         lines.append(f"  {name}: mass {_number(body['mass'], 'not identifiable')}")
         told = [
@@ -134,6 +146,7 @@ def _spec(
     terms: Sequence[str] | None,
     noise: Mapping[str, str],
     seed: int,
+    sensor: str | None,
 ) -> "ExperimentSpec":
     """The experiment as a suite with nothing but defaults would have it."""
     from sysid_bench.harness.experiment.spec import ExperimentSpec, normal_noise
@@ -154,4 +167,5 @@ def _spec(
         noise=measured,
         signals=ENCODERS if {"q", "quantum"} & set(measured) else IDEAL,
         repeat=0,
+        sensor=sensor,
     )

@@ -72,7 +72,7 @@ UNSUPPORTED: dict[str, tuple[ExperimentSpec, str]] = {
     "no payload": (spec(task="payload"), "payload"),
     "floating in closed loop": (spec(robot="solo12", simulation=CLOSED_LOOP), "fixed base"),
     "ball in closed loop": (spec(robot="file:ball.xml", simulation=CLOSED_LOOP), "fixed base"),
-    "later": (spec(task="wrench"), "wrench"),
+    "no sensor": (spec(robot="solo12", task="wrench"), "sensor"),
 }
 FAILED: dict[str, tuple[ExperimentSpec, str]] = {
     "unknown robot": (spec(robot="ur55"), "ur5"),

@@ -18,6 +18,7 @@ from sysid_bench.harness.experiment.spec import (
     noise_seed,
     prior_seed,
     seed_of,
+    sensor_seed,
 )
 from sysid_bench.harness.plan import Plan, expand, fields
 from sysid_bench.harness.words import LABELS
@@ -44,11 +45,13 @@ CHANGES: dict[str, Any] = {
     "signals": {"filter": "none", "derivatives": "exact"},
     "repeat": 0,
     "free_base": True,
+    "sensor": "wrist",
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
     motion_seed: {"seed", "robot", "excitation"},
     noise_seed: {"seed", "robot", "task", "excitation", "simulation", "rate", "repeat"},
     prior_seed: {"seed", "robot", "payload", "task"},
+    sensor_seed: {"seed", "robot", "repeat", "sensor"},
     lambda spec: held_out_seed(spec, 0): {"seed", "robot", "held_out"},
 }
 
@@ -63,7 +66,7 @@ def test_an_id_depends_on_every_part(part: str) -> None:
 
 
 @pytest.mark.parametrize("part", CHANGES)
-@pytest.mark.parametrize("seed", SEEDS, ids=["motion", "noise", "prior", "held-out"])
+@pytest.mark.parametrize("seed", SEEDS, ids=["motion", "noise", "prior", "sensor", "held-out"])
 def test_a_seed_depends_on_its_parts_alone(
     seed: Callable[[ExperimentSpec], int], part: str
 ) -> None:

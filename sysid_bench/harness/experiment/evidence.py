@@ -5,13 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.harness.experiment.prepare import Prepared, prepare
+from sysid_bench.harness.experiment.online import curves_of
+from sysid_bench.harness.experiment.prepare import Prepared, prepare, recorded
 from sysid_bench.harness.experiment.robots import Subject, subject
 from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.identification.compressed import compress
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.appearance import poses, shapes_of
+from sysid_bench.models.states import random_states
 from sysid_bench.naming import build
+from sysid_bench.regressors.reference_wrench import pinocchio_wrench_regressor
+from sysid_bench.regressors.wrench import sub_tree
 from sysid_bench.types import Array, Estimate, Evidence, Row
 
 
@@ -38,18 +42,17 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
     motion = recording.motion
     positions, quaternions = poses(model, motion.q)
     r = ready.problem.base.rank
-    places = [model.torque_rows.index(row) for row in ready.problem.rows]
-    tree_rows = [model.rows.index(row) for row in ready.problem.rows]
+    names = (*model.torque_rows, *recording.wrench_rows)
+    places = [names.index(row) for row in ready.problem.rows]
     parents = [int(model.mj.body_parentid[b]) - 1 for b in range(1, model.mj.nbody)]
     return Evidence(
         row=row,
         motion=motion,
-        measured=recording.tau[:, places],
+        measured=recorded(recording)[:, places],
         predicted=_predicted(ready, estimate),
         rows=ready.problem.rows,
         singular_values=np.linalg.svd(compress(ready.problem)[:r, :r], compute_uv=False),
-        gap_map=robot.check.gap_map[tree_rows],
-        gap_columns=robot.check.columns,
+        **_gap(robot, ready),
         estimate=estimate,
         base=ready.problem.base,
         bodies=model.body_names,
@@ -57,7 +60,22 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
         positions=positions,
         quaternions=quaternions,
         shapes=shapes_of(model),
+        curves=curves_of(ready),
     )
+
+
+def _gap(robot: Subject, ready: Prepared) -> dict[str, Any]:
+    """Where our regressor and Pinocchio's differ, on the rows that are measured."""
+    rows, check = ready.problem.rows, robot.check
+    if not ready.task.cuts:
+        places = [ready.robot.rows.index(row) for row in rows]
+        return {"gap_map": check.gap_map[places], "gap_columns": check.columns}
+    cut = ready.task.cuts[0]
+    motion = random_states(ready.robot, 5, np.random.default_rng(0))
+    base = ready.robot.body_names[cut.body]
+    ours = sub_tree(ready.robot, cut, motion).base_wrench(base)
+    theirs, _ = pinocchio_wrench_regressor(ready.robot, cut, motion, base)
+    return {"gap_map": np.abs(ours - theirs.Y).max(axis=0), "gap_columns": theirs.columns}
 
 
 def _predicted(ready: Prepared, estimate: Estimate) -> Array | None:

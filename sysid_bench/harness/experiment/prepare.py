@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from sysid_bench.errors import EstimationError, UnsupportedError
 from sysid_bench.excitation.brief import brief_of
 from sysid_bench.harness.experiment.robots import Subject
+from sysid_bench.harness.experiment.sensing import Sensing, true_offset
 from sysid_bench.harness.experiment.spec import (
     ExperimentSpec,
     held_out_seed,
@@ -17,19 +18,25 @@ from sysid_bench.harness.experiment.spec import (
     noise_seed,
     prior_seed,
 )
+from sysid_bench.identification.calibration import Calibration, calibrate
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.sensor import Instruments, cut_at, instruments_of
 from sysid_bench.models.task import Task, task_of
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
 from sysid_bench.regressors.regression import TERM
+from sysid_bench.regressors.wrench import handed_on
 from sysid_bench.signals.process import processing_of
 from sysid_bench.simulation.candidate import Declared, candidate, declared
 from sysid_bench.simulation.closed_loop import ClosedLoop
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import Plant, plant_of
 from sysid_bench.simulation.sensors import Noise, draw, encoder_error, sense
+from sysid_bench.simulation.wrench import WRENCH_NOISE
 from sysid_bench.types import (
     Array,
     BaseMap,
@@ -60,19 +67,25 @@ class Prepared:
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
     robot = subject.robot
-    task = task_of(robot, spec.task, _terms(spec, robot))
-    base = subject.base(task.parameters, task.rows)
-    posing = Posing(robot, task, base, torque_regression(robot, base.names))
+    task = task_of(robot, spec.task, _terms(spec, robot), spec.sensor, true_offset(spec))
+    base = subject.base(task.parameters, task.rows, task.cuts)
+    instruments = instruments_of(robot, task.cuts)
+    posing = Posing(robot, task, base, torque_regression(robot, base.names, instruments))
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
-    raw, recording = _record(spec, subject, plant)
+    sensing = Sensing(spec, plant, task)
+    raw, recording = _record(spec, subject, plant, sensing)
+    if "calibration" in spec.signals and task.cuts:
+        calibration = _calibration(spec, subject, task)
+        raw, recording = _corrected(raw, calibration), _corrected(recording, calibration)
     prior = _prior(spec, task)
-    problem = posing.pose(recording.motion, recording.tau, prior)
+    problem = posing.pose(recording.motion, recorded(recording), prior)
     held_out = {
-        name: posing.pose(oracle.motion, oracle.tau)
+        name: posing.pose(oracle.motion, sensing.exact(oracle))
         for name, oracle in _held_out(spec, subject, plant).items()
     }
-    regress = partial(regressor_blocks, posing.regression, posing.places)
-    experiment = Experiment(problem, recording, raw, regress, _Simulate(declared(robot, task), raw))
+    regress = partial(regressor_blocks, posing.regression, posing.places, instruments)
+    simulate = _nothing_to_simulate if task.cuts else _Simulate(declared(robot, task), raw)
+    experiment = Experiment(problem, recording, raw, regress, simulate)
     seal(experiment)
     return Prepared(
         robot, task, problem, experiment, held_out, task.truth,
@@ -113,40 +126,60 @@ class Posing:
     base: BaseMap
     regression: AnyRegression
 
+    @cached_property
+    def instruments(self) -> Instruments:
+        """What is measured: joint torques, and the sensors of the task."""
+        return instruments_of(self.robot, self.task.cuts)
+
     @property
     def places(self) -> tuple[int, ...]:
-        """The rows of the robot that the task measures, as places in its `torque_rows`."""
-        own = self.robot.torque_rows
+        """The rows that the task measures, as places among all that is measured."""
+        own = self.instruments.measured
         return tuple(own.index(row) for row in (own if self.task.rows is None else self.task.rows))
 
-    def pose(self, motion: Trajectory, tau: Array, prior: Prior | None = None) -> Problem:
-        """W beta = b along a motion, the known torque taken from tau (N, n)."""
-        b = tau - self.known(motion)
+    def pose(self, motion: Trajectory, measured: Array, prior: Prior | None = None) -> Problem:
+        """W beta = b along a motion, what is known taken from what is measured (N, n + 6 sensors):
+        known torque, and the wrenches of the sensors that end the sub-tree."""
+        b = measured - self.known(motion)
+        for stop in self.task.stops:
+            cut, names = self.task.cuts[0], self.instruments.measured
+            root, end = ([names.index(row) for row in at.rows] for at in (cut, stop))
+            b[:, root] -= handed_on(self.instruments, motion, cut, stop, measured[:, end])
+        motion = self.instruments.motion(motion)
         return Problem(
             parameters=self.task.parameters,
             base=self.base,
-            rows=tuple(self.robot.torque_rows[i] for i in self.places),
+            rows=tuple(self.instruments.measured[i] for i in self.places),
             factors=fold(self.regression, motion, b, self.places),
             bodies=self.task.bodies,
             blocks=partial(dense_blocks, self.regression, motion, b, self.places),
             samples=len(motion),
             prior=prior,
-            kinds=tuple(self.robot.torque_kinds[i] for i in self.places),
+            kinds=tuple(self.instruments.kinds[i] for i in self.places),
         )
 
     def known(self, motion: Trajectory) -> Array:
-        """Torque (N, n) of the parts that the task declares known."""
+        """Torque and wrench (N, n + 6 sensors) of the parts that the task declares known."""
+        robot = self.robot
         if not self.task.knows_something:
-            return np.zeros((len(motion), len(self.robot.torque_dofs)))
-        tau = newton_euler(self.robot.tree, self.task.known_links, motion)
-        return self.robot.reduced(motion.q, tau + known_terms(self.robot, self.task, motion))
+            return np.zeros((len(motion), len(self.instruments.measured)))
+        whole = self.instruments.motion(motion)
+        tau = newton_euler(self.instruments.tree, self.task.known_links, whole)
+        joints = tau[:, : robot.nv] + known_terms(robot, self.task, motion)
+        return np.hstack([robot.reduced(motion.q, joints), tau[:, robot.nv :]])
+
+
+def recorded(recording: Recording) -> Array:
+    """All that is measured (N, n + 6 sensors): torque, then wrenches."""
+    parts = [recording.tau] if recording.wrench is None else [recording.tau, recording.wrench]
+    return np.hstack(parts)
 
 
 def regressor_blocks(
-    regression: AnyRegression, rows: tuple[int, ...], motion: Trajectory
+    regression: AnyRegression, rows: tuple[int, ...], instruments: Instruments, motion: Trajectory
 ) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
-    for block in regression.blocks(motion):
+    for block in regression.blocks(instruments.motion(motion)):
         yield block.dense()[:, list(rows)]
 
 
@@ -161,9 +194,12 @@ def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:
     return tau
 
 
-def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recording, Recording]:
+def _record(
+    spec: ExperimentSpec, subject: Subject, plant: Plant, sensing: Sensing
+) -> tuple[Recording, Recording]:
     """The recording as sensed and as filtered."""
-    robot, noise = plant.robot, Noise(**spec.noise)
+    robot = plant.robot
+    noise = Noise(**{k: x for k, x in spec.noise.items() if k not in WRENCH_NOISE})
     simulation = subject.build("simulation", spec.simulation)
     processing = processing_of(spec.signals)
     rate = simulation.design_rate(spec.rate)
@@ -197,6 +233,7 @@ def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recor
         controller,
         ideal_rates=not processing.differentiate,
     )
+    raw = sensing.felt(raw, oracle, every)
     return raw, _completed(robot, processing.apply(raw, robot.joints))
 
 
@@ -206,6 +243,32 @@ def _completed(robot: RobotModel, recording: Recording) -> Recording:
         return recording
     motion = robot.completed(recording.motion)
     return replace(recording, q=motion.q, v=motion.v, a=motion.a)
+
+
+def _calibration(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibration:
+    """What the measured sensor tells of itself with known payloads, on the same motion."""
+    readings, known = [], []
+    for run, load in enumerate(spec.signals["calibration"], 1):
+        robot = load_robot(subject.robot.manifest, parse_payload(load), spec.free_base)
+        cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
+        plant = plant_of(robot, [subject.build("plant", spec.plant)])
+        sensing = Sensing(spec, plant, replace(task, cuts=cuts), run)
+        _, recording = _record(spec, replace(subject, robot=robot), plant, sensing)
+        instruments = instruments_of(robot, cuts)
+        motion = instruments.motion(recording.motion)
+        model = newton_euler(instruments.tree, instruments.tree.lumped(robot.phi), motion)
+        assert recording.wrench is not None
+        readings.append(recording.wrench[:, :6])
+        known.append(model[:, robot.nv : robot.nv + 6])
+    return calibrate(np.concatenate(readings), np.concatenate(known))
+
+
+def _corrected(recording: Recording, calibration: Calibration) -> Recording:
+    """The recording with the first sensor's reading corrected."""
+    assert recording.wrench is not None
+    wrench = recording.wrench.copy()
+    wrench[:, :6] = calibration.corrected(wrench[:, :6])
+    return replace(recording, wrench=wrench)
 
 
 def _scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
@@ -237,6 +300,13 @@ def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
         return None
     spread = None if isinstance(spec.prior, str) else PriorSpread(**spec.prior)
     return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
+
+
+def _nothing_to_simulate(theta: Array) -> Recording:
+    """What a loop needs beside the sensors is not declared."""
+    raise UnsupportedError(
+        "A task with force/torque sensors declares no whole robot: nothing to simulate with."
+    )
 
 
 @dataclass(frozen=True, eq=False)

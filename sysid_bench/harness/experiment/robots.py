@@ -14,6 +14,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import Cut
 from sysid_bench.naming import build
 from sysid_bench.types import BaseMap
 
@@ -42,11 +43,18 @@ class Subject:
     def _bases(self) -> dict[tuple[Any, ...], BaseMap]:
         return {}
 
-    def base(self, parameters: tuple[str, ...], rows: tuple[str, ...] | None = None) -> BaseMap:
-        """The base parameters of a task; `rows`: whose torque is measured (None: all)."""
-        if (parameters, rows) not in self._bases:
-            self._bases[parameters, rows] = structural_base(self.robot, parameters, rows)
-        return self._bases[parameters, rows]
+    def base(
+        self,
+        parameters: tuple[str, ...],
+        rows: tuple[str, ...] | None = None,
+        cuts: tuple[Cut, ...] = (),
+    ) -> BaseMap:
+        """The base parameters of a task; `rows`: whose torque is measured (None: all), or those of
+        the sensors `cuts`."""
+        key = parameters, rows, tuple(cut.at for cut in cuts)
+        if key not in self._bases:
+            self._bases[key] = structural_base(self.robot, parameters, rows, cuts)
+        return self._bases[key]
 
 
 def subject(

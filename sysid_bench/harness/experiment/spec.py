@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.canonical import digest
 from sysid_bench.units import quantity, split_quantity
 
@@ -14,8 +14,9 @@ from sysid_bench.units import quantity, split_quantity
 class ExperimentSpec:
     """One simulated recording. JSON values only; plug-ins are {use, settings...} as written.
 
-    `noise` holds q, quantum (rad, m) and tau (N m, N) or tau_relative (share of the joint's RMS
-    torque); `prior` holds mass, inertia, terms (shares) and com (m), or is "truth" or "none".
+    `noise` holds q, quantum (rad, m), tau (N m, N) or tau_relative (share of the joint's RMS
+    torque), and the errors of force/torque sensors (simulation/wrench.py); `prior` holds mass,
+    inertia, terms (shares) and com (m), or is "truth" or "none".
     """
 
     seed: int  # root of the suite's seed tree
@@ -33,6 +34,7 @@ class ExperimentSpec:
     signals: Mapping[str, Any]
     repeat: int
     free_base: bool | None = None  # None: as the robot's manifest has it
+    sensor: str | None = None  # the force/torque sensor; None: the only one of the manifest
 
     @cached_property
     def id(self) -> str:
@@ -42,8 +44,9 @@ class ExperimentSpec:
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
         data = asdict(self)
-        if self.free_base is None:  # not written: ids are older than this field
-            del data["free_base"]
+        for key in ("free_base", "sensor"):
+            if data[key] is None:  # not written: ids are older than these fields
+                del data[key]
         return data
 
     @classmethod
@@ -87,9 +90,32 @@ def noise_seed(spec: ExperimentSpec) -> int:
     return seed_of(spec.seed, "noise", *parts)
 
 
+def sensor_seed(spec: ExperimentSpec) -> int:
+    """Of how a force/torque sensor was made: the same one for every payload, motion, task and level
+    of its errors; a repeat is another one."""
+    return seed_of(spec.seed, "sensor", spec.robot, spec.sensor, spec.repeat)
+
+
 def prior_seed(spec: ExperimentSpec) -> int:
     """Of what methods are told beforehand: no new prior with each repeat or noise level."""
     return seed_of(spec.seed, "prior", spec.robot, spec.payload, spec.task)
+
+
+NOISE_UNITS: Final = {
+    "q": "rad|m",
+    "tau": "N m|N",
+    "quantum": "rad|m",
+    "force": "N",
+    "moment": "N m",
+    "force_offset": "N",
+    "moment_offset": "N m",
+    "force_drift": "N",  # per second
+    "moment_drift": "N m",  # per second
+    "gain": "%",
+    "crosstalk": "%",
+    "mounting": "rad",
+}
+"""Keys of a [noise] table and their units, but for torque in shares."""
 
 
 def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
@@ -100,7 +126,9 @@ def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
     noise = {}
     for key, value in written.items():
         relative = key == "tau" and isinstance(value, str) and split_quantity(value)[1] == "%"
-        unit = "%" if relative else "N m|N" if key == "tau" else "rad|m"
+        if key not in NOISE_UNITS:
+            raise unknown_name("kind of noise", key, NOISE_UNITS)
+        unit = "%" if relative else NOISE_UNITS[key]
         noise["tau_relative" if relative else key] = quantity(value, unit)
     return {key: value for key, value in noise.items() if value != 0.0}
 

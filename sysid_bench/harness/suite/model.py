@@ -106,6 +106,15 @@ class Noise(Section):
     q: Annotated[Any, measured("rad|m")] = None
     tau: Annotated[Any, measured("N m|N|%")] = None
     quantum: Annotated[Any, measured("rad|m")] = None
+    force: Annotated[Any, measured("N")] = None  # and so on: force/torque sensors
+    moment: Annotated[Any, measured("N m")] = None
+    force_offset: Annotated[Any, measured("N")] = None
+    moment_offset: Annotated[Any, measured("N m")] = None
+    force_drift: Annotated[Any, measured("N")] = None  # per second
+    moment_drift: Annotated[Any, measured("N m")] = None  # per second
+    gain: Annotated[Any, measured("%")] = None
+    crosstalk: Annotated[Any, measured("%")] = None
+    mounting: Annotated[Any, measured("rad")] = None
 
 
 class Prior(Section):
@@ -125,10 +134,21 @@ def _filter(value: Any) -> str:
     return text
 
 
+def _payload(value: Any, info: ValidationInfo) -> Any:
+    if not isinstance(value, (str, Mapping)):
+        raise ValueError(f"a payload is a name or a table {{ mass = ... }}; got {value!r}.")
+    proved(lambda: context(info).names.payload(value))
+    return value
+
+
+Loads = tuple[Annotated[Any, PlainValidator(_payload)], ...] | None
+
+
 class Signals(Section):
     filter: Annotated[str, PlainValidator(_filter)] = "none"
     derivatives: Annotated[str, word("way to differentiate", ("from q", "exact"))] = "exact"
     torque: Annotated[str, word("way to take torque", ("filtered", "raw"))] = "filtered"
+    calibration: Loads = None  # of force/torque sensors, with these payloads, which are known
 
 
 PriorChoice = Annotated[
@@ -181,17 +201,11 @@ def _robot_name(value: Any, info: ValidationInfo) -> str:
     return value
 
 
-def _payload(value: Any, info: ValidationInfo) -> Any:
-    if not isinstance(value, (str, Mapping)):
-        raise ValueError(f"a payload is a name or a table {{ mass = ... }}; got {value!r}.")
-    proved(lambda: context(info).names.payload(value))
-    return value
-
-
 class RobotEntry(Section):
     use: Annotated[tuple[Annotated[str, PlainValidator(_robot_name)], ...], Sweep]
     payloads: Annotated[tuple[Annotated[Any, PlainValidator(_payload)], ...], Sweep] = ("none",)
     free_base: StrictBool | None = None  # None: as the robot's manifest has it
+    sensor: StrictStr | None = None  # of the manifest, or a fixed joint, site or body to cut at
 
 
 class Exclude(Section):

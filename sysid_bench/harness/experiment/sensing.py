@@ -1,0 +1,76 @@
+"""The force/torque sensors of an experiment: what they feel, ideally and as they were made."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sysid_bench.harness.experiment.spec import ExperimentSpec, noise_seed, seed_of, sensor_seed
+from sysid_bench.models.task import SENSOR_TASKS, Task
+from sysid_bench.simulation.plant import Plant
+from sysid_bench.simulation.wrench import (
+    Fault,
+    fault_of,
+    sensor_wrench,
+    wrench_noise,
+)
+from sysid_bench.types import Array, Oracle, Recording, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Sensing:
+    """The sensors that a task looks at, on the plant that moves; without any it changes nothing."""
+
+    spec: ExperimentSpec
+    plant: Plant
+    task: Task
+    run: int = 0  # further runs of the same sensor have noise of their own
+
+    def felt(self, raw: Recording, oracle: Oracle, every: int) -> Recording:
+        """A recording of every `every`-th step with the reading of the sensors."""
+        if not self.task.cuts:
+            return raw
+        white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench", self.run))
+        noise = wrench_noise(self.spec.noise)
+        exact = self._wrench(_kept(oracle.motion, every))
+        parts = [
+            fault.reads(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
+            for fault, wrench in zip(
+                faults(self.spec, len(self.task.cuts)), _by_sensor(exact), strict=True
+            )
+        ]
+        rows = tuple(row for cut in self.task.cuts for row in cut.rows)
+        return replace(raw, wrench=np.hstack(parts), wrench_rows=rows)
+
+    def exact(self, oracle: Oracle) -> Array:
+        """All that would be measured without noise (N, nv + 6 sensors); with the constants of the
+        sensor where those are among the unknowns."""
+        if not self.task.cuts:
+            return oracle.tau
+        wrench = self._wrench(oracle.motion)
+        alone = self.task.name in SENSOR_TASKS
+        if alone and len(self.task.parameters) > 10 * len(self.task.bodies):
+            wrench[:, :6] += self.task.truth.theta[-6:]
+        return np.hstack([oracle.tau, wrench])
+
+    def _wrench(self, motion: Trajectory) -> Array:
+        return sensor_wrench(self.plant, self.task.cuts, motion)
+
+
+def true_offset(spec: ExperimentSpec) -> Array | None:
+    """The constants (6,) of the sensor that is measured; None where none is."""
+    return faults(spec, 1)[0].offset if spec.task in SENSOR_TASKS else None
+
+
+def faults(spec: ExperimentSpec, count: int) -> list[Fault]:
+    """How the sensors of an experiment were made."""
+    rng, noise = np.random.default_rng(sensor_seed(spec)), wrench_noise(spec.noise)
+    return [fault_of(noise, rng) for _ in range(count)]
+
+
+def _by_sensor(wrenches: Array) -> list[Array]:
+    return np.split(wrenches, wrenches.shape[1] // 6, axis=1)
+
+
+def _kept(motion: Trajectory, every: int) -> Trajectory:
+    part = slice(None, None, every)
+    return replace(motion, t=motion.t[part], q=motion.q[part], v=motion.v[part], a=motion.a[part])

@@ -1,0 +1,251 @@
+"""Force/torque sensors: where they cut a robot, what is downstream, and which rows they measure.
+
+A sensor measures the wrench [n; f] that the carrying part exerts on the sub-tree downstream, about
+the origin of the sensor frame and in its axes (MuJoCo's sign): Y_n phi where nothing touches the
+sub-tree, Y_n phi - X f_x with an external wrench f_x on it (Traversaro et al. 2015, eq. 4).
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, Protocol
+
+import numpy as np
+
+from sysid_bench.errors import ModelError, UnsupportedError, unknown_name
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.tree import FREE, HINGE, SLIDE, Link, Tree, TreeJoint, tree_of
+from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.types import Array, Trajectory
+
+COMPONENTS: Final = ("nx", "ny", "nz", "fx", "fy", "fz")
+"""Rows of a sensor, `<sensor>.nx` and so on: moments first, as in every wrench here."""
+
+KINDS: Final = ("wrench N m",) * 3 + ("wrench N",) * 3
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """A sensor between `body` and what carries it; R (3, 3), p (3,): the sensor frame in the body.
+    `bodies`: the sub-tree, from `body` down to where `stops`, the next sensors, cut it off."""
+
+    name: str
+    at: str
+    body: int
+    R: Array
+    p: Array
+    bodies: tuple[int, ...]
+    stops: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Names of the six components."""
+        return tuple(f"{self.name}.{component}" for component in COMPONENTS)
+
+
+class Measured(Protocol):
+    """A tree and what its degrees of freedom are called: those of the robot, then further ones."""
+
+    @property
+    def tree(self) -> Tree: ...
+    @property
+    def rows(self) -> tuple[str, ...]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Instruments:
+    """What is measured on a robot: the torque of its degrees of freedom, then six rows per cut.
+
+    To `tree` a sensor is three hinges and three slides that stand still at its frame: what acts
+    along them is its wrench, so that one kernel serves every row.
+    """
+
+    cuts: tuple[Cut, ...]
+    tree: Tree
+    rows: tuple[str, ...]  # of the tree: every degree of freedom, then the sensors
+    measured: tuple[
+        str, ...
+    ]  # without joints that follow others, which have no torque of their own
+    kinds: tuple[str, ...]  # of `measured`
+
+    def motion(self, motion: Trajectory) -> Trajectory:
+        """The motion (N, nv) with the places of all sensors (N, nv + 6 sensors), at rest."""
+        if not self.cuts:
+            return motion
+        still = np.zeros((len(motion), 6 * len(self.cuts)))
+        q, v, a = (np.hstack([x, still]) for x in (motion.q, motion.v, motion.a))
+        return replace(motion, q=q, v=v, a=a)
+
+    def root(self, cut: Cut) -> range:
+        """The six places of a cut's wrench among the rows of the tree."""
+        first = self.rows.index(cut.rows[0])
+        return range(first, first + 6)
+
+
+def instruments_of(robot: RobotModel, cuts: Sequence[Cut] = ()) -> Instruments:
+    """The instruments of a robot with these sensors."""
+    more = {
+        cut.body: _still_joints(cut, robot.mj.nq + 6 * k, robot.nv + 6 * k)
+        for k, cut in enumerate(cuts)
+    }
+    if len(more) < len(cuts):
+        raise UnsupportedError(
+            f"{robot.name}: two of the sensors {', '.join(cut.name for cut in cuts)} cut at one "
+            "body; they measure the same."
+        )
+    wrenches = tuple(row for cut in cuts for row in cut.rows)
+    return Instruments(
+        tuple(cuts),
+        tree_of(robot.mj, more) if cuts else robot.tree,
+        robot.rows + wrenches,
+        robot.torque_rows + wrenches,
+        robot.torque_kinds + KINDS * len(cuts),
+    )
+
+
+def _still_joints(cut: Cut, qadr: int, vadr: int) -> tuple[TreeJoint, ...]:
+    axes = [(HINGE, axis) for axis in cut.R.T] + [(SLIDE, axis) for axis in cut.R.T]
+    return tuple(
+        TreeJoint(kind, qadr + k, vadr + k, axis, cut.p, 0.0) for k, (kind, axis) in enumerate(axes)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Floating:
+    """The sub-tree of a cut on its own, its first body flying freely: any base pose, twist and
+    acceleration. `root` are the places of the six free degrees of freedom in v."""
+
+    cut: Cut
+    tree: Tree
+    rows: tuple[str, ...]
+    free: TreeJoint
+
+    @property
+    def root(self) -> range:
+        """The six places of the free base among the rows."""
+        return self.free.dofs
+
+    @cached_property
+    def joints(self) -> tuple[int, ...]:
+        """Places in v of the degrees of freedom inside of the sub-tree."""
+        inside = {int(dof) for link in self.tree.links for dof in link.dofs}
+        return tuple(sorted(inside - set(self.root)))
+
+
+def floating(robot: RobotModel, cut: Cut) -> Floating:
+    """The sub-tree of a cut as a free-flying robot; places in q and v stay, the free base is last.
+
+    What an arbitrary motion of the base can tell is asked of it (Traversaro et al. 2015, eq. 6).
+    """
+    free = TreeJoint(FREE, robot.mj.nq, robot.nv, np.zeros(3), np.zeros(3), 0.0)
+    whole = tree_of(robot.mj, {cut.body: (free,)})
+    places: dict[int, int] = {-1: -1}
+    links: list[Link] = []
+    for old, link in enumerate(whole.links):
+        if link.body not in cut.bodies:
+            continue
+        first = link.body == cut.body
+        joints = (free,) if first else link.joints
+        own = [dof for joint in joints for dof in joint.dofs]
+        before = [] if first else links[places[link.parent]].dofs.tolist()
+        dofs = np.array([*before, *own])
+        parent = -1 if first else places[link.parent]
+        links.append(replace(link, parent=parent, joints=joints, dofs=dofs))
+        places[old] = len(links) - 1
+    inside = [b in cut.bodies for b in range(len(whole.carrier))]
+    carrier = [places.get(int(c), -1) if own else -1
+               for c, own in zip(whole.carrier, inside, strict=True)]  # fmt: skip
+    tree = replace(whole, links=tuple(links), carrier=np.array(carrier, dtype=int))
+    return Floating(cut, tree, robot.rows + tuple(f"{cut.name}.free{k}" for k in range(6)), free)
+
+
+def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) -> Cut:
+    """The cut of a sensor: one of the robot's manifest by name, or any fixed joint, site or body.
+
+    `others`: sensors that end the sub-tree where they are downstream (None: those of the manifest).
+    A site cuts between its body and what carries that. Raises UsageError for an unknown name, and
+    ModelError or UnsupportedError where nothing can be cut there.
+    """
+    named = {entry.name: entry.at for entry in robot.manifest.sensors}
+    at = named.get(sensor, sensor)
+    body, R, p = _frame(robot, at)
+    ends: dict[int, str] = {}
+    for other in named if others is None else others:
+        end = _frame(robot, named.get(other, other))[0]
+        if end != body:
+            ends[end] = other
+    bodies = _downstream(robot, body, set(ends))
+    reached = {int(robot.mj.body_parentid[end + 1]) - 1 for end in ends} & set(bodies)
+    stops = [name for end, name in ends.items() if robot.mj.body_parentid[end + 1] - 1 in reached]
+    return Cut(sensor, at, body, R, p, bodies, tuple(stops))
+
+
+def the_sensor(robot: RobotModel, sensor: str | None) -> str:
+    """The name asked for, or the only sensor of the robot's manifest; UnsupportedError with what
+    there is."""
+    if sensor is not None:
+        return sensor
+    names = [entry.name for entry in robot.manifest.sensors]
+    if len(names) == 1:
+        return names[0]
+    there = f"has the sensors {', '.join(names)}" if names else "has no force/torque sensor"
+    raise UnsupportedError(
+        f"{robot.name} {there}: say which one to use with --sensor (in a suite: sensor = ...), or "
+        "name a fixed joint, site or body to cut at."
+    )
+
+
+def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
+    """(body, R, p) of a fixed joint, a site or a body."""
+    fixed, moving = _urdf_joints(robot)
+    here = np.eye(3), np.zeros(3)
+    if at in fixed:
+        return _body(robot, fixed[at]), *here
+    sites = {robot.mj.site(s).name: s for s in range(robot.mj.nsite)}
+    if at in sites:
+        s = sites[at]
+        body = int(robot.mj.site_bodyid[s]) - 1
+        if body < 0:
+            raise ModelError(
+                f"{robot.name}: the site {at!r} belongs to the world; a sensor's site belongs to "
+                "the first body downstream."
+            )
+        R = matrix_of_quaternion(np.array(robot.mj.site_quat[s]))
+        return body, R, np.array(robot.mj.site_pos[s])
+    if at in robot.body_names:
+        return robot.body_names.index(at), *here
+    moving |= {joint.name: "" for joint in robot.joints}
+    if at in moving:
+        raise UnsupportedError(
+            f"{robot.name}: {at!r} is a joint that moves; a sensor sits at a fixed joint, a site "
+            "or a body: name the body behind it."
+        )
+    known = [*(s.name for s in robot.manifest.sensors), *fixed, *sites, *robot.body_names]
+    raise unknown_name("sensor, fixed joint, site or body", at, known)
+
+
+def _urdf_joints(robot: RobotModel) -> tuple[dict[str, str], dict[str, str]]:
+    """Child link of every fixed and of every moving joint of a URDF by the joint's name."""
+    tables: tuple[dict[str, str], dict[str, str]] = ({}, {})
+    if robot.format == "urdf" and robot.text:
+        for joint in ET.fromstring(robot.text).iter("joint"):
+            child = joint.find("child")
+            if child is not None:
+                tables[joint.get("type") != "fixed"][joint.get("name", "")] = child.get("link", "")
+    return tables
+
+
+def _body(robot: RobotModel, link: str) -> int:
+    if link not in robot.body_names:
+        raise ModelError(f"{robot.name}: the link {link!r} behind the sensor is no body here.")
+    return robot.body_names.index(link)
+
+
+def _downstream(robot: RobotModel, body: int, ends: set[int]) -> tuple[int, ...]:
+    """The body and all that hangs on it, without what hangs on `ends`."""
+    inside = {body}
+    for b in range(body + 1, len(robot.body_names)):
+        if int(robot.mj.body_parentid[b + 1]) - 1 in inside and b not in ends:
+            inside.add(b)
+    return tuple(sorted(inside))

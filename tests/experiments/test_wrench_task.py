@@ -1,0 +1,205 @@
+"""The tasks `wrench` and `wrench-payload`: what is behind a force/torque sensor, from it alone."""
+
+import numpy as np
+import pytest
+
+from sysid_bench.errors import UnsupportedError
+from sysid_bench.evaluation.score import score
+from sysid_bench.harness.experiment.evidence import evidence
+from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.identify import identify
+from sysid_bench.models.random_robot import random_robot
+from sysid_bench.models.sensor import cut_at
+from sysid_bench.models.task import task_of
+from sysid_bench.regressors.wrench import sub_tree
+from sysid_bench.simulation.plant import plant_of
+from sysid_bench.simulation.wrench import Touch, WrenchNoise, fault_of, sensor_wrench, touch_torque
+from tests.experiments.experiment_world import CLOSED_LOOP, argument, executed, ready, spec
+from tests.robots import NAMED, named_robot, relative_gap, robot_of, states
+from tests.robots import random_robot as rich_robot
+
+ARM = {"robot": "icub", "task": "wrench", "sensor": "l_arm"}
+WRIST = {"robot": "ur5", "payload": "box-2kg", "task": "wrench-payload"}
+WHITE = {"force": 0.15, "moment": 0.008}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_mujocos_sensor_feels_what_the_regressor_tells(seed: int) -> None:
+    """Also with an external wrench, which X (Y_n phi - f) finds again at the body it acts on."""
+    robot = robot_of(random_robot(seed)) if seed % 2 else rich_robot(seed)
+    motion, rng = states(robot, 5, seed), np.random.default_rng(seed)
+    for name in rng.permutation(robot.body_names)[:3]:
+        cut = cut_at(robot, name)
+        made = sub_tree(robot, cut, motion)
+        free = made.Y_n @ robot.phi[list(cut.bodies)].ravel()
+        assert relative_gap(free, sensor_wrench(plant_of(robot), (cut,), motion)) < 1e-12
+        touch = Touch(int(rng.choice(cut.bodies)), rng.normal(size=(5, 6)))
+        felt = sensor_wrench(plant_of(robot), (cut,), motion, touch)
+        base = robot.body_names[touch.body]
+        found = np.einsum("nij,nj->ni", made.transform(base), free - felt)
+        np.testing.assert_allclose(found, touch.wrench, atol=1e-10 * (1 + np.abs(free).max()))
+        relief = touch_torque(plant_of(robot), touch, motion)[:, list(made.dofs)]
+        there = np.einsum("nkc,nc->nk", made.projection(base), free - felt)
+        np.testing.assert_allclose(there, relief, atol=1e-10 * (1 + np.abs(free).max()))
+
+
+@pytest.mark.parametrize("sensor", ["l_arm", "r_leg", "l_foot", "chest"])
+def test_exact_wrenches_close(sensor: str) -> None:
+    """A sub-tree ends where the next sensor takes over: the leg at the foot's."""
+    made = ready(**{**ARM, "sensor": sensor})
+    assert made.problem.rows == tuple(f"{sensor}.{c}" for c in ("nx", "ny", "nz", "fx", "fy", "fz"))
+    assert made.problem.kinds == ("wrench N m",) * 3 + ("wrench N",) * 3
+    told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
+    assert told.rmse_test is not None
+    assert told.beta_error is not None
+    assert told.rmse_test < 1e-10
+    assert told.beta_error < 1e-8
+
+
+def test_a_robot_with_a_free_base_and_a_closed_loop_serve_too() -> None:
+    free = ready(robot="solo12", task="wrench", sensor="FL_UPPER_LEG")
+    assert free.problem.base.rank == 17
+    loop = ready(**WRIST, simulation=CLOSED_LOOP)
+    for made in (free, loop):
+        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
+        assert told.beta_error is not None
+        assert told.beta_error < 1e-7
+    with pytest.raises(UnsupportedError, match="no whole robot"):
+        loop.experiment.simulate(loop.truth.theta)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMED if name not in ("icub", "solo12")])
+def test_a_wrist_tells_all_ten_numbers_of_a_payload(name: str) -> None:
+    robot = named_robot(name, "box-2kg")
+    task = task_of(robot, "wrench-payload", ("offset",), "wrist", np.arange(6.0))
+    base = structural_base(robot, task.parameters, task.rows, task.cuts)
+    assert base.rank == 16
+    assert set(verdicts(base)) == {"identifiable"}
+    assert task.truth.theta[10:].tolist() == list(range(6))
+
+
+def test_a_sensors_constants_are_found_or_spoil_the_rest() -> None:
+    noise = {**WHITE, "force_offset": 2.0, "moment_offset": 0.1}
+    biased = {**ARM, "noise": noise, "rate": 100.0, "excitation": {"use": "fourier"}}
+    known = ready(**biased, terms=("offset",))
+    assert (known.problem.base.rank, len(known.problem.parameters)) == (44, 96)
+    found = identify(WLS(), known.problem)
+    told = score(found, known.problem, known.held_out, known.truth)
+    spoiled = ready(**biased)
+    worse = score(
+        identify(WLS(), spoiled.problem), spoiled.problem, spoiled.held_out, spoiled.truth
+    )
+    assert found.beta is not None
+    error = found.beta[-6:] - known.truth.theta[-6:]
+    assert np.abs(known.truth.theta[-3:]).max() > 0.5
+    assert np.abs(error[3:]).max() < 0.03
+    assert np.abs(error[:3]).max() < 0.005
+    assert told.rmse_test is not None
+    assert worse.rmse_test is not None
+    assert worse.rmse_test > 10 * told.rmse_test
+
+
+def test_noise_is_drawn_alike_for_all_levels_and_only_where_it_is_asked_for() -> None:
+    exact, small, large = (
+        ready(**WRIST, noise=noise).experiment.raw.wrench
+        for noise in ({}, {"force": 0.1}, {"force": 0.2})
+    )
+    assert exact is not None
+    assert small is not None
+    assert large is not None
+    np.testing.assert_allclose(large - exact, 2 * (small - exact), atol=1e-12)
+    assert not (small - exact)[:, :3].any()
+    assert (small - exact)[:, 3:].std() == pytest.approx(0.1, rel=0.1)
+    tau = ready(**{**WRIST, "task": "payload"}).experiment.raw
+    assert tau.wrench is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fault_is_gain_crosstalk_and_a_turn(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    wrench = rng.normal(size=(50, 6)) * np.repeat([0.2, 8.0], 3)
+    t = np.arange(50.0)
+    turned = fault_of(WrenchNoise(mounting=0.01), np.random.default_rng(seed))
+    R = turned.A[:3, :3]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
+    assert np.arccos((np.trace(R) - 1) / 2) == pytest.approx(0.01, rel=1e-3)
+    np.testing.assert_array_equal(turned.A[3:, 3:], R)
+    gained = fault_of(WrenchNoise(gain=0.01), np.random.default_rng(seed))
+    assert np.count_nonzero(gained.A) == 6
+    assert 0.002 < np.std(np.diag(gained.A)) < 0.02
+    crossed = fault_of(WrenchNoise(crosstalk=0.01), np.random.default_rng(seed))
+    np.testing.assert_array_equal(np.diag(crossed.A), np.ones(6))
+    added = crossed.reads(wrench, t) - wrench
+    share = np.sqrt((added**2).mean(axis=0) / (wrench**2).mean(axis=0))
+    assert ((share > 1e-4) & (share < 0.2)).all()
+    slow = fault_of(WrenchNoise(force_drift=0.1), np.random.default_rng(seed))
+    assert not slow.offset.any()
+    assert not slow.slope[:3].any()
+    np.testing.assert_allclose(slow.reads(wrench, t)[-1] - wrench[-1], 49 * slow.slope)
+
+
+def test_requests_that_make_no_sense_say_why() -> None:
+    with pytest.raises(UnsupportedError, match="the sensors l_arm, r_arm"):
+        ready(**{**ARM, "sensor": None})
+    with pytest.raises(UnsupportedError, match="feels no joint term: viscous"):
+        ready(**ARM, terms=("viscous",))
+    with pytest.raises(UnsupportedError, match="No payload is mounted behind"):
+        ready(**{**WRIST, "payload": "none"})
+    with pytest.raises(UnsupportedError, match="No payload is mounted behind"):
+        ready(robot="icub", payload="box-2kg", task="wrench-payload", sensor="r_arm")
+
+
+def test_rows_and_pictures_are_of_the_sensor() -> None:
+    made = spec(**WRIST, noise=WHITE)
+    (row,) = executed(made, "wls")
+    assert row["status"] == "ok"
+    assert row["mass_error"] < 0.01
+    assert row["inertia_error"] < 0.5
+    assert row["joints"][0]["name"] == "wrist.nx"
+    shown = evidence(argument(made, "wls"), row)
+    assert shown.rows[0] == "wrist.nx"
+    assert shown.predicted is not None
+    assert np.abs(shown.predicted - shown.measured).max() < 1.0
+    assert shown.gap_map.shape == (6, len(shown.gap_columns))
+    assert shown.gap_map.max() < 1e-12
+
+
+def test_the_specification_is_written_only_where_it_says_something() -> None:
+    assert "sensor" not in spec().to_json()
+    assert spec(**ARM).to_json()["sensor"] == "l_arm"
+
+
+@pytest.mark.parametrize("sensors", ["l_arm", "l_arm, r_arm, l_leg, r_leg, l_foot, r_foot"])
+def test_sensors_combine_with_joint_torques(sensors: str) -> None:
+    """They add rows, and what the torques of a held robot do not tell."""
+    alone = ready(robot="icub", noise={"tau": 0.05})
+    both = ready(robot="icub", sensor=sensors, noise={"tau": 0.05, **WHITE})
+    count = 6 * len(sensors.split(","))
+    assert len(both.problem.rows) == 32 + count
+    assert both.problem.rows[32] == "l_arm.nx"
+    assert both.problem.base.rank > alone.problem.base.rank
+    scores = []
+    for made in (alone, both):
+        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
+        scores.append(told)
+    elbow = [next(j for j in told.joints if j["name"] == "l_elbow") for told in scores]
+    assert elbow[1]["rmse_test"] < elbow[0]["rmse_test"]
+
+
+def test_a_payload_is_found_better_with_both() -> None:
+    noise = {"tau": 0.5, **WHITE}
+    made = [
+        ready(**{**WRIST, "task": task}, sensor=sensor, noise=noise, rate=200.0)
+        for task, sensor in (("payload", None), ("wrench-payload", "wrist"), ("payload", "wrist"))
+    ]
+    std = []
+    for one in made:
+        # Noise of 0.5 and 0.008 N m in one problem: the first weights come from a rough solution.
+        found = identify(WLS(iterations=8), one.problem)
+        assert found.covariance is not None
+        std.append(np.sqrt(np.diag(found.covariance)))
+    assert (std[2] < 1.2 * std[0]).all()
+    assert (std[2] < 1.2 * std[1]).all()
+    assert (std[1][4:] < std[0][4:]).all()

@@ -1,0 +1,75 @@
+"""In-situ calibration with known wrenches, and recursions that are no filter."""
+
+import numpy as np
+import pytest
+
+from sysid_bench.errors import EstimationError, UsageError
+from sysid_bench.identification.calibration import calibrate
+from sysid_bench.identification.online import Recursion, batch
+
+SIZE = np.repeat([1.0, 10.0], 3)
+
+
+def _sensor(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    G = np.eye(6) + 0.02 * rng.normal(size=(6, 6)) * SIZE[:, None] / SIZE
+    return G, SIZE * rng.normal(size=6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rich_wrenches_tell_the_whole_matrix(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    G, offset = _sensor(rng)
+    known = SIZE * rng.normal(size=(2000, 6))
+    reading = known @ G.T + offset + 0.001 * SIZE * rng.normal(size=known.shape)
+    found = calibrate(reading, known)
+    assert np.abs((found.G - G) / SIZE[:, None] * SIZE).max() < 2e-4
+    fresh = SIZE * rng.normal(size=(100, 6))
+    error = (found.corrected(fresh @ G.T + offset) - fresh) / SIZE
+    assert np.abs(error).max() < 2e-3
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_the_wrenches_do_not_tell_stays_ideal(seed: int) -> None:
+    """Wrenches in three directions alone: there the sensor is right, elsewhere not made worse."""
+    rng = np.random.default_rng(seed)
+    G, offset = _sensor(rng)
+    basis = np.linalg.qr(rng.normal(size=(6, 3)))[0]
+    known = SIZE * (rng.normal(size=(3000, 3)) @ basis.T)
+    reading = known @ G.T + offset + 0.001 * SIZE * rng.normal(size=known.shape)
+    found = calibrate(reading, known)
+    inside = (found.corrected(reading) - known) / SIZE
+    assert np.sqrt((inside**2).mean()) < 2e-3
+    other = SIZE * rng.normal(size=(500, 6))
+    before = (other @ G.T - other) / SIZE
+    after = (found.corrected(other @ G.T + offset) - other) / SIZE
+    assert np.sqrt((after**2).mean()) < np.sqrt((before**2).mean())
+
+
+def test_nothing_known_calibrates_nothing() -> None:
+    with pytest.raises(EstimationError, match="with a load that weighs"):
+        calibrate(np.ones((100, 6)), np.zeros((100, 6)))
+    with pytest.raises(EstimationError, match="10 samples"):
+        calibrate(np.ones((10, 6)), np.ones((10, 6)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_recursion_is_the_batch_for_any_rows(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    W, sigma = rng.normal(size=(200, 3, 7)), rng.uniform(0.1, 10.0, 3)
+    f = W @ rng.normal(size=7) + sigma * rng.normal(size=(200, 3))
+    free = rng.random(200) < 0.8
+    root = rng.normal(size=(7, 7))
+    P = root @ root.T + np.eye(7)
+    prior = rng.normal(size=7)
+    track = Recursion().run(W, f, sigma, prior, P, free)
+    np.testing.assert_allclose(track.last, batch(W, f, sigma, prior, P, free), atol=1e-10)
+    assert track.places[-1] == 199
+    np.testing.assert_array_equal(track.used, free)
+
+
+@pytest.mark.parametrize("wrong", [{"forgetting": 0.0}, {"forgetting": 1.1}, {"walk": -1.0}])
+def test_settings_that_make_no_filter_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(UsageError):
+        Recursion(**wrong).run(  # type: ignore[arg-type]
+            np.ones((5, 1, 1)), np.ones((5, 1)), np.ones(1), np.zeros(1), np.ones(1)
+        )
