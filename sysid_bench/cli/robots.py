@@ -102,10 +102,38 @@ def basis(
 @click.command()
 @click.argument("model", metavar="MODEL")
 @click.option("--simulate", is_flag=True, help="Data from the robot's own simulation.")
+@click.option(
+    "--log",
+    "logs",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="LOG.toml",
+    help="Data from a recording; several are used together.",
+)
+@click.option(
+    "--test",
+    "tests",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="LOG.toml",
+    help="A recording to judge on.",
+)
+@click.option("--accept", metavar="rate,units", help="Contradictions in logs that may pass.")
+@click.option("--filter", "filter_text", metavar="TEXT", help="Of logs: 'butter 4 10 Hz', ...")
+@click.option("--derivatives", type=click.Choice(["from q", "from v"]), help="Of logs.")
+@click.option(
+    "--moving",
+    default=0.0,
+    show_default=True,
+    type=click.FloatRange(min=0.0),
+    help="Of logs: leave out samples of a joint slower than this (rad/s, m/s).",
+)
 @click.option("--task", default="robot", show_default=True, help="robot, payload, link, terminal.")
 @click.option("--payload", default="none", show_default=True, help="What is mounted at the tool.")
-@click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
-@click.option("--estimator", metavar="NAME", help="Default: ols; min-norm for the task terminal.")
+@click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,j1.k...; or none.")
+@click.option(
+    "--estimator", metavar="NAME", help="Default: ols; wls with logs; min-norm for terminal."
+)
 @click.option("--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none.")
 @click.option(
     "--model-out", type=click.Path(path_type=Path), help="The model again, with identified values."
@@ -118,6 +146,12 @@ def basis(
 def identify(
     model: str,
     simulate: bool,
+    logs: tuple[Path, ...],
+    tests: tuple[Path, ...],
+    accept: str | None,
+    filter_text: str | None,
+    derivatives: str | None,
+    moving: float,
     task: str,
     payload: str,
     terms: str | None,
@@ -129,24 +163,39 @@ def identify(
     robots_dir: Path | None,
     as_json: bool,
 ) -> int:
-    """Identify one robot: parse, excite, simulate, solve, export."""
+    """Identify one robot: parse, excite, simulate (or read recordings), solve, export."""
     from sysid_bench.errors import UsageError
     from sysid_bench.verbs import identify as identification
+    from sysid_bench.verbs import identify_logs as recordings
     from sysid_bench.verbs.chosen import chosen_noise, chosen_terms
 
-    if not simulate:
-        raise UsageError("Where do the data come from? Say --simulate for the robot's simulation.")
+    if simulate == bool(logs):
+        raise UsageError(
+            "Where do the data come from? Say --log LOG.toml for a recording, or --simulate for "
+            "the robot's simulation."
+        )
+    if logs and (noise is not None or payload != "none"):
+        raise UsageError("--noise and --payload belong to --simulate; a log states its payload.")
+    if simulate and (tests or accept or filter_text or derivatives or moving):
+        raise UsageError("--test, --accept, --filter, --derivatives, --moving belong to --log.")
     if json_out is not None and not json_out.parent.is_dir():
         raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
-    answer = identification.identify(
-        model, task, payload, chosen_terms(terms), estimator, chosen_noise(noise), model_out, seed,
-        robots_dir,
-    )  # fmt: skip
+    if logs:
+        passed = tuple(word.strip() for word in (accept or "").split(",") if word.strip())
+        answer = recordings.identify_logs(
+            model, logs, tests, task, chosen_terms(terms), estimator, filter_text, derivatives,
+            moving, passed, model_out, robots_dir,
+        )  # fmt: skip
+    else:
+        answer = identification.identify(
+            model, task, payload, chosen_terms(terms), estimator, chosen_noise(noise), model_out,
+            seed, robots_dir,
+        )  # fmt: skip
     if json_out is not None:
         json_out.write_text(json.dumps(answer, indent=2) + "\n", encoding="utf-8")
     if as_json:
         print_json(answer)
         return OK
-    for line in identification.summary(answer):
+    for line in (recordings if logs else identification).summary(answer):
         click.echo(line)
     return OK

@@ -8,6 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.limits import limits_of
+from sysid_bench.models.locking import lock_joints
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf import mjcf_spec
 from sysid_bench.models.numbers import check_numbers
@@ -76,6 +77,8 @@ def _assemble(
         spec.option.gravity = manifest.gravity
     _apply_joint_terms(spec, manifest)
     _name_all(spec, _compile(spec, manifest))
+    if manifest.locked:
+        lock_joints(spec, _compile(spec, manifest), manifest.locked)
     bare = _compile(spec, manifest)
     names = _body_names(bare)
     tool, pose = _tool(bare, manifest, names)
@@ -224,7 +227,7 @@ def _joints(mj: mujoco.MjModel) -> tuple[Joint, ...]:
 
 
 def _check_known(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
-    names = {joint.name for joint in joints}
+    names = {joint.name for joint in joints} | set(manifest.locked)
     for table in (manifest.limits, manifest.joints):
         for name in table:
             if name != "all" and name not in names:
@@ -243,6 +246,8 @@ def _phi(mj: mujoco.MjModel) -> Array:
 def _joint_terms(mj: mujoco.MjModel, manifest: Manifest, joints: tuple[Joint, ...]) -> JointTerms:
     viscous = np.array(mj.dof_damping, dtype=float)
     offset, spring, reference = (np.zeros(mj.nv) for _ in range(3))
+    coupling = np.zeros((mj.nv, mj.nv))
+    scalar = {j.name: j.vadr for j in joints if j.kind in ("hinge", "slide")}
     everywhere = manifest.joints.get("all")
     for j, joint in enumerate(joints):
         if joint.kind not in ("hinge", "slide"):
@@ -252,6 +257,8 @@ def _joint_terms(mj: mujoco.MjModel, manifest: Manifest, joints: tuple[Joint, ..
         for terms in (everywhere, manifest.joints.get(joint.name)):
             if terms is not None and terms.offset is not None:
                 offset[joint.vadr] = terms.offset
+            for other, value in (terms.viscous_coupling if terms is not None else {}).items():
+                coupling[joint.vadr, _other(manifest, joint.name, other, scalar)] = value
     return JointTerms(
         viscous=viscous if viscous.ndim == 1 else viscous[:, 0],
         coulomb=np.array(mj.dof_frictionloss, dtype=float),
@@ -259,7 +266,18 @@ def _joint_terms(mj: mujoco.MjModel, manifest: Manifest, joints: tuple[Joint, ..
         armature=np.array(mj.dof_armature, dtype=float),
         spring=spring,
         spring_reference=reference,
+        viscous_coupling=coupling,
     )
+
+
+def _other(manifest: Manifest, joint: str, other: str, scalar: dict[str, int]) -> int:
+    if other not in scalar or other == joint:
+        known = [name for name in scalar if name != joint]
+        raise ModelError(
+            f"{manifest.name}: joints.{joint}.viscous_coupling: "
+            f"{unknown_name('other hinge or slide', other, known)}"
+        )
+    return scalar[other]
 
 
 def _tool(

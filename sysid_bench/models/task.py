@@ -1,6 +1,6 @@
 """What is unknown: the parameters of a task, their true values, and what methods take as known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,7 +17,8 @@ TASKS: Final = ("robot", "payload", "link", "terminal", "wrench")
 @dataclass(frozen=True, eq=False)
 class Task:
     """A question about a robot. `truth` holds the unknowns; `known_links` (n_links, 10) and
-    `known_terms` (by term, (nv,)) are the parts of the plant that methods are given."""
+    `known_terms` (by term, (nv,)) and `known_coupling` (nv, nv), the viscous one, are the parts of
+    the plant that methods are given."""
 
     name: str
     bodies: tuple[Body, ...]
@@ -26,6 +27,7 @@ class Task:
     known_terms: dict[str, Array]
     rows: tuple[str, ...] | None = None
     """Names of the degrees of freedom whose torque is measured; None: all."""
+    known_coupling: Array | None = None
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -35,7 +37,8 @@ class Task:
     @property
     def knows_something(self) -> bool:
         """Whether a known torque has to be taken from the measured one."""
-        return bool(self.known_links.any() or any(v.any() for v in self.known_terms.values()))
+        terms = (*self.known_terms.values(), self.known_coupling)
+        return bool(self.known_links.any() or any(v is not None and v.any() for v in terms))
 
 
 def task_of(robot: RobotModel, name: str, terms: tuple[str, ...]) -> Task:
@@ -45,9 +48,12 @@ def task_of(robot: RobotModel, name: str, terms: tuple[str, ...]) -> Task:
     Joint terms that are not identified are known. Raises UnsupportedError where the robot or the
     payload has no such unknowns.
     """
-    for term in terms:
-        if term not in SUFFIX:
-            raise unknown_name("joint term", term, SUFFIX)
+    identified = robot.term_columns(terms)
+    task = _task_of(robot, name, terms)
+    return replace(task, known_coupling=_coupling_without(robot, identified, task.parameters))
+
+
+def _task_of(robot: RobotModel, name: str, terms: tuple[str, ...]) -> Task:
     match name:
         case "robot":
             return _robot(robot, terms)
@@ -111,22 +117,32 @@ def _terminal(robot: RobotModel, terms: tuple[str, ...]) -> Task:
     carrier = robot.tree.links[int(robot.tree.carrier[robot.tool_body])]
     dofs = carrier.joints[-1].dofs
     rows = tuple(robot.rows[dof] for dof in dofs)
-    asked = [(term, dof) for term in terms for dof in dofs if dof in robot.scalar_dofs]
-    values = [float(getattr(robot.joint_terms, term)[dof]) for term, dof in asked]
-    known = _terms_without(robot, ())
-    for term, dof in asked:
-        known[term] = known[term].copy()
-        known[term][dof] = 0.0
+    asked = tuple(c for c in robot.term_columns(terms) if robot.term_place(c)[1] in dofs)
     truth = Truth(
-        link.parameters + tuple(f"{robot.rows[dof]}.{SUFFIX[term]}" for term, dof in asked),
-        np.concatenate([link.truth.theta, values]),
+        link.parameters + asked,
+        np.concatenate([link.truth.theta, robot.term_values(asked)]),
     )
+    known = _terms_without(robot, asked)
     return Task("terminal", link.bodies, truth, link.known_links, known, rows)
 
 
 def _terms_without(robot: RobotModel, identified: tuple[str, ...]) -> dict[str, Array]:
-    """The terms (nv,) that methods are given; identified ones are unknown on hinges and slides."""
+    """The terms (nv,) that methods are given; identified ones are unknown, and zero here."""
     known = {term: getattr(robot.joint_terms, term).copy() for term in SUFFIX}
-    for term in identified:
-        known[term][robot.scalar_dofs] = 0.0
+    for name in robot.term_columns(identified):
+        term, dof, other = robot.term_place(name)
+        if other is None:
+            known[term][dof] = 0.0
+    return known
+
+
+def _coupling_without(
+    robot: RobotModel, identified: tuple[str, ...], unknown: tuple[str, ...]
+) -> Array:
+    """The viscous coupling (nv, nv) that methods are given."""
+    known = robot.joint_terms.viscous_coupling.copy()
+    for name in set(identified).intersection(unknown):
+        _, dof, other = robot.term_place(name)
+        if other is not None:
+            known[dof, other] = 0.0
     return known

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import unknown_name
+from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.kernel import blocks, raw_columns, sweep
@@ -42,14 +42,15 @@ class LinkColumns:
 
 @dataclass(frozen=True)
 class TermColumn:
-    """One joint term: its column in Y, its row, what it is, the joint's place in q, and the
-    reference that is taken from q."""
+    """One joint term: its column in Y, its row, what it is, the joint's place in q, the reference
+    that is taken from q, and the place in v of the rate that it depends on."""
 
     place: int
     row: int
     kind: str
     qadr: int
     reference: float
+    rate: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,9 @@ class Regression:
                 _combine(columns, raw_columns(states[columns.link], columns.raw))
                 for columns in self.links
             ]
-            terms = [TERM[t.kind](q[t.qadr] - t.reference, v[t.row], a[t.row]) for t in self.terms]
+            terms = [
+                TERM[t.kind](q[t.qadr] - t.reference, v[t.rate], a[t.rate]) for t in self.terms
+            ]
             yield Block(self, part, carried, terms)
 
     def dense(self, motion: Trajectory) -> Regressor:
@@ -143,35 +146,35 @@ def regression(robot: RobotModel, columns: Sequence[str]) -> Regression:
     Raises UsageError for a name that the robot does not have.
     """
     inertial = {name: i for i, name in enumerate(robot.inertial_columns)}
-    joint_terms = _term_names(robot)
     weights: dict[int, list[tuple[int, Array]]] = {}
     terms = []
     for place, name in enumerate(columns):
-        if name in joint_terms:
-            row, kind, qadr, reference = joint_terms[name]
-            terms.append(TermColumn(place, row, kind, qadr, reference))
-        elif name in inertial:
+        if name in inertial:
             body, parameter = divmod(inertial[name], 10)
             if robot.tree.carrier[body] >= 0:  # a body welded to the world moves nothing
                 weight = robot.tree.X[body][:, parameter]
                 weights.setdefault(int(robot.tree.carrier[body]), []).append((place, weight))
         else:
-            raise unknown_name("parameter", name, [*inertial, *joint_terms])
+            terms.append(_term_column(robot, place, name))
     links = tuple(_link_columns(link, weights[link]) for link in sorted(weights))
     return Regression(robot.tree, robot.rows, tuple(columns), links, tuple(terms))
 
 
-def _term_names(robot: RobotModel) -> dict[str, tuple[int, str, int, float]]:
-    names = {}
-    for joint in robot.joints:
-        if joint.kind not in ("hinge", "slide"):
-            continue
-        for kind in SUFFIX.values():
-            reference = (
-                float(robot.joint_terms.spring_reference[joint.vadr]) if kind == "k" else 0.0
-            )
-            names[f"{joint.name}.{kind}"] = (joint.vadr, kind, joint.qadr, reference)
-    return names
+def _term_column(robot: RobotModel, place: int, name: str) -> TermColumn:
+    try:
+        term, dof, other = robot.term_place(name)
+    except UsageError as error:
+        raise unknown_name(
+            "parameter", name, [*robot.inertial_columns, *_term_names(robot)]
+        ) from error
+    joint = next(joint for joint in robot.joints if joint.vadr == dof)
+    suffix = SUFFIX["viscous" if other is not None else term]
+    reference = float(robot.joint_terms.spring_reference[dof]) if term == "spring" else 0.0
+    return TermColumn(place, dof, suffix, joint.qadr, reference, dof if other is None else other)
+
+
+def _term_names(robot: RobotModel) -> list[str]:
+    return [f"{robot.rows[dof]}.{suffix}" for dof in robot.scalar_dofs for suffix in TERM]
 
 
 def _link_columns(link: int, weights: list[tuple[int, Array]]) -> LinkColumns:

@@ -50,10 +50,19 @@ def joints_of(estimate: Estimate, problem: Problem) -> dict[str, dict[str, dict[
     answer: dict[str, dict[str, dict[str, Any]]] = {}
     for j, name in enumerate(problem.parameters):
         if name not in inertial:
-            joint, _, suffix = name.rpartition(".")
+            joint, term = _joint_and_term(name)
             value = {"value": float(theta[j]), "identifiable": told[j], "std": float(std[j])}
-            answer.setdefault(joint, {})[TERM[suffix]] = value
+            answer.setdefault(joint, {})[term] = value
     return answer
+
+
+def _joint_and_term(name: str) -> tuple[str, str]:
+    """ "j5.fv" is j5's "viscous", "j5.fv.j6" its "viscous_coupling.j6"."""
+    joint, _, suffix = name.rpartition(".")
+    if suffix in TERM:
+        return joint, TERM[suffix]
+    joint, _, other = name.partition(".fv.")
+    return joint, f"viscous_coupling.{other}"
 
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
