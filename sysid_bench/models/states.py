@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Trajectory
 
@@ -10,7 +11,10 @@ LARGEST = 2.0
 
 
 def random_states(robot: RobotModel, count: int, rng: np.random.Generator) -> Trajectory:
-    """Independent states: q uniform in its limits, orientations too, v and a standard normal."""
+    """Independent states: q uniform in its limits, orientations too, v and a standard normal; of
+    coupled joints the independent ones, and the others follow."""
+    if robot.coupling is not None:
+        return _coupled_states(robot, robot.coupling, count, rng)
     q = np.tile(robot.mj.qpos0, (count, 1))
     for joint in robot.joints:
         at = joint.qadr
@@ -24,6 +28,18 @@ def random_states(robot: RobotModel, count: int, rng: np.random.Generator) -> Tr
             q[:, at] = rng.uniform(*_window(low, high, float(robot.mj.qpos0[at])), count)
     v, a = rng.normal(size=(2, count, robot.nv))
     return Trajectory(np.arange(count, dtype=float), q, v, a, "random states")
+
+
+def _coupled_states(
+    robot: RobotModel, coupling: Coupling, count: int, rng: np.random.Generator
+) -> Trajectory:
+    free = random_states(robot.uncoupled, count, rng)
+    q = free.q.copy()
+    for dof, low, high in zip(coupling.independent, coupling.low, coupling.high, strict=True):
+        at = coupling.qadr[dof]
+        if at >= 0:
+            q[:, at] = rng.uniform(*_window(low, high, float(robot.mj.qpos0[at])), count)
+    return Trajectory(free.t, *coupling.completed(q, free.v, free.a), free.name)
 
 
 def _window(low: float, high: float, reference: float) -> tuple[float, float]:

@@ -285,14 +285,16 @@ def _of_robot(
     v: Array | None,
     tau: Array,
 ) -> Recording:
-    """The log's joints at their places in q and v of the whole robot."""
+    """The log's joints at their places in q, v and torque of the whole robot."""
     N = len(t)
     places = {dof: joint for joint in robot.joints for dof in joint.dofs}
     whole_q = np.tile(robot.mj.qpos0, (N, 1))
-    whole_v, whole_tau = np.zeros((N, robot.nv)), np.zeros((N, robot.nv))
+    whole_v, whole_tau = np.zeros((N, robot.nv)), np.zeros((N, len(robot.torque_rows)))
     for i, name in enumerate(joints):
         joint = places[name]
-        whole_q[:, joint.qadr], whole_tau[:, joint.vadr] = q[:, i], tau[:, i]
+        whole_q[:, joint.qadr] = q[:, i]
+        whole_tau[:, robot.torque_rows.index(name)] = tau[:, i]
         if v is not None:
             whole_v[:, joint.vadr] = v[:, i]
-    return Recording(t, whole_q, whole_tau, rate, robot.rows, None if v is None else whole_v)
+    whole = None if v is None else whole_v
+    return Recording(t, whole_q, whole_tau, rate, robot.torque_rows, whole)

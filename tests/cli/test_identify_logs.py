@@ -1,4 +1,4 @@
-"""The verb identify on recordings: what a robot logged gives its parameters back, and only those."""
+"""The verb identify on recordings: what a robot logged gives its parameters back, no others."""
 
 import json
 from collections.abc import Iterator

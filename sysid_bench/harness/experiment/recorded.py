@@ -18,8 +18,8 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS, Payload, parse_payload
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.regressors.fold import fold, triangle
-from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.signals.log import Log, read_log
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.process import Processing
@@ -73,7 +73,7 @@ class Posed:
 def locked_manifest(
     manifest: Manifest, robot: RobotModel, logs: Sequence[LogDescription]
 ) -> Manifest:
-    """The manifest with every joint locked that the logs do not list.
+    """The manifest with every joint locked that the logs do not list and that follows none of them.
 
     Raises UsageError where the logs differ in their joints or in where the others stand.
     """
@@ -89,7 +89,8 @@ def locked_manifest(
             raise UsageError(
                 f"{log.source} locks joints elsewhere than {first.source}; identify them apart."
             )
-    stand = {j.name: 0.0 for j in robot.joints if not moving.intersection(j.dofs)}
+    followers = moving | _followers(robot, moving, first)
+    stand = {j.name: 0.0 for j in robot.joints if not followers.intersection(j.dofs)}
     for joint in robot.joints:
         if joint.name in stand and joint.kind in ("hinge", "slide"):
             stand[joint.name] = float(robot.mj.qpos0[joint.qadr])
@@ -104,12 +105,34 @@ def locked_manifest(
     return replace(manifest, locked={**manifest.locked, **stand})
 
 
+def _followers(robot: RobotModel, moving: set[str], log: LogDescription) -> set[str]:
+    """The joints that follow the moving ones; UsageError for a moving one that follows others."""
+    if robot.coupling is None:
+        return set()
+    coupling, rows = robot.coupling, robot.rows
+    dependent = {rows[dof]: int(dof) for dof in coupling.dependent}
+    wrong = sorted(moving.intersection(dependent))
+    if wrong:
+        drivers = [rows[dof] for dof in coupling.drivers(dependent[wrong[0]])]
+        raise UsageError(
+            f"{log.source}: joint {wrong[0]!r} follows {', '.join(drivers)}; list that one in its "
+            "place, or choose the joints that move in a manifest: [coupling] independent = [...]."
+        )
+    return {
+        name
+        for name, dof in dependent.items()
+        if moving.intersection(rows[driver] for driver in coupling.drivers(dof))
+    }
+
+
 def processed(log: LogDescription, manifest: Manifest, treatment: Treatment) -> Processed:
     """A log read and treated; its contradictions are still to be refused."""
     payload = PAYLOADS["none"] if log.payload is None else parse_payload(_payload_of(log))
     robot = load_robot(manifest, payload)
     read = read_log(log, robot)
-    return Processed(read, robot, treatment.processing.apply(read.recording, robot.joints))
+    recording = treatment.processing.apply(read.recording, robot.joints)
+    motion = robot.completed(recording.motion)
+    return Processed(read, robot, replace(recording, q=motion.q, v=motion.v, a=motion.a))
 
 
 def _payload_of(log: LogDescription) -> Any:
@@ -210,8 +233,8 @@ class _Posing:
     def pose(self, logs: Sequence[Processed], base: Any) -> Problem:
         """W beta = b of all rows of some logs."""
         rows = self.ask.rows
-        names = self.ask.robot.rows
-        kinds = tuple(self.ask.robot.row_kinds[names.index(row)] for row in rows)
+        names = self.ask.robot.torque_rows
+        kinds = tuple(self.ask.robot.torque_kinds[names.index(row)] for row in rows)
         parts = [self._factors(log) for log in logs]
         factors = tuple(_together(own) for own in zip(*parts, strict=True))
         return Problem(
@@ -225,19 +248,19 @@ class _Posing:
             kinds=kinds,
         )
 
-    def regression(self, log: Processed) -> tuple[Regression, Array]:
+    def regression(self, log: Processed) -> tuple[AnyRegression, Array]:
         """The regression of the columns that a log knows, and their places among all (k,)."""
         known = set(self.ask.own) | (set(self.ask.load) if log.payload else set())
         places = [i for i, name in enumerate(self.columns) if name in known]
         robot = log.robot if self.ask.loaded is not None and log.payload else self.ask.robot
-        return regression(robot, [self.columns[i] for i in places]), np.array(places)
+        return torque_regression(robot, [self.columns[i] for i in places]), np.array(places)
 
     def torque(self, log: Processed) -> Array:
-        """Measured torque (N, nv) less that of a known payload."""
+        """Measured torque (N, n) less that of a known payload."""
         tau, load = log.recording.tau, log.robot.payload_body
         if load is None or self.ask.loaded is not None:
             return tau
-        columns = regression(log.robot, log.robot.bodies[load].columns)
+        columns = torque_regression(log.robot, log.robot.bodies[load].columns)
         return tau - columns.torque(log.recording.motion, log.robot.phi[load])
 
     def _factors(self, log: Processed) -> list[Factor]:
@@ -296,7 +319,7 @@ def _blocks(posing: _Posing, logs: tuple[Processed, ...]) -> Iterator[RowBlock]:
 def _regress(posing: _Posing, motion: Trajectory) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion of the unloaded robot."""
     known = [i for i, name in enumerate(posing.columns) if name in posing.ask.own]
-    columns = regression(posing.ask.robot, [posing.columns[i] for i in known])
+    columns = torque_regression(posing.ask.robot, [posing.columns[i] for i in known])
     at = [columns.rows.index(row) for row in posing.ask.rows]
     for block in columns.blocks(motion):
         W = np.zeros((block.count, len(at), len(posing.columns)))
