@@ -91,6 +91,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
     mj = _compile(spec, manifest) if payload or equalities is not None else bare
     joints = _joints(mj)
     _check_known(manifest, joints)
+    _check_bodies(manifest, _body_names(mj))
     repairs = (*source.repairs, *heard())
     coupling = None
     if equalities is not None:
@@ -282,6 +283,12 @@ def _check_known(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
         for name in table:
             if name != "all" and name not in names:
                 raise ModelError(f"{manifest.name}: {unknown_name('joint', name, names)}")
+
+
+def _check_bodies(manifest: Manifest, names: tuple[str, ...]) -> None:
+    for body in manifest.massless:
+        if body not in names:
+            raise ModelError(f"{manifest.name}: massless: {unknown_name('body', body, names)}")
 
 
 def _phi(mj: mujoco.MjModel) -> Array:

@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -96,6 +96,22 @@ class Source(_Table):
     licence: str = ""
 
 
+class Dh(_Table):
+    """The Denavit-Hartenberg table that a model was made of (`sysid-bench init robot`)."""
+
+    table: str
+    convention: Literal["standard", "modified"] = "standard"
+    frames: Literal["joint", "link"] = "joint"
+    base: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)  # roll, pitch, yaw, rad
+
+
+class Paper(_Table):
+    """How a paper prints base parameters: bodies in its order, and parameters it takes for zero."""
+
+    order: tuple[str, ...] = ()
+    zero: tuple[str, ...] = ()
+
+
 class _Text(_Table):
     """The file as written."""
 
@@ -109,6 +125,9 @@ class _Text(_Table):
     limits: dict[str, Limits] = Field(default_factory=dict)
     joints: dict[str, JointTerms] = Field(default_factory=dict)
     locked: dict[str, Finite] = Field(default_factory=dict)
+    massless: tuple[str, ...] = ()
+    dh: Dh | None = None
+    paper: Paper | None = None
     couplings: bool = True
     coupling: Couplings = Couplings()
     sensor: tuple[Sensor, ...] = ()
@@ -134,6 +153,9 @@ class Manifest:
     licence: str = ""
     manifest_file: Path | None = None
     locked: Mapping[str, float] = field(default_factory=dict)  # joints that do not move (rad, m)
+    massless: tuple[str, ...] = ()  # bodies that are not asked for
+    dh: Dh | None = None
+    paper: Paper | None = None
     text: str | None = None  # the model itself, where it is no file: `path` is then but a label
 
 
@@ -194,6 +216,9 @@ def read_manifest(file: Path) -> Manifest:
         limits=written.limits,
         joints=written.joints,
         locked=written.locked,
+        massless=written.massless,
+        dh=written.dh,
+        paper=written.paper,
         couplings=written.couplings,
         independent=written.coupling.independent,
         sensors=written.sensor,

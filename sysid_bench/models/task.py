@@ -77,14 +77,29 @@ def _robot(robot: RobotModel, terms: tuple[str, ...]) -> Task:
         phi[robot.tool_body] += (
             transport(R, np.array(robot.mj.body_pos[b])) @ phi[robot.payload_body]
         )
-    own = [i for i in range(len(phi)) if i != robot.payload_body]
+    asked = {body.name for body in asked_bodies(robot)}
+    own = [i for i, name in enumerate(robot.body_names) if name in asked]
     bodies = tuple(robot.bodies[i] for i in own)
     columns = tuple(column for body in bodies for column in body.columns) + robot.term_columns(
         terms
     )
     theta = np.concatenate([phi[own].ravel(), robot.term_values(terms)])
-    nothing = np.zeros((len(robot.tree.links), 10))
-    return Task("robot", bodies, Truth(columns, theta), nothing, _terms_without(robot, terms))
+    rest = phi.copy()
+    rest[own] = 0.0
+    if robot.payload_body is not None:
+        rest[robot.payload_body] = 0.0  # it is part of the tool's body
+    known = robot.tree.lumped(rest)
+    return Task("robot", bodies, Truth(columns, theta), known, _terms_without(robot, terms))
+
+
+def asked_bodies(robot: RobotModel) -> tuple[Body, ...]:
+    """The bodies whose parameters the task "robot" asks for: all but the payload and those that
+    the manifest calls massless, which weigh what the model says."""
+    names = robot.body_names
+    load = None if robot.payload_body is None else names[robot.payload_body]
+    return tuple(
+        b for b in robot.bodies if b.name != load and b.name not in robot.manifest.massless
+    )
 
 
 def _payload(robot: RobotModel) -> Task:

@@ -18,6 +18,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS, Payload, parse_payload
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.task import asked_bodies
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.regressors.fold import fold, triangle
 from sysid_bench.signals.log import Log, read_log
@@ -168,7 +169,8 @@ def pose_logs(
             "each, and the loaded one a payload."
         )
     robot = load_robot(training[0].robot.manifest) if unloaded is None else unloaded
-    own = robot.inertial_columns + robot.term_columns(terms)
+    bodies = tuple(column for body in asked_bodies(robot) for column in body.columns)
+    own = bodies + robot.term_columns(terms)
     ask = _Question(robot, loaded if task == "payload" else None, own, training[0].log.joints)
     base = base_map(ask.structure(), ask.parameters)
     posing = _Posing(ask, base.names, treatment)
@@ -210,8 +212,8 @@ class _Question:
     def bodies(self) -> tuple[Body, ...]:
         """Bodies whose ten numbers are unknown."""
         if self.loaded is None or self.loaded.payload_body is None:
-            return self.robot.bodies
-        return (*self.robot.bodies, self.loaded.bodies[self.loaded.payload_body])
+            return asked_bodies(self.robot)
+        return (*asked_bodies(self.robot), self.loaded.bodies[self.loaded.payload_body])
 
     def structure(self) -> Array:
         """R (m, p) over random states with and, where there is one, without the load."""
