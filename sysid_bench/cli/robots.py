@@ -74,6 +74,13 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
 @click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
 @click.option("--free-base", is_flag=True, default=None, help="Let the root body float.")
 @click.option("--paper", is_flag=True, help="The sums alone, one per line, single ones first.")
+@click.option("--zero", metavar="NAMES", help="With --paper: parameters taken for zero; or none.")
+@click.option(
+    "--values",
+    type=click.Path(path_type=Path),
+    metavar="FILE.json",
+    help="With --paper: values of the sums, from identify --json-out; impossible ones are marked.",
+)
 @robots_option
 @json_option
 @verb
@@ -83,13 +90,29 @@ def basis(
     terms: str | None,
     free_base: bool | None,
     paper: bool,
+    zero: str | None,
+    values: Path | None,
     robots_dir: Path | None,
     as_json: bool,
 ) -> int:
     """Base parameters: how many, which sums, and what can be told of each parameter."""
+    from sysid_bench.errors import UsageError
     from sysid_bench.verbs import basis as bases
+    from sysid_bench.verbs import paper_table as papers
     from sysid_bench.verbs.chosen import chosen_terms
 
+    if (zero is not None or values is not None) and not paper:
+        raise UsageError("--zero and --values belong to --paper.")
+    if paper and task == "robot" and free_base is None:
+        names = None if zero is None else tuple(w.strip() for w in zero.split(",") if w.strip())
+        names = () if names == ("none",) else names
+        table = papers.paper_table(robot, chosen_terms(terms), names, values, robots_dir)
+        if as_json:
+            print_json(table)
+            return OK
+        for line in papers.lines(table):
+            click.echo(line)
+        return OK
     answer = bases.basis(robot, task, chosen_terms(terms), free_base, robots_dir)
     if as_json:
         print_json(answer)
@@ -117,6 +140,17 @@ def basis(
     type=click.Path(path_type=Path),
     metavar="LOG.toml",
     help="A recording to judge on.",
+)
+@click.option(
+    "--choose",
+    "candidates",
+    metavar="play,offset,...",
+    help="Of logs: joint terms and features that cross-validation in the training data may add.",
+)
+@click.option(
+    "--position-given",
+    is_flag=True,
+    help="Of logs, task payload: its mass alone is unknown, centre of mass as the log says.",
 )
 @click.option("--accept", metavar="rate,units", help="Contradictions in logs that may pass.")
 @click.option("--filter", "filter_text", metavar="TEXT", help="Of logs: 'butter 4 10 Hz', ...")
@@ -148,6 +182,8 @@ def identify(
     simulate: bool,
     logs: tuple[Path, ...],
     tests: tuple[Path, ...],
+    candidates: str | None,
+    position_given: bool,
     accept: str | None,
     filter_text: str | None,
     derivatives: str | None,
@@ -176,15 +212,22 @@ def identify(
         )
     if logs and (noise is not None or payload != "none"):
         raise UsageError("--noise and --payload belong to --simulate; a log states its payload.")
-    if simulate and (tests or accept or filter_text or derivatives or moving):
-        raise UsageError("--test, --accept, --filter, --derivatives, --moving belong to --log.")
+    of_logs = (tests, accept, candidates, position_given, filter_text, derivatives, moving)
+    if simulate and any(of_logs):
+        raise UsageError(
+            "--test, --accept, --choose, --position-given, --filter, --derivatives and --moving "
+            "belong to --log."
+        )
     if json_out is not None and not json_out.parent.is_dir():
         raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
     if logs:
-        passed = tuple(word.strip() for word in (accept or "").split(",") if word.strip())
+        passed, more = (
+            tuple(word.strip() for word in (words or "").split(",") if word.strip())
+            for words in (accept, candidates)
+        )
         answer = recordings.identify_logs(
             model, logs, tests, task, chosen_terms(terms), estimator, filter_text, derivatives,
-            moving, passed, model_out, robots_dir,
+            moving, more, position_given, passed, model_out, robots_dir,
         )  # fmt: skip
     else:
         answer = identification.identify(

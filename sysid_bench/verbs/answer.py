@@ -4,6 +4,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.identifiability.combinations import combined, expression
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial.inertia import NAMES, mass_com_inertia, six_of_matrix
@@ -41,6 +42,18 @@ def bodies_of(estimate: Estimate, problem: Problem) -> dict[str, dict[str, Any]]
             "std": dict(zip(NAMES, std[at].tolist(), strict=True)),
         }
     return answer
+
+
+def base_of(estimate: Estimate, problem: Problem) -> list[dict[str, Any]]:
+    """[{expression, terms, value, std}] of the base parameters, in the order of their pivots."""
+    assert estimate.beta is not None
+    std = np.full(problem.base.rank, np.nan)
+    if estimate.covariance is not None:
+        std = np.sqrt(np.diag(estimate.covariance))
+    return [
+        {"expression": expression(terms), "terms": terms, "value": float(value), "std": float(s)}
+        for terms, value, s in zip(combined(problem.base), estimate.beta, std, strict=True)
+    ]
 
 
 def joints_of(estimate: Estimate, problem: Problem) -> dict[str, dict[str, dict[str, Any]]]:

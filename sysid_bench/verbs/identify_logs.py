@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError
+from sysid_bench.errors import EstimationError, UsageError
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.experiment.recorded import Processed, Treatment
+    from sysid_bench.harness.experiment.recorded import Posed, Processed, Selection, Treatment
     from sysid_bench.signals.log_description import LogDescription
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
@@ -39,12 +39,17 @@ def identify_logs(
     filter: str | None = None,
     derivatives: str | None = None,
     moving: float = 0.0,
+    candidates: Sequence[str] = (),
+    position_given: bool = False,
     accept: Sequence[str] = (),
     model_out: str | Path | None = None,
     robots_dir: Path | None = None,
 ) -> dict[str, Any]:
     """Identifies a robot from recordings; the answer as `identify --log --json` prints it.
 
+    `candidates`: joint terms and features ("play", "tanh", "poly", or one of your own) of which
+    cross-validation inside of the training recordings takes what helps. `position_given`: with the
+    task `payload`, its mass is the only unknown of it.
     `derivatives`: "from q", or "from v" (the default where every log has v). Raises UsageError for
     descriptions, files or words that cannot be, and for contradictions in the data that `accept`
     does not name; EstimationError where the method fails.
@@ -58,7 +63,7 @@ def identify_logs(
     from sysid_bench.naming import build
     from sysid_bench.signals.log_checks import refuse
     from sysid_bench.signals.log_description import read_description
-    from sysid_bench.verbs.answer import bodies_of, joints_of, warnings_of
+    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, warnings_of
     from sysid_bench.verbs.model_out import check_target, write_model
 
     descriptions = [read_description(Path(log)) for log in (*logs, *tests)]
@@ -77,7 +82,9 @@ def identify_logs(
     chosen = _terms(robot.manifest.terms, robot.rows) if terms is None else tuple(terms)
     training = read[: len(logs)]
     testing = dict(zip(_labels(tests), read[len(logs) :], strict=True))
-    posed = pose_logs(task, chosen, training, testing, treatment)
+    if position_given and task != "payload":
+        raise UsageError("A given position is one of the task 'payload'.")
+    posed = pose_logs(task, chosen, training, testing, treatment, tuple(candidates), position_given)
     estimate = solve(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
         raise EstimationError(f"{name} on {manifest.name}: {estimate.reason}")
@@ -93,6 +100,7 @@ def identify_logs(
         "estimator": name,
         "signals": _told(treatment),
         "denominator": DENOMINATOR,
+        "selection": None if posed.selection is None else _selection(posed.selection),
         **_data_figures(posed.problem),
         "rmse_train": overall(posed.problem, beta),
         "rmse_test": _mean([overall(test, beta) for test in posed.tests.values()]),
@@ -100,9 +108,14 @@ def identify_logs(
         "training": _joint_table(posed.problem, beta),
         "tests": {label: _joint_table(test, beta) for label, test in posed.tests.items()},
         "logs": [_segment(one, one in training) for one in read],
+        "base": base_of(estimate, posed.problem),
         "bodies": bodies,
         "joints": joints_of(estimate, posed.problem),
-        "payload": list(bodies.values())[-1] if task == "payload" else None,
+        "payload": None
+        if task != "payload"
+        else _mass(method, posed, beta)
+        if position_given
+        else list(bodies.values())[-1],
         "feasible": _feasible(estimate.theta, posed.problem),
         "warnings": [
             *robot.repairs,
@@ -124,6 +137,7 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
         f"{answer['model']}, task {answer['task']}, {answer['estimator']}: rank {answer['rank']} "
         f"of {answer['parameters']}, condition {_number(answer['condition'])}",
         f"  {_signals_line(answer)}",
+        *_selection_lines(answer["selection"]),
         "  joint                  RMS     train          test" if test else
         "  joint                  RMS     train",
     ]  # fmt: skip
@@ -138,6 +152,57 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
     if answer.get("model_out"):
         lines.append(f"  model: {answer['model_out']}")
     return lines
+
+
+def _selection(selection: "Selection") -> dict[str, Any]:
+    return {
+        "added": [{"parameter": name, "error": error} for name, error in selection.added],
+        "error_before": selection.error_before,
+        "error_after": selection.error_after,
+        "left_out": selection.parts,
+    }
+
+
+def _selection_lines(told: Mapping[str, Any] | None) -> list[str]:
+    if told is None:
+        return []
+    names = ", ".join(step["parameter"] for step in told["added"]) or "nothing"
+    return [
+        f"  chosen on {told['left_out']}: {names} (mean error there "
+        f"{100 * told['error_before']:.1f} -> {100 * told['error_after']:.1f} %)"
+    ]
+
+
+CONFIDENCE: Final = 0.95
+
+
+def _mass(method: Any, posed: "Posed", beta: Any) -> dict[str, Any]:
+    """{mass, std, interval, parts}: what the mass varies by when parts of the motion are left out
+    (jackknife; Tukey 1958): residuals are no white noise, and a formal deviation would be too small
+    by an order."""
+    from scipy.stats import t
+
+    from sysid_bench.harness.experiment.recorded import MASS, without_parts
+    from sysid_bench.identification.identify import identify as solve
+
+    place = posed.problem.base.names.index(MASS)
+    found = []
+    for problem in without_parts(posed):
+        estimate = solve(method, problem)
+        if estimate.status != "ok" or estimate.beta is None:
+            raise EstimationError(f"With a part of the motion left out: {estimate.reason}")
+        found.append(float(estimate.beta[place]))
+    n = len(found)
+    std = float(np.sqrt((n - 1) / n * np.sum((np.array(found) - np.mean(found)) ** 2)))
+    mass = float(beta[place])
+    reach = float(t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * std
+    return {
+        "mass": mass,
+        "std": std,
+        "interval": [mass - reach, mass + reach],
+        "confidence": CONFIDENCE,
+        "parts": found,
+    }
 
 
 def _signals_line(answer: Mapping[str, Any]) -> str:
@@ -156,6 +221,12 @@ def _error(told: Mapping[str, Any]) -> str:
 
 
 def _payload_line(payload: Mapping[str, Any]) -> str:
+    if "interval" in payload:
+        low, high = payload["interval"]
+        return (
+            f"mass {payload['mass']:.4g} kg, {100 * payload['confidence']:.0f} % in [{low:.4g}, "
+            f"{high:.4g}] by leaving parts of the motion out"
+        )
     sure = [key for key, verdict in payload["identifiable"].items() if verdict == "identifiable"]
     told = [f"{key} {_number(payload['parameters'][key])}" for key in sure]
     return ", ".join(told) or "nothing of it is identifiable on its own"

@@ -7,25 +7,31 @@ are those of what really moved.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.identifiability.base import base_map
 from sysid_bench.identifiability.structural import structural_factor
+from sysid_bench.identification.compressed import spread
+from sysid_bench.identification.selection import FoldedRow, choose
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.manifest import Manifest, is_term
 from sysid_bench.models.payload import PAYLOADS, Payload, parse_payload
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.task import asked_bodies
+from sysid_bench.naming import build
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
-from sysid_bench.regressors.fold import fold, triangle
+from sysid_bench.regressors.features import JointFeatures, features_of
+from sysid_bench.regressors.fold import triangle
+from sysid_bench.signals.folds import parts_of
 from sysid_bench.signals.log import Log, read_log
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.process import Processing
 from sysid_bench.types import (
     Array,
+    BaseMap,
     Body,
     Experiment,
     Factor,
@@ -34,6 +40,9 @@ from sysid_bench.types import (
     RowBlock,
     Trajectory,
 )
+
+FOLDS: Final = 5
+"""Parts of a motion for cross-validation."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +78,9 @@ class Posed:
     problem: Problem
     tests: dict[str, Problem]
     experiment: Experiment
+    posing: "_Posing"
+    training: tuple[Processed, ...]
+    selection: "Selection | None" = None
 
 
 def locked_manifest(
@@ -150,11 +162,16 @@ def pose_logs(
     training: Sequence[Processed],
     tests: Mapping[str, Processed],
     treatment: Treatment,
+    candidates: tuple[str, ...] = (),
+    position_given: bool = False,
 ) -> Posed:
     """The problem of all training logs together, and one of each test log.
 
     `robot`: links and terms, with the payloads that the logs state taken as known. `payload`: the
-    same and ten more of the load that some logs state and others do not carry.
+    same and ten more of the load that some logs state and others do not carry. `candidates`: more
+    joint terms, and features by name ("play"), of which cross-validation inside of the training
+    logs chooses. `position_given`: of the load the mass alone is unknown, what the logs say of its
+    centre of mass (and of its inertia per mass) is taken as known.
     """
     if task not in ("robot", "payload"):
         raise UnsupportedError(
@@ -170,9 +187,14 @@ def pose_logs(
         )
     robot = load_robot(training[0].robot.manifest) if unloaded is None else unloaded
     bodies = tuple(column for body in asked_bodies(robot) for column in body.columns)
-    own = bodies + robot.term_columns(terms)
-    ask = _Question(robot, loaded if task == "payload" else None, own, training[0].log.joints)
-    base = base_map(ask.structure(), ask.parameters)
+    ask = _Question(
+        robot, loaded if task == "payload" else None, bodies, robot.term_columns(terms),
+        training[0].log.joints, extra=(MASS,) if position_given else (), given=position_given,
+    )  # fmt: skip
+    selection = None
+    if candidates:
+        ask, selection = _selected(ask, candidates, training, treatment)
+    base = ask.base()
     posing = _Posing(ask, base.names, treatment)
     problem = posing.pose(training, base)
     experiment = Experiment(
@@ -183,35 +205,85 @@ def pose_logs(
         _no_simulation,
     )
     posed = {name: posing.pose([test], base) for name, test in tests.items()}
-    return Posed(robot, problem, posed, experiment)
+    return Posed(robot, problem, posed, experiment, posing, tuple(training), selection)
+
+
+def without_parts(posed: Posed, count: int = FOLDS) -> list[Problem]:
+    """The training problem again and again, each time without one part of every motion: what
+    estimates differ by when other stretches had been recorded."""
+    return [_without(posed, part, count) for part in range(count)]
+
+
+def _without(posed: Posed, part: int, count: int) -> Problem:
+    posing, logs = posed.posing, posed.training
+    factors = []
+    for row in posing.ask.rows:
+        own = []
+        for log in logs:
+            labels, _ = parts_of(log.recording.motion, count)
+            own.append(posing.factor(log, row, posing.moving(log, row) & (labels != part)))
+        factors.append(_together(own))
+    return replace(posed.problem, factors=tuple(factors))
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What cross-validation added: the error (mean relative, on left-out parts) before, and after
+    each column; how the parts were made."""
+
+    added: tuple[tuple[str, float], ...]
+    error_before: float
+    error_after: float
+    parts: str
 
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """What is unknown: `own` parameters of the robot, and those of the load where `loaded` carries
-    an unknown one; `rows`: the joints that were recorded."""
+    """What is unknown: `inertial` parameters of the robot and its joint `terms`, those of the load
+    where `loaded` carries an unknown one, and `extra` columns of `features`; `rows`: the joints
+    that were recorded."""
 
     robot: RobotModel
     loaded: RobotModel | None
-    own: tuple[str, ...]
+    inertial: tuple[str, ...]
+    terms: tuple[str, ...]
     rows: tuple[str, ...]
+    features: JointFeatures | None = None
+    extra: tuple[str, ...] = ()
+    given: bool = False  # the load's shape is, and its mass one of the extra columns
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Parameters of the robot itself."""
+        return self.inertial + self.terms
 
     @property
     def load(self) -> tuple[str, ...]:
         """Names of the load's ten parameters, or none."""
-        if self.loaded is None or self.loaded.payload_body is None:
+        if self.loaded is None or self.loaded.payload_body is None or self.given:
             return ()
         return self.loaded.bodies[self.loaded.payload_body].columns
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """All unknowns (p,)."""
-        return self.own + self.load
+        return self.own + self.load + self.extra
+
+    def base(self) -> BaseMap:
+        """The base parameters; extra columns stand for themselves."""
+        base = base_map(self.structure(), self.own + self.load)
+        r, p, k = base.rank, len(base.parameters), len(self.extra)
+        K = np.zeros((r + k, p + k))
+        K[:r, :p], K[r:, p:] = base.K, np.eye(k)
+        return replace(
+            base, K=K, pivots=np.append(base.pivots, np.arange(p, p + k)),
+            parameters=self.parameters,
+        )  # fmt: skip
 
     @property
     def bodies(self) -> tuple[Body, ...]:
         """Bodies whose ten numbers are unknown."""
-        if self.loaded is None or self.loaded.payload_body is None:
+        if self.loaded is None or self.loaded.payload_body is None or self.given:
             return asked_bodies(self.robot)
         return (*asked_bodies(self.robot), self.loaded.bodies[self.loaded.payload_body])
 
@@ -220,7 +292,7 @@ class _Question:
         bare = structural_factor(self.robot, self.own, self.rows)
         if self.loaded is None:
             return bare
-        carried = structural_factor(self.loaded, self.parameters, self.rows)
+        carried = structural_factor(self.loaded, self.own + self.load, self.rows)
         return triangle([np.pad(bare, ((0, 0), (0, len(self.load)))), carried])
 
 
@@ -266,15 +338,33 @@ class _Posing:
         return tau - columns.torque(log.recording.motion, log.robot.phi[load])
 
     def _factors(self, log: Processed) -> list[Factor]:
+        return [self.factor(log, row, self.moving(log, row)) for row in self.ask.rows]
+
+    def factor(self, log: Processed, row: str, chosen: Array) -> Factor:
+        """The factor of one joint at chosen samples (N,)."""
         columns, places = self.regression(log)
-        tau, motion = self.torque(log), log.recording.motion
-        found = []
-        for row in self.ask.rows:
-            i = columns.rows.index(row)
-            moving = self.moving(log, row)
-            (factor,) = fold(columns, _at(motion, moving), tau[moving], [i])
-            found.append(replace(factor, columns=places[factor.columns]))
-        return found
+        i = columns.rows.index(row)
+        motion, tau = log.recording.motion, self.torque(log)[:, i]
+        extra, extra_places = self.extra(log, row)
+        R = np.zeros((0, len(columns.touched[i]) + len(extra_places) + 1))
+        for block in columns.blocks(motion):
+            kept, part = chosen[block.samples], block.samples
+            both = np.column_stack([block.row(i).T, extra[part], tau[part]])
+            R = triangle([R, both[kept]])
+        touched = np.concatenate([places[columns.touched[i]], extra_places])
+        return Factor(row, touched, R, int(chosen.sum()))
+
+    def extra(self, log: Processed, row: str) -> tuple[Array, Array]:
+        """Feature columns (N, k) of one joint, and their places among all."""
+        names = [name for name in self.ask.extra if name.rpartition(".")[0] == row]
+        values = np.zeros((len(log.recording), 0))
+        if names and self.ask.features is not None:
+            values = self.ask.features.of_joint(row, log.recording.motion, names)
+        if self.ask.given and log.payload:
+            i = log.robot.torque_rows.index(row)
+            values = np.column_stack([values, _torque_of_a_kilogram(log)[:, i]])
+            names = [*names, MASS]
+        return values, np.array([self.columns.index(name) for name in names], dtype=int)
 
     def moving(self, log: Processed, row: str) -> Array:
         """Samples (N,) at which a joint moves fast enough."""
@@ -282,12 +372,102 @@ class _Posing:
         return np.abs(v) >= self.treatment.moving
 
 
-def _at(motion: Trajectory, chosen: Array) -> Trajectory:
-    if chosen.all():
-        return motion
-    return replace(
-        motion, t=motion.t[chosen], q=motion.q[chosen], v=motion.v[chosen], a=motion.a[chosen]
+MASS: Final = "payload.m"
+"""The load's mass where it is its only unknown."""
+
+WIDTHS: Final = (0.003, 0.01, 0.03)
+"""Shares of a joint's reach that play may have: backlash of cables is of this order."""
+
+SCALES: Final = (0.01, 0.05)
+"""rad/s, m/s, below which Coulomb friction may be smooth."""
+
+
+def _features(names: Sequence[str]) -> list[Any]:
+    """The features that candidates name, in several widths where they have one."""
+    found: list[Any] = []
+    for name in names:
+        if name == "play":
+            found += [build("term", {"use": name, "width": width}) for width in WIDTHS]
+        elif name == "tanh":
+            found += [build("term", {"use": name, "scale": scale}) for scale in SCALES]
+        else:
+            found.append(build("term", name))
+    return found
+
+
+def _selected(
+    ask: _Question,
+    candidates: tuple[str, ...],
+    training: Sequence[Processed],
+    treatment: Treatment,
+) -> tuple[_Question, Selection]:
+    """The question with the candidates that predict parts of the training motion left out of it.
+
+    Parts are stretches of the period where the motion repeats itself, of time otherwise: what is
+    left out is never seen at another time.
+    """
+    robot = ask.robot
+    terms = [name for name in candidates if is_term(name)]
+    more = [c for c in robot.term_columns(tuple(terms)) if c.split(".")[0] in ask.rows]
+    features = _features([name for name in candidates if name not in terms])
+    joints = {dof: (joint.qadr, joint.vadr) for joint in robot.joints for dof in joint.dofs}
+    motions = [log.recording.motion for log in training]
+    table = features_of(features, ask.rows, [joints[row] for row in ask.rows], motions)
+    wide = replace(
+        ask,
+        terms=tuple(dict.fromkeys([*ask.terms, *more])),
+        features=table,
+        extra=(*ask.extra, *table.columns),
     )
+    names = wide.base().names
+    posing = _Posing(wide, names, treatment)
+    parts = [parts_of(motion, FOLDS) for motion in motions]
+    folds = [
+        [_folded(posing, row, training, [labels == f for labels, _ in parts]) for row in ask.rows]
+        for f in range(FOLDS)
+    ]
+    known = set(ask.inertial) | set(ask.terms) | set(ask.load) | set(ask.extra)
+    start = [i for i, name in enumerate(names) if name in known]
+    found = [
+        (ask.rows.index(row), i)
+        for i, name in enumerate(names)
+        if name not in known and (row := name.partition(".")[0]) in ask.rows
+    ]
+    choice = choose(folds, start, found)
+    added = {names[i] for i in choice.columns} - known
+    selection = Selection(
+        tuple((names[i], error) for i, error in choice.steps),
+        choice.error_before,
+        choice.error_after,
+        parts[0][1],
+    )
+    chosen = replace(
+        ask,
+        terms=(*ask.terms, *(name for name in more if name in added)),
+        features=table,
+        extra=(*ask.extra, *(name for name in table.columns if name in added)),
+    )
+    return chosen, selection
+
+
+def _folded(
+    posing: _Posing, row: str, logs: Sequence[Processed], left_out: Sequence[Array]
+) -> FoldedRow:
+    """One joint in one fold, its columns at their places among all."""
+    train, test = [], []
+    for log, out in zip(logs, left_out, strict=True):
+        moving = posing.moving(log, row)
+        train.append(spread(posing.factor(log, row, moving & ~out), len(posing.columns)))
+        test.append(spread(posing.factor(log, row, moving & out), len(posing.columns)))
+    return FoldedRow(triangle(train), triangle(test))
+
+
+def _torque_of_a_kilogram(log: Processed) -> Array:
+    """Torque (N, n) of the log's payload per kg."""
+    body = log.robot.payload_body
+    assert body is not None
+    columns = torque_regression(log.robot, log.robot.bodies[body].columns)
+    return columns.torque(log.recording.motion, log.robot.phi[body] / log.payload.mass)
 
 
 def _together(factors: Sequence[Factor]) -> Factor:
@@ -311,9 +491,12 @@ def _blocks(posing: _Posing, logs: tuple[Processed, ...]) -> Iterator[RowBlock]:
         tau, motion = posing.torque(log), log.recording.motion
         at = [columns.rows.index(row) for row in posing.ask.rows]
         moving = np.stack([posing.moving(log, row) for row in posing.ask.rows], axis=1)
+        features = [posing.extra(log, row) for row in posing.ask.rows]
         for block in columns.blocks(motion):
             W = np.zeros((block.count, len(at), len(posing.columns)))
             W[:, :, places] = block.dense()[:, at]
+            for i, (values, own) in enumerate(features):
+                W[:, i, own] = values[block.samples]
             kept = moving[block.samples]
             yield W * kept[:, :, None], tau[block.samples][:, at] * kept
 
@@ -326,6 +509,12 @@ def _regress(posing: _Posing, motion: Trajectory) -> Iterator[Array]:
     for block in columns.blocks(motion):
         W = np.zeros((block.count, len(at), len(posing.columns)))
         W[:, :, known] = block.dense()[:, at]
+        for i, row in enumerate(posing.ask.rows):
+            names = [name for name in posing.ask.extra if name.rpartition(".")[0] == row]
+            if names and posing.ask.features is not None:
+                values = posing.ask.features.of_joint(row, motion, names)
+                own = [posing.columns.index(name) for name in names]
+                W[:, i, own] = values[block.samples]
         yield W
 
 
