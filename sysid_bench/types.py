@@ -112,6 +112,8 @@ class BaseMap:
     gap: float
     near_degenerate: int
     singular_values: Float[Array, " k"]
+    row_space: Float[Array, "r p"] | None = None
+    """An orthonormal basis of the rows of K, sharper than K where its entries are large."""
 
     @property
     def rank(self) -> int:
@@ -295,11 +297,11 @@ class Evidence:
 
     row: Mapping[str, Any]  # the row as stored (Row)
     motion: Trajectory  # the measured motion
-    measured: Float[Array, "N rows"]
-    predicted: Float[Array, "N rows"] | None
+    measured: Float[Array, "N n"]
+    predicted: Float[Array, "N n"] | None
     rows: tuple[str, ...]
     singular_values: Float[Array, " k"]
-    gap_map: Float[Array, "rows columns"]  # max over samples of |Y - Y_pin|
+    gap_map: Float[Array, "rows p"]  # max over samples of |Y - Y_pin|
     gap_columns: tuple[str, ...]
     estimate: Estimate | None
     base: BaseMap | None

@@ -19,13 +19,14 @@ REDUCED_CLOSURE: Final = 1e-9
 """Tolerances; 1e-14 is measured where G is of order one, and G grows towards singular postures."""
 
 JACOBIAN: Final = 1e-6
-"""Of differences over 2 ms, whose rounding errors are about 1e-9."""
+"""Of differences, whose rounding errors are about 1e-9."""
 
 VIOLATION: Final = 1e-4
 """rad, m; rounded lengths in model files leave that much open, closed loops 1e-15."""
 
 SEED: Final = 2
-MOMENT: Final = 2e-3  # s
+MOVE: Final = 2e-3
+"""How far the fastest joint moves between two positions that are compared (rad, m)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,15 +81,17 @@ def _against_differences(coupling: Coupling, motion: Trajectory) -> float:
     following = coupling.qadr[coupling.dependent]
     moving = coupling.independent[coupling.qadr[coupling.independent] >= 0]
     places, v, a = coupling.qadr[moving], motion.v[:, moving], motion.a[:, moving]
+    fastest = np.maximum(np.abs(motion.v), np.sqrt(np.abs(motion.a))).max(axis=1, keepdims=True)
+    moment = MOVE / np.maximum(fastest, 1.0)  # s, of each state
 
     def positions(step: int) -> Array:
-        q, t = motion.q.copy(), step * MOMENT
+        q, t = motion.q.copy(), step * moment
         q[:, places] += t * v + 0.5 * t**2 * a
         return coupling.completed(q, motion.v, motion.a)[0][:, following]
 
     q = np.stack([positions(step) for step in range(-2, 3)])
-    rates = np.tensordot([1, -8, 0, 8, -1], q, axes=1) / (12 * MOMENT)
-    changes = np.tensordot([-1, 16, -30, 16, -1], q, axes=1) / (12 * MOMENT**2)
+    rates = np.tensordot([1, -8, 0, 8, -1], q, axes=1) / (12 * moment)
+    changes = np.tensordot([-1, 16, -30, 16, -1], q, axes=1) / (12 * moment**2)
     return max(
         relative(rates - motion.v[:, coupling.dependent], motion.v),
         relative(changes - motion.a[:, coupling.dependent], motion.a),

@@ -46,16 +46,16 @@ def load_robot(
     data = _read(manifest.path) if manifest.text is None else manifest.text.encode()
     root = parse_xml(data, manifest.path.name).tag
     if root == "robot":
-        source = _urdf_source(data, manifest, free)
+        read = _urdf_source(data, manifest, free)
     elif root == "mujoco":
         text = None if manifest.text is None else data
         spec, repairs, actuated = mjcf_spec(manifest.path, text)
-        source = _Source("mjcf", spec, data, repairs, {}, actuated)
+        read = _Source("mjcf", spec, data, repairs, {}, actuated)
     else:
         raise ModelError(
             f"{manifest.path.name} is neither URDF nor MJCF: its root element is <{root}>."
         )
-    return _assemble(manifest, payload, free, source)
+    return _assemble(manifest, payload, free, read)
 
 
 @dataclass(frozen=True, eq=False)

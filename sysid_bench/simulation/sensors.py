@@ -41,8 +41,8 @@ def draw(count: int, recorded: int, rows: int, rng: np.random.Generator) -> Draw
 def encoder_error(
     noise: Noise, draws: Draws, q: Array | None = None, rounded: Array | slice = slice(None)
 ) -> Array:
-    """Error of every encoder reading (N, rows); with positions q (N, rows) that of rounding as well,
-    in the degrees of freedom `rounded` (an orientation has no encoder that counts)."""
+    """Error of every encoder reading (N, rows); with positions q (N, rows) that of rounding too, in
+    the degrees of freedom `rounded` (an orientation has no encoder that counts)."""
     error = noise.q * draws.encoder
     if noise.quantum > 0 and q is not None:
         read = q[:, rounded] + error[:, rounded]

@@ -2,6 +2,8 @@
 
 from functools import cache
 
+import numpy as np
+
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.random_coupled import MECHANISMS
 from sysid_bench.models.robot import RobotModel
@@ -43,3 +45,13 @@ def four_bar(height: float = 0.2, pin: float = 0.4, joint: str = "", base: str =
         f'<body name="ground" pos="0 0 1" euler="0.2 0.3 0.1">{base}{INERTIAL}{bars}{rocker}</body>'
     )
     return mjcf(body, loop)
+
+
+def chain(name: str, joints: int, pos: str, rng: np.random.Generator) -> str:
+    """Bodies name1, name2, ... on hinges with any axes, one on the other."""
+    text = ""
+    for k in range(joints, 0, -1):
+        axis, offset = (" ".join(map(str, rng.normal(size=3))) for _ in range(2))
+        place = pos if k == 1 else " ".join(str(0.2 * float(x)) for x in offset.split())
+        text = hinge(f"{name}{k}", place, text, axis)
+    return text

@@ -18,7 +18,7 @@ from sysid_bench.simulation.bare import bare_robot
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.witness import constrained_torque
-from tests.coupling.mechanisms import KINDS, LOOPS, four_bar, mechanism
+from tests.coupling.mechanisms import KINDS, LOOPS, chain, four_bar, mechanism, mjcf
 from tests.experiments.experiment_world import executed, ready, spec
 from tests.robots import relative_gap, robot_of, states
 
@@ -142,6 +142,26 @@ def test_noisy_encoders_are_read_where_motors_are_and_the_rest_follows(kind: str
     for ours, theirs in zip(again, (motion.q, motion.v, motion.a), strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())
     assert recording.tau.shape[1] == len(made.robot.torque_rows) == len(recording.rows)
+
+
+@pytest.mark.parametrize(
+    ("equality", "moving"),
+    [
+        ('<weld body1="a6" body2="b3"/>', 3),
+        ('<connect body1="a4" anchor="0.1 0 0.1"/>', 6),
+        ('<connect body1="a3" body2="b3" anchor="0 0 0.1"/><joint joint1="a6" joint2="a5"/>', 5),
+    ],
+)
+def test_loops_in_space_agree(equality: str, moving: int) -> None:
+    """Two arms with any axes: their hands joined, one held at a point, a loop and a gear."""
+    rng = np.random.default_rng(3)
+    robot = robot_of(mjcf(chain("a", 6, "0 0 0", rng) + chain("b", 3, "0.3 0 0", rng), equality))
+    assert len(robot.torque_rows) == moving
+    check = crosscheck(robot, 8)
+    assert check.ok(), check.reason()
+    assert check.coupling is not None
+    assert check.coupling.gap <= 1e-10
+    assert check.coupling.closure <= 1e-10
 
 
 def test_a_loop_on_a_floating_base_agrees_too() -> None:

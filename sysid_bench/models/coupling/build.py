@@ -99,11 +99,12 @@ def _room(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
             f"{names_of(dofs.names, moving)}, which they follow, no room"
         )
     if not _roomy(group, low, high):
-        told = names_of(dofs.names, moving)
+        least = float(group.regularity(group.reference[None])[0])
         raise ModelError(
-            f"The coupling of {names_of(dofs.names, group.dofs)} leaves {told} no room: next to the reference posture the closure is lost or singular (smallest "
-            f"singular value there {float(group.regularity(group.reference[None])[0]):.2g}); draw "
-            "the model in a posture that is not flat or stretched."
+            f"The coupling of {names_of(dofs.names, group.dofs)} leaves "
+            f"{names_of(dofs.names, moving)} no room: next to the reference posture the closure is "
+            f"lost or singular (smallest singular value there {least:.2g}); draw the model in a "
+            "posture that is not flat or stretched."
         )
     slope = steepest(group, low, high)
     fastest = slope @ dofs.v[moving]

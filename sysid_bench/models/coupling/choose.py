@@ -16,8 +16,11 @@ RANK: Final = 1e-4
 that model files round leave 1e-6."""
 
 PIVOT: Final = 0.1
-"""A joint follows rather than another of higher rank where its column stands out at least this
-much of what the best one does: conditioning before convenience."""
+"""A joint follows rather than a motor's where its column stands out at least this much of what the
+best one does: conditioning before convenience."""
+
+LATER: Final = 0.5
+"""The same for a joint rather than one earlier in the tree."""
 
 NEARBY: Final = 0.05
 """How far from the reference (rad) its rank is compared."""
@@ -55,9 +58,10 @@ def group_of(
     scaled = J[0] * units / row_units[:, None]
     count = _rank(scaled)
     allowed = [
-        k for k in _followers_first(constraints, dofs, actuated) if int(dofs[k]) not in wanted
+        [k for k in places if int(dofs[k]) not in wanted]
+        for places in _followers_first(constraints, dofs, actuated)
     ]
-    dependent = _pivots(scaled, allowed, count)
+    dependent = _pivots(scaled, [places for places in allowed if places], count)
     if len(dependent) < count:
         told = ", ".join(names[dof] for dof in dofs if int(dof) in wanted)
         free = len(dofs) - count
@@ -107,37 +111,39 @@ def _rank(scaled: Array) -> int:
 
 def _followers_first(
     constraints: Sequence[Constraint], dofs: Array, actuated: frozenset[int]
-) -> list[int]:
-    """Places in `dofs`: first those that mimic another one, then those without a motor, then the
-    rest; later in the tree first."""
+) -> list[list[int]]:
+    """Places in `dofs`: those that mimic another one, those without a motor, the rest; each later
+    in the tree first."""
     mimics = {
         constraint.dofs[int(np.flatnonzero(constraint.first)[0])]
         for constraint in constraints
         if isinstance(constraint, Relation) and np.count_nonzero(constraint.first) == 1
     }
 
-    def rank(k: int) -> tuple[int, int]:
+    kinds: list[list[int]] = [[], [], []]
+    for k in reversed(range(len(dofs))):
         dof = int(dofs[k])
-        return (0 if dof in mimics else 1 if dof not in actuated else 2), -dof
+        kinds[0 if dof in mimics else 1 if dof not in actuated else 2].append(k)
+    return kinds
 
-    return sorted(range(len(dofs)), key=rank)
 
-
-def _pivots(scaled: Array, order: list[int], count: int) -> Array:
-    """At most `count` independent columns among `order`, early ones where they stand out enough."""
+def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
+    """At most `count` independent columns, of early kinds where they stand out enough."""
     chosen: list[int] = []
     rest = scaled.copy()
     floor = RANK * float(np.linalg.norm(scaled, axis=0).max(initial=0.0))
-    while len(chosen) < count and order:
+    while len(chosen) < count and kinds:
         heights = np.linalg.norm(rest, axis=0)
-        best = max(heights[k] for k in order)
+        best = max(heights[k] for kind in kinds for k in kind)
         if best <= floor:
             break
-        k = next(k for k in order if heights[k] >= PIVOT * best)
+        kind = next(kind for kind in kinds if heights[kind].max() >= PIVOT * best)
+        k = next(k for k in kind if heights[k] >= LATER * heights[kind].max())
         direction = rest[:, k] / heights[k]
         rest = rest - np.outer(direction, direction @ rest)
         chosen.append(k)
-        order = [other for other in order if other != k]
+        left = ([other for other in kind if other != k] for kind in kinds)
+        kinds = [kind for kind in left if kind]
     return np.array(sorted(chosen), dtype=int)
 
 

@@ -14,8 +14,9 @@ from sysid_bench.types import Array
 @dataclass(frozen=True, eq=False)
 class Coupling:
     """The couplings of a robot with `nv` degrees of freedom: `independent` (n,) ones move, the
-    `dependent` (m,) ones follow. Arrays (n,): `low`, `high` bound positions that all close, `slower`
-    is the share of its limits that an independent joint may use so that its followers keep theirs.
+    `dependent` (m,) ones follow. Arrays (n,): `low`, `high` bound positions that all close;
+    `slower` is the share of its limits that an independent joint may use so that its followers keep
+    theirs. `repairs` tells what had to be ignored.
     `qadr` and `q0` (nv,): place in q and reference of hinges and slides (-1, 0 elsewhere)."""
 
     nv: int

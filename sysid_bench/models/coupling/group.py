@@ -35,6 +35,15 @@ PATIENT: Final = 30
 
 
 @dataclass(frozen=True, eq=False)
+class Keep:
+    """What postures on a way have to keep: a smallest singular value, and limits (k,)."""
+
+    regularity: float
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Group:
     """Constraints on the degrees of freedom `dofs` (k,); `dependent` (r,) and `independent` are
     places in them, `reference` (k,) a closed posture, `units` (k,) what scales a coordinate,
@@ -103,7 +112,8 @@ class Group:
         if self.linear:
             return self._closed_at_once(independent), np.ones(len(independent), dtype=bool)
         stride = self._stride(independent)
-        start, regular = self.walked(independent[::stride])
+        start, share = self.walked(independent[::stride])
+        regular = share == 1.0
         x = np.repeat(start, stride, axis=0)[: len(independent)]
         regular = np.repeat(regular, stride)[: len(independent)]
         if stride > 1:
@@ -115,15 +125,18 @@ class Group:
             regular = regular & found & self._same_branch(before, J)
         return x, regular
 
-    def walked(self, targets: Array) -> tuple[Array, Array]:
+    def walked(
+        self, targets: Array, keep: Keep | None = None, least: int = 1
+    ) -> tuple[Array, Array]:
         """`closed` for targets (N, k - r) that may lie far apart: each is walked to from the
-        reference; where the closure is lost on the way, x stays at the last place that closes."""
+        reference, in `least` steps or more. x (N, k) of the last place where the closure holds, and
+        `keep` is kept, and its share (N,) of the way: 1 at the target."""
         x = np.tile(self.reference, (len(targets), 1))
         J = self._jacobian(x)
         stretch = targets - x[:, self.independent]
         far = np.abs(stretch / self.units[self.independent]).max(initial=0.0)
-        count = max(1, int(np.ceil(far / STEP)))
-        good = np.ones(len(targets), dtype=bool)
+        count = max(least, int(np.ceil(far / STEP)))
+        share, good = np.zeros(len(targets)), np.ones(len(targets), dtype=bool)
         for k in range(count):
             ahead = x.copy()
             ahead[:, self.dependent] += _times(self._followed(J), stretch) / count
@@ -133,8 +146,11 @@ class Group:
             ahead, J, found = self._newton(ahead, ITERATIONS if k == count - 1 else 2)
             jump = np.abs((ahead - x) / self.units).max(axis=1, initial=0.0)
             good = good & found & (jump < 1.0) & self._same_branch(before, J)
-            x = np.where(good[:, None], ahead, x)
-        return x, good
+            if keep is not None:
+                good = good & (self._regularity(J) >= keep.regularity)
+                good = good & ((ahead >= keep.low) & (ahead <= keep.high)).all(axis=1)
+            x, share = np.where(good[:, None], ahead, x), np.where(good, part, share)
+        return x, share
 
     def _newton(self, x: Array, iterations: int) -> tuple[Array, Array, Array]:
         """Dependent joints moved until the constraints hold; J there; whether (N,) they do."""
