@@ -161,6 +161,12 @@ def basis(
     is_flag=True,
     help="Of logs, task payload: its mass alone is unknown, centre of mass as the log says.",
 )
+@click.option(
+    "--figure",
+    type=click.Path(path_type=Path),
+    metavar="FILE.pdf|svg",
+    help="Of logs: measured and predicted torque and their difference, joint by joint.",
+)
 @click.option("--accept", metavar="rate,units", help="Contradictions in logs that may pass.")
 @click.option("--filter", "filter_text", metavar="TEXT", help="Of logs: 'butter 4 10 Hz', ...")
 @click.option("--derivatives", type=click.Choice(["from q", "from v"]), help="Of logs.")
@@ -193,6 +199,7 @@ def identify(
     tests: tuple[Path, ...],
     candidates: str | None,
     position_given: bool,
+    figure: Path | None,
     accept: str | None,
     filter_text: str | None,
     derivatives: str | None,
@@ -221,11 +228,11 @@ def identify(
         )
     if logs and (noise is not None or payload != "none"):
         raise UsageError("--noise and --payload belong to --simulate; a log states its payload.")
-    of_logs = (tests, accept, candidates, position_given, filter_text, derivatives, moving)
+    of_logs = (tests, figure, accept, candidates, position_given, filter_text, derivatives, moving)
     if simulate and any(of_logs):
         raise UsageError(
-            "--test, --accept, --choose, --position-given, --filter, --derivatives and --moving "
-            "belong to --log."
+            "--test, --accept, --choose, --position-given, --filter, --derivatives, --moving and "
+            "--figure belong to --log."
         )
     if json_out is not None and not json_out.parent.is_dir():
         raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
@@ -236,7 +243,8 @@ def identify(
         )
         answer = recordings.identify_logs(
             model, logs, tests, task, chosen_terms(terms), estimator, filter_text, derivatives,
-            moving, more, position_given, passed, model_out, robots_dir,
+            moving, more, position_given, passed, model_out,
+            figure, robots_dir,
         )  # fmt: skip
     else:
         answer = identification.identify(

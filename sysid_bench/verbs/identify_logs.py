@@ -43,6 +43,7 @@ def identify_logs(
     position_given: bool = False,
     accept: Sequence[str] = (),
     model_out: str | Path | None = None,
+    figure: str | Path | None = None,
     robots_dir: Path | None = None,
 ) -> dict[str, Any]:
     """Identifies a robot from recordings; the answer as `identify --log --json` prints it.
@@ -124,6 +125,9 @@ def identify_logs(
             *warnings_of(estimate, posed.problem),
         ],
     }
+    if figure is not None:
+        _draw(Path(figure), posed, next(iter(testing.values()), training[0]), beta)
+        answer["figure"] = str(figure)
     if model_out is not None:
         write_model(robot, task, estimate, posed.problem, Path(model_out))
         answer["model_out"] = str(model_out)
@@ -149,6 +153,8 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
     if answer["payload"] is not None:
         lines.append(f"  payload: {_payload_line(answer['payload'])}")
     lines += [f"  warning: {warning}" for warning in answer["warnings"]]
+    if answer.get("figure"):
+        lines.append(f"  figure: {answer['figure']}")
     if answer.get("model_out"):
         lines.append(f"  model: {answer['model_out']}")
     return lines
@@ -171,6 +177,18 @@ def _selection_lines(told: Mapping[str, Any] | None) -> list[str]:
         f"  chosen on {told['left_out']}: {names} (mean error there "
         f"{100 * told['error_before']:.1f} -> {100 * told['error_after']:.1f} %)"
     ]
+
+
+def _draw(path: Path, posed: "Posed", log: "Processed", beta: Any) -> None:
+    """Measured and predicted torque of the first test log, or of the training one."""
+    from sysid_bench.harness.experiment.recorded import predicted
+    from sysid_bench.reporting.torques import torque_figure
+
+    problem = next(iter(posed.tests.values()), posed.problem)
+    measured, found = predicted(problem, beta)
+    N = len(log.recording)
+    units = [kind.removeprefix("joint ") for kind in problem.kinds]
+    torque_figure(path, log.recording.t, problem.rows, measured[:N], found[:N], units)
 
 
 CONFIDENCE: Final = 0.95

@@ -48,7 +48,7 @@ def paper_table(
     base = base_map(structural_factor(robot, parameters), parameters)
     symbols = _symbols(robot, base)
     inertial = {column for body in asked_bodies(robot) for column in body.columns}
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "terms": own,
             "symbols": {name: symbols[i][name] for name in own if name in symbols[i]},

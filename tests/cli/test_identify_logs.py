@@ -25,7 +25,7 @@ ANSWER = {
     "torque_error", "bodies", "joints", "payload", "feasible", "warnings", "training", "tests",
     "logs", "signals", "denominator", "locked",
 }  # fmt: skip
-CLEAN = {"filter": "none", "derivatives": "from v", "estimator": "ols"}
+CLEAN: dict[str, Any] = {"filter": "none", "derivatives": "from v", "estimator": "ols"}
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,8 @@ BOX = "1.5,0.01 -0.02 0.03,0.05 0.08 0.1"
 def random_table(seed: int, folder: Path, tree: bool = True) -> Path:
     """Six rows, turning and sliding, with a branch, a fixed frame and one that follows two."""
     rng = np.random.default_rng(seed)
-    lines, moving = [], []
+    lines: list[str] = []
+    moving: list[str] = []
     for i in range(1, 7):
         a, d = rng.uniform(-0.3, 0.3, 2)
         alpha, theta = rng.choice(["0", "pi/2", "-pi/2", "0.3", "-40*deg"], 2)

@@ -41,7 +41,7 @@ def test_torque_is_linear_in_every_term(name: str) -> None:
     tau = regression(robot, asked.parameters).torque(motion, asked.truth.theta) + rest
     oracle, _ = Inverse().run(plant_of(robot), motion, np.zeros_like(motion.v))
     known = sum(
-        values.any() for term, values in asked.known_terms.items() if term not in ("offset",)
+        bool(values.any()) for term, values in asked.known_terms.items() if term not in ("offset",)
     )
     if known == asked.known_terms["armature"].any():
         np.testing.assert_allclose(tau, oracle.tau, rtol=0, atol=1e-9 * np.abs(tau).max())

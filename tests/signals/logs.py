@@ -57,7 +57,7 @@ def write(
     table = np.column_stack([log.t, log.q, log.v, log.tau])
     file = folder / f"{name}.{kind.partition(' ')[0]}"
     words = ["t", *(f"{s}_{j}" for s in ("q", "v", "tau") for j in log.joints)]
-    arrays = {"t": log.t, "q": log.q, "v": log.v, "tau": log.tau}
+    arrays: dict[str, Any] = {"t": log.t, "q": log.q, "v": log.v, "tau": log.tau}
     by_place: dict[str, Any] = {
         s: {"columns": list(range(2 + i * k, 2 + (i + 1) * k))}
         for i, s in enumerate(("q", "v", "tau"))

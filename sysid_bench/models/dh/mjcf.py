@@ -194,7 +194,10 @@ def _couplings(table: DhTable, placed: list[_Placed]) -> str:
         if len(row.follows) == 1:
             ((name, value),) = row.follows.items()
             other = f"j{name[1:]}"
-            equalities += f'    <joint joint1="{own}" joint2="{other}" polycoef="0 {value:.15g} 0 0 0"/>\n'
+            polynomial = f"0 {value:.15g} 0 0 0"
+            equalities += (
+                f'    <joint joint1="{own}" joint2="{other}" polycoef="{polynomial}"/>\n'
+            )
             continue
         parts = "".join(
             f'      <joint joint="j{name[1:]}" coef="{-value:.15g}"/>\n'
