@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.identifiability.rebase import same_space
+from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.dh.expression import read_expression
 from sysid_bench.models.dh.mjcf import mjcf_of
 from sysid_bench.models.dh.table import DhTable, read_table
 from sysid_bench.models.load import load_robot
+from sysid_bench.models.task import asked_bodies
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array
@@ -170,3 +173,30 @@ def test_wrong_tables_are_one_sentence(rows: str, told: str, tmp_path: Path) -> 
 def test_expressions() -> None:
     told = read_expression("-2*(a + 0.5)*q1 + q2/4 - a**2", {"a": 0.5}, frozenset({"q1", "q2"}), "")
     assert (told.constant, dict(told.coefficients)) == (-0.25, {"q1": -2.0, "q2": 0.25})
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "massless"),
+    [("dvrk_psm", (0, -np.pi / 2, 0), ("4", "5", "6", "b1", "b2")), ("dvrk_mtm", (0, 0, 0), ())],
+)
+def test_closed_loops_follow_the_couplings_of_the_paper(
+    name: str, base: tuple[float, float, float], massless: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Fontanelli et al. (2017), eq. (3), and the constant couplings of the other arm, out of closed
+    kinematic chains; the same base parameters are told."""
+    constant = load_robot(name)
+    assert constant.manifest.manifest_file is not None
+    table = constant.manifest.manifest_file.parent / "dh_loop.csv"
+    init_robot(table, tmp_path / "loop", base=base, massless=massless)
+    loop = load_robot(tmp_path / "loop" / "robot.toml")
+    assert loop.torque_rows == constant.torque_rows
+    assert loop.coupling is not None
+    assert constant.coupling is not None
+    motion = states(loop, 100)
+    G = loop.coupling.G(motion.q)[:, [loop.rows.index(row) for row in constant.rows]]
+    wanted = constant.coupling.G(constant.mj.qpos0[None])
+    np.testing.assert_allclose(G, np.broadcast_to(wanted, G.shape), rtol=0, atol=1e-11)
+    asked = [c for body in asked_bodies(constant) for c in body.columns]
+    one, other = (structural_base(robot, tuple(asked)) for robot in (loop, constant))
+    assert one.rank == other.rank
+    assert same_space(one.K, other.K) < 1e-8
