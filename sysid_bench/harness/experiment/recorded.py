@@ -211,19 +211,26 @@ def pose_logs(
 def without_parts(posed: Posed, count: int = FOLDS) -> list[Problem]:
     """The training problem again and again, each time without one part of every motion: what
     estimates differ by when other stretches had been recorded."""
-    return [_without(posed, part, count) for part in range(count)]
+    parts = _parts(posed.posing, posed.training, count)
+    return [
+        replace(
+            posed.problem,
+            factors=tuple(
+                _together([own for f in range(count) if f != part for own in parts[f][k]])
+                for k in range(len(posed.problem.rows))
+            ),
+        )
+        for part in range(count)
+    ]
 
 
-def _without(posed: Posed, part: int, count: int) -> Problem:
-    posing, logs = posed.posing, posed.training
-    factors = []
-    for row in posing.ask.rows:
-        own = []
-        for log in logs:
-            labels, _ = parts_of(log.recording.motion, count)
-            own.append(posing.factor(log, row, posing.moving(log, row) & (labels != part)))
-        factors.append(_together(own))
-    return replace(posed.problem, factors=tuple(factors))
+def _parts(
+    posing: "_Posing", logs: Sequence[Processed], count: int
+) -> list[list[tuple[Factor, ...]]]:
+    """For each part and each joint the factors of all logs."""
+    of_logs = [posing.factors(log, parts_of(log.recording.motion, count)[0], count) for log in logs]
+    rows = range(len(posing.ask.rows))
+    return [[tuple(own[f][k] for own in of_logs) for k in rows] for f in range(count)]
 
 
 @dataclass(frozen=True)
@@ -272,11 +279,13 @@ class _Question:
     def base(self) -> BaseMap:
         """The base parameters; extra columns stand for themselves."""
         base = base_map(self.structure(), self.own + self.load)
+        if not self.extra:
+            return base
         r, p, k = base.rank, len(base.parameters), len(self.extra)
         K = np.zeros((r + k, p + k))
         K[:r, :p], K[r:, p:] = base.K, np.eye(k)
         return replace(
-            base, K=K, pivots=np.append(base.pivots, np.arange(p, p + k)),
+            base, row_space=None, K=K, pivots=np.append(base.pivots, np.arange(p, p + k)),
             parameters=self.parameters,
         )  # fmt: skip
 
@@ -338,21 +347,38 @@ class _Posing:
         return tau - columns.torque(log.recording.motion, log.robot.phi[load])
 
     def _factors(self, log: Processed) -> list[Factor]:
-        return [self.factor(log, row, self.moving(log, row)) for row in self.ask.rows]
+        (factors,) = self.factors(log, np.zeros(len(log.recording), dtype=int), 1)
+        return factors
 
-    def factor(self, log: Processed, row: str, chosen: Array) -> Factor:
-        """The factor of one joint at chosen samples (N,)."""
+    def factors(self, log: Processed, labels: Array, count: int) -> list[list[Factor]]:
+        """For each label 0 ... count - 1 the factors of all joints at samples that have it (N,),
+        in one pass over the motion."""
         columns, places = self.regression(log)
-        i = columns.rows.index(row)
-        motion, tau = log.recording.motion, self.torque(log)[:, i]
-        extra, extra_places = self.extra(log, row)
-        R = np.zeros((0, len(columns.touched[i]) + len(extra_places) + 1))
+        motion, tau = log.recording.motion, self.torque(log)
+        at = [columns.rows.index(row) for row in self.ask.rows]
+        extra = [self.extra(log, row) for row in self.ask.rows]
+        moving = [self.moving(log, row) for row in self.ask.rows]
+        widths = [len(columns.touched[i]) + len(x[1]) + 1 for i, x in zip(at, extra, strict=True)]
+        Rs = [[np.zeros((0, width)) for width in widths] for _ in range(count)]
         for block in columns.blocks(motion):
-            kept, part = chosen[block.samples], block.samples
-            both = np.column_stack([block.row(i).T, extra[part], tau[part]])
-            R = triangle([R, both[kept]])
-        touched = np.concatenate([places[columns.touched[i]], extra_places])
-        return Factor(row, touched, R, int(chosen.sum()))
+            part = block.samples
+            for k, i in enumerate(at):
+                both = np.column_stack([block.row(i).T, extra[k][0][part], tau[part, i]])
+                for label in range(count):
+                    chosen = moving[k][part] & (labels[part] == label)
+                    if chosen.any():
+                        Rs[label][k] = triangle([Rs[label][k], both[chosen]])
+        touched = [
+            np.concatenate([places[columns.touched[i]], own])
+            for i, (_, own) in zip(at, extra, strict=True)
+        ]
+        return [
+            [
+                Factor(row, touched[k], Rs[label][k], int((moving[k] & (labels == label)).sum()))
+                for k, row in enumerate(self.ask.rows)
+            ]
+            for label in range(count)
+        ]
 
     def extra(self, log: Processed, row: str) -> tuple[Array, Array]:
         """Feature columns (N, k) of one joint, and their places among all."""
@@ -421,9 +447,17 @@ def _selected(
     )
     names = wide.base().names
     posing = _Posing(wide, names, treatment)
-    parts = [parts_of(motion, FOLDS) for motion in motions]
+    parts = [
+        [triangle(spread(factor, len(names)) for factor in own) for own in part]
+        for part in _parts(posing, training, FOLDS)
+    ]
     folds = [
-        [_folded(posing, row, training, [labels == f for labels, _ in parts]) for row in ask.rows]
+        [
+            FoldedRow(
+                triangle(parts[other][k] for other in range(FOLDS) if other != f), parts[f][k]
+            )
+            for k in range(len(ask.rows))
+        ]
         for f in range(FOLDS)
     ]
     known = set(ask.inertial) | set(ask.terms) | set(ask.load) | set(ask.extra)
@@ -439,7 +473,7 @@ def _selected(
         tuple((names[i], error) for i, error in choice.steps),
         choice.error_before,
         choice.error_after,
-        parts[0][1],
+        parts_of(motions[0], FOLDS)[1],
     )
     chosen = replace(
         ask,
@@ -448,18 +482,6 @@ def _selected(
         extra=(*ask.extra, *(name for name in table.columns if name in added)),
     )
     return chosen, selection
-
-
-def _folded(
-    posing: _Posing, row: str, logs: Sequence[Processed], left_out: Sequence[Array]
-) -> FoldedRow:
-    """One joint in one fold, its columns at their places among all."""
-    train, test = [], []
-    for log, out in zip(logs, left_out, strict=True):
-        moving = posing.moving(log, row)
-        train.append(spread(posing.factor(log, row, moving & ~out), len(posing.columns)))
-        test.append(spread(posing.factor(log, row, moving & out), len(posing.columns)))
-    return FoldedRow(triangle(train), triangle(test))
 
 
 def _torque_of_a_kilogram(log: Processed) -> Array:
