@@ -215,7 +215,7 @@ def test_a_load_of_known_shape_has_a_mass_with_an_interval(folder: Path, tmp_pat
     for k, load in enumerate(("none", "box-2kg")):
         log = recorded(named_robot("ur5", load), k)
         tau = log.tau + 0.3 * log.tau.std(axis=0) * rng.normal(size=log.tau.shape)
-        more = {} if k == 0 else {"payload": {"use": load}}
+        more: dict[str, Any] = {} if k == 0 else {"payload": {"use": load}}
         noisy.append(write(tmp_path, replace(log, tau=tau), name=f"noisy{k}", **more))
     told = identify_logs("ur5", noisy, task="payload", position_given=True, **CLEAN)["payload"]
     assert told["interval"][0] < 2.0 < told["interval"][1]
