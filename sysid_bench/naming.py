@@ -54,6 +54,11 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "inverse": "sysid_bench.simulation.inverse:Inverse",
             "closed-loop": "sysid_bench.simulation.closed_loop:ClosedLoop",
         },
+        "term": {
+            "play": "sysid_bench.regressors.features:Play",
+            "poly": "sysid_bench.regressors.features:Polynomial",
+            "tanh": "sysid_bench.regressors.features:SmoothCoulomb",
+        },
         "plant": {
             "matched": "sysid_bench.simulation.effects.matched:Matched",
             "stribeck": "sysid_bench.simulation.effects.stribeck:Stribeck",

@@ -91,6 +91,13 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
 @click.option("--sensor", metavar="NAME|PLACE", help=SENSOR)
 @click.option("--free-base", is_flag=True, default=None, help="Let the root body float.")
 @click.option("--paper", is_flag=True, help="The sums alone, one per line, single ones first.")
+@click.option("--zero", metavar="NAMES", help="With --paper: parameters taken for zero; or none.")
+@click.option(
+    "--values",
+    type=click.Path(path_type=Path),
+    metavar="FILE.json",
+    help="With --paper: values of the sums, from identify --json-out; impossible ones are marked.",
+)
 @robots_option
 @json_option
 @verb
@@ -101,13 +108,29 @@ def basis(
     sensor: str | None,
     free_base: bool | None,
     paper: bool,
+    zero: str | None,
+    values: Path | None,
     robots_dir: Path | None,
     as_json: bool,
 ) -> int:
     """Base parameters: how many, which sums, and what can be told of each parameter."""
+    from sysid_bench.errors import UsageError
     from sysid_bench.verbs import basis as bases
+    from sysid_bench.verbs import paper_table as papers
     from sysid_bench.verbs.chosen import chosen_terms
 
+    if (zero is not None or values is not None) and not paper:
+        raise UsageError("--zero and --values belong to --paper.")
+    if paper and task == "robot" and free_base is None and sensor is None:
+        names = None if zero is None else tuple(w.strip() for w in zero.split(",") if w.strip())
+        names = () if names == ("none",) else names
+        table = papers.paper_table(robot, chosen_terms(terms), names, values, robots_dir)
+        if as_json:
+            print_json(table)
+            return OK
+        for line in papers.lines(table):
+            click.echo(line)
+        return OK
     answer = bases.basis(robot, task, chosen_terms(terms), free_base, robots_dir, sensor)
     if as_json:
         print_json(answer)
@@ -121,6 +144,49 @@ def basis(
 @click.argument("model", metavar="MODEL")
 @click.option("--simulate", is_flag=True, help="Data from the robot's own simulation.")
 @click.option(
+    "--log",
+    "logs",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="LOG.toml",
+    help="Data from a recording; several are used together.",
+)
+@click.option(
+    "--test",
+    "tests",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="LOG.toml",
+    help="A recording to judge on.",
+)
+@click.option(
+    "--choose",
+    "candidates",
+    metavar="play,offset,...",
+    help="Of logs: joint terms and features that cross-validation in the training data may add.",
+)
+@click.option(
+    "--position-given",
+    is_flag=True,
+    help="Of logs, task payload: its mass alone is unknown, centre of mass as the log says.",
+)
+@click.option(
+    "--figure",
+    type=click.Path(path_type=Path),
+    metavar="FILE.pdf|svg",
+    help="Of logs: measured and predicted torque and their difference, joint by joint.",
+)
+@click.option("--accept", metavar="rate,units", help="Contradictions in logs that may pass.")
+@click.option("--filter", "filter_text", metavar="TEXT", help="Of logs: 'butter 4 10 Hz', ...")
+@click.option("--derivatives", type=click.Choice(["from q", "from v"]), help="Of logs.")
+@click.option(
+    "--moving",
+    default=0.0,
+    show_default=True,
+    type=click.FloatRange(min=0.0),
+    help="Of logs: leave out samples of a joint slower than this (rad/s, m/s).",
+)
+@click.option(
     "--task",
     default="robot",
     show_default=True,
@@ -128,8 +194,12 @@ def basis(
 )
 @click.option("--sensor", metavar="NAME|PLACE", help=SENSOR)
 @click.option("--payload", default="none", show_default=True, help="What is mounted at the tool.")
-@click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
-@click.option("--estimator", metavar="NAME", help="Default: ols; terminal: min-norm, wrench: wls.")
+@click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,j1.k...; or none.")
+@click.option(
+    "--estimator",
+    metavar="NAME",
+    help="Default: ols; wls with logs and for wrench; min-norm for terminal.",
+)
 @click.option("--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none.")
 @click.option(
     "--model-out", type=click.Path(path_type=Path), help="The model again, with identified values."
@@ -147,6 +217,15 @@ def basis(
 def identify(
     model: str,
     simulate: bool,
+    logs: tuple[Path, ...],
+    tests: tuple[Path, ...],
+    candidates: str | None,
+    position_given: bool,
+    figure: Path | None,
+    accept: str | None,
+    filter_text: str | None,
+    derivatives: str | None,
+    moving: float,
     task: str,
     sensor: str | None,
     payload: str,
@@ -160,24 +239,47 @@ def identify(
     robots_dir: Path | None,
     as_json: bool,
 ) -> int:
-    """Identify one robot: parse, excite, simulate, solve, export."""
+    """Identify one robot: parse, excite, simulate (or read recordings), solve, export."""
     from sysid_bench.errors import UsageError
     from sysid_bench.verbs import identify as identification
+    from sysid_bench.verbs import identify_logs as recordings
     from sysid_bench.verbs.chosen import chosen_noise, chosen_terms
 
-    if not simulate:
-        raise UsageError("Where do the data come from? Say --simulate for the robot's simulation.")
+    if simulate == bool(logs):
+        raise UsageError(
+            "Where do the data come from? Say --log LOG.toml for a recording, or --simulate for "
+            "the robot's simulation."
+        )
+    if logs and (noise is not None or payload != "none"):
+        raise UsageError("--noise and --payload belong to --simulate; a log states its payload.")
+    of_logs = (tests, figure, accept, candidates, position_given, filter_text, derivatives, moving)
+    if simulate and any(of_logs):
+        raise UsageError(
+            "--test, --accept, --choose, --position-given, --filter, --derivatives, --moving and "
+            "--figure belong to --log."
+        )
     if json_out is not None and not json_out.parent.is_dir():
         raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
-    answer = identification.identify(
-        model, task, payload, chosen_terms(terms), estimator, chosen_noise(noise), model_out, seed,
-        robots_dir, complete, sensor,
-    )  # fmt: skip
+    if logs:
+        passed, more = (
+            tuple(word.strip() for word in (words or "").split(",") if word.strip())
+            for words in (accept, candidates)
+        )
+        answer = recordings.identify_logs(
+            model, logs, tests, task, chosen_terms(terms), estimator, filter_text, derivatives,
+            moving, more, position_given, passed, model_out,
+            figure, robots_dir,
+        )  # fmt: skip
+    else:
+        answer = identification.identify(
+            model, task, payload, chosen_terms(terms), estimator, chosen_noise(noise), model_out,
+            seed, robots_dir, complete, sensor,
+        )  # fmt: skip
     if json_out is not None:
         json_out.write_text(json.dumps(answer, indent=2) + "\n", encoding="utf-8")
     if as_json:
         print_json(answer)
         return OK
-    for line in identification.summary(answer):
+    for line in (recordings if logs else identification).summary(answer):
         click.echo(line)
     return OK

@@ -12,6 +12,7 @@ from sysid_bench.models.coupling.build import Dofs, coupling_of
 from sysid_bench.models.coupling.mimic import add_mimics
 from sysid_bench.models.coupling.read import equalities_of, keep_equalities
 from sysid_bench.models.limits import limits_of, stated_limits
+from sysid_bench.models.locking import lock_joints
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf import mjcf_spec
 from sysid_bench.models.numbers import check_numbers
@@ -77,6 +78,8 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         spec.option.gravity = manifest.gravity
     _apply_joint_terms(spec, manifest)
     _name_all(spec, _compile(spec, manifest))
+    if manifest.locked:
+        lock_joints(spec, _compile(spec, manifest), manifest.locked)
     bare = _compile(spec, manifest)
     names = _body_names(bare)
     tool, pose = _tool(bare, manifest, names)
@@ -88,6 +91,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
     mj = _compile(spec, manifest) if payload or equalities is not None else bare
     joints = _joints(mj)
     _check_known(manifest, joints)
+    _check_bodies(manifest, _body_names(mj))
     repairs = (*source.repairs, *heard())
     coupling = None
     if equalities is not None:
@@ -274,11 +278,17 @@ def _joints(mj: mujoco.MjModel) -> tuple[Joint, ...]:
 
 
 def _check_known(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
-    names = {joint.name for joint in joints}
+    names = {joint.name for joint in joints} | set(manifest.locked)
     for table in (manifest.limits, manifest.joints):
         for name in table:
             if name != "all" and name not in names:
                 raise ModelError(f"{manifest.name}: {unknown_name('joint', name, names)}")
+
+
+def _check_bodies(manifest: Manifest, names: tuple[str, ...]) -> None:
+    for body in manifest.massless:
+        if body not in names:
+            raise ModelError(f"{manifest.name}: massless: {unknown_name('body', body, names)}")
 
 
 def _phi(mj: mujoco.MjModel) -> Array:
@@ -293,6 +303,8 @@ def _phi(mj: mujoco.MjModel) -> Array:
 def _joint_terms(mj: mujoco.MjModel, manifest: Manifest, joints: tuple[Joint, ...]) -> JointTerms:
     viscous = np.array(mj.dof_damping, dtype=float)
     offset, spring, reference = (np.zeros(mj.nv) for _ in range(3))
+    coupling = np.zeros((mj.nv, mj.nv))
+    scalar = {j.name: j.vadr for j in joints if j.kind in ("hinge", "slide")}
     everywhere = manifest.joints.get("all")
     for j, joint in enumerate(joints):
         if joint.kind not in ("hinge", "slide"):
@@ -302,6 +314,8 @@ def _joint_terms(mj: mujoco.MjModel, manifest: Manifest, joints: tuple[Joint, ..
         for terms in (everywhere, manifest.joints.get(joint.name)):
             if terms is not None and terms.offset is not None:
                 offset[joint.vadr] = terms.offset
+            for other, value in (terms.viscous_coupling if terms is not None else {}).items():
+                coupling[joint.vadr, _other(manifest, joint.name, other, scalar)] = value
     return JointTerms(
         viscous=viscous if viscous.ndim == 1 else viscous[:, 0],
         coulomb=np.array(mj.dof_frictionloss, dtype=float),
@@ -309,7 +323,18 @@ def _joint_terms(mj: mujoco.MjModel, manifest: Manifest, joints: tuple[Joint, ..
         armature=np.array(mj.dof_armature, dtype=float),
         spring=spring,
         spring_reference=reference,
+        viscous_coupling=coupling,
     )
+
+
+def _other(manifest: Manifest, joint: str, other: str, scalar: dict[str, int]) -> int:
+    if other not in scalar or other == joint:
+        known = [name for name in scalar if name != joint]
+        raise ModelError(
+            f"{manifest.name}: joints.{joint}.viscous_coupling: "
+            f"{unknown_name('other hinge or slide', other, known)}"
+        )
+    return scalar[other]
 
 
 def _tool(

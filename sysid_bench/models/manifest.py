@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -14,6 +14,14 @@ from sysid_bench.errors import ModelError, UsageError, unknown_name
 
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
 """Joint terms that can be identified beside the inertial parameters."""
+
+TERM_ADVICE: Final = "Those of single joints are written 'j1.k' or 'j5.fv.j6'."
+
+
+def is_term(word: str) -> bool:
+    """Whether a word may be a joint term: a kind, or a parameter whose robot has to know it."""
+    return word in TERMS or ("." in word and not word.startswith(".") and " " not in word)
+
 
 MODEL_SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
 
@@ -65,6 +73,7 @@ class JointTerms(_Table):
     armature: NotNegative | None = None  # kg m^2
     spring: Finite | None = None  # N m/rad
     spring_reference: Finite | None = None  # rad
+    viscous_coupling: dict[str, Finite] = Field(default_factory=dict)  # N m s/rad, by other joint
 
 
 class Sensor(_Table):
@@ -87,6 +96,22 @@ class Source(_Table):
     licence: str = ""
 
 
+class Dh(_Table):
+    """The Denavit-Hartenberg table that a model was made of (`sysid-bench init robot`)."""
+
+    table: str
+    convention: Literal["standard", "modified"] = "standard"
+    frames: Literal["joint", "link"] = "joint"
+    base: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)  # roll, pitch, yaw, rad
+
+
+class Paper(_Table):
+    """How a paper prints base parameters: bodies in its order, and parameters it takes for zero."""
+
+    order: tuple[str, ...] = ()
+    zero: tuple[str, ...] = ()
+
+
 class _Text(_Table):
     """The file as written."""
 
@@ -99,6 +124,10 @@ class _Text(_Table):
     terms: tuple[str, ...] = ()
     limits: dict[str, Limits] = Field(default_factory=dict)
     joints: dict[str, JointTerms] = Field(default_factory=dict)
+    locked: dict[str, Finite] = Field(default_factory=dict)
+    massless: tuple[str, ...] = ()
+    dh: Dh | None = None
+    paper: Paper | None = None
     couplings: bool = True
     coupling: Couplings = Couplings()
     sensor: tuple[Sensor, ...] = ()
@@ -123,6 +152,10 @@ class Manifest:
     sensors: tuple[Sensor, ...] = ()
     licence: str = ""
     manifest_file: Path | None = None
+    locked: Mapping[str, float] = field(default_factory=dict)  # joints that do not move (rad, m)
+    massless: tuple[str, ...] = ()  # bodies that are not asked for
+    dh: Dh | None = None
+    paper: Paper | None = None
     text: str | None = None  # the model itself, where it is no file: `path` is then but a label
 
 
@@ -167,8 +200,8 @@ def read_manifest(file: Path) -> Manifest:
         lines = "; ".join(_line(problem) for problem in error.errors())
         raise ModelError(f"{file}: {lines}.") from error
     for term in written.terms:
-        if term not in TERMS:
-            raise ModelError(f"{file}: {unknown_name('joint term', term, TERMS)}")
+        if not is_term(term):
+            raise ModelError(f"{file}: {unknown_name('joint term', term, TERMS, TERM_ADVICE)}")
     for name, limits in written.limits.items():
         if limits.q is not None and not limits.q[0] < limits.q[1]:
             raise ModelError(f"{file}: limits.{name}.q must be [low, high]; got {list(limits.q)}.")
@@ -182,6 +215,10 @@ def read_manifest(file: Path) -> Manifest:
         terms=written.terms,
         limits=written.limits,
         joints=written.joints,
+        locked=written.locked,
+        massless=written.massless,
+        dh=written.dh,
+        paper=written.paper,
         couplings=written.couplings,
         independent=written.coupling.independent,
         sensors=written.sensor,

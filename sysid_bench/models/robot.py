@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from sysid_bench.errors import unknown_name
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import Payload
@@ -28,6 +29,8 @@ SUFFIX: Final = {
 }
 """Joint terms and the names of their parameters, `<joint>.fv` and so on."""
 
+TERM_OF: Final = {suffix: term for term, suffix in SUFFIX.items()}
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -43,7 +46,9 @@ class Joint:
 @dataclass(frozen=True, eq=False)
 class JointTerms:
     """What each degree of freedom does beside moving masses, arrays (nv,):
-    tau = viscous v + coulomb sign(v) + offset + armature a + spring (q - spring_reference)."""
+    tau = viscous v + coulomb sign(v) + offset + armature a + spring (q - spring_reference)
+    + viscous_coupling v; viscous_coupling (nv, nv) has a zero diagonal and need not be symmetric:
+    row i is what the rates of others cost joint i, as tendons over several joints make it."""
 
     viscous: Array
     coulomb: Array
@@ -51,6 +56,7 @@ class JointTerms:
     armature: Array
     spring: Array
     spring_reference: Array
+    viscous_coupling: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,14 +163,47 @@ class RobotModel:
         return tuple(f"{body}.{name}" for body in self.body_names for name in NAMES)
 
     def term_columns(self, terms: tuple[str, ...]) -> tuple[str, ...]:
-        """`<joint>.fv` ... of the chosen joint terms, term after term."""
-        rows = self.rows
-        return tuple(f"{rows[dof]}.{SUFFIX[term]}" for term in terms for dof in self.scalar_dofs)
+        """`<joint>.fv` ... of the chosen joint terms, term after term: "viscous" is that of every
+        hinge and slide, "j1.k" that of one, "j5.fv.j6" what the rate of j6 costs j5.
+
+        Raises UsageError for a term that the robot does not have.
+        """
+        columns: list[str] = []
+        for term in terms:
+            if term in SUFFIX:
+                columns += (f"{self.rows[dof]}.{SUFFIX[term]}" for dof in self.scalar_dofs)
+            else:
+                self.term_place(term)
+                columns.append(term)
+        return tuple(dict.fromkeys(columns))
+
+    def term_place(self, name: str) -> tuple[str, int, int | None]:
+        """A joint term's parameter as (term, its degree of freedom, the one whose rate it is
+        multiplied with where that is another); raises UsageError for an unknown name."""
+        joints = {self.rows[dof]: int(dof) for dof in self.scalar_dofs}
+        for joint, dof in joints.items():
+            rest = name.removeprefix(f"{joint}.")
+            if rest == name:
+                continue
+            other = joints.get(rest.removeprefix("fv.")) if rest.startswith("fv.") else None
+            if other is not None and other != dof:
+                return "viscous_coupling", dof, other
+            if rest in TERM_OF:
+                return TERM_OF[rest], dof, None
+        known = [*SUFFIX, *(f"{joint}.{suffix}" for joint in joints for suffix in TERM_OF)]
+        raise unknown_name(
+            "joint term", name, known, "A joint's rate that another pays for is 'j5.fv.j6'."
+        )
 
     def term_values(self, terms: tuple[str, ...]) -> Array:
         """The true values of `term_columns(terms)`."""
-        values = [getattr(self.joint_terms, term)[self.scalar_dofs] for term in terms]
-        return np.concatenate(values) if values else np.zeros(0)
+        places = [self.term_place(name) for name in self.term_columns(terms)]
+        return np.array(
+            [
+                getattr(self.joint_terms, term)[dof if other is None else (dof, other)]
+                for term, dof, other in places
+            ]
+        )
 
     @property
     def bodies(self) -> tuple[Body, ...]:

@@ -21,7 +21,8 @@ SENSOR_TASKS: Final = ("wrench", "wrench-payload")
 @dataclass(frozen=True, eq=False)
 class Task:
     """A question about a robot. `truth` holds the unknowns; `known_links` (n_links, 10) and
-    `known_terms` (by term, (nv,)) are the parts of the plant that methods are given."""
+    `known_terms` (by term, (nv,)) and `known_coupling` (nv, nv), the viscous one, are the parts of
+    the plant that methods are given."""
 
     name: str
     bodies: tuple[Body, ...]
@@ -34,6 +35,7 @@ class Task:
     cuts: tuple[Cut, ...] = ()
     """The force/torque sensors that are looked at; where one is measured alone, those that end its
     sub-tree come after it."""
+    known_coupling: Array | None = None
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -48,7 +50,8 @@ class Task:
     @property
     def knows_something(self) -> bool:
         """Whether a known torque has to be taken from the measured one."""
-        return bool(self.known_links.any() or any(v.any() for v in self.known_terms.values()))
+        terms = (*self.known_terms.values(), self.known_coupling)
+        return bool(self.known_links.any() or any(v is not None and v.any() for v in terms))
 
 
 def task_of(
@@ -69,9 +72,20 @@ def task_of(
     joint torques. Joint terms that are not identified are known. Raises UnsupportedError where the
     robot or the payload has no such unknowns.
     """
-    for term in terms:
-        if term not in SUFFIX:
-            raise unknown_name("joint term", term, SUFFIX)
+    task = _task_of(robot, name, terms, sensor, offset)
+    if name in SENSOR_TASKS:
+        return task
+    identified = robot.term_columns(terms)
+    return replace(task, known_coupling=_coupling_without(robot, identified, task.parameters))
+
+
+def _task_of(
+    robot: RobotModel,
+    name: str,
+    terms: tuple[str, ...],
+    sensor: str | None,
+    offset: Array | None,
+) -> Task:
     match name:
         case "robot":
             return _beside_sensors(robot, _robot(robot, terms), sensor)
@@ -131,10 +145,11 @@ def _beside_sensors(robot: RobotModel, task: Task, sensor: str | None) -> Task:
         return task
     names = [name.strip() for name in sensor.split(",")]
     cuts = tuple(cut_at(robot, name, ()) for name in names)
-    known = np.zeros_like(robot.phi)
-    if task.name == "payload":
-        known[:] = robot.phi
-        known[robot.payload_body] = 0.0
+    asked = {body.name for body in task.bodies}
+    known = robot.phi if task.name == "payload" else _with_payload(robot)
+    known = known * [[float(name not in asked)] for name in robot.body_names]
+    if robot.payload_body is not None:
+        known[robot.payload_body] = 0.0  # asked for, or a part of the tool's body
     lumped = instruments_of(robot, cuts).tree.lumped(known)
     rows = robot.torque_rows + tuple(row for cut in cuts for row in cut.rows)
     return replace(task, rows=rows, cuts=cuts, known_links=lumped)
@@ -156,14 +171,29 @@ def _with_offset(task: Task, terms: tuple[str, ...], offset: Array) -> Task:
 
 def _robot(robot: RobotModel, terms: tuple[str, ...]) -> Task:
     phi = _with_payload(robot)
-    own = [i for i in range(len(phi)) if i != robot.payload_body]
+    asked = {body.name for body in asked_bodies(robot)}
+    own = [i for i, name in enumerate(robot.body_names) if name in asked]
     bodies = tuple(robot.bodies[i] for i in own)
     columns = tuple(column for body in bodies for column in body.columns) + robot.term_columns(
         terms
     )
     theta = np.concatenate([phi[own].ravel(), robot.term_values(terms)])
-    nothing = np.zeros((len(robot.tree.links), 10))
-    return Task("robot", bodies, Truth(columns, theta), nothing, _terms_without(robot, terms))
+    rest = phi.copy()
+    rest[own] = 0.0
+    if robot.payload_body is not None:
+        rest[robot.payload_body] = 0.0  # it is part of the tool's body
+    known = robot.tree.lumped(rest)
+    return Task("robot", bodies, Truth(columns, theta), known, _terms_without(robot, terms))
+
+
+def asked_bodies(robot: RobotModel) -> tuple[Body, ...]:
+    """The bodies whose parameters the task "robot" asks for: all but the payload and those that
+    the manifest calls massless, which weigh what the model says."""
+    names = robot.body_names
+    load = None if robot.payload_body is None else names[robot.payload_body]
+    return tuple(
+        b for b in robot.bodies if b.name != load and b.name not in robot.manifest.massless
+    )
 
 
 def _payload(robot: RobotModel) -> Task:
@@ -196,16 +226,12 @@ def _terminal(robot: RobotModel, terms: tuple[str, ...]) -> Task:
     link = _link(robot)
     dofs = _last_measured(robot)
     rows = tuple(robot.rows[dof] for dof in dofs)
-    asked = [(term, dof) for term in terms for dof in dofs if dof in robot.scalar_dofs]
-    values = [float(getattr(robot.joint_terms, term)[dof]) for term, dof in asked]
-    known = _terms_without(robot, ())
-    for term, dof in asked:
-        known[term] = known[term].copy()
-        known[term][dof] = 0.0
+    asked = tuple(c for c in robot.term_columns(terms) if robot.term_place(c)[1] in dofs)
     truth = Truth(
-        link.parameters + tuple(f"{robot.rows[dof]}.{SUFFIX[term]}" for term, dof in asked),
-        np.concatenate([link.truth.theta, values]),
+        link.parameters + asked,
+        np.concatenate([link.truth.theta, robot.term_values(asked)]),
     )
+    known = _terms_without(robot, asked)
     return Task("terminal", link.bodies, truth, link.known_links, known, rows)
 
 
@@ -230,8 +256,22 @@ def _last_measured(robot: RobotModel) -> Sequence[int]:
 
 
 def _terms_without(robot: RobotModel, identified: tuple[str, ...]) -> dict[str, Array]:
-    """The terms (nv,) that methods are given; identified ones are unknown on hinges and slides."""
+    """The terms (nv,) that methods are given; identified ones are unknown, and zero here."""
     known = {term: getattr(robot.joint_terms, term).copy() for term in SUFFIX}
-    for term in identified:
-        known[term][robot.scalar_dofs] = 0.0
+    for name in robot.term_columns(identified):
+        term, dof, other = robot.term_place(name)
+        if other is None:
+            known[term][dof] = 0.0
+    return known
+
+
+def _coupling_without(
+    robot: RobotModel, identified: tuple[str, ...], unknown: tuple[str, ...]
+) -> Array:
+    """The viscous coupling (nv, nv) that methods are given."""
+    known = robot.joint_terms.viscous_coupling.copy()
+    for name in set(identified).intersection(unknown):
+        _, dof, other = robot.term_place(name)
+        if other is not None:
+            known[dof, other] = 0.0
     return known

@@ -67,9 +67,9 @@ def regression_program(regression: "Regression", rows: Sequence[int]) -> Program
         plan.add(columns)
     for term in regression.terms:
         if term.row in plan.next:
-            plan.terms.append(
-                (TERM_CODES[term.kind], plan.take(term.row, 1), term.row, term.qadr, term.reference)
-            )
+            dest = plan.take(term.row, 1)
+            code = TERM_CODES[term.kind]
+            plan.terms.append((code, dest, term.rate, term.qadr, term.reference))
     size = int(ends[-1]) if len(ends) else 0
     at = ends - count - 1
     places = [regression.touched[i] for i in rows]

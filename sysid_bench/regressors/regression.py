@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import unknown_name
+from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Measured
 from sysid_bench.models.tree import Tree
@@ -45,14 +45,15 @@ class LinkColumns:
 
 @dataclass(frozen=True)
 class TermColumn:
-    """One joint term: its column in Y, its row, what it is, the joint's place in q, and the
-    reference that is taken from q."""
+    """One joint term: its column in Y, its row, what it is, the joint's place in q, the reference
+    that is taken from q, and the place in v of the rate that it depends on."""
 
     place: int
     row: int
     kind: str
     qadr: int
     reference: float
+    rate: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +109,7 @@ class Regression:
                 np.einsum("in,icn->cn", zu, A, out=out[free[row] : end])
                 free[row] = end
         for term in self.terms:
-            values = TERM[term.kind](q[term.qadr] - term.reference, v[term.row], a[term.row])
+            values = TERM[term.kind](q[term.qadr] - term.reference, v[term.rate], a[term.rate])
             out[free[term.row]] = values
             free[term.row] += 1
         return out
@@ -199,45 +200,41 @@ def regression(
     """
     tree, rows = (robot.tree, robot.rows) if measured is None else (measured.tree, measured.rows)
     inertial = {name: i for i, name in enumerate(robot.inertial_columns)}
-    joint_terms = _term_names(robot) | _offset_names(rows[robot.nv :], robot)
+    constants = {f"{row}.offset": robot.nv + k for k, row in enumerate(rows[robot.nv :])}
     weights: dict[int, list[tuple[int, Array]]] = {}
     terms = []
     for place, name in enumerate(columns):
-        if name in joint_terms:
-            row, kind, qadr, reference = joint_terms[name]
-            terms.append(TermColumn(place, row, kind, qadr, reference))
-        elif name in inertial:
+        if name in inertial:
             body, parameter = divmod(inertial[name], 10)
             if tree.carrier[body] >= 0:  # a body welded to the world moves nothing
                 weight = tree.X[body][:, parameter]
                 weights.setdefault(int(tree.carrier[body]), []).append((place, weight))
         else:
-            raise unknown_name("parameter", name, [*inertial, *joint_terms])
+            row = constants.get(name)  # of a sensor's component, or a joint's term
+            terms.append(
+                _term_column(robot, place, name)
+                if row is None
+                else TermColumn(place, row, "offset", 0, 0.0, row)
+            )
     links = tuple(_link_columns(link, weights[link]) for link in sorted(weights))
     return Regression(tree, rows, tuple(columns), links, tuple(terms))
 
 
-def _term_names(robot: RobotModel) -> dict[str, tuple[int, str, int, float]]:
-    names = {}
-    for joint in robot.joints:
-        if joint.kind not in ("hinge", "slide"):
-            continue
-        for kind in SUFFIX.values():
-            reference = (
-                float(robot.joint_terms.spring_reference[joint.vadr]) if kind == "k" else 0.0
-            )
-            names[f"{joint.name}.{kind}"] = (joint.vadr, kind, joint.qadr, reference)
-    return names
+def _term_column(robot: RobotModel, place: int, name: str) -> TermColumn:
+    try:
+        term, dof, other = robot.term_place(name)
+    except UsageError as error:
+        raise unknown_name(
+            "parameter", name, [*robot.inertial_columns, *_term_names(robot)]
+        ) from error
+    joint = next(joint for joint in robot.joints if joint.vadr == dof)
+    suffix = SUFFIX["viscous" if other is not None else term]
+    reference = float(robot.joint_terms.spring_reference[dof]) if term == "spring" else 0.0
+    return TermColumn(place, dof, suffix, joint.qadr, reference, dof if other is None else other)
 
 
-def _offset_names(
-    rows: tuple[str, ...], robot: RobotModel
-) -> dict[str, tuple[int, str, int, float]]:
-    """The constant that each row of a sensor may have."""
-    return {
-        f"{row}.offset": (robot.nv + k, "offset", robot.mj.nq + k, 0.0)
-        for k, row in enumerate(rows)
-    }
+def _term_names(robot: RobotModel) -> list[str]:
+    return [f"{robot.rows[dof]}.{suffix}" for dof in robot.scalar_dofs for suffix in TERM]
 
 
 def _link_columns(link: int, weights: list[tuple[int, Array]]) -> LinkColumns:

@@ -20,7 +20,7 @@ _INK, _GREY = "#222222", "#8a8a8a"
 # Distinct in print, on screen and for colour-blind readers (Okabe and Ito, 2008).
 _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 _MARKERS: Final = ("o", "s", "D", "^", "v", "P", "X")
-_STYLE: Final[dict[Any, Any]] = {
+STYLE: Final[dict[Any, Any]] = {
     "font.family": "STIXGeneral", "mathtext.fontset": "stix", "font.size": 8,
     "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7,
     "axes.linewidth": 0.5, "xtick.major.width": 0.5, "ytick.major.width": 0.5,
@@ -30,7 +30,7 @@ _STYLE: Final[dict[Any, Any]] = {
     "svg.fonttype": "path", "svg.hashsalt": "sysid_bench",
 }  # fmt: skip
 # A file that says when it was made would differ every time.
-_METADATA: Final[Mapping[str, dict[str, None]]] = {
+METADATA: Final[Mapping[str, dict[str, None]]] = {
     "pdf": {"CreationDate": None, "ModDate": None, "Producer": None, "Creator": None},
     "svg": {"Date": None, "Creator": None},
 }
@@ -44,7 +44,7 @@ def figure(table: Table, path: Path) -> Path:
     dots with intervals otherwise. Raises UsageError for another suffix.
     """
     kind = path.suffix.lower().removeprefix(".")
-    if kind not in _METADATA:
+    if kind not in METADATA:
         raise UsageError(f"A figure ends with .pdf or .svg; {path.name!r} does not.")
     path.write_bytes(_drawn(table, kind))
     return path
@@ -59,13 +59,13 @@ def figure_svg(table: Table) -> str:
 def _drawn(table: Table, kind: str) -> bytes:
     import matplotlib
 
-    with matplotlib.rc_context(rc={**matplotlib.rcParamsDefault, **_STYLE}):
+    with matplotlib.rc_context(rc={**matplotlib.rcParamsDefault, **STYLE}):
         fields = (*table.row_fields, *table.column_fields)
         map_like = len(table.row_fields) == len(table.column_fields) == 1
         drawing = _heat_map(table) if map_like and "estimator" not in fields else _dots(table)
         out = io.BytesIO()
         drawing.savefig(
-            out, format=kind, metadata=_METADATA[kind], bbox_inches="tight", pad_inches=0.02
+            out, format=kind, metadata=METADATA[kind], bbox_inches="tight", pad_inches=0.02
         )
     return out.getvalue()
 

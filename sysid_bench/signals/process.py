@@ -19,18 +19,20 @@ SETTINGS: Final = ("filter", "derivatives", "torque", "calibration")
 @dataclass(frozen=True)
 class Processing:
     """One filter for every signal, none late against another; `differentiate`: v and a from the
-    filtered q, else the recording's own. With `raw_torque` the torque is left as it came: least
+    filtered q, else the recording's own; `from_rates`: its own v, filtered, and a from that, as
+    drives that measure speed allow. With `raw_torque` the torque is left as it came: least
     squares averages its noise, while a filter rounds the steps of Coulomb friction, which the
     regressor's sign(v) keeps."""
 
     filter: Filter
     differentiate: bool
     raw_torque: bool = False
+    from_rates: bool = False
 
     def apply(self, recording: Recording, joints: tuple[Joint, ...]) -> Recording:
         """A recording with v and a; UsageError where it is too short, or v and a are absent."""
         smooth, rate = self.filter.smooth, recording.rate
-        edge = self.filter.edge(rate) + (2 if self.differentiate else 0)
+        edge = self.filter.edge(rate) + (2 if self.differentiate or self.from_rates else 0)
         if len(recording) <= 2 * edge + 10:
             raise UsageError(
                 f"{len(recording)} samples are too few for {self.filter}: it spoils {edge} at each "
@@ -40,6 +42,11 @@ class Processing:
         if self.differentiate:
             v = _rates(q, joints, rate)
             a = np.gradient(v, 1.0 / rate, axis=0)
+        elif self.from_rates and recording.v is not None:
+            v = smooth(recording.v, rate)
+            a = np.gradient(v, 1.0 / rate, axis=0)
+        elif self.from_rates:
+            raise UsageError("derivatives = 'from v' needs a recording with v; use 'from q'.")
         elif recording.v is None or recording.a is None:
             raise UsageError("derivatives = 'exact' needs a recording with v and a; use 'from q'.")
         else:
@@ -61,13 +68,13 @@ def processing_of(spec: Mapping[str, object]) -> Processing:
         if key not in SETTINGS:
             raise unknown_name("signals setting", key, SETTINGS)
     derivatives = spec.get("derivatives", "exact")
-    if derivatives not in ("exact", "from q"):
-        raise UsageError(f"derivatives = {derivatives!r}: write 'exact' or 'from q'.")
+    if derivatives not in ("exact", "from q", "from v"):
+        raise UsageError(f"derivatives = {derivatives!r}: write 'exact', 'from q' or 'from v'.")
     torque = spec.get("torque", "filtered")
     if torque not in ("filtered", "raw"):
         raise UsageError(f"torque = {torque!r}: write 'filtered' or 'raw'.")
     filter = filter_of(str(spec.get("filter", "none")))
-    return Processing(filter, derivatives == "from q", torque == "raw")
+    return Processing(filter, derivatives == "from q", torque == "raw", derivatives == "from v")
 
 
 def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> Array:

@@ -22,6 +22,7 @@ def bare_robot(robot: RobotModel) -> RobotModel:
     spec = bare_spec(robot.mj)
     spec.option = robot.spec.option
     nothing = {field.name: np.zeros(robot.nv) for field in fields(JointTerms)}
+    nothing["viscous_coupling"] = np.zeros((robot.nv, robot.nv))
     nothing["spring_reference"] = robot.joint_terms.spring_reference
     return replace(
         robot,

@@ -1,5 +1,6 @@
 """The model that a method simulates: the robot's kinematics with the method's own parameters."""
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from sysid_bench.models.robot import SUFFIX, JointTerms, RobotModel
 from sysid_bench.models.task import Task
 from sysid_bench.simulation.bare import bare_robot
-from sysid_bench.simulation.plant import Plant
+from sysid_bench.simulation.plant import Plant, coupling_laws
 from sysid_bench.types import Array, Body
 
 
@@ -21,12 +22,17 @@ class Declared:
     bodies: tuple[Body, ...]
     known_links: Array  # (n_links, 10)
     known_terms: dict[str, Array]  # by term, (nv,)
+    known_coupling: Array  # (nv, nv), viscous
 
 
 def declared(robot: RobotModel, task: Task) -> Declared:
     """What the task tells of the robot."""
     bare = bare_robot(robot)
-    return Declared(bare, task.parameters, task.bodies, task.known_links, task.known_terms)
+    coupling = task.known_coupling
+    return Declared(
+        bare, task.parameters, task.bodies, task.known_links, task.known_terms,
+        np.zeros((robot.nv, robot.nv)) if coupling is None else coupling,
+    )  # fmt: skip
 
 
 def candidate(told: Declared, theta: Array) -> Plant:
@@ -39,7 +45,8 @@ def candidate(told: Declared, theta: Array) -> Plant:
     for body in told.bodies:
         at = robot.body_names.index(body.name)
         phi[at] += theta[[places[column] for column in body.columns]]
-    return Plant(robot, _terms(told, theta, places), (), phi)
+    terms = _terms(told, theta, places)
+    return Plant(robot, terms, coupling_laws(terms), phi)
 
 
 def _terms(told: Declared, theta: Array, places: dict[str, int]) -> JointTerms:
@@ -52,4 +59,10 @@ def _terms(told: Declared, theta: Array, places: dict[str, int]) -> JointTerms:
             if at is not None:
                 value[dof] = theta[at]
         values[term] = value
+    coupling = told.known_coupling.copy()
+    for dof, other in itertools.permutations(robot.scalar_dofs, 2):
+        at = places.get(f"{robot.rows[dof]}.fv.{robot.rows[other]}")
+        if at is not None:
+            coupling[dof, other] = theta[at]
+    values["viscous_coupling"] = coupling
     return replace(robot.joint_terms, **values)

@@ -65,7 +65,16 @@ class Plant:
 def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
     """The plant of a robot; an effect that prepares None adds nothing."""
     laws = [effect.prepare(robot) for effect in effects]
-    return Plant(robot, robot.joint_terms, tuple(law for law in laws if law is not None))
+    own = tuple(law for law in laws if law is not None)
+    return Plant(robot, robot.joint_terms, own + coupling_laws(robot.joint_terms))
+
+
+def coupling_laws(terms: JointTerms) -> tuple[Any, ...]:
+    """The law of viscous friction between joints, where there is any: no passive element of MuJoCo
+    has an unsymmetric one."""
+    if not terms.viscous_coupling.any():
+        return ()
+    return (lambda t, q, v: v @ terms.viscous_coupling.T,)
 
 
 def bench_flags(mj: mujoco.MjModel) -> mujoco.MjModel:

@@ -4,6 +4,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.identifiability.combinations import combined, expression
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial.inertia import NAMES, mass_com_inertia, six_of_matrix
@@ -43,6 +44,18 @@ def bodies_of(estimate: Estimate, problem: Problem) -> dict[str, dict[str, Any]]
     return answer
 
 
+def base_of(estimate: Estimate, problem: Problem) -> list[dict[str, Any]]:
+    """[{expression, terms, value, std}] of the base parameters, in the order of their pivots."""
+    assert estimate.beta is not None
+    std = np.full(problem.base.rank, np.nan)
+    if estimate.covariance is not None:
+        std = np.sqrt(np.diag(estimate.covariance))
+    return [
+        {"expression": expression(terms), "terms": terms, "value": float(value), "std": float(s)}
+        for terms, value, s in zip(combined(problem.base), estimate.beta, std, strict=True)
+    ]
+
+
 def joints_of(estimate: Estimate, problem: Problem) -> dict[str, dict[str, dict[str, Any]]]:
     """{joint: {term: value, identifiable, std}} of the joint terms that were asked for."""
     inertial = {column for body in problem.bodies for column in body.columns}
@@ -50,10 +63,19 @@ def joints_of(estimate: Estimate, problem: Problem) -> dict[str, dict[str, dict[
     answer: dict[str, dict[str, dict[str, Any]]] = {}
     for j, name in enumerate(problem.parameters):
         if name not in inertial:
-            joint, _, suffix = name.rpartition(".")
+            joint, term = _joint_and_term(name)
             value = {"value": float(theta[j]), "identifiable": told[j], "std": float(std[j])}
-            answer.setdefault(joint, {})[TERM[suffix]] = value
+            answer.setdefault(joint, {})[term] = value
     return answer
+
+
+def _joint_and_term(name: str) -> tuple[str, str]:
+    """ "j5.fv" is j5's "viscous", "j5.fv.j6" its "viscous_coupling.j6"."""
+    joint, _, suffix = name.rpartition(".")
+    if suffix in TERM:
+        return joint, TERM[suffix]
+    joint, _, other = name.partition(".fv.")
+    return joint, f"viscous_coupling.{other}"
 
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:

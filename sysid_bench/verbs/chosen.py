@@ -4,11 +4,12 @@ from sysid_bench.errors import unknown_name
 
 
 def chosen_terms(text: str | None) -> tuple[str, ...] | None:
-    """Joint terms of "viscous,coulomb"; "none" is no term, and None leaves the choice to the robot.
+    """Joint terms of "viscous,coulomb,j1.k"; "none" is no term, and None leaves the choice to the
+    robot.
 
     Raises UsageError with the nearest word.
     """
-    from sysid_bench.models.manifest import TERMS
+    from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 
     if text is None:
         return None
@@ -16,8 +17,9 @@ def chosen_terms(text: str | None) -> tuple[str, ...] | None:
     if words in ((), ("none",)):
         return ()
     for word in words:
-        if word not in TERMS:
-            raise unknown_name("joint term", word, TERMS, "Separate several by commas, or: none.")
+        if not is_term(word):
+            advice = f"{TERM_ADVICE} Separate several by commas, or: none."
+            raise unknown_name("joint term", word, TERMS, advice)
     return words
 
 

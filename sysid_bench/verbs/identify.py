@@ -49,7 +49,7 @@ def identify(
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.models.extents import extents
     from sysid_bench.naming import build
-    from sysid_bench.verbs.answer import bodies_of, joints_of, warnings_of
+    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, warnings_of
     from sysid_bench.verbs.model_out import check_target, write_model
     from sysid_bench.verbs.sensing import compared, excited
 
@@ -90,6 +90,7 @@ def identify(
         "rmse_test": figures.rmse_test,
         "torque_error": figures.torque_error,
         "gap": robot.check.gap,
+        "base": base_of(estimate, ready.problem),
         "bodies": bodies,
         "joints": joints_of(estimate, ready.problem),
         "payload": next(iter(bodies.values())) if task.endswith("payload") else None,

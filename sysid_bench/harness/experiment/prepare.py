@@ -187,6 +187,8 @@ def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:
     """Torque (N, nv) of the joint terms that are known."""
     tau = np.zeros_like(motion.v)
     deflection = _scalar_positions(robot, motion) - robot.joint_terms.spring_reference
+    if task.known_coupling is not None:
+        tau += motion.v @ task.known_coupling.T
     for term, values in task.known_terms.items():
         for dof in np.flatnonzero(values):
             state = deflection[:, dof], motion.v[:, dof], motion.a[:, dof]

@@ -21,6 +21,7 @@ from pydantic import (
     model_validator,
 )
 
+from sysid_bench.errors import unknown_name
 from sysid_bench.harness.canonical import canonical
 from sysid_bench.harness.suite.checks import (
     as_plugin,
@@ -42,8 +43,8 @@ from sysid_bench.harness.words import (
     METRICS,
     STATISTICS,
     TASKS,
-    TERMS,
 )
+from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
 RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
@@ -160,7 +161,13 @@ Sweep = BeforeValidator(items)
 ListSweep = BeforeValidator(lists)
 
 
-Terms = tuple[Annotated[str, word("joint term", TERMS)], ...] | None
+def _term(value: Any) -> Any:
+    if not isinstance(value, str) or not is_term(value):
+        raise ValueError(str(unknown_name("joint term", str(value), TERMS, TERM_ADVICE)))
+    return value
+
+
+Terms = tuple[Annotated[str, BeforeValidator(_term)], ...] | None
 
 
 def _motions(value: Any) -> Any:

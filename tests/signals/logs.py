@@ -1,0 +1,98 @@
+"""Recordings of simulated robots as files: what the laws of the importer are tried on."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import tomlkit
+from scipy.io import savemat
+
+from sysid_bench.excitation.brief import brief_of
+from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.plant import plant_of
+from sysid_bench.types import Array, Oracle
+
+RATE = 200.0
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Signals (N, k) of some joints of a robot, SI, joint side."""
+
+    joints: tuple[str, ...]
+    t: Array
+    q: Array
+    v: Array
+    tau: Array
+
+
+def motion_of(robot: RobotModel, seed: int = 0, period: float = 4.0, rate: float = RATE) -> Oracle:
+    """An exciting motion of a robot with its torque."""
+    commanded = Fourier(period=period, cycles=1).design(
+        brief_of(robot, rate), np.random.default_rng(seed)
+    )
+    oracle, _ = Inverse().run(plant_of(robot), commanded, np.zeros_like(commanded.v))
+    return oracle
+
+
+def recorded(robot: RobotModel, seed: int = 0, period: float = 4.0) -> Recorded:
+    """What a robot of hinges and slides would log along an exciting motion."""
+    oracle = motion_of(robot, seed, period)
+    at = [joint.qadr for joint in robot.joints]
+    motion = oracle.motion
+    return Recorded(robot.rows, motion.t, motion.q[:, at], motion.v, oracle.tau)
+
+
+def write(
+    folder: Path, log: Recorded, kind: str = "csv", name: str = "run", **changed: Any
+) -> Path:
+    """A recorded file and its description with the keys in `changed` (None: left out)."""
+    k = len(log.joints)
+    table = np.column_stack([log.t, log.q, log.v, log.tau])
+    file = folder / f"{name}.{kind.partition(' ')[0]}"
+    words = ["t", *(f"{s}_{j}" for s in ("q", "v", "tau") for j in log.joints)]
+    arrays: dict[str, Any] = {"t": log.t, "q": log.q, "v": log.v, "tau": log.tau}
+    by_place: dict[str, Any] = {
+        s: {"columns": list(range(2 + i * k, 2 + (i + 1) * k))}
+        for i, s in enumerate(("q", "v", "tau"))
+    }
+    by_array: dict[str, Any] = {s: {"columns": [s]} for s in ("q", "v", "tau")}
+    match kind:
+        case "csv":
+            np.savetxt(file, table, delimiter=",", header=",".join(words), comments="", fmt="%.17g")
+        case "csv bare":
+            np.savetxt(file, table, delimiter=",", fmt="%.17g")
+        case "csv ;":
+            np.savetxt(file, table, delimiter=" ; ", header=";".join(words), fmt="%.17g")
+        case "txt":
+            np.savetxt(
+                file, table, header="one more line of words\n" + " ".join(words), fmt="%.17g"
+            )
+        case "npz":
+            np.savez(file, **arrays)
+        case "mat":
+            savemat(file, {"run": {"q": log.q.T, "v": log.v, "tau": log.tau.T}, "t": log.t})
+            by_array = {s: {"columns": [f"run.{s}"]} for s in ("q", "v", "tau")}
+        case "parquet":
+            pd.DataFrame(table, columns=words).to_parquet(file)
+            by_place = {s: {"columns": [f"{s}_{j}" for j in log.joints]} for s in ("q", "v", "tau")}
+    signals = by_array if kind in ("npz", "mat") else by_place
+    text: dict[str, Any] = {"file": file.name, "rate": f"{RATE:g} Hz", "joints": list(log.joints)}
+    text |= {s: dict(part) for s, part in signals.items()}
+    for key, value in changed.items():
+        if value is None:
+            text.pop(key, None)
+        elif isinstance(value, Mapping) and isinstance(text.get(key), dict):
+            text[key] = text[key] | dict(value)
+        else:
+            text[key] = value
+    path = folder / f"{name}.toml"
+    path.write_text(tomlkit.dumps(text))
+    assert tomllib.loads(path.read_text()).keys() == text.keys()
+    return path
