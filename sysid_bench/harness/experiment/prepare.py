@@ -132,6 +132,7 @@ class Posing:
             samples=len(motion),
             prior=prior,
             kinds=tuple(self.robot.torque_kinds[i] for i in self.places),
+            torque=np.sqrt((tau[:, self.places] ** 2).mean(axis=0)),
         )
 
     def known(self, motion: Trajectory) -> Array:
