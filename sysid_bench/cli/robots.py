@@ -1,6 +1,5 @@
 """Verbs on one robot: crosscheck, basis, identify."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -112,8 +111,13 @@ def basis(
 @click.argument("model", metavar="MODEL")
 @click.option("--simulate", is_flag=True, help="Data from the robot's own simulation.")
 @click.option("--task", default="robot", show_default=True, help="robot, payload, link, terminal.")
-@click.option("--payload", default="none", show_default=True, help="What is mounted at the tool.")
+@click.option(
+    "--payload", default="none", show_default=True,
+    help="What is mounted at the tool: a name, or a table '{ mass = 1.2, com = [0, 0, 0.05], "
+    "inertia = \"sphere 0.05 m\" }'.",
+)  # fmt: skip
 @click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
+@click.option("--free-base", is_flag=True, default=None, help="Let the root body float.")
 @click.option("--estimator", metavar="NAME", help="Default: ols; min-norm for the task terminal.")
 @click.option("--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none.")
 @click.option(
@@ -130,6 +134,7 @@ def identify(
     task: str,
     payload: str,
     terms: str | None,
+    free_base: bool | None,
     estimator: str | None,
     noise: str | None,
     model_out: Path | None,
@@ -141,18 +146,14 @@ def identify(
     """Identify one robot: parse, excite, simulate, solve, export."""
     from sysid_bench.errors import UsageError
     from sysid_bench.verbs import identify as identification
-    from sysid_bench.verbs.chosen import chosen_noise, chosen_terms
+    from sysid_bench.verbs.chosen import chosen_noise, chosen_payload, chosen_terms
 
     if not simulate:
         raise UsageError("Where do the data come from? Say --simulate for the robot's simulation.")
-    if json_out is not None and not json_out.parent.is_dir():
-        raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
     answer = identification.identify(
-        model, task, payload, chosen_terms(terms), estimator, chosen_noise(noise), model_out, seed,
-        robots_dir,
+        model, task, chosen_payload(payload), chosen_terms(terms), estimator, chosen_noise(noise),
+        model_out, seed, robots_dir, json_out, free_base,
     )  # fmt: skip
-    if json_out is not None:
-        json_out.write_text(json.dumps(answer, indent=2) + "\n", encoding="utf-8")
     if as_json:
         print_json(answer)
         return OK

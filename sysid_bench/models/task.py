@@ -13,6 +13,8 @@ from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Body, Truth
 
 TASKS: Final = ("robot", "payload", "link", "terminal", "wrench")
+WITH_TERMS: Final = ("robot", "terminal")
+"""Tasks whose unknowns may hold joint terms; in the others these are known."""
 
 
 @dataclass(frozen=True, eq=False)

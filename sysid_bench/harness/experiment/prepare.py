@@ -60,7 +60,7 @@ class Prepared:
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
     robot = subject.robot
-    task = task_of(robot, spec.task, _terms(spec, robot))
+    task = task_of(robot, spec.task, terms_of(spec, robot))
     base = subject.base(task.parameters, task.rows)
     posing = Posing(robot, task, base, torque_regression(robot, base.names))
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
@@ -80,7 +80,7 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     )  # fmt: skip
 
 
-def _terms(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
+def terms_of(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
     """The joint terms that are identified; the robot's own are those of the task `robot`."""
     if spec.terms is not None:
         return spec.terms
