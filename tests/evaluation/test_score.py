@@ -75,6 +75,7 @@ def test_the_torque_that_errors_are_compared_with_is_the_measured_one(
 ) -> None:
     made = noisy(*place)
     rows = [made.robot.torque_rows.index(row) for row in made.problem.rows]
+    assert made.problem.torque is not None
     np.testing.assert_array_equal(
         made.problem.torque, rms(made.experiment.recording.tau[:, rows], axis=0)
     )
