@@ -189,6 +189,7 @@ class Problem:
     samples: int = 0
     prior: Prior | None = None
     kinds: tuple[str, ...] = ()  # of each row: what may be compared, "joint N m", "base N", ...
+    torque: Float[Array, " rows"] | None = None  # RMS of each row's whole torque; None: that of b
 
     @cached_property
     def stacked(self) -> tuple[Float[Array, "M r"], Float[Array, " M"]]:
@@ -264,7 +265,7 @@ class Score:
 
     rmse_train: float | None = None  # N m, N: residual on the measured training torque
     rmse_test: float | None = None  # N m, N: all held-out motions, all joints
-    torque_error: float | None = None  # held-out RMS error / RMS torque, joints scaled first
+    torque_error: float | None = None  # held-out RMS error / RMS whole torque, joints scaled first
     torque_error_by_motion: Mapping[str, float | None] = field(default_factory=dict)
     rank: int | None = None  # base parameters of the task
     data_rank: int | None = None  # of them, excited by the training motion

@@ -65,3 +65,15 @@ def test_the_package_offers_what_python_users_are_promised() -> None:
     done = python(f"import sysid_bench as s; print(*(callable(f) for f in ({promised})))")
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["True"] * 3
+
+
+@pytest.mark.parametrize("chosen", [None, "3"])
+def test_a_command_has_one_blas_thread_unless_its_user_says_more(chosen: str | None) -> None:
+    name = "OPENBLAS_NUM_THREADS"
+    before = f"os.environ.pop({name!r}, None)" if chosen is None else f"os.environ[{name!r}] = '3'"
+    done = python(
+        f"import os; {before}\nfrom sysid_bench.cli import main\n"
+        f"main(['list', 'robots'], standalone_mode=False)\nprint(os.environ[{name!r}])"
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split()[-1] == (chosen or "1")

@@ -193,8 +193,13 @@ def basis(
     help="robot, payload, link, terminal, wrench, wrench-payload.",
 )
 @click.option("--sensor", metavar="NAME|PLACE", help=SENSOR)
-@click.option("--payload", default="none", show_default=True, help="What is mounted at the tool.")
+@click.option(
+    "--payload", default="none", show_default=True,
+    help="What is mounted at the tool: a name, or a table '{ mass = 1.2, com = [0, 0, 0.05], "
+    "inertia = \"sphere 0.05 m\" }'.",
+)  # fmt: skip
 @click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,j1.k...; or none.")
+@click.option("--free-base", is_flag=True, default=None, help="Let the root body float.")
 @click.option(
     "--estimator",
     metavar="NAME",
@@ -230,6 +235,7 @@ def identify(
     sensor: str | None,
     payload: str,
     terms: str | None,
+    free_base: bool | None,
     estimator: str | None,
     noise: str | None,
     model_out: Path | None,
@@ -243,7 +249,7 @@ def identify(
     from sysid_bench.errors import UsageError
     from sysid_bench.verbs import identify as identification
     from sysid_bench.verbs import identify_logs as recordings
-    from sysid_bench.verbs.chosen import chosen_noise, chosen_terms
+    from sysid_bench.verbs.chosen import chosen_noise, chosen_payload, chosen_terms
 
     if simulate == bool(logs):
         raise UsageError(
@@ -258,25 +264,25 @@ def identify(
             "--test, --accept, --choose, --position-given, --filter, --derivatives, --moving and "
             "--figure belong to --log."
         )
-    if json_out is not None and not json_out.parent.is_dir():
-        raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
     if logs:
         passed, more = (
             tuple(word.strip() for word in (words or "").split(",") if word.strip())
             for words in (accept, candidates)
         )
+        if json_out is not None and not json_out.parent.is_dir():
+            raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
         answer = recordings.identify_logs(
             model, logs, tests, task, chosen_terms(terms), estimator, filter_text, derivatives,
             moving, more, position_given, passed, model_out,
             figure, robots_dir,
         )  # fmt: skip
+        if json_out is not None:
+            json_out.write_text(json.dumps(answer, indent=2) + "\n", encoding="utf-8")
     else:
         answer = identification.identify(
-            model, task, payload, chosen_terms(terms), estimator, chosen_noise(noise), model_out,
-            seed, robots_dir, complete, sensor,
+            model, task, chosen_payload(payload), chosen_terms(terms), estimator,
+            chosen_noise(noise), model_out, seed, robots_dir, complete, sensor, json_out, free_base,
         )  # fmt: skip
-    if json_out is not None:
-        json_out.write_text(json.dumps(answer, indent=2) + "\n", encoding="utf-8")
     if as_json:
         print_json(answer)
         return OK

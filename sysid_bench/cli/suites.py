@@ -124,7 +124,8 @@ def _print_result(result: Any) -> None:
         click.echo(f"Interrupted; the same command goes on. Rows are in {folder}.", err=True)
         return
     if not result.counts:
-        click.echo("No cell was selected; see 'sysid-bench plan'.", err=True)
+        why = " ".join(result.notes)
+        click.echo(f"No cell was selected; see 'sysid-bench plan'. {why}".rstrip(), err=True)
         return
     for text in printed_tables(folder):
         click.echo(text)

@@ -16,6 +16,9 @@ SMALL_JOINT: Final = 0.01
 """A row whose RMS torque is below this share of the largest of its kind is listed apart; forces
 and torques, joints and a floating base are kinds of their own (`Problem.kinds`)."""
 
+ROUNDING: Final = 1e-12
+"""A row whose RMS torque is below this share of the largest of all rows holds rounding alone."""
+
 
 def score(
     estimate: Estimate,
@@ -99,10 +102,18 @@ def d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
 
 
 def _row_rms(problems: list[Problem]) -> Array:
-    """RMS of b over all samples of each row (rows,)."""
-    squares = np.array([[np.linalg.norm(f.R[:, -1]) ** 2 for f in p.factors] for p in problems])
-    counts = sum(p.samples for p in problems)
-    return np.sqrt(squares.sum(axis=0) / counts)
+    """RMS torque over all samples of each row (rows,), what the task knows included; 0 where that
+    is rounding."""
+    squares = np.array([problem.samples * _torque(problem) ** 2 for problem in problems])
+    rms = np.sqrt(squares.sum(axis=0) / sum(problem.samples for problem in problems))
+    return np.where(rms > ROUNDING * rms.max(initial=0.0), rms, 0.0)
+
+
+def _torque(problem: Problem) -> Array:
+    if problem.torque is not None:
+        return problem.torque
+    norms = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
+    return norms / np.sqrt(problem.samples)
 
 
 def _row_errors(problems: list[Problem], beta: Array) -> Array:
@@ -124,13 +135,17 @@ def _large(rms: Array, kinds: tuple[str, ...]) -> Array:
     return large & (rms > 0)
 
 
-def _torque_error(problems: list[Problem], beta: Array) -> float | None:
+def _relative_errors(problems: list[Problem], beta: Array) -> Array:
+    """RMS error over RMS torque of each row (rows,); NaN where no unknown acts, or no torque."""
     rms = _row_rms(problems)
-    large = _large(rms, problems[0].kinds)
-    if not large.any():
-        return None
-    relative = _row_errors(problems, beta)[large] / rms[large]
-    return float(np.sqrt((relative**2).mean()))
+    asked = np.array([len(factor.columns) > 0 for factor in problems[0].factors]) & (rms > 0)
+    return np.where(asked, _row_errors(problems, beta) / np.where(asked, rms, 1.0), np.nan)
+
+
+def _torque_error(problems: list[Problem], beta: Array) -> float | None:
+    relative = _relative_errors(problems, beta)
+    judged = relative[_large(_row_rms(problems), problems[0].kinds) & np.isfinite(relative)]
+    return float(np.sqrt((judged**2).mean())) if len(judged) else None
 
 
 def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> float | None:
@@ -147,22 +162,21 @@ def _relative(difference: Array, reference: Array) -> float | None:
 
 def _joint_figures(problem: Problem, tests: list[Problem], beta: Array) -> list[dict[str, Any]]:
     train = _row_errors([problem], beta)
-    joints = []
     rms = _row_rms(tests) if tests else np.zeros(len(train))
     errors = _row_errors(tests, beta) if tests else rms
+    relative = _relative_errors(tests, beta) if tests else np.full(len(train), np.nan)
     large = _large(rms, problem.kinds)
-    for i, name in enumerate(problem.rows):
-        joints.append(
-            {
-                "name": name,
-                "rmse_train": float(train[i]),
-                "rmse_test": float(errors[i]) if tests else None,
-                "rms": float(rms[i]) if tests else None,
-                "relative": float(errors[i] / rms[i]) if tests and rms[i] > 0 else None,
-                "small": bool(not large[i]),
-            }
-        )
-    return joints
+    return [
+        {
+            "name": name,
+            "rmse_train": float(train[i]),
+            "rmse_test": float(errors[i]) if tests else None,
+            "rms": float(rms[i]) if tests else None,
+            "relative": float(relative[i]) if np.isfinite(relative[i]) else None,
+            "small": bool(not large[i]),
+        }
+        for i, name in enumerate(problem.rows)
+    ]
 
 
 def _body_figures(

@@ -4,10 +4,11 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.harness.words import LABELS
+from sysid_bench.harness.words import LABELS, PARAMETER, VERDICT
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -28,6 +29,21 @@ class Frames:
     cells: "pd.DataFrame"
     parameters: "pd.DataFrame"
     joints: "pd.DataFrame"
+
+    @cached_property
+    def by_parameter(self) -> "pd.DataFrame":
+        """`cells` with a line per parameter (m, ..., fc) and its verdict; a cell that tells of none
+        has a line for each that others tell of."""
+        import pandas as pd
+
+        names = {"name": PARAMETER, "identifiable": VERDICT}
+        told = self.parameters[["id", *names]].rename(columns=names)
+        lines = self.cells.reset_index(names="place")
+        silent = lines[~lines["id"].isin(told["id"])]
+        every = pd.DataFrame({PARAMETER: told[PARAMETER].unique() if len(told) else [None]})
+        both = [lines.merge(told, on="id"), silent.merge(every, how="cross")]
+        whole = pd.concat([part for part in both if len(part)] or both)
+        return whole.sort_values("place", kind="stable", ignore_index=True).drop(columns="place")
 
     def write(self, folder: Path) -> None:
         """cells.parquet, parameters.parquet and joints.parquet, each whole or not at all."""

@@ -2,12 +2,15 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from sysid_bench.harness.canonical import canonical, digest
 from sysid_bench.harness.experiment.spec import normal_noise, normal_payload, normal_prior
 from sysid_bench.harness.suite.model import Noise, Plugin, Prior, RobotEntry, Suite
 from sysid_bench.harness.suite.names import Names
+
+BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}
+"""What follows the name of a robot whose suite says what its base does."""
 
 
 def distinct(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
@@ -76,7 +79,7 @@ def robot_key(source: str, free_base: bool | None, sensor: str | None = None) ->
 
 
 def _robot_texts(names: Names, suite: Suite, source: str, entry: RobotEntry) -> tuple[str, str]:
-    base = {None: "", True: " (free base)", False: " (fixed base)"}[entry.free_base]
+    base = BASES[entry.free_base]
     at = "" if entry.sensor is None else f" @ {entry.sensor}"
     return names.robot(source, suite.folder).name + base, source + base + at
 

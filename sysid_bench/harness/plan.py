@@ -4,7 +4,9 @@ import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cached_property
+from pathlib import PurePosixPath
 from typing import Any
 
 from sysid_bench.errors import SysidBenchError, UsageError
@@ -15,7 +17,7 @@ from sysid_bench.harness.experiment.spec import (
     normal_payload,
     normal_prior,
 )
-from sysid_bench.harness.labels import labels_of, robot_key
+from sysid_bench.harness.labels import BASES, labels_of, robot_key
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Prior, Signals, Suite
 from sysid_bench.harness.suite.names import Names, installed_names
@@ -103,6 +105,21 @@ class Plan:
         condition = Expression.parse(text, self.fields)
         return tuple(cell for cell in self.cells if condition.matches(fields(cell)))
 
+    def unmet(self, text: str) -> list[str]:
+        """In words, the texts of an expression that no cell has at that field."""
+        flats = [fields(cell) for cell in self.cells]
+        told = []
+        for name, wanted in Expression.parse(text, self.fields).texts:
+            values = {word for flat in flats for word in _words(flat.get(name))}
+            if values and wanted not in values:
+                near = get_close_matches(wanted, sorted(values), n=3, cutoff=0.5)
+                there = near or [*sorted(values)[:10], *["..."][: len(values) > 10]]
+                told.append(
+                    f"No cell has {name} == {wanted!r}; {'nearest' if near else 'there'} "
+                    f"{'is' if len(there) == 1 else 'are'} {', '.join(there)}."
+                )
+        return told
+
     def to_json_lines(self) -> str:
         """plan.jsonl: a run is resumed from it without the suite."""
         return "".join(json.dumps(cell.to_json()) + "\n" for cell in self.cells)
@@ -148,8 +165,24 @@ def fields(cell: Cell) -> dict[str, Any]:
     for axis, plugin in plugins.items():
         flat |= {f"{axis}.{key}": value for key, value in plugin.items()}
         flat[axis] = _names(cell.labels[axis], plugin["use"], plugin["use"].rpartition(":")[2])
-    flat["robot"] = _names(cell.labels["robot"], spec.robot)
+    flat["robot"] = _names(cell.labels["robot"], *_robot_names(cell.labels["robot"], spec.robot))
     return flat
+
+
+def _robot_names(label: str, source: str) -> Iterator[str]:
+    """What a robot goes by beside its label: without its base, as written, and by its file."""
+    for base in BASES.values():
+        if base and label.endswith(base):
+            yield label.removesuffix(base)
+    yield source
+    if "/" in source:
+        yield PurePosixPath(source).stem
+
+
+def _words(value: Any) -> tuple[str, ...]:
+    """The texts that a field goes by; none of a number."""
+    values = value if isinstance(value, tuple) else (value,)
+    return tuple(word for word in values if isinstance(word, str))
 
 
 def _names(*names: str) -> str | tuple[str, ...]:

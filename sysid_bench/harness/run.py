@@ -9,7 +9,7 @@ import os
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -95,7 +95,10 @@ def run(
         )
         ending = supervise(tasks, place, jobs or os.cpu_count() or 1, fail_fast, on_event)
         folder.consolidate()
-    return _result(folder, selected, todo, ending)
+    result = _result(folder, selected, todo, ending)
+    if select and not selected:
+        return replace(result, notes=(*result.notes, *plan.unmet(select)))
+    return result
 
 
 def _check(rerun: str | None, limit: int | None, jobs: int | None) -> None:

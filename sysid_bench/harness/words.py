@@ -70,6 +70,10 @@ METRICS: Final = (
 )
 """Columns that hold a number (or yes and no) per cell."""
 
+PARAMETER: Final = "parameter"
+VERDICT: Final = "verdict"
+"""A table by parameter (m, hx, ..., fc) tells in words what each is worth."""
+
 ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *METRICS}
 """What an expression may ask of a finished cell."""
 

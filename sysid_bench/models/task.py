@@ -17,6 +17,9 @@ TASKS: Final = ("robot", "payload", "link", "terminal", "wrench", "wrench-payloa
 SENSOR_TASKS: Final = ("wrench", "wrench-payload")
 """Tasks that look at a force/torque sensor alone."""
 
+WITH_TERMS: Final = ("robot", "terminal", *SENSOR_TASKS)
+"""Tasks whose unknowns may hold terms of joints or sensors; in the others these are known."""
+
 
 @dataclass(frozen=True, eq=False)
 class Task:

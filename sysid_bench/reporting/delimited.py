@@ -18,6 +18,6 @@ def to_csv(table: Table) -> str:
             continue
         failures = " ".join(f"{kind}={count}" for kind, count in entry.failures.items())
         what = [table.metric.name, table.metric.unit, table.stat, table.interval]
-        numbers = [entry.value, entry.low, entry.high, entry.n, entry.n_failed]
+        numbers = [entry.text or entry.value, entry.low, entry.high, entry.n, entry.n_failed]
         writer.writerow([*row, *column, *what, *numbers, failures, entry.missing, int(entry.best)])
     return out.getvalue()

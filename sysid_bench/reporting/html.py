@@ -85,7 +85,11 @@ def render_report(run: RunView) -> str:
 
 def _pictured(run: RunView) -> list[Table]:
     """The first table that fits a figure, and the map of gaps."""
-    fitting = [table for table in run.tables if 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE]
+    fitting = [
+        table
+        for table in run.tables
+        if 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE and not table.metric.words
+    ]
     gaps = {"rows": ["robot"], "columns": ["payload"], "cells": {"metric": "gap", "stat": "max"}}
     chosen = fitting[:1]
     if {"robot", "payload", "gap"} <= set(run.cells.columns) and run.cells["gap"].notna().any():

@@ -14,7 +14,8 @@ def to_markdown(table: Table) -> str:
     """Title, caption, a pipe table and its notes; failures stand as words."""
     header = [*table.row_fields, *(_join(c) or table.metric.title for c in table.columns)]
     lines = [_line([escape(name) for name in header])]
-    lines.append(_line(["---"] * len(table.row_fields) + ["---:"] * len(table.columns)))
+    side = "---" if table.metric.words else "---:"
+    lines.append(_line(["---"] * len(table.row_fields) + [side] * len(table.columns)))
     for row in table.rows:
         numbers = [_cell(table, column, table.entry(row, column)) for column in table.columns]
         lines.append(_line([*map(escape, row), *numbers]))

@@ -8,7 +8,7 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Metric:
-    """A numeric column of the cells. `unit` may hold alternatives ("N m|N": rotary|linear);
+    """A column of the cells. `unit` may hold alternatives ("N m|N": rotary|linear);
     `digits` are significant ones, 0 for whole numbers; sizes below `floor` are rounding, and none
     of them is better than another."""
 
@@ -17,6 +17,7 @@ class Metric:
     unit: str = ""
     digits: int = 3
     floor: float = 0.0
+    words: bool = False  # texts, of which there is no statistic
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -53,6 +54,7 @@ _ALL: Final = (
     Metric("feasible", "Share of feasible estimates"),
     Metric("plausible", "Share of plausible estimates"),
     Metric("min_eigenvalue", "Smallest pseudo-inertia eigenvalue"),
+    Metric("verdict", "Verdict on each parameter", words=True),
     Metric("seconds", "Time", "s"),
     Metric("gap", "Regressor gap to Pinocchio"),
     Metric("closure", "Torque closure with MuJoCo"),

@@ -1,5 +1,6 @@
 """Rows become a table: one entry per group of cells, and no failed cell dropped in silence."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -39,6 +40,7 @@ class Entry:
     failures: Mapping[str, int]
     missing: int = 0
     best: bool = False
+    text: str = ""  # what cells told in words
 
     @property
     def n_failed(self) -> int:
@@ -47,7 +49,10 @@ class Entry:
 
     @property
     def word(self) -> str:
-        """What stands in place of a number: the most frequent failure; empty where there is one."""
+        """What stands in place of a number: a text that cells told, or the most frequent failure;
+        empty where there is a number."""
+        if self.text:
+            return self.text
         if self.value is not None or not self.failures:
             return ""
         return max(self.failures, key=lambda kind: self.failures[kind])
@@ -84,6 +89,8 @@ class Table:
     @property
     def caption(self) -> str:
         """What the numbers are, in one sentence."""
+        if self.metric.words:
+            return f"{self.metric.heading}."
         spread = f" with {INTERVALS[self.interval]}" if self.interval != "none" else ""
         return f"{self.metric.heading}: {STATISTICS[self.stat]}{spread}."
 
@@ -235,15 +242,24 @@ def _entry(group: "pd.DataFrame", metric: str, stat: str, interval: str) -> Entr
     # Parquet and JSON hand whole numbers, booleans and None in one column of objects.
     # Where every cell failed, no row has the metric at all.
     told = ok[metric] if metric in ok else [None] * len(ok)
+    failures = group.loc[group["status"] != "ok", "status"].value_counts(sort=False)
+    counts = {str(kind): int(number) for kind, number in failures.items()}
+    if metric_of(metric).words:
+        return _worded([value for value in told if isinstance(value, str)], len(ok), counts)
     values = np.array([_number(value) for value in told], dtype=float)
     repeats = ok["repeat"].to_numpy() if "repeat" in ok else np.arange(len(ok))
     finite = np.isfinite(values)
-    failures = group.loc[group["status"] != "ok", "status"].value_counts(sort=False)
     values, repeats = values[finite], repeats[finite]
     low, high = interval_of(interval, stat, values, repeats)
     value = statistic_of(stat, values) if len(values) else None
-    counts = {str(kind): int(number) for kind, number in failures.items()}
     return Entry(value, low, high, len(values), counts, int((~finite).sum()))
+
+
+def _worded(texts: Sequence[str], cells: int, failures: Mapping[str, int]) -> Entry:
+    """One text where all cells tell the same, else each with its count."""
+    met = Counter(texts)
+    text = ", ".join(met if len(met) == 1 else (f"{word} {n}" for word, n in met.most_common()))
+    return Entry(None, None, None, len(texts), failures, cells - len(texts), text=text)
 
 
 def _number(value: Any) -> float:

@@ -30,7 +30,9 @@ def basis(
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.payload import PAYLOADS
     from sysid_bench.models.task import task_of
+    from sysid_bench.verbs.chosen import refuse_ignored_terms
 
+    refuse_ignored_terms(task, terms)
     load = PAYLOADS[LOAD if task.endswith("payload") else "none"]
     robot = load_robot(source, load, free_base, robots_dir)
     own = robot.manifest.terms if task == "robot" else ()

@@ -1,6 +1,9 @@
 """Words of an option that holds several."""
 
-from sysid_bench.errors import unknown_name
+from collections.abc import Sequence
+from typing import Any
+
+from sysid_bench.errors import UsageError, unknown_name
 
 
 def chosen_terms(text: str | None) -> tuple[str, ...] | None:
@@ -21,6 +24,32 @@ def chosen_terms(text: str | None) -> tuple[str, ...] | None:
             advice = f"{TERM_ADVICE} Separate several by commas, or: none."
             raise unknown_name("joint term", word, TERMS, advice)
     return words
+
+
+def refuse_ignored_terms(task: str, terms: Sequence[str] | None) -> None:
+    """Raises UsageError for joint terms that are asked of a task where they are known."""
+    from sysid_bench.models.task import TASKS, WITH_TERMS
+
+    if terms and task in TASKS and task not in WITH_TERMS:
+        raise UsageError(
+            f"The task {task!r} takes joint terms as known, so {', '.join(terms)} cannot be "
+            f"identified with it; leave --terms out, or take the task {' or '.join(WITH_TERMS)}."
+        )
+
+
+def chosen_payload(text: str) -> str | dict[str, Any]:
+    """A payload's name, or the table that a text in braces holds, as TOML writes it."""
+    import tomllib
+
+    if not text.lstrip().startswith("{"):
+        return text
+    try:
+        return dict(tomllib.loads(f"payload = {text}")["payload"])
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(
+            f"The payload {text!r} is no TOML table ({error}); write --payload "
+            "'{ mass = 1.2, com = [0, 0, 0.05], inertia = \"sphere 0.05 m\" }'."
+        ) from error
 
 
 def chosen_noise(text: str | None) -> dict[str, str]:

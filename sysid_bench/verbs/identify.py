@@ -1,5 +1,6 @@
 """One robot, one method: parse, excite, simulate, solve, export."""
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -23,7 +24,7 @@ IDEAL: Final = {"filter": "none", "derivatives": "exact"}
 def identify(
     model: str | Path,
     task: str = "robot",
-    payload: str = "none",
+    payload: str | Mapping[str, Any] = "none",
     terms: Sequence[str] | None = None,
     estimator: str | None = None,
     noise: Mapping[str, str] | None = None,
@@ -32,33 +33,42 @@ def identify(
     robots_dir: Path | None = None,
     complete: str | None = None,
     sensor: str | None = None,
+    json_out: str | Path | None = None,
+    free_base: bool | None = None,
 ) -> dict[str, Any]:
     """Identifies a robot from its own simulation; the answer as `identify --json` prints it.
 
-    `noise` as in a suite ({"q": "1e-4 rad", "tau": "0.5 %"}); `model_out`: the model file again,
-    with the identified values. `complete`: whole bodies from what was identified, those that can
-    exist and lie nearest to the prior in a distance ("entropic", "euclidean", "pullback"), so that
-    all of them can be written. Raises UsageError for unknown words, ModelError for a model that
-    cannot be used or values that must not be written, EstimationError where the method fails.
+    `payload` (a name or a table) and `noise` ({"q": "1e-4 rad", "tau": "0.5 %"}) as in a suite;
+    `model_out`: the model file again, with the identified values; `json_out`: the answer as a
+    file; `free_base` overrides what the robot's manifest says. `complete`: whole bodies from what
+    was identified, those that can exist and lie nearest to the prior in a distance ("entropic",
+    "euclidean", "pullback"), so that all of them can be written. Raises UsageError for unknown
+    words, ModelError for a model that cannot be used or values that must not be written,
+    EstimationError where the method fails.
     """
     from sysid_bench.evaluation.score import score
     from sysid_bench.harness.canonical import plain
-    from sysid_bench.harness.experiment.prepare import prepare
+    from sysid_bench.harness.experiment.prepare import prepare, terms_of
     from sysid_bench.harness.experiment.robots import subject
     from sysid_bench.identification.complete import completed_estimate
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.models.extents import extents
     from sysid_bench.naming import build
     from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, warnings_of
-    from sysid_bench.verbs.model_out import check_target, write_model
+    from sysid_bench.verbs.chosen import refuse_ignored_terms
+    from sysid_bench.verbs.model_out import check_answer, check_target, write_model
     from sysid_bench.verbs.sensing import compared, excited
 
+    refuse_ignored_terms(task, terms)
     name = estimator or ESTIMATOR.get(task, "ols")
     method = build("estimator", name)
-    spec = _spec(str(model), task, payload, terms, noise or {}, seed, sensor)
-    robot = subject(spec.robot, spec.payload, None if robots_dir is None else str(robots_dir), None)
+    spec = _spec(str(model), task, payload, terms, noise or {}, seed, sensor, free_base)
+    folder = None if robots_dir is None else str(robots_dir)
+    robot = subject(spec.robot, spec.payload, folder, None, free_base)
     if model_out is not None:
         check_target(robot.robot, task, Path(model_out))
+    if json_out is not None:
+        check_answer(robot.robot, Path(json_out), None if model_out is None else Path(model_out))
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
     ready = prepare(spec, robot)
@@ -78,7 +88,7 @@ def identify(
         "model": robot.robot.name,
         "file": str(robot.robot.manifest.path),
         "task": task,
-        "terms": list(terms or ()),
+        "terms": list(terms_of(spec, robot.robot)),
         "rows": list(ready.problem.rows),
         "estimator": name,
         "rank": figures.rank,
@@ -105,7 +115,10 @@ def identify(
         whole = complete is not None
         write_model(robot.robot, task, estimate, ready.problem, Path(model_out), whole)
         answer["model_out"] = str(model_out)
-    return dict(plain(answer))
+    answer = dict(plain(answer))
+    if json_out is not None:
+        Path(json_out).write_text(json.dumps(answer, indent=2) + "\n", encoding="utf-8")
+    return answer
 
 
 def summary(answer: Mapping[str, Any]) -> list[str]:
@@ -128,7 +141,12 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
         ]
         lines.append(f"    {', '.join(told) or 'nothing is identifiable on its own'}")
     for name, terms in answer["joints"].items():
-        told = [f"{term} {_number(value['value'])}" for term, value in terms.items()]
+        told = [
+            f"{term} {_number(value['value'])}"
+            if value["identifiable"] == "identifiable"
+            else f"{term} not identifiable"
+            for term, value in terms.items()
+        ]
         lines.append(f"  {name}: {', '.join(told)}")
     lines += [f"  warning: {warning}" for warning in answer["warnings"]]
     if answer.get("model_out"):
@@ -143,20 +161,21 @@ def _number(value: float | None, absent: str = "-") -> str:
 def _spec(
     model: str,
     task: str,
-    payload: str,
+    payload: str | Mapping[str, Any],
     terms: Sequence[str] | None,
     noise: Mapping[str, str],
     seed: int,
     sensor: str | None,
+    free_base: bool | None,
 ) -> "ExperimentSpec":
     """The experiment as a suite with nothing but defaults would have it."""
-    from sysid_bench.harness.experiment.spec import ExperimentSpec, normal_noise
+    from sysid_bench.harness.experiment.spec import ExperimentSpec, normal_noise, normal_payload
 
     measured = normal_noise(noise)
     return ExperimentSpec(
         seed=seed,
         robot=model,
-        payload=payload,
+        payload=normal_payload(payload),
         task=task,
         terms=None if terms is None else tuple(terms),
         plant={"use": "matched"},
@@ -169,4 +188,5 @@ def _spec(
         signals=ENCODERS if {"q", "quantum"} & set(measured) else IDEAL,
         repeat=0,
         sensor=sensor,
+        free_base=free_base,
     )

@@ -1,5 +1,8 @@
 """Identified values into the file that the robot came from."""
 
+import contextlib
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -25,15 +28,28 @@ def check_target(robot: RobotModel, task: str, target: Path) -> None:
             f"{str(target)!r} cannot hold {source.name}, which is written back in its own format: "
             f"name it *{wanted[0]}."
         )
-    if target.resolve() == source.resolve():
-        raise UsageError(f"{str(target)!r} is the model itself; write beside it.")
-    if not target.parent.is_dir():
-        raise UsageError(f"There is no folder {str(target.parent)!r} to write {target.name} to.")
+    _check_place(robot, target)
     if task == "payload":
         raise UnsupportedError(
             "The task 'payload' changes nothing of the robot's model; for a model that carries its "
             "load take the task 'link'."
         )
+
+
+def check_answer(robot: RobotModel, target: Path, model: Path | None) -> None:
+    """Raises UsageError for a file that the answer must not be written to; `model`: where the
+    model goes."""
+    _check_place(robot, target)
+    if model is not None and target.resolve() == model.resolve():
+        raise UsageError(f"{str(target)!r} is to hold the model and the answer; name two files.")
+
+
+def _check_place(robot: RobotModel, target: Path) -> None:
+    for own in (robot.manifest.path, robot.manifest.manifest_file):
+        if own is not None and target.exists() and own.exists() and target.samefile(own):
+            raise UsageError(f"{str(target)!r} is the model itself; write beside it.")
+    if not target.parent.is_dir():
+        raise UsageError(f"There is no folder {str(target.parent)!r} to write {target.name} to.")
 
 
 def write_model(
@@ -63,7 +79,20 @@ def write_model(
         term = term_of[suffix]
         joints.setdefault(joint, {})[KEYS.get(term, term)] = float(value)
     write = updated_urdf if robot.format == "urdf" else updated_mjcf
-    target.write_bytes(write(robot.manifest.path, bodies, joints, told).encode())
+    with _source(robot) as source:
+        target.write_bytes(write(source, bodies, joints, told).encode())
+
+
+@contextlib.contextmanager
+def _source(robot: RobotModel) -> Iterator[Path]:
+    """The file that a robot was read from; for one that was never a file, one with its text."""
+    if robot.manifest.text is None:
+        yield robot.manifest.path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"robot{SUFFIXES[robot.format][0]}"
+        file.write_text(robot.manifest.text, encoding="utf-8")
+        yield file
 
 
 def _riders(robot: RobotModel, name: str) -> Array:

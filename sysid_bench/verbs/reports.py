@@ -41,7 +41,7 @@ def report(folder: str | Path) -> Path:
     for table in tables:
         for form, suffix in zip(FORMATS, ("md", "csv", "tex"), strict=True):
             _put(run_folder.path / "tables" / f"{table.name}.{suffix}", _text(table, form, origin))
-        for suffix in ("pdf", "svg"):
+        for suffix in () if table.metric.words else ("pdf", "svg"):
             figure(table, run_folder.path / "figures" / f"{table.name}.{suffix}")
     _put(run_folder.path / "tables" / "numbers.tex", to_macros(tables, origin))
     return write_report(
@@ -82,17 +82,20 @@ def recordings(run_folder: "RunFolder") -> dict[str, str]:
 
 def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
     from sysid_bench.harness.suite.expression import Expression
+    from sysid_bench.harness.words import PARAMETER
     from sysid_bench.reporting.tables import make_table
 
     def choose(expression: str, cell: Mapping[str, Any]) -> bool:
         return Expression.parse(expression).matches(cell)
 
-    cells = run_folder.frames().cells
+    frames = run_folder.frames()
+    cells = frames.cells
     suite = run_folder.suite
     specs = [entry.model_dump(exclude_none=True) for entry in suite.table] or [dict(DEFAULT_TABLE)]
     for spec in specs:
         try:
-            yield make_table(cells, spec, choose)
+            asked = (*spec["rows"], *spec["columns"])
+            yield make_table(frames.by_parameter if PARAMETER in asked else cells, spec, choose)
         except UsageError:
             if len(cells) == len(run_folder.plan.cells):
                 raise  # with some cells not run, a table may have nothing to show yet

@@ -29,7 +29,9 @@ def plan(
 
     names = installed_names(robots_dir)
     whole = expand(load_suite(places.suite(str(suite)), names, overrides), names)
-    return replace(whole, cells=whole.select(select))
+    cells = whole.select(select)
+    why = whole.unmet(select) if select and not cells else ()
+    return replace(whole, cells=cells, notes=(*whole.notes, *why))
 
 
 def run(

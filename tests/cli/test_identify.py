@@ -14,8 +14,9 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.spatial.inertia import NAMES
 from sysid_bench.verbs.basis import basis, paper, summary
-from sysid_bench.verbs.chosen import chosen_noise, chosen_terms
+from sysid_bench.verbs.chosen import chosen_noise, chosen_payload, chosen_terms
 from sysid_bench.verbs.identify import identify
+from sysid_bench.verbs.identify import summary as describe
 from tests.robots import NAMED, named_robot
 
 from .conftest import Run, one_sentence
@@ -109,6 +110,8 @@ def test_what_is_asked_wrongly_is_one_sentence(cli: Run) -> None:
         (("identify", "ur5", "--simulate", "--noise", "tua=1 %"), "'tau'"),
         (("identify", "ur5", "--simulate", "--model-out", "a.xml"), "*.urdf"),
         (("basis", "ur5", "--terms", "viscos"), "'viscous'"),
+        (("basis", "ur5", "--task", "link", "--terms", "viscous"), "'link'"),
+        (("identify", "ur5", "--simulate", "--payload", "{ mass = "), "TOML"),
     ):
         done = cli(*words)
         assert done.returncode == 2, words
@@ -206,12 +209,96 @@ def test_targets_are_refused_before_anything_runs(tmp_path: Path) -> None:
         identify("ur5", "robot", model_out=tmp_path / "a.urdf")
 
 
+def test_a_payload_may_be_a_table(cli: Run) -> None:
+    table = '{ mass = 1.2, com = [0, 0, 0.05], inertia = "sphere 0.05 m" }'
+    done = cli(
+        "identify", "ur5", "--simulate", "--task", "payload", "--payload", table, "--free-base",
+        "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["payload"]["mass"] == pytest.approx(1.2, abs=1e-9)
+    assert told["torque_error"] < 1e-9
+    assert "root.wz" in told["rows"]
+
+
+@pytest.mark.parametrize("task", ["payload", "link"])
+@pytest.mark.parametrize("terms", [("viscous",), ("armature", "spring")])
+def test_terms_that_a_task_takes_as_known_are_refused(task: str, terms: tuple[str, ...]) -> None:
+    with pytest.raises(UsageError, match=f"{terms[0]}.* cannot be identified"):
+        basis("ur5", task, terms)
+    with pytest.raises(UsageError, match=f"{terms[0]}.* cannot be identified"):
+        identify("ur5", task, "box-2kg", terms)
+
+
+@pytest.mark.parametrize(("name", "task"), [("ur5", "robot"), ("z1", "terminal"), ("z1", "link")])
+def test_the_terms_that_were_estimated_are_told(name: str, task: str) -> None:
+    told = identify(name, task)
+    own = named_robot(name).manifest.terms if task == "robot" else ()
+    assert tuple(told["terms"]) == own
+    for terms in told["joints"].values():
+        assert tuple(terms) == own
+    assert bool(told["joints"]) == bool(own)
+
+
+def test_a_joint_term_that_is_no_single_number_is_not_printed_as_one(tmp_path: Path) -> None:
+    """An armature beside the inertia about the same axis: their sum alone acts."""
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        '<mujoco><worldbody><body name="a"><joint name="j1" axis="0 0 1" armature=".1"/>'
+        '<geom size=".1"/><body name="b" pos="1 0 0"><joint name="j2" axis="0 1 0" damping="2"/>'
+        '<geom size=".1"/></body></body></worldbody></mujoco>'
+    )
+    told = identify(file, terms=("armature", "viscous"), estimator="min-norm")
+    lines = "\n".join(describe(told))
+    assert told["joints"]["j1"]["armature"]["identifiable"] == "combination"
+    assert "j1: armature not identifiable, viscous " in lines
+    assert "j2: armature not identifiable, viscous 2" in lines
+
+
+def test_an_answer_never_replaces_its_model(tmp_path: Path) -> None:
+    source = tmp_path / "arm.urdf"
+    source.write_bytes(named_robot("ur5").manifest.path.read_bytes())
+    before = source.read_bytes()
+    link = tmp_path / "same.json"
+    link.symlink_to(source)
+    twin = tmp_path / "twin.json"
+    twin.hardlink_to(source)
+    for target in (source, link, twin):
+        with pytest.raises(UsageError, match="is the model itself"):
+            identify(source, "link", json_out=target)
+    manifest = tmp_path / "robot.toml"
+    manifest.write_text('name = "mine"\nfile = "arm.urdf"\n')
+    with pytest.raises(UsageError, match="is the model itself"):
+        identify(manifest, "link", json_out=manifest)
+    new = tmp_path / "new.urdf"
+    with pytest.raises(UsageError, match="two files"):
+        identify(source, "link", model_out=new, json_out=new)
+    with pytest.raises(UsageError, match="no folder"):
+        identify(source, "link", json_out=tmp_path / "nowhere" / "a.json")
+    assert source.read_bytes() == before
+    assert not new.exists()
+
+
+@pytest.mark.parametrize("name", ["random:3", "random:12"])
+def test_a_random_robot_is_written_from_its_own_text(name: str, tmp_path: Path) -> None:
+    target = tmp_path / "new.xml"
+    told = identify(name, "link", model_out=target)
+    assert told["rank"] == 10
+    robot, again = load_robot(name), load_robot(target)
+    np.testing.assert_allclose(
+        again.tree.lumped(again.phi), robot.tree.lumped(robot.phi), rtol=0, atol=1e-9
+    )
+
+
 def test_words_of_options() -> None:
     assert chosen_terms(None) is None
     assert chosen_terms("none") == chosen_terms("") == ()
     assert chosen_terms("viscous, coulomb") == ("viscous", "coulomb")
     assert chosen_noise(None) == {}
     assert chosen_noise("tau=0.5 %, q=1e-4 rad") == {"tau": "0.5 %", "q": "1e-4 rad"}
+    assert chosen_payload("box-2kg") == "box-2kg"
+    assert chosen_payload(" { mass = 1, com = [0, 0, 1] }") == {"mass": 1, "com": [0, 0, 1]}
 
 
 @pytest.mark.parametrize("distance", ["entropic", "euclidean", "pullback"])

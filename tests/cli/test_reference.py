@@ -1,4 +1,4 @@
-"""The committed reference of the smoke suite is what the suite gives."""
+"""The committed references are what their suites give."""
 
 import re
 from pathlib import Path
@@ -30,3 +30,26 @@ def test_the_reference_is_what_the_suite_gives(cli: Run) -> None:
             assert ours < ROUNDING
         else:
             assert ours == pytest.approx(theirs, rel=0.01)
+
+
+def test_the_table_of_the_last_joint_is_what_the_suite_gives(cli: Run) -> None:
+    """Of one arm: ranks and verdicts, line by line."""
+    done = cli("run", "terminal", "-o", "out", "--select", 'robot == "scara"')
+    assert done.returncode == 0, done.stderr
+    committed = (REFERENCE.parent / "terminal.md").read_text(encoding="utf-8").splitlines()
+    lines = [line for line in done.stdout.splitlines() if " scara | " in line]
+    words = [line for line in lines if "identifiable" in line]
+    assert lines[0] == "| scara | 3 | 5 | 4 | 4 |"
+    assert len(words) == 3
+    for line in (lines[0], *words):
+        assert line in committed
+
+
+def test_the_table_of_the_last_joint_has_twelve_arms() -> None:
+    text = (REFERENCE.parent / "terminal.md").read_text(encoding="utf-8")
+    ranks = text.partition("Base parameters: largest value.")[2].partition("**")[0]
+    lines = [line.strip("| ").split(" | ") for line in ranks.splitlines() if line.startswith("|")]
+    arms = {name: numbers for name, *numbers in lines[2:]}
+    assert len(arms) >= 12
+    assert arms.pop("scara") == ["3", "5", "4", "4"]
+    assert set(map(tuple, arms.values())) == {("7", "9", "10", "10")}

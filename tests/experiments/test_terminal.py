@@ -83,8 +83,8 @@ def test_a_slide_tells_the_mass_and_its_moments(name: str, data_folder: Path) ->
 
 
 def test_a_scara_tells_three_and_four() -> None:
-    robot = robot_of_text(SCARA, LOAD)
-    assert ranks(robot) == (3, 5, 4, 4)
+    for robot in (robot_of_text(SCARA, LOAD), arm("scara")):
+        assert ranks(robot) == (3, 5, 4, 4)
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda", "z1"])

@@ -224,6 +224,34 @@ def test_expressions_select_cells(text: str, count: int) -> None:
     assert len(plan_of(FULL).select(f"not ({text})")) == 56 - count
 
 
+BASED = (
+    'schema = 1\nname = "based"\n[[robot]]\nuse = ["file:a/my_arm.urdf", "file:b/my_arm.urdf"]\n'
+    '[[robot]]\nuse = ["ur5", "file:a/leg.urdf"]\nfree_base = false\n'
+    '[[estimator]]\nuse = "ols"\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("robot", "count"),
+    [
+        ("ur5", 1), ("ur5 (fixed base)", 1), ("leg", 1), ("leg (fixed base)", 1),
+        ("file:a/leg.urdf", 1), ("my_arm", 2), ("file:b/my_arm.urdf", 1), ("arm", 0),
+    ],
+)  # fmt: skip
+def test_a_robot_goes_by_its_label_its_source_and_its_file(robot: str, count: int) -> None:
+    assert len(plan_of(BASED).select(f'robot == "{robot}"')) == count
+
+
+def test_texts_that_no_cell_has_are_told_with_their_nearest() -> None:
+    plan = plan_of(BASED)
+    (told,) = plan.unmet('robot in ["ur6", "leg"] and task == "robot" and repeat == 0')
+    assert "robot == 'ur6'" in told
+    assert "ur5" in told
+    (told,) = plan.unmet('not "zzzz" == estimator')
+    assert "estimator == 'zzzz'; there is ols." in told
+    assert plan.unmet('rate == "1 kHz" or robot != "nothing"') == []
+
+
 def test_an_unknown_field_selects_nothing_and_says_so() -> None:
     with pytest.raises(UsageError, match=r"noise\.tau"):
         plan_of(FULL).select("noise.tao < 1")

@@ -188,3 +188,18 @@ def test_a_lock_of_the_dead_is_waited_for(tmp_path: Path, monkeypatch: pytest.Mo
             pytest.fail("the orphan still holds it")
     with run.lock():
         pass
+
+
+def test_verdicts_by_parameter_lose_no_cell() -> None:
+    def row(number: int, names: str, **more: Any) -> dict[str, Any]:
+        table = [{"name": name, "identifiable": "none", "body": "b"} for name in names]
+        return {"id": f"c{number}", "status": "ok", "parameters_table": table, **more}
+
+    failed = {"id": "c0", "status": "failed", "reason": "why"}
+    frame = frames_of([failed, row(1, "mx"), row(2, "m"), row(3, "")]).by_parameter
+    assert list(zip(frame["id"], frame["parameter"], strict=True)) == [
+        ("c0", "m"), ("c0", "x"), ("c1", "m"), ("c1", "x"), ("c2", "m"), ("c3", "m"), ("c3", "x"),
+    ]  # fmt: skip
+    assert frame.loc[frame["id"] == "c1", "verdict"].tolist() == ["none", "none"]
+    assert frame.loc[frame["id"] == "c0", "verdict"].isna().all()
+    assert frames_of([failed]).by_parameter["status"].tolist() == ["failed"]

@@ -226,7 +226,7 @@ def test_words_are_those_of_the_other_rooms() -> None:
     from sysid_bench.reporting.tables import BESTS
 
     assert set(words.TERMS) == set(TERMS)
-    assert set(words.METRICS) == set(METRICS)
+    assert {*words.METRICS, words.VERDICT} == set(METRICS)
     assert set(words.STATISTICS) == set(STATISTICS)
     assert set(words.INTERVALS) == set(INTERVALS)
     assert set(words.BESTS) == set(BESTS)
@@ -235,4 +235,19 @@ def test_words_are_those_of_the_other_rooms() -> None:
 @given(st.text())
 def test_any_text_is_read_or_refused(text: str) -> None:
     with pytest.raises(UsageError):
+        read(text)
+
+
+@pytest.mark.parametrize(
+    ("metric", "column", "good"),
+    [("verdict", "parameter", True), ("verdict", "task", False), ("rank", "parameter", False)],
+)
+def test_verdicts_are_told_by_parameter(metric: str, column: str, good: bool) -> None:
+    text = small() + (
+        f'[[table]]\nname = "t"\ncolumns = ["{column}"]\ncells = {{ metric = "{metric}" }}\n'
+    )
+    if good:
+        assert read(text).table[0].columns == ("parameter",)
+        return
+    with pytest.raises(UsageError, match="go together"):
         read(text)

@@ -23,6 +23,7 @@ RANKS = {
     "baxter": 103,
     "solo12": 94,
     "icub": 212,
+    "scara": 8,
 }
 """Standard inertial parameters of the whole tree; solo12 floats, the others stand."""
 

@@ -303,6 +303,54 @@ def test_copies_are_refused(tmp_path: Path) -> None:
         updated_mjcf(path, {load_robot(path).body_names[0]: PHI})
 
 
+GEARED = """<mujoco><worldbody><body name="a"><joint name="ja" damping="3" armature="0.2"/>
+<geom size=".1"/><body name="b" pos="1 0 0"><joint name="jb"/><geom size=".1"/></body></body>
+</worldbody><actuator><motor joint="ja" gear="7" armature="0.01" damping=".1"/>
+<motor name="second" joint="ja" gear="-2" armature="0.02"/><motor joint="jb"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_joint_is_written_without_what_its_actuators_add(tmp_path: Path, seed: int) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(GEARED)
+    added = {"armature": 49 * 0.01 + 4 * 0.02, "damping": 4.9}
+    rng = np.random.default_rng(seed)
+    own = {key: float(rng.random()) for key in added}
+    total = {key: own[key] + added[key] for key in added}
+    text = updated_mjcf(path, {}, {"ja": total, "jb": own})
+    joints = {e.attributes["name"]: e.attributes for e in elements_of(text.encode(), "").walk()
+              if e.tag == "joint"}  # fmt: skip
+    for joint in ("ja", "jb"):
+        for key in added:
+            assert float(joints[joint][key]) == pytest.approx(own[key], abs=1e-12)
+    terms = reread(path, text).joint_terms
+    np.testing.assert_allclose(terms.armature, [total["armature"], own["armature"]], rtol=1e-12)
+    np.testing.assert_allclose(terms.viscous, [total["damping"], own["damping"]], rtol=1e-12)
+
+
+def test_less_than_what_an_actuator_adds_is_refused_with_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(GEARED)
+    with pytest.raises(ModelError, match=r"'ja' is 0\.1, less than the 0\.57 .*second"):
+        updated_mjcf(path, {}, {"ja": {"armature": 0.1}})
+
+
+def test_inertia_from_shapes_alone_is_to_become_auto(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    text = (
+        '<mujoco><compiler inertiafromgeom="true"/><worldbody><body name="arm"><joint/>'
+        '<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    path.write_text(text)
+    with pytest.raises(ModelError, match='set inertiafromgeom="auto"'):
+        updated_mjcf(path, {"arm": PHI})
+    path.write_text(text.replace("true", "auto"))
+    np.testing.assert_allclose(
+        reread(path, updated_mjcf(path, {"arm": PHI})).phi, PHI[None], rtol=0, atol=1e-12
+    )
+
+
 @pytest.mark.parametrize("option", ['settotalmass="3"', 'inertiafromgeom="true"', 'boundmass="50"'])
 def test_a_compiler_that_overrules_what_is_written_is_named(tmp_path: Path, option: str) -> None:
     path = tmp_path / "arm.xml"

@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
+from sysid_bench.reporting.delimited import to_csv
+from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.tables import Table, label, make_table
 from sysid_bench.reporting.tables import labelled as with_labels
 
@@ -240,3 +242,24 @@ def test_any_setting_can_be_a_label(settings: list[Any]) -> None:
 
 def numbers(entry: Any) -> list[float]:
     return [np.inf if v is None else v for v in (entry.value, entry.low, entry.high, entry.n)]
+
+
+def test_words_stand_as_they_are_and_what_differs_is_counted(cells: pd.DataFrame) -> None:
+    told = cells.assign(verdict=["none" if n % 2 else "identifiable" for n in range(len(cells))])
+    told.loc[told["robot"] == "ur5", "verdict"] = "combination"
+    wanted = {"metric": "verdict"}
+    table = make_table(told, {"rows": ["robot"], "columns": ["payload"], "cells": wanted})
+    for (row, _), entry in table.entries.items():
+        assert entry.value is None
+        assert entry.n + entry.n_failed + entry.missing == 12
+        if row == ("ur5",):
+            assert entry.word == "combination"
+        elif entry.n:
+            own = told[(told["robot"] == row[0]) & (told["status"] == "ok")]
+            assert set(own["verdict"]) == {word.split()[0] for word in entry.word.split(", ")}
+    lost = table.entry(("anymal_c",), ("box-2kg",))
+    assert lost is not None
+    assert lost.word in ("unsupported", "failed")
+    for text in (to_markdown(table), to_csv(table)):
+        assert "combination" in text
+        assert "median" not in text.partition("\n")[0]

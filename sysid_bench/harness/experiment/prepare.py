@@ -67,7 +67,7 @@ class Prepared:
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
     robot = subject.robot
-    task = task_of(robot, spec.task, _terms(spec, robot), spec.sensor, true_offset(spec))
+    task = task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, true_offset(spec))
     base = subject.base(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
     posing = Posing(robot, task, base, torque_regression(robot, base.names, instruments))
@@ -93,7 +93,7 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     )  # fmt: skip
 
 
-def _terms(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
+def terms_of(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
     """The joint terms that are identified; the robot's own are those of the task `robot`."""
     if spec.terms is not None:
         return spec.terms
@@ -156,6 +156,7 @@ class Posing:
             samples=len(motion),
             prior=prior,
             kinds=tuple(self.instruments.kinds[i] for i in self.places),
+            torque=np.sqrt((measured[:, self.places] ** 2).mean(axis=0)),
         )
 
     def known(self, motion: Trajectory) -> Array:

@@ -53,6 +53,22 @@ class Expression:
                 raise unknown_name(f"field in {text!r}", name, names, advice)
         return cls(text, frozenset(fields), tree)
 
+    @property
+    def texts(self) -> list[tuple[str, str]]:
+        """(field, text) of every comparison for equality with a text."""
+        found = []
+        for node in ast.walk(self._tree):
+            if not isinstance(node, ast.Compare):
+                continue
+            sides = [node.left, *node.comparators]
+            for op, left, right in zip(node.ops, sides, sides[1:], strict=False):
+                if isinstance(op, (ast.Eq, ast.In)):
+                    field, value = (right, left) if _is_literal(left) else (left, right)
+                    literal = _literal(value)
+                    texts = literal if isinstance(literal, list) else [literal]
+                    found += [(_name(field, ""), text) for text in texts if isinstance(text, str)]
+        return found
+
     def matches(self, cell: Mapping[str, Any]) -> bool:
         """Whether a cell, a flat mapping with dotted keys, meets the condition; never raises.
 

@@ -41,8 +41,10 @@ from sysid_bench.harness.words import (
     INTERVALS,
     LABELS,
     METRICS,
+    PARAMETER,
     STATISTICS,
     TASKS,
+    VERDICT,
 )
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 
@@ -228,7 +230,7 @@ class Crosscheck(Section):
 
 
 class TableCells(Section):
-    metric: Annotated[str, word("metric", METRICS)]
+    metric: Annotated[str, word("metric", (*METRICS, VERDICT))]
     stat: Annotated[str, word("statistic", STATISTICS)] = "median"
     interval: Annotated[str, word("interval", INTERVALS)] = "none"
 
@@ -237,14 +239,26 @@ Label = Annotated[str, word("label of a cell", (*LABELS, "repeat"))]
 Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
 
 
+Axis = Annotated[str, word("label of a cell", (*LABELS, "repeat", PARAMETER))]
+
+
 class TableEntry(Section):
     name: Folder
     title: StrictStr | None = None
-    rows: tuple[Label, ...] = ("robot", "payload")
-    columns: tuple[Label, ...] = ("estimator",)
+    rows: tuple[Axis, ...] = ("robot", "payload")
+    columns: tuple[Axis, ...] = ("estimator",)
     cells: TableCells
     best: Annotated[str, word("way to mark the best", BESTS)] = "none"
     select: RowCondition | None = None
+
+    @model_validator(mode="after")
+    def verdicts_by_parameter(self) -> "TableEntry":
+        if (self.cells.metric == VERDICT) != (PARAMETER in (*self.rows, *self.columns)):
+            raise ValueError(
+                f"the metric {VERDICT!r} and the label {PARAMETER!r} among rows or columns go "
+                "together: a verdict is told of each parameter, and other metrics of a cell."
+            )
+        return self
 
 
 class Worst(Section):

@@ -4,9 +4,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
+from sysid_bench.models.mjcf_terms import AT_JOINT
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.proof import as_written
 from sysid_bench.models.writing.rewrite import rewritten
@@ -29,6 +31,10 @@ _COPIES: Final = ("replicate", "composite", "flexcomp", "attach")
 LAMINA: Final = 1e-9
 """Of the trace: below it a principal moment of the density is none, and MuJoCo's own reading of a
 full inertia may round it to the wrong side; principal moments are written instead."""
+
+
+ROUNDING: Final = 1e-9
+"""Of what actuators add to a joint: how far a term may lie below it and the joint have none."""
 
 
 def updated_mjcf(
@@ -146,9 +152,11 @@ def _joint_edits(
     data: bytes, joint: Element, terms: Mapping[str, float], update: Update, name: str
 ) -> Iterator[Edit]:
     j = update.robot.mj.joint(name).id
-    source = list(as_written(update.robot).joints)[j]
+    spec = as_written(update.robot)
+    source = list(spec.joints)[j]
     values: dict[str, str | None] = {}
-    for key, value in terms.items():
+    for key, total in terms.items():
+        value = _own(spec, name, key, total)
         # Damping and stiffness are polynomials: what is beyond the linear number stays.
         written = getattr(source, key) if key in ("damping", "stiffness") else ()
         higher = np.trim_zeros(np.ravel(written)[1:], "b")
@@ -156,3 +164,26 @@ def _joint_edits(
             value = np.rad2deg(value) if update.robot.spec.compiler.degree else value
         values[key] = numbers(value, *higher)
     yield from attribute_edits(data, joint, values)
+
+
+def _own(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> float:
+    """What a joint itself has of a term: MuJoCo adds the actuators' armature and damping, times
+    the gear squared, to what is written at the joint. Raises ModelError where they alone have more.
+    """
+    if key not in ("armature", "damping"):
+        return total
+    parts = {
+        actuator.name or f"of {joint}": float(actuator.gear[0]) ** 2
+        * float(np.ravel(getattr(actuator, key))[0])
+        for actuator in spec.actuators
+        if actuator.target == joint and int(actuator.trntype) in AT_JOINT
+    }
+    added = sum(parts.values())
+    own = total - added
+    if own < -ROUNDING * added:
+        raise ModelError(
+            f"Not written: {key} of the joint {joint!r} is {total:.4g}, less than the {added:.4g} "
+            f"that the actuator {', '.join(name for name, part in parts.items() if part)} adds to "
+            "it; change the actuator first."
+        )
+    return max(own, 0.0) if added else total

@@ -128,7 +128,7 @@ def as_written(robot: RobotModel) -> mujoco.MjSpec:
 
 
 def _meddling(robot: RobotModel) -> str:
-    """Which of the compiler's options may have changed what the file states."""
+    """Which of the compiler's options may have changed what the file states, and what to do."""
     compiler = as_written(robot).compiler
     found = [
         word
@@ -137,12 +137,13 @@ def _meddling(robot: RobotModel) -> str:
             ("balanceinertia", bool(compiler.balanceinertia)),
             ("boundmass", compiler.boundmass > 0),
             ("boundinertia", compiler.boundinertia > 0),
-            ("inertiafromgeom", int(compiler.inertiafromgeom) == 1),
         )
         if on
     ]
-    if found:
-        return (
-            f"its <compiler> sets {', '.join(found)}, which overrules what is written; remove it."
-        )
+    advice = [f"take {', '.join(found)} out of its <compiler>"] if found else []
+    if int(compiler.inertiafromgeom) == int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE):
+        # Without it every other <inertial> of the file counts again: the writer cannot decide that.
+        advice.append('set inertiafromgeom="auto" in its <compiler>, so that an <inertial> counts')
+    if advice:
+        return f"its <compiler> overrules what is written; {', and '.join(advice)}."
     return "something in the file overrules what is written."
