@@ -195,9 +195,7 @@ def _couplings(table: DhTable, placed: list[_Placed]) -> str:
             ((name, value),) = row.follows.items()
             other = f"j{name[1:]}"
             polynomial = f"0 {value:.15g} 0 0 0"
-            equalities += (
-                f'    <joint joint1="{own}" joint2="{other}" polycoef="{polynomial}"/>\n'
-            )
+            equalities += f'    <joint joint1="{own}" joint2="{other}" polycoef="{polynomial}"/>\n'
             continue
         parts = "".join(
             f'      <joint joint="j{name[1:]}" coef="{-value:.15g}"/>\n'
