@@ -60,7 +60,7 @@ def test_the_rank_of_random_trees_is_the_structural_one() -> None:
 
 @pytest.mark.parametrize("name", NAMED)
 def test_the_rank_of_named_robots_is_the_structural_one(name: str) -> None:
-    robot = named_robot(name)
+    robot = named_robot(name).uncoupled
     nullspace = parameter_nullspace(robot.tree)
     base = inertial_base(robot)
     assert base.rank == len(nullspace) - nullspace.shape[1]

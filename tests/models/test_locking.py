@@ -20,10 +20,13 @@ def some_joints(robot: RobotModel, seed: int) -> dict[str, float]:
     """Half of the joints that are alone on their body, anywhere near their reference."""
     rng = np.random.default_rng(seed)
     mj = robot.mj
+    free = [] if robot.coupling is None else [group.dofs for group in robot.coupling.groups]
+    coupled = set(np.concatenate(free).tolist()) if free else set()
     return {
         joint.name: float(mj.qpos0[joint.qadr] + rng.uniform(-0.4, 0.4))
         for j, joint in enumerate(robot.joints)
         if joint.kind in ("hinge", "slide")
+        and joint.vadr not in coupled
         and mj.body_jntnum[mj.jnt_bodyid[j]] == 1
         and rng.random() < 0.5
     }
@@ -66,3 +69,10 @@ def test_the_rest_moves_as_before(source: str) -> None:
 def test_a_joint_that_is_not_there() -> None:
     with pytest.raises(ModelError, match="elbow_joint"):
         load_robot(replace(find_manifest("ur5"), locked={"elbw_joint": 0.0}))
+
+
+def test_a_joint_is_not_locked_while_one_coupled_to_it_moves() -> None:
+    manifest = find_manifest("dvrk_mtm")
+    for joint in ("j3", "j2p"):
+        with pytest.raises(ModelError, match="coupled to it"):
+            load_robot(replace(manifest, locked={joint: 0.0}))

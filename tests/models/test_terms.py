@@ -19,7 +19,7 @@ from tests.robots import NAMED, named_robot, states
 def coupled(name: str, seed: int) -> tuple[RobotModel, tuple[str, ...]]:
     """A robot whose last two hinges cost one another friction, unsymmetrically, and the names."""
     rng = np.random.default_rng(seed)
-    manifest = find_manifest(name)
+    manifest = replace(find_manifest(name), couplings=False, massless=())
     rows = [robot.rows[dof] for robot in (load_robot(manifest),) for dof in robot.scalar_dofs]
     one, other = rows[-2:]
     b, c, d = rng.normal(size=3)
