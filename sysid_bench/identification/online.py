@@ -8,7 +8,7 @@ motion excites (measured on the iCub's arm: 7 N m of torque error where the CAD 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.types import Array, Problem
@@ -40,8 +40,10 @@ class Recursion:
     `forgetting`: weight of all that came before, per sample. `walk`: standard deviation of a random
     walk per root sample, as a share of the prior's (the Kalman version). With `gate`, forgetting
     and walk make nothing less certain than the prior: without excitation the covariance would blow
-    up. `reject`: samples whose forecast misses by more than this chi-square per row are
-    left out, as contacts are, once the filter is `settled` (samples). `every`: history kept.
+    up; and the answer stays the prior until more directions are told than one posture at rest can
+    tell, the rows of a sample: fitting that posture alone may spoil all others. `reject`: samples
+    whose forecast misses by more than this chi-square per row are left out, as contacts are, once
+    the filter is `settled` (samples). `every`: history kept.
     """
 
     forgetting: float = 1.0
@@ -70,10 +72,11 @@ class Recursion:
         used = np.ones(len(f), dtype=bool) if free is None else np.asarray(free, dtype=bool).copy()
         gap = np.empty(len(f))
         places, betas, stds, last = [], [], [], len(f) - 1
-        m, drift = g.shape[1], self.walk**2 * start
+        held = self.gate and len(beta) > f.shape[1]
+        m, root = g.shape[1], np.linalg.cholesky(start)
         for k in range(len(f)):
             if self.walk > 0 or self.forgetting < 1:
-                P = self._aged(P, start, drift)
+                P = self._aged(P, root)
             PG = P @ G[k].T
             S = G[k] @ PG + np.eye(m)
             e = g[k] - G[k] @ beta
@@ -88,27 +91,36 @@ class Recursion:
                 keep = np.eye(len(beta)) - L @ G[k]
                 P = keep @ P @ keep.T + L @ L.T
             if k % self.every == 0 or k == last:
+                held = held and _told(P, start) <= f.shape[1]
                 places.append(k)
-                betas.append(beta)
+                betas.append(prior if held else beta)
                 stds.append(np.sqrt(np.diag(P)))
         if not betas:
             raise EstimationError("There are no samples to estimate from.")
         return Track(np.array(places), np.array(betas), np.array(stds), P, used, gap)
 
-    def _aged(self, P: Array, start: Array, drift: Array) -> Array:
-        """The covariance before the next sample."""
-        aged = P / self.forgetting + drift
+    def _aged(self, P: Array, root: Array) -> Array:
+        """The covariance before the next sample; root root' is the prior's. In the directions in
+        which both are diagonal, shares of the prior's variance grow: with the gate, to one."""
+        inverse = solve_triangular(root, np.eye(len(root)), lower=True)
+        shares, V = np.linalg.eigh(inverse @ P @ inverse.T)
+        shares = shares / self.forgetting + self.walk**2
         if self.gate:
-            # No direction becomes less certain than the prior said it was.
-            size = np.sqrt(np.maximum(np.diag(aged) / np.diag(start), 1.0))
-            aged = aged / np.outer(size, size)
-        return np.asarray(aged)
+            shares = np.minimum(shares, 1.0)
+        axes = root @ V
+        return np.asarray(axes * shares @ axes.T)
 
     def _check(self) -> None:
         if not 0 < self.forgetting <= 1:
             raise UsageError(f"Forgetting is {self.forgetting}; it lies above 0 and up to 1.")
         if self.walk < 0 or self.every < 1:
             raise UsageError(f"{self} is no filter: walk is 0 or more, every at least 1.")
+
+
+def _told(P: Array, start: Array) -> int:
+    """How many directions have less than half of the deviation they started with."""
+    shares = np.linalg.eigvals(np.linalg.solve(start, P)).real
+    return int((shares < 0.25).sum())
 
 
 def rows_of(problem: Problem) -> tuple[Array, Array]:
