@@ -1,7 +1,7 @@
 """What a designer of motions is told, and how scalar profiles become a motion of the robot."""
 
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -9,6 +9,10 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.spatial.rotation import body_rates, product, quaternion_of_vector
 from sysid_bench.types import Array, Trajectory
+
+if TYPE_CHECKING:
+    from sysid_bench.excitation.geometry import Places, Shapes
+    from sysid_bench.excitation.insight import Question, Torque
 
 MARGIN: Final = 0.98
 """Share of a limit that a motion may use: sampling between grid points stays inside."""
@@ -26,7 +30,11 @@ def is_count(value: object) -> bool:
 class Brief:
     """A robot's moves and limits. Each degree of freedom has a scalar profile x: a joint position,
     or for a free joint the displacement (3) and rotation vector (3) from its reference pose, for a
-    ball joint the rotation vector. Arrays (nv,); `q0` (nq,) is the reference configuration."""
+    ball joint the rotation vector. Arrays (nv,); `q0` (nq,) is the reference configuration.
+
+    What only some designers need is None where nobody has told it: `regress`, the rows that are to
+    tell the parameters; `torque`, by what is known of the robot so far, and its limits `tau`;
+    `shapes` and `places`, what must not touch and where named points may go."""
 
     joints: tuple[Joint, ...]
     low: Array
@@ -35,6 +43,11 @@ class Brief:
     a: Array
     q0: Array
     rate: float  # Hz
+    tau: Array = field(default_factory=lambda: np.zeros(0))
+    regress: "Question | None" = None
+    torque: "Torque | None" = None
+    shapes: "Shapes | None" = None
+    places: "Places | None" = None
 
     @property
     def nv(self) -> int:
@@ -94,4 +107,4 @@ def brief_of(robot: RobotModel, rate: float) -> Brief:
             a[turn] = np.maximum(a[turn] - 0.5 * v[turn] ** 2, 0.5 * a[turn]) / np.sqrt(3)
             v[turn] /= np.sqrt(3)
     q0 = np.array(robot.mj.qpos0)
-    return Brief(robot.joints, low, high, v, a, q0, rate)
+    return Brief(robot.joints, low, high, v, a, q0, rate, robot.limits.tau.copy())
