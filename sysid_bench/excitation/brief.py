@@ -1,5 +1,6 @@
 """What a designer of motions is told, and how scalar profiles become a motion of the robot."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
@@ -11,7 +12,7 @@ from sysid_bench.spatial.rotation import body_rates, product, quaternion_of_vect
 from sysid_bench.types import Array, Trajectory
 
 if TYPE_CHECKING:
-    from sysid_bench.excitation.geometry import Places, Shapes
+    from sysid_bench.excitation.geometry import Scene
     from sysid_bench.excitation.insight import Question, Torque
 
 MARGIN: Final = 0.98
@@ -34,7 +35,7 @@ class Brief:
 
     What only some designers need is None where nobody has told it: `regress`, the rows that are to
     tell the parameters; `torque`, by what is known of the robot so far, and its limits `tau`;
-    `shapes` and `places`, what must not touch and where named points may go."""
+    `scene`, the robot's shapes beside a floor of some height (m; None: no floor)."""
 
     joints: tuple[Joint, ...]
     low: Array
@@ -46,8 +47,7 @@ class Brief:
     tau: Array = field(default_factory=lambda: np.zeros(0))
     regress: "Question | None" = None
     torque: "Torque | None" = None
-    shapes: "Shapes | None" = None
-    places: "Places | None" = None
+    scene: "Callable[[float | None], Scene] | None" = None
 
     @property
     def nv(self) -> int:

@@ -1,6 +1,6 @@
 """What a designer may ask about a robot: the rows of a task's regressor, and torques."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,31 +14,38 @@ from sysid_bench.types import Array, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """The base regressor of a task: the columns of `regression` at the measured rows `places`."""
+    """The base regressor of a task: the chosen `columns` of `regression` at the measured rows
+    `places`."""
 
     regression: Regression
     places: tuple[int, ...]
+    columns: tuple[int, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the base parameters (r,)."""
-        return self.regression.columns
+        return tuple(self.regression.columns[c] for c in self.columns)
 
     def rows(self, motion: Trajectory) -> Array:
         """Y (N, rows, r)."""
-        blocks = [block.dense()[:, list(self.places)] for block in self.regression.blocks(motion)]
-        return np.concatenate(blocks)
+        chosen = np.ix_(self.places, self.columns)
+        return np.concatenate([b.dense()[:, *chosen] for b in self.regression.blocks(motion)])
 
     def slopes(self, motion: Trajectory, G: Array) -> Slopes:
         """Slopes of sum(G * Y) by q, v, a (N, nv); G (N, rows, r)."""
-        whole = np.zeros((len(motion), len(self.regression.rows), G.shape[2]))
-        whole[:, list(self.places)] = G
+        size = len(motion), len(self.regression.rows), len(self.regression.columns)
+        whole = np.zeros(size)
+        whole[:, *np.ix_(self.places, self.columns)] = G
         return pull_back(self.regression, motion, whole)
+
+    def only(self, names: tuple[str, ...]) -> "Question":
+        """The same about some of the parameters."""
+        return replace(self, columns=tuple(self.regression.columns.index(name) for name in names))
 
     @cached_property
     def smooth(self) -> "Question":
         """The same with a smooth sign(v): what a search can follow."""
-        return Question(smoothed(self.regression), self.places)
+        return replace(self, regression=smoothed(self.regression))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +75,8 @@ def question(
 ) -> Question:
     """The question after the parameters named; `rows`: whose torque is measured (None: all)."""
     measured = robot.rows if rows is None else rows
-    return Question(regression(robot, base_names), tuple(robot.rows.index(row) for row in measured))
+    places = tuple(robot.rows.index(row) for row in measured)
+    return Question(regression(robot, base_names), places, tuple(range(len(base_names))))
 
 
 def torque_of(robot: RobotModel) -> Torque:

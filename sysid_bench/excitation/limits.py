@@ -6,6 +6,7 @@ them below one; the report takes the true maxima on a finer grid.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -14,11 +15,14 @@ from sysid_bench.regressors.adjoint import Slopes
 from sysid_bench.types import Array, Trajectory
 
 
+Split = Literal["together", "by column", "by joint"]
+
+
 @dataclass(frozen=True, eq=False)
 class Limit:
     """`use` (motion) gives uses (N, m), each of something called `names[m]`; `value` and `allowed`
-    are the same in `units[m]`. `slopes` (motion, G (N, m)) are those of sum(G * use). `apart`: each
-    column is a constraint of its own in the search (else all are one)."""
+    are the same in `units[m]`; `label` names what has no constant name. `slopes` (motion, G (N, m)) are those of sum(G * use). In the search
+    all uses are one constraint, or each column is, or each is and moves one joint alone."""
 
     kind: str
     names: tuple[str, ...]
@@ -27,7 +31,8 @@ class Limit:
     value: Callable[[Trajectory], Array]
     allowed: Callable[[Array], Array]  # values (N, m) to the limit on their side (N, m)
     slopes: Callable[[Trajectory, Array], Slopes]
-    apart: bool = False
+    split: Split = "together"
+    label: Callable[[Trajectory, int, int], str] | None = None  # name at sample k, column j
 
 
 @dataclass(frozen=True)
@@ -76,7 +81,7 @@ def joint_limits(brief: Brief, dofs: Array, share: float = 1.0) -> tuple[Limit, 
             take,
             lambda values: centre + np.where(values < centre, -reach, reach),
             slopes,
-            apart=True,
+            split="by joint",
         )
 
     zero = np.zeros(len(dofs))
@@ -133,7 +138,8 @@ def worst(limit: Limit, motion: Trajectory) -> Used:
     values = limit.value(motion)
     value, allowed = float(values[k, j]), float(limit.allowed(values)[k, j])
     share = float(use[k, j])
+    name = limit.names[j] if limit.label is None else limit.label(motion, int(k), int(j))
     return Used(
-        limit.kind, limit.names[j], limit.units[j], value, allowed,
+        limit.kind, name, limit.units[j], value, allowed,
         float(np.copysign(abs(allowed - value), 1.0 - share)), share, float(motion.t[k]),
     )  # fmt: skip

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 
 from sysid_bench.excitation.brief import Brief
 from sysid_bench.excitation.criteria import Criterion
@@ -23,6 +23,13 @@ Tell = Callable[[int, float], None]
 
 SHARPNESS: Final = (60.0, 240.0)
 """Of the smooth maxima, stage by stage: first far-sighted, then close to the true limits."""
+
+NEAR: Final = 0.6
+"""A torque, clearance or box that uses less of its limit is not looked at closer: its slope costs
+as much as that of the criterion."""
+
+RESTORING: Final = 15
+"""Newton steps back into the limits; two or three do where the way is short."""
 
 MOST_KEPT: Final = 12
 """Best feasible motions that are kept for the check on a finer grid."""
@@ -54,6 +61,18 @@ class Space:
         """Places of the moving degrees of freedom in q."""
         where = {joint.vadr: joint.qadr for joint in self.brief.joints}
         return [where[int(dof)] for dof in self.dofs]
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Coefficients (m, k) that no motion within the limits goes beyond: a harmonic of a curve
+        is at most 4 / pi of the curve's largest value. Steps of a search are kept inside; a
+        function of other families may be compensated by its neighbours, and gets more room."""
+        brief, dofs = self.brief, self.dofs
+        room = 4 / np.pi if self.curves.kind == "fourier" else 4.0
+        x, dx, ddx = (np.abs(B).max(axis=0)[1:, None] for B in self.curves.at(self.curves.grid()))
+        half = 0.5 * (brief.high - brief.low)[dofs]
+        most = np.min([half / x, brief.v[dofs] / dx, brief.a[dofs] / ddx], axis=0)
+        high = np.vstack([brief.high[dofs], room * most])
+        return np.vstack([brief.low[dofs], -room * most]), high
 
     def random(self, rng: np.random.Generator, share: float) -> Array:
         """Coefficients of a random motion that uses `share` of the position, velocity or
@@ -96,6 +115,7 @@ class Search:
     evaluations: int = 0
     kept: list[tuple[float, Array]] = field(default_factory=list)  # the best last
     interrupted: bool = False
+    nearest: tuple[float, str] = (np.inf, "")  # the least violation met, and of what
 
     def __post_init__(self) -> None:
         """Bases on the grid of the search, once."""
@@ -129,7 +149,8 @@ class Search:
     def _descend(self, C: Array, sharpness: float, iterations: int) -> tuple[float, Array]:
         # Columns are scaled so that a unit of each coefficient moves a share of the limits.
         scale = np.tile(self._scale(), (self.shape[0], 1))
-        start = (C / scale).ravel()
+        low, high = self.space.bounds()
+        start = (np.clip(C, low, high) / scale).ravel()
         constraint = {
             "type": "ineq",
             "fun": lambda x: 1.0 - self._limits_at(x.reshape(self.shape) * scale, sharpness)[0],
@@ -143,11 +164,27 @@ class Search:
             jac=lambda x: self._slope_at(x.reshape(self.shape) * scale).ravel() * scale.ravel(),
             method="SLSQP",
             constraints=[constraint],
+            bounds=Bounds((low / scale).ravel(), (high / scale).ravel()),
             options={"maxiter": iterations, "ftol": 1e-5},
         )
-        end = result.x.reshape(self.shape) * scale
+        end = self._restored(result.x.reshape(self.shape) * scale, sharpness)
         over = max(self.violation(end) - 1.0, 0.0)
-        return float(result.fun) + 100 * over, end
+        return self.value(end) + 100 * over, end
+
+    def _restored(self, C: Array, sharpness: float) -> Array:
+        """The nearest coefficients within the limits, by Newton steps of least length: a search
+        that is cut off hovers a few per cent outside."""
+        scale = np.tile(self._scale(), (self.shape[0], 1))
+        for _ in range(RESTORING):
+            value, slope = self._limits_at(C, sharpness)
+            if (value <= 1.0).all():
+                break
+            # Limits that are near bind as well, or a step would only trade one for another.
+            binding = value > 0.97
+            J = slope[binding] * scale.ravel()
+            step = np.linalg.lstsq(J, np.minimum(0.995 - value[binding], 0.0))[0]
+            C = C + step.reshape(self.shape) * scale
+        return C
 
     def _scale(self) -> Array:
         return self.space.brief.v[self.space.dofs]
@@ -171,8 +208,9 @@ class Search:
         self._W = self._rows(self._here)
         self._f = self.criterion.value(self._W)
         self._uses = [limit.use(self._here) for limit in self.limits]
-        feasible = all(float(np.abs(use).max()) <= 1.0 for use in self._uses)
-        if feasible and np.isfinite(self._f) and (not self.kept or self._f < self.kept[-1][0]):
+        most = [float(np.abs(use).max()) for use in self._uses]
+        self.nearest = min(self.nearest, (max(most), self.limits[int(np.argmax(most))].kind))
+        if max(most) <= 1.0 and np.isfinite(self._f) and (not self.kept or self._f < self.kept[-1][0]):
             self.kept = [*self.kept[-MOST_KEPT + 1 :], (self._f, C.copy())]
         if self.kept:
             self.tell(self.evaluations, self.kept[-1][0])
@@ -205,15 +243,20 @@ class Search:
     def _constraints(
         self, limit: Limit, use: Array, sharpness: float
     ) -> Iterator[tuple[float, Array]]:
-        if not limit.apart:
-            value, weight = smooth_max(use.reshape(-1, 1), sharpness)
-            slopes = limit.slopes(self._here, weight.reshape(use.shape))
-            yield float(value[0]), self._coefficients(slopes)
+        columns = use.reshape(-1, 1) if limit.split == "together" else use
+        value, weight = smooth_max(columns, sharpness)
+        if limit.split == "by joint":
+            # No coefficient is shared, so that one pull serves all columns.
+            together = self._coefficients(limit.slopes(self._here, weight))
+            for j in range(len(value)):
+                slope = np.zeros(self.shape)
+                slope[:, j] = together[:, j]
+                yield float(value[j]), slope
             return
-        value, weight = smooth_max(use, sharpness)
-        # Each column is a joint's own, so that one pull serves all: they share no coefficient.
-        together = self._coefficients(limit.slopes(self._here, weight))
         for j in range(len(value)):
-            slope = np.zeros(self.shape)
-            slope[:, j] = together[:, j]
-            yield float(value[j]), slope
+            if value[j] < NEAR:
+                yield float(value[j]), np.zeros(self.shape)
+                continue
+            G = weight if limit.split == "together" else weight * (np.arange(len(value)) == j)
+            slopes = limit.slopes(self._here, G.reshape(use.shape))
+            yield float(value[j]), self._coefficients(slopes)
