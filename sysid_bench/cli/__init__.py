@@ -8,7 +8,7 @@ import sys
 
 import click
 
-from sysid_bench.cli import catalogue, results, robots, suites
+from sysid_bench.cli import catalogue, motions, results, robots, suites
 
 
 class _Group(click.Group):
@@ -30,7 +30,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 
 
 for _verb in (
-    robots.crosscheck, robots.basis, robots.identify,
+    robots.crosscheck, robots.basis, robots.identify, motions.excite,
     catalogue.list_, catalogue.show,
     suites.plan, suites.run,
     results.status, results.cell, results.table, results.report, results.record, results.view,

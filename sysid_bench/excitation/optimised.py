@@ -217,7 +217,7 @@ def _stacked(question: Question, motion: Trajectory) -> Array:
     return Y.reshape(-1, Y.shape[2])
 
 
-def figures(design: Design, question: Question, motion: Trajectory) -> dict[str, Any]:
+def figures(question: Question, motion: Trajectory) -> dict[str, Any]:
     """What a motion tells, with the true sign of Coulomb friction: rank, condition, log det."""
     R = triangle([_stacked(question, motion)])
     s = np.linalg.svd(R, compute_uv=False)
