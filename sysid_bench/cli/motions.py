@@ -1,5 +1,6 @@
 """Verbs on motions: excite."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ from sysid_bench.cli.frame import (
     help="Instead of the robot's limits: one number for all joints, or one each.",
 )
 @click.option("--torque-share", metavar="SHARE", help="Of the torque limits. Default: 90 %.")
-@click.option("--clearance", metavar="M", help="Between links. Default: 0 m.")
+@click.option("--clearance", metavar="M", help="Between links. Default: 0.01 m.")
 @click.option("--floor", metavar="M", help="Height of a floor that nothing may touch.")
 @click.option(
     "--box", "boxes", multiple=True, metavar="BODY=X:X,Y:Y,Z:Z", help="Where a body may go, m."
@@ -82,6 +83,10 @@ def excite(  # noqa: PLR0913
     Exit code 1 where a limit is violated, 130 after an interrupt (the best motion so far is
     written).
     """
+    # Before NumPy is loaded: a search solves many small problems, and on a busy machine the threads
+    # of BLAS wait for each other a hundred times longer than one alone works.
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     from sysid_bench.units import quantity
     from sysid_bench.verbs import excite as designing
     from sysid_bench.verbs.chosen import chosen_terms

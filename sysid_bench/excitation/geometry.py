@@ -28,6 +28,9 @@ CLOSE: Final = 0.02
 WATCHED: Final = 4
 """The closest contacts of a sample that the search sees."""
 
+THINNED: Final = 4
+"""The search looks for contacts at one sample of so many: at ten per fastest period."""
+
 FAR: Final = 100.0
 """m: an open side of a box."""
 
@@ -147,6 +150,7 @@ def collision_limit(scene: Scene, clearance: float) -> Limit:
         lambda values: np.full_like(values, clearance),
         slopes,
         label=pair,
+        every=THINNED,
     )
 
 

@@ -22,7 +22,8 @@ Split = Literal["together", "by column", "by joint"]
 class Limit:
     """`use` (motion) gives uses (N, m), each of something called `names[m]`; `value` and `allowed`
     are the same in `units[m]`; `label` names what has no constant name. `slopes` (motion, G (N, m)) are those of sum(G * use). In the search
-    all uses are one constraint, or each column is, or each is and moves one joint alone."""
+    all uses are one constraint, or each column is, or each is and moves one joint alone;
+    only one sample of `every` is looked at there."""
 
     kind: str
     names: tuple[str, ...]
@@ -32,6 +33,7 @@ class Limit:
     allowed: Callable[[Array], Array]  # values (N, m) to the limit on their side (N, m)
     slopes: Callable[[Trajectory, Array], Slopes]
     split: Split = "together"
+    every: int = 1
     label: Callable[[Trajectory, int, int], str] | None = None  # name at sample k, column j
 
 

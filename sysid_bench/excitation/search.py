@@ -144,7 +144,9 @@ class Search:
     def violation(self, C: Array) -> float:
         """The largest use of any limit on the grid of the search."""
         motion = self._motion(C)
-        return max(float(np.abs(limit.use(motion)).max()) for limit in self.limits)
+        return max(
+            float(np.abs(limit.use(_thinned(motion, limit.every))).max()) for limit in self.limits
+        )
 
     def _descend(self, C: Array, sharpness: float, iterations: int) -> tuple[float, Array]:
         # Columns are scaled so that a unit of each coefficient moves a share of the limits.
@@ -207,7 +209,8 @@ class Search:
         self._here = self._motion(C)
         self._W = self._rows(self._here)
         self._f = self.criterion.value(self._W)
-        self._uses = [limit.use(self._here) for limit in self.limits]
+        self._thin = [_thinned(self._here, limit.every) for limit in self.limits]
+        self._uses = [limit.use(thin) for limit, thin in zip(self.limits, self._thin, strict=True)]
         most = [float(np.abs(use).max()) for use in self._uses]
         self.nearest = min(self.nearest, (max(most), self.limits[int(np.argmax(most))].kind))
         if max(most) <= 1.0 and np.isfinite(self._f) and (not self.kept or self._f < self.kept[-1][0]):
@@ -225,29 +228,29 @@ class Search:
         G = by_W.reshape(len(self.t), -1, by_W.shape[1])
         return self._coefficients(self.question.slopes(self._here, G))
 
-    def _coefficients(self, slopes: tuple[Array, Array, Array]) -> Array:
-        """Slopes by C (m, k) from those by q, v, a (N, nv) of the samples."""
+    def _coefficients(self, slopes: tuple[Array, Array, Array], every: int = 1) -> Array:
+        """Slopes by C (m, k) from those by q, v, a (N, nv) of one sample of `every`."""
         own = (slope[:, self.space.dofs] for slope in slopes)
-        return np.asarray(sum(B.T @ s for B, s in zip(self.bases, own, strict=True)))
+        return np.asarray(sum(B[::every].T @ s for B, s in zip(self.bases, own, strict=True)))
 
     def _limits_at(self, C: Array, sharpness: float) -> tuple[Array, Array]:
         """Smooth maxima of the limits, and their slopes (count, m k)."""
         self._visit(C)
         values, slopes = [], []
-        for limit, use in zip(self.limits, self._uses, strict=True):
-            for value, slope in self._constraints(limit, use, sharpness):
+        for limit, use, thin in zip(self.limits, self._uses, self._thin, strict=True):
+            for value, slope in self._constraints(limit, use, thin, sharpness):
                 values.append(value)
                 slopes.append(slope.ravel())
         return np.array(values), np.array(slopes)
 
     def _constraints(
-        self, limit: Limit, use: Array, sharpness: float
+        self, limit: Limit, use: Array, motion: Trajectory, sharpness: float
     ) -> Iterator[tuple[float, Array]]:
         columns = use.reshape(-1, 1) if limit.split == "together" else use
         value, weight = smooth_max(columns, sharpness)
         if limit.split == "by joint":
             # No coefficient is shared, so that one pull serves all columns.
-            together = self._coefficients(limit.slopes(self._here, weight))
+            together = self._coefficients(limit.slopes(motion, weight), limit.every)
             for j in range(len(value)):
                 slope = np.zeros(self.shape)
                 slope[:, j] = together[:, j]
@@ -258,5 +261,12 @@ class Search:
                 yield float(value[j]), np.zeros(self.shape)
                 continue
             G = weight if limit.split == "together" else weight * (np.arange(len(value)) == j)
-            slopes = limit.slopes(self._here, G.reshape(use.shape))
-            yield float(value[j]), self._coefficients(slopes)
+            slopes = limit.slopes(motion, G.reshape(use.shape))
+            yield float(value[j]), self._coefficients(slopes, limit.every)
+
+
+def _thinned(motion: Trajectory, every: int) -> Trajectory:
+    if every == 1:
+        return motion
+    t, q, v, a = (array[::every] for array in (motion.t, motion.q, motion.v, motion.a))
+    return Trajectory(t, q, v, a)

@@ -73,7 +73,7 @@ def excite(
         scene=lambda floor: scenes.setdefault(floor, scene_of(model, floor)),
         **_limits(model, limits or {}),
     )
-    options: dict[str, Any] = {"clearance": 0.0, **(settings or {})}
+    options: dict[str, Any] = {"clearance": 0.01, **(settings or {})}
     if kind in ("ros2", "damiao", "can"):
         options.setdefault("family", RESTING)
     made = Optimised(objective=objective, **options)
