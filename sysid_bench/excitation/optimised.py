@@ -81,6 +81,11 @@ class Optimised:
 
     def space(self, brief: Brief) -> Space:
         """The motions to choose from; raises UsageError for a joint that is not there."""
+        if brief.coupling is not None:
+            raise UnsupportedError(
+                "Designs serve trees: the joints of this robot are coupled. Take a random motion "
+                "(fourier), or model the joints as independent."
+            )
         scalar = {j.name: j.vadr for j in brief.joints if j.kind in ("hinge", "slide")}
         for name in self.joints:
             if name not in scalar:

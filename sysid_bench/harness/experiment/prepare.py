@@ -1,6 +1,6 @@
 """One experiment made ready: simulated once, its regressor reduced once, for all its estimators."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from typing import Any
@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
-from sysid_bench.excitation.brief import brief_of
+from sysid_bench.excitation.brief import Brief, brief_of
+from sysid_bench.excitation.geometry import scene_of
+from sysid_bench.excitation.insight import Torque, question
+from sysid_bench.harness.experiment.motions import designed
 from sysid_bench.harness.experiment.robots import Subject
 from sysid_bench.harness.experiment.spec import (
     ExperimentSpec,
@@ -20,9 +23,10 @@ from sysid_bench.harness.experiment.spec import (
 from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.task import Task, task_of
+from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
-from sysid_bench.regressors.regression import TERM, Regression, regression
+from sysid_bench.regressors.regression import TERM, regression
 from sysid_bench.signals.process import processing_of
 from sysid_bench.simulation.candidate import Declared, candidate, declared
 from sysid_bench.simulation.closed_loop import ClosedLoop
@@ -61,14 +65,15 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     robot = subject.robot
     task = task_of(robot, spec.task, _terms(spec, robot))
     base = subject.base(task.parameters, task.rows)
-    posing = Posing(robot, task, base, regression(robot, base.names))
+    posing = Posing(robot, task, base, torque_regression(robot, base.names))
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
-    raw, recording = _record(spec, subject, plant)
     prior = _prior(spec, task)
+    briefed = partial(_brief, robot, task, base, prior)
+    raw, recording = _record(spec, subject, plant, briefed)
     problem = posing.pose(recording.motion, recording.tau, prior)
     held_out = {
         name: posing.pose(oracle.motion, oracle.tau)
-        for name, oracle in _held_out(spec, subject, plant).items()
+        for name, oracle in _held_out(spec, subject, plant, briefed).items()
     }
     regress = partial(regressor_blocks, posing.regression, posing.places)
     experiment = Experiment(problem, recording, raw, regress, _Simulate(declared(robot, task), raw))
@@ -110,39 +115,39 @@ class Posing:
     robot: RobotModel
     task: Task
     base: BaseMap
-    regression: Regression
+    regression: AnyRegression
 
     @property
     def places(self) -> tuple[int, ...]:
-        """The rows of the robot that the task measures, as places in v."""
-        rows = self.robot.rows if self.task.rows is None else self.task.rows
-        return tuple(self.robot.rows.index(row) for row in rows)
+        """The rows of the robot that the task measures, as places in its `torque_rows`."""
+        own = self.robot.torque_rows
+        return tuple(own.index(row) for row in (own if self.task.rows is None else self.task.rows))
 
     def pose(self, motion: Trajectory, tau: Array, prior: Prior | None = None) -> Problem:
-        """W beta = b along a motion, the known torque taken from tau (N, nv)."""
+        """W beta = b along a motion, the known torque taken from tau (N, n)."""
         b = tau - self.known(motion)
         return Problem(
             parameters=self.task.parameters,
             base=self.base,
-            rows=tuple(self.robot.rows[i] for i in self.places),
+            rows=tuple(self.robot.torque_rows[i] for i in self.places),
             factors=fold(self.regression, motion, b, self.places),
             bodies=self.task.bodies,
             blocks=partial(dense_blocks, self.regression, motion, b, self.places),
             samples=len(motion),
             prior=prior,
-            kinds=tuple(self.robot.row_kinds[i] for i in self.places),
+            kinds=tuple(self.robot.torque_kinds[i] for i in self.places),
         )
 
     def known(self, motion: Trajectory) -> Array:
-        """Torque (N, nv) of the parts that the task declares known."""
+        """Torque (N, n) of the parts that the task declares known."""
         if not self.task.knows_something:
-            return np.zeros_like(motion.v)
+            return np.zeros((len(motion), len(self.robot.torque_dofs)))
         tau = newton_euler(self.robot.tree, self.task.known_links, motion)
-        return tau + known_terms(self.robot, self.task, motion)
+        return self.robot.reduced(motion.q, tau + known_terms(self.robot, self.task, motion))
 
 
 def regressor_blocks(
-    regression: Regression, rows: tuple[int, ...], motion: Trajectory
+    regression: AnyRegression, rows: tuple[int, ...], motion: Trajectory
 ) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
     for block in regression.blocks(motion):
@@ -160,27 +165,55 @@ def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:
     return tau
 
 
-def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recording, Recording]:
+def _brief(
+    robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float
+) -> Brief:
+    """What a designer of motions is told: limits, the question, and torques by the prior alone."""
+    brief = brief_of(robot, rate)
+    if robot.coupling is not None:  # designs serve trees
+        return brief
+    terms = {
+        f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
+        for term, values in task.known_terms.items()
+        for dof in np.flatnonzero(values)
+    }
+    torque = None
+    if prior is not None:
+        columns = regression(robot, (*task.parameters, *terms))
+        torque = Torque(columns, np.array([*prior.theta, *terms.values()]), task.known_links)
+    asked = question(robot, base.names, task.rows)
+    return replace(brief, regress=asked, torque=torque, scene=partial(scene_of, robot))
+
+
+Briefed = Callable[[float], Brief]
+"""The brief of an experiment at a rate (Hz)."""
+
+
+def _record(
+    spec: ExperimentSpec, subject: Subject, plant: Plant, briefed: Briefed
+) -> tuple[Recording, Recording]:
     """The recording as sensed and as filtered."""
     robot, noise = plant.robot, Noise(**spec.noise)
     simulation = subject.build("simulation", spec.simulation)
     processing = processing_of(spec.signals)
     rate = simulation.design_rate(spec.rate)
     every = round(rate / spec.rate)
-    design = subject.build("excitation", spec.excitation).design
-    commanded = design(brief_of(robot, rate), np.random.default_rng(motion_seed(spec)))
+    commanded = designed(spec.excitation, subject, briefed(rate), motion_seed(spec))
     rng = np.random.default_rng(noise_seed(spec))
-    draws = draw(len(commanded), len(range(0, len(commanded), every)), robot.nv, rng)
+    moving = robot.torque_dofs
+    draws = draw(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
     error = encoder_error(noise, draws)
     oracle, controller = simulation.run(plant, commanded, error)
     if noise.quantum > 0:
         # Rounding depends on where the robot is: the positions of a first run tell, the second runs
         # with the loop seeing it.
-        scalar = robot.scalar_dofs
-        error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
+        scalar = np.flatnonzero(np.isin(moving, robot.scalar_dofs))
+        there = _scalar_positions(robot, oracle.motion)[:, moving]
+        error = encoder_error(noise, draws, there, scalar)
         oracle, controller = simulation.run(plant, commanded, error)
         # Recorded is what is read where the robot was then: it lies on the encoder's grid.
-        error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
+        there = _scalar_positions(robot, oracle.motion)[:, moving]
+        error = encoder_error(noise, draws, there, scalar)
     raw = sense(
         robot,
         oracle,
@@ -193,7 +226,15 @@ def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recor
         controller,
         ideal_rates=not processing.differentiate,
     )
-    return raw, processing.apply(raw, robot.joints)
+    return raw, _completed(robot, processing.apply(raw, robot.joints))
+
+
+def _completed(robot: RobotModel, recording: Recording) -> Recording:
+    """The recording with the joints that follow where filtered signals put the others."""
+    if robot.coupling is None:
+        return recording
+    motion = robot.completed(recording.motion)
+    return replace(recording, q=motion.q, v=motion.v, a=motion.a)
 
 
 def _scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
@@ -205,14 +246,17 @@ def _scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
     return out
 
 
-def _held_out(spec: ExperimentSpec, subject: Subject, plant: Plant) -> dict[str, Oracle]:
+def _held_out(
+    spec: ExperimentSpec, subject: Subject, plant: Plant, briefed: Briefed
+) -> dict[str, Oracle]:
     """Other motions of the same plant, exact: what scoring compares with."""
     motions: dict[str, Oracle] = {}
     for place, excitation in enumerate(spec.held_out):
-        rng = np.random.default_rng(held_out_seed(spec, place))
-        design = subject.build("excitation", excitation).design
-        motion = design(brief_of(plant.robot, spec.rate), rng)
-        oracle, _ = Inverse().run(plant, motion, np.zeros_like(motion.v))
+        seed = held_out_seed(spec, place)
+        motion = designed(excitation, subject, briefed(spec.rate), seed)
+        oracle, _ = Inverse().run(
+            plant, motion, np.zeros((len(motion), len(plant.robot.torque_dofs)))
+        )
         name = excitation["use"]
         motions[name if name not in motions else f"{name}-{place}"] = oracle
     return motions
@@ -246,7 +290,7 @@ class _Simulate:
             raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
         plant = candidate(self.told, theta)
         oracle = ClosedLoop(rate=controller.rate).track(
-            plant, controller, commanded, np.zeros_like(commanded.v)
+            plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
         every = round(controller.rate / self.raw.rate)
         kept = slice(None, None, every)
