@@ -20,7 +20,9 @@ from sysid_bench.cli.frame import (
 @click.command()
 @click.argument("robot", metavar="ROBOT|FILE")
 @click.option(
-    "--objective", default="cond", show_default=True,
+    "--objective",
+    default="cond",
+    show_default=True,
     help="cond, cond-unit, D, A, E or predict; or weights: D=1,cond=0.2.",
 )
 @click.option("--period", metavar="S", help="Default: 10 s.")
@@ -35,7 +37,10 @@ from sysid_bench.cli.frame import (
 @click.option("--payload", default="none", show_default=True, help="What is mounted at the tool.")
 @click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
 @click.option(
-    "--limit", "limits", multiple=True, metavar="v|a|tau=X[,X...]",
+    "--limit",
+    "limits",
+    multiple=True,
+    metavar="v|a|tau=X[,X...]",
     help="Instead of the robot's limits: one number for all joints, or one each.",
 )
 @click.option("--torque-share", metavar="SHARE", help="Of the torque limits. Default: 90 %.")
@@ -45,7 +50,9 @@ from sysid_bench.cli.frame import (
     "--box", "boxes", multiple=True, metavar="BODY=X:X,Y:Y,Z:Z", help="Where a body may go, m."
 )
 @click.option(
-    "--after", multiple=True, type=click.Path(path_type=Path),
+    "--after",
+    multiple=True,
+    type=click.Path(path_type=Path),
     help="A CSV motion that was recorded before: design what to run next.",
 )
 @click.option("--iterations", type=click.IntRange(min=1), help="Of the search. Default: 150.")
@@ -59,7 +66,7 @@ from sysid_bench.cli.frame import (
 @robots_option
 @json_option
 @verb
-def excite(  # noqa: PLR0913
+def excite(
     robot: str,
     objective: str,
     limits: tuple[str, ...],

@@ -28,14 +28,17 @@ class Question:
 
     def rows(self, motion: Trajectory) -> Array:
         """Y (N, rows, r)."""
-        chosen = np.ix_(self.places, self.columns)
-        return np.concatenate([b.dense()[:, *chosen] for b in self.regression.blocks(motion)])
+        rows, columns = list(self.places), list(self.columns)
+        return np.concatenate(
+            [block.dense()[:, rows][:, :, columns] for block in self.regression.blocks(motion)]
+        )
 
     def slopes(self, motion: Trajectory, G: Array) -> Slopes:
         """Slopes of sum(G * Y) by q, v, a (N, nv); G (N, rows, r)."""
         size = len(motion), len(self.regression.rows), len(self.regression.columns)
         whole = np.zeros(size)
-        whole[:, *np.ix_(self.places, self.columns)] = G
+        rows, columns = np.ix_(self.places, self.columns)
+        whole[:, rows, columns] = G
         return pull_back(self.regression, motion, whole)
 
     def only(self, names: tuple[str, ...]) -> "Question":

@@ -14,16 +14,15 @@ from sysid_bench.excitation.brief import Brief
 from sysid_bench.regressors.adjoint import Slopes
 from sysid_bench.types import Array, Trajectory
 
-
 Split = Literal["together", "by column", "by joint"]
 
 
 @dataclass(frozen=True, eq=False)
 class Limit:
     """`use` (motion) gives uses (N, m), each of something called `names[m]`; `value` and `allowed`
-    are the same in `units[m]`; `label` names what has no constant name. `slopes` (motion, G (N, m)) are those of sum(G * use). In the search
-    all uses are one constraint, or each column is, or each is and moves one joint alone;
-    only one sample of `every` is looked at there."""
+    are the same in `units[m]`; `label` names what has no constant name. `slopes` (motion, G (N, m))
+    are those of sum(G * use). In the search all uses are one constraint, or each column is, or each
+    is and moves one joint alone; only one sample of `every` is looked at there."""
 
     kind: str
     names: tuple[str, ...]
@@ -118,6 +117,7 @@ def torque_limits(brief: Brief, share: float = 1.0) -> tuple[Limit, ...]:
             lambda motion: torque.of(motion)[:, limited],
             lambda values: np.where(values < 0, -reach, reach),
             slopes,
+            split="by column",
         ),
     )
 

@@ -50,7 +50,7 @@ class Optimised:
     joints: Sequence[str] = ()
     iterations: int = 150
     starts: int = 1
-    torque_share: float = field(default=0.9, metadata={"unit": "%"})
+    torque_share: float = field(default=0.9, metadata={"unit": "1"})
     clearance: float | None = field(default=None, metadata={"unit": "m"})
     floor: float | None = field(default=None, metadata={"unit": "m"})
     boxes: Mapping[str, Sequence[Sequence[float]]] = field(default_factory=dict)
@@ -95,6 +95,11 @@ class Optimised:
         dofs = [scalar[name] for name in self.joints] or list(scalar.values())
         return Space(brief, curves_of(self.family, self.period, self.harmonics), np.array(dofs))
 
+    @staticmethod
+    def draws(space: Space, rng: np.random.Generator) -> list[Array]:
+        """The random motions that a search starts from and is compared with."""
+        return [space.random(rng, 0.99 * MARGIN) for _ in range(DRAWS)]
+
     def limits(self, brief: Brief, share: float = 1.0) -> tuple[Limit, ...]:
         """Everything that the motion has to keep; `share` of positions, rates and torques."""
         space = self.space(brief)
@@ -132,16 +137,17 @@ class Optimised:
                 "An optimised motion needs to know what it is for: the brief holds no regressor."
             )
         space = self.space(brief)
-        draws = [space.random(rng, MARGIN) for _ in range(DRAWS)]
+        draws = self.draws(space, rng)
         asked = told_by(space, brief.regress, draws)
         criterion = criterion_of(self.objective, asked, space, draws, known)
         search = Search(space, asked.smooth, criterion, self.limits(brief, MARGIN), tell)
         values = np.array([search.value(C) for C in draws])
-        starts = [tamed(search, space, C, rng) for C in draws]
-        over = np.array([search.violation(C) for C in starts])
-        told = np.array([search.value(C) for C in starts])
-        order = np.lexsort((told, np.maximum(over, 1.0)))
-        search.run([starts[i] for i in order[: self.starts]], self.iterations)
+        over = np.array([search.violation(C) for C in draws])
+        order = np.lexsort((values, np.maximum(over, 1.0)))
+        search.run([draws[i] for i in order[: self.starts]], self.iterations)
+        if not search.interrupted and not (search.kept and search.kept[-1][0] <= values.min()):
+            # From outside of all limits no way led in, or to nothing good: begin small, inside.
+            search.run([tamed(search, space, draws[order[0]], rng)], self.iterations)
         C, value = self._checked(brief, space, search)
         median = float(np.median(values))
         return Design(C, value, median, search.evaluations, search.interrupted)
@@ -178,7 +184,10 @@ def tamed(search: Search, space: Space, C: Array, rng: np.random.Generator) -> A
         if least <= 1.0:
             break
         small = size * C
-        for place in (C[0], *rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high, (6, len(low)))):
+        for place in (
+            C[0],
+            *rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high, (6, len(low))),
+        ):
             small[0] = place
             over = search.violation(small)
             if over < least:

@@ -1,12 +1,12 @@
-"""The search for a motion: sequential quadratic programming (SLSQP) over the coefficients of curves,
-with analytic slopes of the criterion and smooth maxima of the limits.
+"""The search for a motion: sequential quadratic programming (SLSQP) over coefficients of curves, with
+analytic slopes of the criterion and smooth maxima of the limits.
 
 Deterministic in its draws. An interrupt, or the end of the budget, leaves the best feasible so far.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import Bounds, minimize
@@ -153,7 +153,7 @@ class Search:
         scale = np.tile(self._scale(), (self.shape[0], 1))
         low, high = self.space.bounds()
         start = (np.clip(C, low, high) / scale).ravel()
-        constraint = {
+        constraint: Any = {
             "type": "ineq",
             "fun": lambda x: 1.0 - self._limits_at(x.reshape(self.shape) * scale, sharpness)[0],
             "jac": lambda x: (
@@ -167,7 +167,7 @@ class Search:
             method="SLSQP",
             constraints=[constraint],
             bounds=Bounds((low / scale).ravel(), (high / scale).ravel()),
-            options={"maxiter": iterations, "ftol": 1e-5},
+            options={"maxiter": iterations, "ftol": 1e-5},  # type: ignore[call-overload]
         )
         end = self._restored(result.x.reshape(self.shape) * scale, sharpness)
         over = max(self.violation(end) - 1.0, 0.0)
@@ -213,7 +213,11 @@ class Search:
         self._uses = [limit.use(thin) for limit, thin in zip(self.limits, self._thin, strict=True)]
         most = [float(np.abs(use).max()) for use in self._uses]
         self.nearest = min(self.nearest, (max(most), self.limits[int(np.argmax(most))].kind))
-        if max(most) <= 1.0 and np.isfinite(self._f) and (not self.kept or self._f < self.kept[-1][0]):
+        if (
+            max(most) <= 1.0
+            and np.isfinite(self._f)
+            and (not self.kept or self._f < self.kept[-1][0])
+        ):
             self.kept = [*self.kept[-MOST_KEPT + 1 :], (self._f, C.copy())]
         if self.kept:
             self.tell(self.evaluations, self.kept[-1][0])

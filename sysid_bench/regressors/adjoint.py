@@ -6,7 +6,7 @@ coordinates of free and ball joints are left zero: designed motions hold them.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -69,7 +69,8 @@ def pull_back_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array]
     """As `pull_back`, from weights (k, 10, N) on the raw columns of links, one for each of the k
     degrees of freedom that move the link."""
     q, v, a = motion.q.T, motion.v.T, motion.a.T
-    slopes = tuple(np.zeros((tree.nv, len(motion))) for _ in range(3))
+    gq, gv, ga = np.zeros((3, tree.nv, len(motion)))
+    slopes = gq, gv, ga
     tapes: list[list[_Back]] = []
     done: list[Array] = []
     ground = np.zeros((3, 3, len(motion)))
@@ -88,7 +89,6 @@ def pull_back_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array]
             bar = back(bar)
         if tree.links[i].parent >= 0:
             pulled[tree.links[i].parent] += bar
-    gq, gv, ga = slopes
     return gq.T, gv.T, ga.T
 
 

@@ -84,7 +84,7 @@ def excite(
     design = made.solve(brief, np.random.default_rng(seed), known, tell)
     space = made.space(brief)
     rng = np.random.default_rng(seed)  # the draws that the search began with
-    draws = [space.random(rng, 0.98) for _ in range(20)]
+    draws = made.draws(space, rng)
     assert brief.regress is not None
     told = told_by(space, brief.regress, draws)
     grid = space.curves.grid()
@@ -213,7 +213,7 @@ def _drives(
 
 
 def _geometry(brief: "Brief", made: "Optimised") -> dict[str, Any]:
-    if made.clearance is None and made.floor is None or brief.scene is None:
+    if (made.clearance is None and made.floor is None) or brief.scene is None:
         return {"shapes": None, "ignored": [], "note": "collisions were not asked for"}
     scene = brief.scene(made.floor)
     note = (
@@ -341,7 +341,7 @@ def chosen_settings(given: Mapping[str, Any], boxes: Sequence[str]) -> dict[str,
     from sysid_bench.units import quantity
 
     units = {"period": "s", "clearance": "m", "floor": "m", "torque_share": "1"}
-    chosen = {
+    chosen: dict[str, Any] = {
         key: quantity(value, units[key]) if key in units else value
         for key, value in given.items()
         if value is not None

@@ -99,7 +99,7 @@ def test_clamping_counts_what_it_clamps(name: str) -> None:
     drives = drives_of(asked.joints, {"all": {"motor": name, "share": 0.5}})
     inside, report = clamped(asked, drives, most=1.0)
     for j, (drive, entry) in enumerate(zip(drives, report, strict=True)):
-        assert drive.speed == pytest.approx(0.5 * MOTORS[name].speed)
+        assert drive.speed == pytest.approx(0.5 * (MOTORS[name].speed or 0.0))
         for key, limit in (("v", drive.speed), ("tau", drive.torque)):
             beyond = np.abs(getattr(asked, key)[:, j]) > limit
             assert entry["clamped"][key] == pytest.approx(beyond.mean())

@@ -171,7 +171,7 @@ def clamped(
         v=np.clip(commands.v, -speed, speed),
         tau=np.clip(commands.tau, -torque, torque),
     )
-    report = []
+    report: list[dict[str, Any]] = []
     for j, drive in enumerate(drives):
         shares = {
             key: float(np.mean(getattr(inside, key)[:, j] != getattr(commands, key)[:, j]))
@@ -252,9 +252,7 @@ def can_log(commands: Commands, drives: tuple[Drive, ...], channel: str = "can0"
     )
 
 
-def table_text(
-    commands: Commands, drives: tuple[Drive, ...], report: list[dict[str, Any]]
-) -> str:
+def table_text(commands: Commands, drives: tuple[Drive, ...], report: list[dict[str, Any]]) -> str:
     """A text table for a motor controller: what scaling and limits it was made with in comments,
     then time and for each motor position, velocity and torque."""
     lines = ["# Damiao MIT mode; t in s, then for each motor q (rad), v (rad/s), tau (N m)"]

@@ -1,4 +1,4 @@
-"""A motion as a ROS 2 message trajectory_msgs/JointTrajectory, in YAML (`ros2 topic pub`) or JSON."""
+"""A motion as a ROS 2 message trajectory_msgs/JointTrajectory, in YAML or JSON."""
 
 import json
 from typing import Any

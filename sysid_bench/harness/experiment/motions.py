@@ -38,8 +38,8 @@ def designed(
     if key not in _DESIGNS:
         kept = _kept(key)
         _DESIGNS[key] = _keep(key, made.solve(brief, rng).C) if kept is None else kept
-    motion = made.motion(_DESIGNS[key], brief)
-    return motion
+    again: Trajectory = made.motion(_DESIGNS[key], brief)
+    return again
 
 
 def content(value: Any) -> str:
@@ -52,7 +52,9 @@ def content(value: Any) -> str:
 def _feed(digest: Any, value: Any) -> None:
     digest.update(f"<{type(value).__name__}>".encode())
     if isinstance(value, np.ndarray):
-        digest.update(f"{value.shape}{value.dtype}".encode() + np.ascontiguousarray(value).tobytes())
+        digest.update(
+            f"{value.shape}{value.dtype}".encode() + np.ascontiguousarray(value).tobytes()
+        )
     elif is_dataclass(value):
         for field in fields(value):
             if not (isinstance(value, Brief) and field.name == "rate"):

@@ -165,9 +165,7 @@ def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:
     return tau
 
 
-def _brief(
-    robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float
-) -> Brief:
+def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float) -> Brief:
     """What a designer of motions is told: limits, the question, and torques by the prior alone."""
     brief = brief_of(robot, rate)
     if robot.coupling is not None:  # designs serve trees
