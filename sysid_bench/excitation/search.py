@@ -1,5 +1,5 @@
-"""The search for a motion: sequential quadratic programming (SLSQP) over coefficients of curves, with
-analytic slopes of the criterion and smooth maxima of the limits.
+"""The search for a motion: sequential quadratic programming (SLSQP) over coefficients of curves,
+with analytic slopes of the criterion and smooth maxima of the limits.
 
 Deterministic in its draws. An interrupt, or the end of the budget, leaves the best feasible so far.
 """
