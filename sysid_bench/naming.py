@@ -45,10 +45,15 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "wls": "sysid_bench.identification.estimators.wls:WLS",
         },
         "excitation": {
+            "b-spline": "sysid_bench.excitation.random_curves:BSplines",
+            "chirp": "sysid_bench.excitation.chirp:Chirp",
             "fourier": "sysid_bench.excitation.fourier:Fourier",
             "fourier-other": "sysid_bench.excitation.fourier:OtherFourier",
+            "fourier-polynomial": "sysid_bench.excitation.random_curves:FourierPolynomial",
             "multisine": "sysid_bench.excitation.multisine:MultiSine",
+            "optimised": "sysid_bench.excitation.optimised:Optimised",
             "ptp": "sysid_bench.excitation.point_to_point:PointToPoint",
+            "static": "sysid_bench.excitation.point_to_point:Static",
         },
         "simulation": {
             "inverse": "sysid_bench.simulation.inverse:Inverse",

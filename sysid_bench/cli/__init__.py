@@ -10,7 +10,7 @@ from typing import Final
 
 import click
 
-from sysid_bench.cli import catalogue, results, robots, start, suites
+from sysid_bench.cli import catalogue, motions, results, robots, start, suites
 
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """What a user may set; else one. The matrices of a verb are small, and on a busy machine a second
@@ -38,7 +38,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 
 
 for _verb in (
-    robots.crosscheck, robots.basis, robots.identify, start.init,
+    robots.crosscheck, robots.basis, robots.identify, motions.excite, start.init,
     catalogue.list_, catalogue.show,
     suites.plan, suites.run,
     results.status, results.cell, results.table, results.report, results.record, results.view,

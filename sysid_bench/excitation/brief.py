@@ -1,7 +1,8 @@
 """What a designer of motions is told, and how scalar profiles become a motion of the robot."""
 
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -10,6 +11,10 @@ from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.spatial.rotation import body_rates, product, quaternion_of_vector
 from sysid_bench.types import Array, Trajectory
+
+if TYPE_CHECKING:
+    from sysid_bench.excitation.geometry import Scene
+    from sysid_bench.excitation.insight import Question, Torque
 
 MARGIN: Final = 0.98
 """Share of a limit that a motion may use: sampling between grid points stays inside."""
@@ -29,7 +34,11 @@ class Brief:
     or for a free joint the displacement (3) and rotation vector (3) from its reference pose, for a
     ball joint the rotation vector. Arrays (nv,); `q0` (nq,) is the reference configuration.
 
-    Of coupled joints the profiles, and the arrays, are those of the independent ones alone."""
+    Of coupled joints the profiles, and the arrays, are those of the independent ones alone.
+
+    What only some designers need is None where nobody has told it: `regress`, the rows that are to
+    tell the parameters; `torque`, by what is known of the robot so far, and its limits `tau`;
+    `scene`, the robot's shapes beside a floor of some height (m; None: no floor)."""
 
     joints: tuple[Joint, ...]
     low: Array
@@ -39,6 +48,10 @@ class Brief:
     q0: Array
     rate: float  # Hz
     coupling: Coupling | None = None
+    tau: Array = field(default_factory=lambda: np.zeros(0))
+    regress: "Question | None" = None
+    torque: "Torque | None" = None
+    scene: "Callable[[float | None], Scene] | None" = None
 
     @property
     def nv(self) -> int:
@@ -105,11 +118,12 @@ def brief_of(robot: RobotModel, rate: float) -> Brief:
             a[turn] = np.maximum(a[turn] - 0.5 * v[turn] ** 2, 0.5 * a[turn]) / np.sqrt(3)
             v[turn] /= np.sqrt(3)
     q0 = np.array(robot.mj.qpos0)
+    tau = robot.limits.tau.copy()
     if robot.coupling is None:
-        return Brief(robot.joints, low, high, v, a, q0, rate)
+        return Brief(robot.joints, low, high, v, a, q0, rate, tau=tau)
     moving, slower = robot.coupling.independent, robot.coupling.slower
     scalar = robot.coupling.qadr[moving] >= 0
     low = np.where(scalar, robot.coupling.low, low[moving])
     high = np.where(scalar, robot.coupling.high, high[moving])
     v, a = slower * v[moving], slower * a[moving]
-    return Brief(robot.joints, low, high, v, a, q0, rate, robot.coupling)
+    return Brief(robot.joints, low, high, v, a, q0, rate, robot.coupling, tau)

@@ -26,12 +26,22 @@ class PointToPoint:
         if not (is_count(self.moves) and self.rest >= 0):
             raise UsageError(f"{self}: moves count from 1, and a rest is not negative.")
 
+    @property
+    def share(self) -> float:
+        """Of the limits of velocity and acceleration that a move uses."""
+        return MARGIN
+
+    @property
+    def name(self) -> str:
+        """What its trajectories are called."""
+        return "ptp"
+
     def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
         """A motion through `moves` random postures; it starts and ends at rest."""
         margin = 0.5 * (1 - MARGIN) * (brief.high - brief.low)
         points = rng.uniform(brief.low + margin, brief.high - margin, (self.moves + 1, brief.nv))
         steps = np.diff(points, axis=0)
-        durations = _durations(steps, brief)
+        durations = _durations(steps, brief, self.share)
         starts = np.concatenate([[0.0], np.cumsum(durations + self.rest)])
         # Two samples more, so that the grid reaches the end of the last move even without a rest.
         t = brief.times(starts[-1] + 2.0 / brief.rate)
@@ -41,10 +51,29 @@ class PointToPoint:
         x = points[move] + step * u**3 * (10 - 15 * u + 6 * u**2)
         dx = step / T * 30 * u**2 * (1 - u) ** 2
         ddx = step / T**2 * 60 * u * (1 - u) * (1 - 2 * u)
-        return brief.trajectory(t, x, dx, ddx, "ptp")
+        return brief.trajectory(t, x, dx, ddx, self.name)
 
 
-def _durations(steps: Array, brief: Brief) -> Array:
-    by_velocity = (_PEAK_RATE * np.abs(steps) / (MARGIN * brief.v)).max(axis=1)
-    by_acceleration = np.sqrt(_PEAK_CHANGE * np.abs(steps) / (MARGIN * brief.a)).max(axis=1)
+@dataclass(frozen=True)
+class Static(PointToPoint):
+    """Static postures: long rests at random postures, with slow moves between them, for what
+    gravity and springs alone tell."""
+
+    moves: int = 12
+    rest: float = field(default=2.0, metadata={"unit": "s"})
+
+    @property
+    def share(self) -> float:
+        """Slow enough that gravity makes nearly all of the torque."""
+        return 0.25
+
+    @property
+    def name(self) -> str:
+        """What its trajectories are called."""
+        return "static"
+
+
+def _durations(steps: Array, brief: Brief, share: float) -> Array:
+    by_velocity = (_PEAK_RATE * np.abs(steps) / (share * brief.v)).max(axis=1)
+    by_acceleration = np.sqrt(_PEAK_CHANGE * np.abs(steps) / (share * brief.a)).max(axis=1)
     return np.maximum(by_velocity, by_acceleration)

@@ -94,6 +94,12 @@ def _target(kind: str, plugin: Mapping[str, Any], folder: Path | None) -> str:
 
 
 @cache
+def code_and_libraries() -> str:
+    """A hash of this package's code and of the versions it runs with."""
+    return digest([_tree(str(_PACKAGE)), versions(), sys.version_info[:2]])[:16]
+
+
+@cache
 def _fingerprint(models: tuple[str, ...], plugins: tuple[str, ...]) -> str:
     parts = [
         _tree(str(_PACKAGE)),

@@ -22,9 +22,14 @@ from sysid_bench.types import Array, Regressor, Trajectory
 
 TermFunction = Callable[[Array, Array, Array], Array]
 
+SMOOTH_RATE: Final = 0.05
+"""rad/s, m/s: half width of the smooth sign that stands for Coulomb friction while a motion is
+searched for; sign(v) itself has no slope to follow."""
+
 TERM: Final[dict[str, TermFunction]] = {
     "fv": lambda q, v, a: v,
     "fc": lambda q, v, a: np.sign(v),
+    "fc smooth": lambda q, v, a: np.tanh(v / SMOOTH_RATE),
     "offset": lambda q, v, a: np.ones_like(v),
     "Ia": lambda q, v, a: a,
     "k": lambda q, v, a: q,  # the spring's deflection, q less its reference

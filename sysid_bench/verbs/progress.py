@@ -1,7 +1,7 @@
 """A progress bar on a terminal, weighted by what cells are expected to cost; silent elsewhere."""
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +49,21 @@ def progress() -> Iterator["OnEvent"]:
                 )
 
         yield listen
+
+
+@contextmanager
+def values() -> Iterator[Callable[[int, float], None]]:
+    """Yields a listener for a search: evaluations and the best value so far, on one line."""
+    if not sys.stderr.isatty():
+        yield lambda count, value: None
+        return
+
+    def tell(count: int, value: float) -> None:
+        sys.stderr.write(f"\r{count:6d} evaluations, objective {value:.5g} \x1b[K")
+        sys.stderr.flush()
+
+    yield tell
+    sys.stderr.write("\r\x1b[K")
 
 
 def _silent(kind: str, data: Mapping[str, Any]) -> None:

@@ -1,6 +1,6 @@
 """One experiment made ready: simulated once, its regressor reduced once, for all its estimators."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
-from sysid_bench.excitation.brief import brief_of
+from sysid_bench.excitation.brief import Brief, brief_of
+from sysid_bench.excitation.geometry import scene_of
+from sysid_bench.excitation.insight import Torque, question
+from sysid_bench.harness.experiment.motions import designed
 from sysid_bench.harness.experiment.robots import Subject
 from sysid_bench.harness.experiment.sensing import Sensing, true_offset
 from sysid_bench.harness.experiment.spec import (
@@ -28,7 +31,7 @@ from sysid_bench.models.task import Task, task_of
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
-from sysid_bench.regressors.regression import TERM
+from sysid_bench.regressors.regression import TERM, regression
 from sysid_bench.regressors.wrench import handed_on
 from sysid_bench.signals.process import processing_of
 from sysid_bench.simulation.candidate import Declared, candidate, declared
@@ -73,15 +76,16 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     posing = Posing(robot, task, base, torque_regression(robot, base.names, instruments))
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
     sensing = Sensing(spec, plant, task)
-    raw, recording = _record(spec, subject, plant, sensing)
+    prior = _prior(spec, task)
+    briefed = partial(_brief, robot, task, base, prior)
+    raw, recording = _record(spec, subject, plant, sensing, briefed)
     if "calibration" in spec.signals and task.cuts:
         calibration = _calibration(spec, subject, task)
         raw, recording = _corrected(raw, calibration), _corrected(recording, calibration)
-    prior = _prior(spec, task)
     problem = posing.pose(recording.motion, recorded(recording), prior)
     held_out = {
         name: posing.pose(oracle.motion, sensing.exact(oracle))
-        for name, oracle in _held_out(spec, subject, plant).items()
+        for name, oracle in _held_out(spec, subject, plant, briefed).items()
     }
     regress = partial(regressor_blocks, posing.regression, posing.places, instruments)
     simulate = _nothing_to_simulate if task.cuts else _Simulate(declared(robot, task), raw)
@@ -197,8 +201,30 @@ def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:
     return tau
 
 
+def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float) -> Brief:
+    """What a designer of motions is told: limits, the question, and torques by the prior alone."""
+    brief = brief_of(robot, rate)
+    if robot.coupling is not None or task.cuts:  # designs serve the joints of trees
+        return brief
+    terms = {
+        f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
+        for term, values in task.known_terms.items()
+        for dof in np.flatnonzero(values)
+    }
+    torque = None
+    if prior is not None:
+        columns = regression(robot, (*task.parameters, *terms))
+        torque = Torque(columns, np.array([*prior.theta, *terms.values()]), task.known_links)
+    asked = question(robot, base.names, task.rows)
+    return replace(brief, regress=asked, torque=torque, scene=partial(scene_of, robot))
+
+
+Briefed = Callable[[float], Brief]
+"""The brief of an experiment at a rate (Hz)."""
+
+
 def _record(
-    spec: ExperimentSpec, subject: Subject, plant: Plant, sensing: Sensing
+    spec: ExperimentSpec, subject: Subject, plant: Plant, sensing: Sensing, briefed: Briefed
 ) -> tuple[Recording, Recording]:
     """The recording as sensed and as filtered."""
     robot = plant.robot
@@ -207,8 +233,7 @@ def _record(
     processing = processing_of(spec.signals)
     rate = simulation.design_rate(spec.rate)
     every = round(rate / spec.rate)
-    design = subject.build("excitation", spec.excitation).design
-    commanded = design(brief_of(robot, rate), np.random.default_rng(motion_seed(spec)))
+    commanded = designed(spec.excitation, subject, briefed(rate), motion_seed(spec))
     rng = np.random.default_rng(noise_seed(spec))
     moving = robot.torque_dofs
     draws = draw(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
@@ -256,7 +281,8 @@ def _calibration(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibrat
         cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
         plant = plant_of(robot, [subject.build("plant", spec.plant)])
         sensing = Sensing(spec, plant, replace(task, cuts=cuts), run)
-        _, recording = _record(spec, replace(subject, robot=robot), plant, sensing)
+        briefed = partial(brief_of, robot)
+        _, recording = _record(spec, replace(subject, robot=robot), plant, sensing, briefed)
         instruments = instruments_of(robot, cuts)
         motion = instruments.motion(recording.motion)
         model = newton_euler(instruments.tree, instruments.tree.lumped(robot.phi), motion)
@@ -283,13 +309,14 @@ def _scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
     return out
 
 
-def _held_out(spec: ExperimentSpec, subject: Subject, plant: Plant) -> dict[str, Oracle]:
+def _held_out(
+    spec: ExperimentSpec, subject: Subject, plant: Plant, briefed: Briefed
+) -> dict[str, Oracle]:
     """Other motions of the same plant, exact: what scoring compares with."""
     motions: dict[str, Oracle] = {}
     for place, excitation in enumerate(spec.held_out):
-        rng = np.random.default_rng(held_out_seed(spec, place))
-        design = subject.build("excitation", excitation).design
-        motion = design(brief_of(plant.robot, spec.rate), rng)
+        seed = held_out_seed(spec, place)
+        motion = designed(excitation, subject, briefed(spec.rate), seed)
         oracle, _ = Inverse().run(
             plant, motion, np.zeros((len(motion), len(plant.robot.torque_dofs)))
         )

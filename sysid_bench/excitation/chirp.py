@@ -1,0 +1,44 @@
+"""Chirps: sines whose frequency rises steadily, each joint from its own start to its own end."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.excitation.brief import Brief
+from sysid_bench.excitation.fit import dense_grid, fit
+from sysid_bench.types import Array, Trajectory
+
+
+@dataclass(frozen=True)
+class Chirp:
+    """q_i = q_i0 + A_i sin(2 pi (f_0 t + (f_1 - f_0) t^2 / (2 T)) + phase_i); f_0 and f_1 of each
+    joint are drawn in the lowest and the highest third between `lowest` and `highest`."""
+
+    lowest: float = field(default=0.1, metadata={"unit": "Hz"})
+    highest: float = field(default=1.0, metadata={"unit": "Hz"})
+    duration: float = field(default=10.0, metadata={"unit": "s"})
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for settings that make no motion."""
+        if not (0 < self.lowest < self.highest and self.duration > 0):
+            raise UsageError(f"{self}: 0 < lowest < highest, a positive duration.")
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """A motion of `duration`."""
+        third = (self.highest - self.lowest) / 3
+        start = self.lowest + third * rng.uniform(size=brief.nv)
+        rise = (self.highest - third * rng.uniform(size=brief.nv) - start) / self.duration
+        phase = rng.uniform(0, 2 * np.pi, brief.nv)
+
+        def shape(t: Array) -> tuple[Array, Array, Array]:
+            t = t[:, None]
+            angle = 2 * np.pi * (start * t + 0.5 * rise * t**2) + phase
+            w, dw = 2 * np.pi * (start + rise * t), 2 * np.pi * rise
+            sin, cos = np.sin(angle), np.cos(angle)
+            return sin, w * cos, dw * cos - w**2 * sin
+
+        scale, offset = fit(shape, dense_grid(self.duration, self.highest), brief, rng)
+        t = brief.times(self.duration)
+        x, dx, ddx = shape(t)
+        return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, "chirp")

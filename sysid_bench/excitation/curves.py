@@ -1,0 +1,125 @@
+"""Families of curves that are linear in their coefficients: x(t) = B(t) c, one c per joint."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from sysid_bench.errors import unknown_name
+from sysid_bench.types import Array
+
+Bases = tuple[Array, Array, Array]
+"""B, dB, ddB (N, m) at times t (N,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """`at(t)` gives the bases; the first column is a constant. `fastest` (Hz) is the highest
+    frequency in it, `periodic` whether the motion goes on after `duration` (s)."""
+
+    kind: str
+    at: Callable[[Array], Bases]
+    size: int  # m, coefficients per joint
+    duration: float
+    fastest: float
+    periodic: bool
+
+    def grid(self, density: int = 1) -> Array:
+        """Times (N,) that hold 40 samples of the fastest period, times `density`; the end is left
+        out where it is the start again."""
+        count = density * max(80, round(40 * self.fastest * self.duration))
+        return np.linspace(0.0, self.duration, count, endpoint=not self.periodic)
+
+
+def fourier(period: float, harmonics: int) -> Curves:
+    """The published form (Swevers et al. 1997; seed 001, eq. (8)), w = 2 pi / period:
+    q0 + sum_l a_l / (w l) sin(w l t) - b_l / (w l) cos(w l t); coefficients q0, a, b."""
+    w = 2 * np.pi / period * np.arange(1, harmonics + 1)
+
+    def at(t: Array) -> Bases:
+        sin, cos = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
+        one, zero = np.ones((len(t), 1)), np.zeros((len(t), 1))
+        return (
+            np.hstack([one, sin / w, -cos / w]),
+            np.hstack([zero, cos, sin]),
+            np.hstack([zero, -sin * w, cos * w]),
+        )
+
+    return Curves("fourier", at, 2 * harmonics + 1, period, harmonics / period, True)
+
+
+def fourier_polynomial(period: float, harmonics: int) -> Curves:
+    """Fourier series that rest at both ends: each function gets the polynomial t ... t^5 that takes
+    its velocity and acceleration at both ends and its step between them away (Park 2006)."""
+    series = fourier(period, harmonics)
+    ends = np.array([0.0, period])
+    power = np.arange(1, 6)
+
+    def powers(t: Array) -> Bases:
+        u = (t / period)[:, None]
+        return (
+            u**power,
+            power * u ** (power - 1) / period,
+            power * (power - 1) * u ** np.maximum(power - 2, 0) / period**2,
+        )
+
+    def conditions(bases: Bases) -> Array:
+        x, dx, ddx = bases
+        return np.vstack([x[1:] - x[:1], period * dx, period**2 * ddx])
+
+    mix = -np.linalg.solve(conditions(powers(ends)), conditions(series.at(ends)))
+
+    def at(t: Array) -> Bases:
+        b, p = series.at(t), powers(t)
+        return b[0] + p[0] @ mix, b[1] + p[1] @ mix, b[2] + p[2] @ mix
+
+    return Curves("fourier-polynomial", at, series.size, period, series.fastest, False)
+
+
+DEGREE: Final = 5
+"""Of B-splines: accelerations are smooth, as motors like them."""
+
+
+def b_spline(duration: float, harmonics: int) -> Curves:
+    """Quintic B-splines with as many coefficients as a Fourier series of `harmonics`, at rest at
+    both ends: the first three control points are one, and the last three. The control points are
+    those beyond the constant, which stands first."""
+    free = 2 * harmonics + 1
+    points = free + 4
+    knots = np.concatenate(
+        [
+            np.zeros(DEGREE),
+            np.linspace(0.0, duration, points - DEGREE + 1),
+            np.full(DEGREE, duration),
+        ]
+    )
+    # Control points of the m coefficients: the first three the constant, the others added to it.
+    mix = np.zeros((points, free))
+    mix[:, 0] = 1.0
+    for k in range(1, free):
+        mix[2 + k, k] = 1.0
+    mix[-2:, -1] = 1.0
+    spline = BSpline(knots, mix, DEGREE)
+
+    def at(t: Array) -> Bases:
+        inside = np.clip(t, 0.0, duration)
+        return spline(inside), spline(inside, 1), spline(inside, 2)
+
+    fastest = (points - DEGREE) / (2 * duration)  # a hump and a hollow of two pieces
+    return Curves("b-spline", at, free, duration, fastest, False)
+
+
+FAMILIES: Final[dict[str, Callable[[float, int], Curves]]] = {
+    "fourier": fourier,
+    "fourier-polynomial": fourier_polynomial,
+    "b-spline": b_spline,
+}
+
+
+def curves_of(kind: str, period: float, harmonics: int) -> Curves:
+    """The family of a name; raises UsageError for another name."""
+    if kind not in FAMILIES:
+        raise unknown_name("family of curves", kind, FAMILIES)
+    return FAMILIES[kind](period, harmonics)

@@ -1,0 +1,46 @@
+"""What a robot is commanded along a motion: positions, rates and feed-forward torques of joints."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_bench.types import Array, Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Joints and their commands over time: t (N,), q v a tau (N, k); SI units."""
+
+    joints: tuple[str, ...]
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    tau: Array
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def rests(self) -> bool:
+        """Whether the motion starts and ends at rest."""
+        return bool(np.abs(self.v[[0, -1]]).max() < 1e-3)
+
+
+def commands_of(
+    motion: Trajectory, tau: Array, joints: tuple[str, ...], qadr: list[int], dofs: list[int]
+) -> Commands:
+    """The commands of some joints, at `qadr` in q and `dofs` in v."""
+    return Commands(
+        joints, motion.t, motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs], tau[:, dofs]
+    )
+
+
+def csv_text(commands: Commands) -> str:
+    """`t, <joint>.q ..., <joint>.v ..., <joint>.a ..., <joint>.tau ...`, a line per sample; the
+    numbers read back as they were."""
+    parts = {"q": commands.q, "v": commands.v, "a": commands.a, "tau": commands.tau}
+    head = ["t", *(f"{joint}.{key}" for key in parts for joint in commands.joints)]
+    table = np.column_stack([commands.t, *parts.values()])
+    lines = [",".join(repr(float(x)) for x in row) for row in table]
+    return "\n".join([",".join(head), *lines]) + "\n"

@@ -1,0 +1,285 @@
+"""Motions for Damiao motors in MIT mode, and the frames that command them.
+
+Two things are called limits, and are kept apart here. *Scaling* (PMAX, VMAX, TMAX: registers of the
+drive) maps numbers to bits; a wrong value commands a wrong motion. *Physical limits* are what the
+motor can do; commands are clamped to a share of them. Where the maker has published none, the user
+gives them or nothing is exported.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.excitation.export.commands import Commands
+from sysid_bench.types import Array
+
+SHARE: Final = 0.9
+"""Of the physical limits: what commands may use."""
+
+GAINS: Final = (500.0, 5.0)
+"""Largest kp (N m / rad) and kd (N m s / rad) of a MIT frame."""
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """What the bits of a frame mean: positions in +-p (rad), velocities in +-v (rad/s), torques in
+    +-tau (N m)."""
+
+    p: float
+    v: float
+    tau: float
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A motor type: its factory scaling, and its physical limits where they are published: no-load
+    speed (rad/s), peak and rated torque (N m)."""
+
+    scaling: Scaling
+    speed: float | None = None
+    torque: float | None = None
+    rated: float | None = None
+
+
+def _motor(p: float, v: float, tau: float, rpm: float = 0.0, peak: float = 0.0, rated: float = 0.0):  # type: ignore[no-untyped-def]
+    if not rpm:
+        return Motor(Scaling(p, v, tau))
+    return Motor(Scaling(p, v, tau), rpm * 2 * np.pi / 60, peak, rated)
+
+
+MOTORS: Final[Mapping[str, Motor]] = {
+    # PMAX, VMAX, TMAX of the tool of seed 000; no-load rpm, peak and rated torque of the maker.
+    "DM3507": _motor(12.566, 50, 5, 460, 3, 0.8),
+    "DM4310": _motor(12.5, 30, 10, 200, 7, 3),
+    "DM4310_48V": _motor(12.5, 50, 10, 400, 7, 3),
+    "DM4340": _motor(12.5, 10, 28, 52.5, 27, 9),
+    "DM4340_48V": _motor(12.5, 20, 28, 100, 27, 9),
+    "DM6006": _motor(12.5, 45, 12, 226, 11, 4),
+    "DM6248": _motor(12.566, 20, 120),
+    "DM8006": _motor(12.5, 45, 20, 194, 20, 8),
+    "DM8009": _motor(12.5, 45, 54, 168, 40, 20),
+    "DM10010L": _motor(12.5, 25, 200, 100, 120, 40),
+    "DM10010": _motor(12.5, 20, 200, 75, 150, 40),
+    "DMH3510": _motor(12.5, 280, 1),
+    "DMH6215": _motor(12.5, 45, 10),
+    "DMS3519": _motor(12.5, 2000, 2),
+    "DMG6220": _motor(12.5, 45, 10),
+}
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One joint's motor: its CAN id, gains, scaling, and the limits that commands are clamped to:
+    position (low, high) rad, speed rad/s, torque N m."""
+
+    joint: str
+    motor: str
+    id: int
+    kp: float
+    kd: float
+    scaling: Scaling
+    position: tuple[float, float]
+    speed: float
+    torque: float
+    rated: float | None = None  # N m
+
+    def to_json(self) -> dict[str, Any]:
+        """What a file states about itself."""
+        return {
+            "joint": self.joint, "motor": self.motor, "id": self.id, "kp": self.kp, "kd": self.kd,
+            "scaling": {"p": self.scaling.p, "v": self.scaling.v, "tau": self.scaling.tau},
+            "limits": {"q": list(self.position), "v": self.speed, "tau": self.torque},
+        }  # fmt: skip
+
+
+KEYS: Final = ("motor", "id", "kp", "kd", "pmax", "vmax", "tmax", "q", "v", "tau", "share")
+
+
+def drive_of(joint: str, number: int, told: Mapping[str, Any]) -> Drive:
+    """The drive of a joint from the user's table: `motor` (a type), `id` (default: the joint's
+    number), gains `kp kd`, scaling `pmax vmax tmax`, physical limits `q` (two numbers), `v`, `tau`,
+    of which commands may use `share`. Raises UsageError with what is missing."""
+    for key in told:
+        if key not in KEYS:
+            raise unknown_name(f"key of the motor of {joint!r}", key, KEYS)
+    name = str(told.get("motor", ""))
+    if name not in MOTORS:
+        raise unknown_name("Damiao motor", name, MOTORS)
+    motor = MOTORS[name]
+    speed, torque = told.get("v", motor.speed), told.get("tau", motor.torque)
+    if speed is None or torque is None:
+        raise UsageError(
+            f"The maker publishes no physical limits of {name} (joint {joint!r}); give them: "
+            "v = rad/s and tau = N m. The scaling of its frames is no limit."
+        )
+    factory = motor.scaling
+    scaling = Scaling(
+        *(
+            _positive(joint, key, told.get(key, usual))
+            for key, usual in (("pmax", factory.p), ("vmax", factory.v), ("tmax", factory.tau))
+        )
+    )
+    kp, kd = (float(told.get(key, usual)) for key, usual in (("kp", 20.0), ("kd", 1.0)))
+    if not (0 <= kp <= GAINS[0] and 0 <= kd <= GAINS[1]):
+        raise UsageError(f"{joint!r}: kp lies between 0 and 500, kd between 0 and 5.")
+    if kp > 0 and kd == 0:
+        raise UsageError(f"{joint!r}: kp > 0 with kd = 0 makes a motor oscillate; give kd.")
+    identifier = told.get("id", number)
+    if isinstance(identifier, bool) or not isinstance(identifier, int) or not 0 < identifier < 2048:
+        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {identifier!r}.")
+    share = _positive(joint, "share", told.get("share", SHARE))
+    low, high = (float(edge) for edge in told.get("q", (-scaling.p, scaling.p)))
+    return Drive(
+        joint, name, identifier, kp, kd, scaling,
+        (max(low, -scaling.p), min(high, scaling.p)),
+        min(share * _positive(joint, "v", speed), scaling.v),
+        min(share * _positive(joint, "tau", torque), scaling.tau),
+        motor.rated,
+    )  # fmt: skip
+
+
+def drives_of(joints: tuple[str, ...], told: Mapping[str, Mapping[str, Any]]) -> tuple[Drive, ...]:
+    """The drives of all joints, from a table by joint name; "all" holds for every joint."""
+    for name in told:
+        if name not in (*joints, "all"):
+            raise unknown_name("joint of this motion", name, (*joints, "all"))
+    everywhere = told.get("all", {})
+    drives = tuple(
+        drive_of(joint, number, {**everywhere, **told.get(joint, {})})
+        for number, joint in enumerate(joints, 1)
+    )
+    ids = [drive.id for drive in drives]
+    if len(set(ids)) < len(ids):
+        raise UsageError(f"Two motors have the same CAN id: {ids}; give each its own.")
+    return drives
+
+
+def clamped(
+    commands: Commands, drives: tuple[Drive, ...], most: float
+) -> tuple[Commands, list[dict[str, Any]]]:
+    """The commands within the limits of their motors, and per joint the share of samples at which
+    position, velocity and torque were clamped. Raises UsageError where a share is above `most`."""
+    low = np.array([drive.position[0] for drive in drives])
+    high = np.array([drive.position[1] for drive in drives])
+    speed, torque = (np.array([getattr(d, key) for d in drives]) for key in ("speed", "torque"))
+    inside = replace(
+        commands,
+        q=np.clip(commands.q, low, high),
+        v=np.clip(commands.v, -speed, speed),
+        tau=np.clip(commands.tau, -torque, torque),
+    )
+    report: list[dict[str, Any]] = []
+    for j, drive in enumerate(drives):
+        shares = {
+            key: float(np.mean(getattr(inside, key)[:, j] != getattr(commands, key)[:, j]))
+            for key in ("q", "v", "tau")
+        }
+        rms = float(np.sqrt(np.mean(commands.tau[:, j] ** 2)))
+        report.append(
+            {
+                "joint": drive.joint,
+                "clamped": shares,
+                "rms_torque": rms,
+                "rated_torque": drive.rated,
+                "hot": drive.rated is not None and rms > drive.rated,
+            }
+        )
+    worst = max(report, key=lambda entry: max(entry["clamped"].values()))
+    share = max(worst["clamped"].values())
+    if share > most:
+        key = max(worst["clamped"], key=lambda k: worst["clamped"][k])
+        raise UsageError(
+            f"{share:.1%} of the samples of {worst['joint']!r} break the {_WORDS[key]} limit of "
+            f"its motor, more than {most:.1%}: a clamped motion is another motion. Design it "
+            "within these limits (--limit), or allow a larger share (--clamp)."
+        )
+    return inside, report
+
+
+_WORDS: Final = {"q": "position", "v": "velocity", "tau": "torque"}
+
+
+def frame(drive: Drive, q: Array, v: Array, tau: Array) -> Array:
+    """MIT frames (N, 8), bytes, of commands (N,) that lie within the scaling: position 16 bits,
+    velocity, kp, kd and torque 12 bits each, the most significant first."""
+    s = drive.scaling
+    p_code = _code(q, -s.p, s.p, 16)
+    v_code, tau_code = _code(v, -s.v, s.v, 12), _code(tau, -s.tau, s.tau, 12)
+    kp_code = _code(np.full(len(q), drive.kp), 0.0, GAINS[0], 12)
+    kd_code = _code(np.full(len(q), drive.kd), 0.0, GAINS[1], 12)
+    return np.stack(
+        [
+            p_code >> 8, p_code & 0xFF, v_code >> 4, (v_code & 0xF) << 4 | kp_code >> 8,
+            kp_code & 0xFF, kd_code >> 4, (kd_code & 0xF) << 4 | tau_code >> 8, tau_code & 0xFF,
+        ],
+        axis=1,
+    ).astype(np.uint8)  # fmt: skip
+
+
+def unframe(drive: Drive, data: Array) -> dict[str, Array]:
+    """q v kp kd tau (N,) of frames (N, 8): what the drive understands."""
+    b, s = data.astype(int).T, drive.scaling
+    codes = {
+        "q": (b[0] << 8 | b[1], -s.p, s.p, 16),
+        "v": (b[2] << 4 | b[3] >> 4, -s.v, s.v, 12),
+        "kp": ((b[3] & 0xF) << 8 | b[4], 0.0, GAINS[0], 12),
+        "kd": (b[5] << 4 | b[6] >> 4, 0.0, GAINS[1], 12),
+        "tau": ((b[6] & 0xF) << 8 | b[7], -s.tau, s.tau, 12),
+    }
+    return {
+        key: low + code * (high - low) / (2**bits - 1)
+        for key, (code, low, high, bits) in codes.items()
+    }
+
+
+def can_log(commands: Commands, drives: tuple[Drive, ...], channel: str = "can0") -> str:
+    """A log as `candump -l` writes it and `canplayer` replays it: at every sample one frame per
+    motor, in the order of the drives."""
+    frames = np.stack(
+        [
+            frame(d, commands.q[:, j], commands.v[:, j], commands.tau[:, j])
+            for j, d in enumerate(drives)
+        ],
+        axis=1,
+    )
+    return "".join(
+        f"({t:.6f}) {channel} {drive.id:03X}#{frames[k, j].tobytes().hex().upper()}\n"
+        for k, t in enumerate(commands.t)
+        for j, drive in enumerate(drives)
+    )
+
+
+def table_text(commands: Commands, drives: tuple[Drive, ...], report: list[dict[str, Any]]) -> str:
+    """A text table for a motor controller: what scaling and limits it was made with in comments,
+    then time and for each motor position, velocity and torque."""
+    lines = ["# Damiao MIT mode; t in s, then for each motor q (rad), v (rad/s), tau (N m)"]
+    for drive, entry in zip(drives, report, strict=True):
+        s, (low, high) = drive.scaling, drive.position
+        shares = ", ".join(f"{key} {share:.2%}" for key, share in entry["clamped"].items())
+        lines += [
+            f"# {drive.joint}: {drive.motor}, id {drive.id}, kp {drive.kp:g}, kd {drive.kd:g}",
+            f"#   scaling (registers of the drive): PMAX {s.p:g} VMAX {s.v:g} TMAX {s.tau:g}",
+            f"#   limits: q {low:g} to {high:g}, v {drive.speed:.4g}, tau {drive.torque:.4g}; "
+            f"clamped: {shares}",
+        ]
+    keys = ("q", "v", "tau")
+    lines.append(",".join(["t", *(f"{d.joint}.{key}" for d in drives for key in keys)]))
+    for k, t in enumerate(commands.t):
+        values = [getattr(commands, key)[k, j] for j in range(len(drives)) for key in keys]
+        lines.append(",".join([f"{t:.6f}", *(f"{float(x):.9g}" for x in values)]))
+    return "\n".join(lines) + "\n"
+
+
+def _code(x: Array, low: float, high: float, bits: int) -> Array:
+    if not ((x >= low - 1e-12) & (x <= high + 1e-12)).all():
+        raise ValueError(f"A command leaves the scaling {low:g} to {high:g}: clamp it first.")
+    return np.round((x - low) * (2**bits - 1) / (high - low)).astype(int)
+
+
+def _positive(joint: str, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+        raise UsageError(f"{joint!r}: {key} must be a positive number; got {value!r}.")
+    return float(value)

@@ -1,0 +1,249 @@
+"""What a motion must not touch and where it may go: MuJoCo's distances and positions.
+
+A robot's file may hold no collision geometry (URDF without its meshes, MJCF stripped of them): then
+`Scene.shapes` is zero and nothing can be promised; whoever asks for a design is told so.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.excitation.limits import Limit
+from sysid_bench.models.appearance import shapes_of
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.regressors.adjoint import Slopes
+from sysid_bench.types import Array, Shape, Trajectory
+
+REACH: Final = 0.08
+"""m: nearer than this two shapes are watched."""
+
+CLOSE: Final = 0.02
+"""m: a pair nearer than this in the reference configuration is taken to be so by construction."""
+
+WATCHED: Final = 4
+"""The closest contacts of a sample that the search sees."""
+
+THINNED: Final = 4
+"""The search looks for contacts at one sample of so many: at ten per fastest period."""
+
+FAR: Final = 100.0
+"""m: an open side of a box."""
+
+_TYPES: Final = {
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
+}
+
+
+@dataclass(eq=False)
+class Scene:
+    """A robot's shapes, and a floor if there is one. Links that share a joint are not watched, nor
+    are the pairs `ignored`: closer than CLOSE in the reference configuration, as hulls around
+    wrists are."""
+
+    mj: mujoco.MjModel
+    shapes: int
+    ignored: tuple[tuple[str, str], ...] = ()
+    data: mujoco.MjData = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Sets the distance at which shapes are watched, and looks at the reference."""
+        self.mj.geom_margin[:] = REACH
+        self.data = mujoco.MjData(self.mj)
+        self._ignored = frozenset(_neighbours(self.mj))
+        self.data.qpos[:] = self.mj.qpos0
+        touching = {_pair(self.mj, c) for c in self._contacts() if c.dist < CLOSE}
+        self._ignored |= touching
+        name = self.mj.body
+        self.ignored = tuple((name(a).name or "world", name(b).name) for a, b in sorted(touching))
+
+    def contacts(self, q: Array) -> list[tuple[float, str, Array]]:
+        """The closest pairs of shapes at a configuration: (distance, "body - body", slope by v's
+        degrees of freedom (nv,)), the closest first, none farther than REACH."""
+        self.data.qpos[:] = q
+        close = sorted(self._contacts(), key=lambda c: float(c.dist))[:WATCHED]
+        return [(float(c.dist), self._names(c), self._slope(c)) for c in close]
+
+    def positions(self, q: Array, bodies: Sequence[int]) -> tuple[Array, Array]:
+        """Origins (k, 3) of bodies in the world, and their Jacobians (k, 3, nv)."""
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.mj, self.data)
+        mujoco.mj_comPos(self.mj, self.data)
+        J = np.zeros((len(bodies), 3, self.mj.nv))
+        for place, body in enumerate(bodies):
+            mujoco.mj_jacBody(self.mj, self.data, J[place], None, body)
+        return self.data.xpos[list(bodies)].copy(), J
+
+    def _contacts(self) -> list[Any]:
+        mujoco.mj_kinematics(self.mj, self.data)
+        mujoco.mj_comPos(self.mj, self.data)
+        mujoco.mj_collision(self.mj, self.data)
+        found = [self.data.contact[i] for i in range(self.data.ncon)]
+        return [c for c in found if c.dist < REACH and _pair(self.mj, c) not in self._ignored]
+
+    def _names(self, contact: Any) -> str:
+        a, b = _pair(self.mj, contact)
+        return f"{self.mj.body(a).name or 'world'} - {self.mj.body(b).name or 'world'}"
+
+    def _slope(self, contact: Any) -> Array:
+        normal = contact.frame[:3]  # from the first shape to the second
+        slope = np.zeros(self.mj.nv)
+        for sign, geom in zip((-1.0, 1.0), contact.geom, strict=True):
+            J = np.zeros((3, self.mj.nv))
+            mujoco.mj_jac(self.mj, self.data, J, None, contact.pos, int(self.mj.geom_bodyid[geom]))
+            slope += sign * normal @ J
+        return slope
+
+
+def scene_of(robot: RobotModel, floor: float | None = None) -> Scene:
+    """The scene of a robot; `floor`: the height (m) of a plane that nothing may touch."""
+    spec = robot.spec.copy()
+    if robot.format == "urdf":
+        _add_shapes(spec, robot)
+    if floor is not None:
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[10.0, 10.0, 0.1], pos=[0.0, 0.0, floor]
+        )
+    mj = spec.compile()
+    watched = (mj.geom_contype != 0) | (mj.geom_conaffinity != 0)
+    return Scene(mj, int(watched.sum()) - (floor is not None))
+
+
+def collision_limit(scene: Scene, clearance: float) -> Limit:
+    """Nothing comes closer than `clearance` (m)."""
+    if not 0.0 <= clearance < REACH:
+        raise UsageError(f"A clearance lies between 0 and {REACH} m; got {clearance}.")
+    seen = _Seen(scene.contacts)
+
+    def distances(motion: Trajectory) -> Array:
+        out = np.full((len(motion), WATCHED), REACH)
+        for k, close in enumerate(seen.along(motion)):
+            out[k, : len(close)] = [distance for distance, _, _ in close]
+        return out
+
+    def slopes(motion: Trajectory, G: Array) -> Slopes:
+        by_q = np.zeros_like(motion.v)
+        for k, close in enumerate(seen.along(motion)):
+            for j, (_, _, slope) in enumerate(close):
+                by_q[k] -= G[k, j] / (REACH - clearance) * slope
+        return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
+
+    def pair(motion: Trajectory, k: int, j: int) -> str:
+        close = seen.along(motion)[k]
+        return close[j][1] if j < len(close) else f"nothing nearer than {REACH} m"
+
+    return Limit(
+        "collision",
+        ("",) * WATCHED,
+        ("m",) * WATCHED,
+        lambda motion: (REACH - distances(motion)) / (REACH - clearance),
+        distances,
+        lambda values: np.full_like(values, clearance),
+        slopes,
+        label=pair,
+        every=THINNED,
+    )
+
+
+def box_limit(scene: Scene, boxes: Mapping[str, Sequence[Sequence[float]]]) -> Limit:
+    """Origins of bodies stay inside boxes {body: [[x, x], [y, y], [z, z]]} (m, world)."""
+    names = [scene.mj.body(b).name for b in range(1, scene.mj.nbody)]
+    bodies, edges = [], []
+    for name, box in boxes.items():
+        if name not in names:
+            raise unknown_name("body", name, names)
+        bodies.append(names.index(name) + 1)
+        edges.append(_edges(name, box))
+    low, high = np.concatenate(edges).T
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    labels = tuple(f"{name}.{axis}" for name in boxes for axis in "xyz")
+
+    seen = _Seen(lambda q: scene.positions(q, bodies))
+
+    def where(motion: Trajectory) -> Array:
+        return np.array([x.ravel() for x, _ in seen.along(motion)])
+
+    def slopes(motion: Trajectory, G: Array) -> Slopes:
+        J = np.array([J.reshape(len(half), -1) for _, J in seen.along(motion)])
+        by_q = np.einsum("nc,ncj->nj", G / half, J)
+        return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
+
+    return Limit(
+        "box",
+        labels,
+        ("m",) * len(labels),
+        lambda motion: (where(motion) - middle) / half,
+        where,
+        lambda values: middle + np.where(values < middle, -half, half),
+        slopes,
+        split="by column",
+    )
+
+
+def _edges(name: str, box: Sequence[Sequence[float]]) -> Array:
+    edges = np.array(box, dtype=float)
+    if edges.shape != (3, 2) or not (edges[:, 0] < edges[:, 1]).all():
+        raise UsageError(
+            f"The box of {name!r} needs three ranges [[x, x], [y, y], [z, z]] in m, each from low "
+            f"to high; got {box!r}."
+        )
+    return np.clip(edges, -FAR, FAR)
+
+
+class _Seen:
+    """What was seen at each sample of the motion that was looked at last."""
+
+    def __init__(self, look: Callable[[Array], Any]) -> None:
+        self.look = look
+        self.motion: Trajectory | None = None
+        self.found: list[Any] = []
+
+    def along(self, motion: Trajectory) -> list[Any]:
+        if self.motion is not motion:
+            self.found = [self.look(q) for q in motion.q]
+            self.motion = motion
+        return self.found
+
+
+def _pair(mj: mujoco.MjModel, contact: Any) -> tuple[int, int]:
+    a, b = (int(mj.geom_bodyid[geom]) for geom in contact.geom)
+    return min(a, b), max(a, b)
+
+
+def _neighbours(mj: mujoco.MjModel) -> Iterator[tuple[int, int]]:
+    """Pairs of bodies whose links share a joint, riders of each link included; the first of a pair
+    comes first in the tree. A floor belongs to the world and stays watched."""
+    for b in range(1, mj.nbody):
+        before = mj.body_weldid[mj.body_parentid[mj.body_weldid[b]]]
+        for a in range(1, mj.nbody):
+            if mj.body_weldid[a] == before and mj.body_weldid[b] != before:
+                yield min(a, b), max(a, b)
+
+
+def _add_shapes(spec: mujoco.MjSpec, robot: RobotModel) -> None:
+    """Shapes of a URDF's links, which the canonical text is without."""
+    bodies = {body.name: body for body in spec.bodies}
+    for k, shape in enumerate(shapes_of(robot)):
+        body = bodies.get(robot.body_names[shape.body])
+        if body is None or (shape.kind == "mesh" and not _readable(shape)):
+            continue
+        words: dict[str, Any] = {"pos": shape.position, "quat": shape.quaternion, "mass": 0.0}
+        if shape.kind == "mesh":
+            spec.add_mesh(name=f"shape{k}", file=shape.file, scale=list(shape.size))
+            words["meshname"] = f"shape{k}"
+        else:
+            words["size"] = [*shape.size, 0.0, 0.0, 0.0][:3]
+        body.add_geom(type=_TYPES[shape.kind], **words)
+
+
+def _readable(shape: Shape) -> bool:
+    return Path(shape.file).suffix.lower() in (".stl", ".obj")

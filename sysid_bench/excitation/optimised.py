@@ -1,0 +1,245 @@
+"""A motion designed for its question: the best of a family of curves within all limits."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
+from sysid_bench.excitation.brief import MARGIN, Brief, is_count
+from sysid_bench.excitation.criteria import Criterion, weights_of
+from sysid_bench.excitation.curves import FAMILIES, curves_of
+from sysid_bench.excitation.insight import Question
+from sysid_bench.excitation.limits import Limit, Used, joint_limits, torque_limits, worst
+from sysid_bench.excitation.search import Search, Space, Tell
+from sysid_bench.identifiability.base import base_map
+from sysid_bench.regressors.fold import triangle
+from sysid_bench.types import Array, Trajectory
+
+DRAWS: Final = 20
+"""Random feasible motions: where a search starts, and what its result is compared with."""
+
+DENSER: Final = 10
+"""The limits are checked on a grid so many times finer than that of the search."""
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Coefficients C (m, k) of the degrees of freedom `dofs`, and how they were found. Values are
+    those of the criterion, which is made small; `start` is the median random motion's."""
+
+    C: Array
+    value: float
+    start: float
+    evaluations: int = 0
+    interrupted: bool = False
+
+
+@dataclass(frozen=True)
+class Optimised:
+    """Curves of one family that make an objective small: `cond`, `cond-unit`, `D`, `A`, `E`,
+    `predict`, or a table of weights. `joints` move (none named: all hinges and slides), the rest is
+    held at the reference configuration."""
+
+    objective: str | Mapping[str, float] = "D"
+    family: str = "fourier"
+    harmonics: int = 5
+    period: float = field(default=10.0, metadata={"unit": "s"})
+    cycles: int = 1
+    joints: Sequence[str] = ()
+    iterations: int = 150
+    starts: int = 1
+    torque_share: float = field(default=0.9, metadata={"unit": "1"})
+    clearance: float | None = field(default=None, metadata={"unit": "m"})
+    floor: float | None = field(default=None, metadata={"unit": "m"})
+    boxes: Mapping[str, Sequence[Sequence[float]]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for settings that make no motion."""
+        weights_of(self.objective)
+        if self.family not in FAMILIES:
+            raise unknown_name("family of curves", self.family, FAMILIES)
+        counts = self.harmonics, self.cycles, self.iterations, self.starts
+        if not (all(map(is_count, counts)) and self.period > 0 and 0 < self.torque_share <= 1):
+            raise UsageError(
+                f"{self}: harmonics, cycles, iterations and starts count from 1, the period is "
+                "positive, and the share of the torque limits lies between 0 and 1."
+            )
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """The motion of `solve`, `cycles` times."""
+        return self.motion(self.solve(brief, rng).C, brief)
+
+    def motion(self, C: Array, brief: Brief) -> Trajectory:
+        """The motion of coefficients C, sampled at the brief's rate. A family that rests at its
+        ends is played once more for each cycle."""
+        space = self.space(brief)
+        t = brief.times(self.cycles * self.period)
+        own = space.motion(C, t % self.period if not space.curves.periodic else t)
+        return replace(own, t=t, name="optimised", period=self.period)
+
+    def space(self, brief: Brief) -> Space:
+        """The motions to choose from; raises UsageError for a joint that is not there."""
+        if brief.coupling is not None:
+            raise UnsupportedError(
+                "Designs serve trees: the joints of this robot are coupled. Take a random motion "
+                "(fourier), or model the joints as independent."
+            )
+        scalar = {j.name: j.vadr for j in brief.joints if j.kind in ("hinge", "slide")}
+        for name in self.joints:
+            if name not in scalar:
+                raise unknown_name("hinge or slide", name, scalar)
+        if not scalar:
+            raise UnsupportedError("This robot has no hinge and no slide that a design could move.")
+        dofs = [scalar[name] for name in self.joints] or list(scalar.values())
+        return Space(brief, curves_of(self.family, self.period, self.harmonics), np.array(dofs))
+
+    @staticmethod
+    def draws(space: Space, rng: np.random.Generator) -> list[Array]:
+        """The random motions that a search starts from and is compared with."""
+        return [space.random(rng, 0.99 * MARGIN) for _ in range(DRAWS)]
+
+    def limits(self, brief: Brief, share: float = 1.0) -> tuple[Limit, ...]:
+        """Everything that the motion has to keep; `share` of positions, rates and torques."""
+        space = self.space(brief)
+        limits = [
+            *joint_limits(brief, space.dofs, share),
+            *torque_limits(brief, share * self.torque_share),
+        ]
+        if self.clearance is None and self.floor is None and not self.boxes:
+            return tuple(limits)
+        from sysid_bench.excitation.geometry import box_limit, collision_limit
+
+        if brief.scene is None:
+            raise UsageError("Nothing is known of this robot's shapes and places.")
+        scene = brief.scene(self.floor)
+        if (self.clearance is not None and scene.shapes) or self.floor is not None:
+            limits.append(collision_limit(scene, self.clearance or 0.0))
+        if self.boxes:
+            limits.append(box_limit(scene, self.boxes))
+        return tuple(limits)
+
+    def solve(
+        self,
+        brief: Brief,
+        rng: np.random.Generator,
+        known: Sequence[Trajectory] = (),
+        tell: Tell = lambda count, value: None,
+    ) -> Design:
+        """The best coefficients; `known`: motions that have been recorded before.
+
+        Raises UsageError where the brief holds no regressor, and UnsupportedError where no motion
+        within the limits was found.
+        """
+        if brief.regress is None:
+            raise UsageError(
+                "An optimised motion needs to know what it is for: the brief holds no regressor."
+            )
+        space = self.space(brief)
+        draws = self.draws(space, rng)
+        asked = told_by(space, brief.regress, draws)
+        criterion = criterion_of(self.objective, asked, space, draws, known)
+        search = Search(space, asked.smooth, criterion, self.limits(brief, MARGIN), tell)
+        values = np.array([search.value(C) for C in draws])
+        over = np.array([search.violation(C) for C in draws])
+        order = np.lexsort((values, np.maximum(over, 1.0)))
+        search.run([draws[i] for i in order[: self.starts]], self.iterations)
+        if not search.interrupted and not (search.kept and search.kept[-1][0] <= values.min()):
+            # From outside of all limits no way led in, or to nothing good: begin small, inside.
+            search.run([tamed(search, space, draws[order[0]], rng)], self.iterations)
+        C, value = self._checked(brief, space, search)
+        median = float(np.median(values))
+        return Design(C, value, median, search.evaluations, search.interrupted)
+
+    def report(self, C: Array, brief: Brief) -> dict[str, Used]:
+        """The worst moment of each kind of limit, on the finer grid; true limits, none shared."""
+        motion = self._fine(C, self.space(brief))
+        strict = replace(self, torque_share=1.0).limits(brief)
+        return {limit.kind: worst(limit, motion) for limit in strict}
+
+    def _fine(self, C: Array, space: Space) -> Trajectory:
+        return space.motion(C, space.curves.grid(DENSER))
+
+    def _checked(self, brief: Brief, space: Space, search: Search) -> tuple[Array, float]:
+        """The best of the kept motions that keeps the limits on the finer grid as well."""
+        limits = self.limits(brief)
+        for value, C in reversed(search.kept):
+            motion = self._fine(C, space)
+            if all(float(np.abs(limit.use(motion)).max()) <= 1.0 for limit in limits):
+                return C, value
+        raise UnsupportedError(
+            f"No motion within all limits was found in {search.evaluations} evaluations; the "
+            f"nearest one breaks this limit: {search.nearest[1]} ({search.nearest[0]:.2f} of it). "
+            "Give another seed, more iterations, a longer period, or wider limits."
+        )
+
+
+def tamed(search: Search, space: Space, C: Array, rng: np.random.Generator) -> Array:
+    """A random motion made smaller, about its own place and then about others, until it keeps
+    torques, clearances and boxes too; the least violating where none does."""
+    best, least = C, search.violation(C)
+    low, high = (edge[space.dofs] for edge in (space.brief.low, space.brief.high))
+    for size in (0.6, 0.35, 0.2, 0.1, 0.05):
+        if least <= 1.0:
+            break
+        small = size * C
+        for place in (
+            C[0],
+            *rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high, (6, len(low))),
+        ):
+            small[0] = place
+            over = search.violation(small)
+            if over < least:
+                best, least = small.copy(), over
+    return best
+
+
+def told_by(space: Space, question: Question, draws: Sequence[Array]) -> Question:
+    """The part of a question that these motions can answer at all: held joints, a held base and
+    short reaches leave fewer base parameters, again taken from left to right."""
+    t = space.curves.grid()
+    R = triangle(_stacked(question, space.motion(C, t)) for C in draws[: 1 + len(draws) // 4])
+    base = base_map(R, question.names)
+    if base.rank == 0:
+        raise UnsupportedError("These motions tell nothing of what is asked.")
+    return question.only(base.names)
+
+
+def criterion_of(
+    objective: str | Mapping[str, float],
+    question: Question,
+    space: Space,
+    draws: Sequence[Array],
+    known: Sequence[Trajectory] = (),
+) -> Criterion:
+    """The criterion of an objective; `predict` is about the torques of the random motions `draws`,
+    each row in units of its own largest column so that strong joints do not drown the weak."""
+    weights, r = weights_of(objective), len(question.names)
+    rows = [_stacked(question, motion) for motion in known]
+    before = triangle([*rows, np.zeros((1, r))]) if rows else np.zeros((0, r))
+    whiten = np.eye(r)
+    if "predict" in weights:
+        t = space.curves.grid()
+        R = triangle(_stacked(question, space.motion(C, t)) for C in draws)
+        whiten = np.linalg.inv(R / np.sqrt(len(draws)))
+    return Criterion(weights, before, whiten)
+
+
+def _stacked(question: Question, motion: Trajectory) -> Array:
+    Y = question.rows(motion)
+    return Y.reshape(-1, Y.shape[2])
+
+
+def figures(question: Question, motion: Trajectory) -> dict[str, Any]:
+    """What a motion tells, with the true sign of Coulomb friction: rank, condition, log det."""
+    R = triangle([_stacked(question, motion)])
+    s = np.linalg.svd(R, compute_uv=False)
+    unit = np.linalg.svd(R / np.linalg.norm(R, axis=0), compute_uv=False)
+    return {
+        "rank": len(s),
+        "condition": float(s[0] / s[-1]),
+        "condition_unit": float(unit[0] / unit[-1]),
+        "log_det": float(2 * np.log(s).sum()),
+        "smallest_singular_value": float(s[-1]),
+    }

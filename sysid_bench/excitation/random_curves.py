@@ -1,0 +1,55 @@
+"""Random motions that start and end at rest: Fourier series with a polynomial, and B-splines."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.excitation.brief import Brief, is_count
+from sysid_bench.excitation.curves import Curves, curves_of
+from sysid_bench.excitation.fit import dense_grid, fit
+from sysid_bench.types import Array, Trajectory
+
+
+@dataclass(frozen=True)
+class FourierPolynomial:
+    """Random Fourier coefficients; a polynomial takes the motion from rest to rest, and back to
+    where it started (Park 2006)."""
+
+    harmonics: int = 5
+    period: float = field(default=5.0, metadata={"unit": "s"})
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for settings that make no motion."""
+        if not (is_count(self.harmonics) and self.period > 0):
+            raise UsageError(f"{self}: harmonics count from 1, the period is positive.")
+
+    @property
+    def curves(self) -> Curves:
+        """The family that the motion is drawn from."""
+        return curves_of("fourier-polynomial", self.period, self.harmonics)
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """A motion of one period."""
+        curves = self.curves
+        C = rng.normal(size=(curves.size, brief.nv))
+        C[0] = 0.0
+
+        def shape(t: Array) -> tuple[Array, Array, Array]:
+            x, dx, ddx = (B @ C for B in curves.at(t))
+            return x, dx, ddx
+
+        scale, offset = fit(shape, dense_grid(self.period, curves.fastest), brief, rng)
+        t = brief.times(self.period)
+        x, dx, ddx = shape(t)
+        return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, curves.kind)
+
+
+@dataclass(frozen=True)
+class BSplines(FourierPolynomial):
+    """Quintic B-splines with as many coefficients as a Fourier series of `harmonics`."""
+
+    @property
+    def curves(self) -> Curves:
+        """The family that the motion is drawn from."""
+        return curves_of("b-spline", self.period, self.harmonics)

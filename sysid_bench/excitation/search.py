@@ -1,0 +1,276 @@
+"""The search for a motion: sequential quadratic programming (SLSQP) over coefficients of curves,
+with analytic slopes of the criterion and smooth maxima of the limits.
+
+Deterministic in its draws. An interrupt, or the end of the budget, leaves the best feasible so far.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from scipy.optimize import Bounds, minimize
+
+from sysid_bench.excitation.brief import Brief
+from sysid_bench.excitation.criteria import Criterion
+from sysid_bench.excitation.curves import Curves
+from sysid_bench.excitation.insight import Question
+from sysid_bench.excitation.limits import Limit, smooth_max
+from sysid_bench.types import Array, Trajectory
+
+Tell = Callable[[int, float], None]
+"""(evaluation, best value so far): a progress line."""
+
+SHARPNESS: Final = (60.0, 240.0)
+"""Of the smooth maxima, stage by stage: first far-sighted, then close to the true limits."""
+
+NEAR: Final = 0.6
+"""A torque, clearance or box that uses less of its limit is not looked at closer: its slope costs
+as much as that of the criterion."""
+
+RESTORING: Final = 15
+"""Newton steps back into the limits; two or three do where the way is short."""
+
+MOST_KEPT: Final = 12
+"""Best feasible motions that are kept for the check on a finer grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """Motions of some degrees of freedom along curves: coefficients C (m, k) of the k `dofs`; the
+    others are held at the reference configuration."""
+
+    brief: Brief
+    curves: Curves
+    dofs: Array
+
+    def motion(self, C: Array, t: Array) -> Trajectory:
+        """The motion of coefficients C at times t (N,)."""
+        return self._played(C, t, self.curves.at(t))
+
+    def _played(self, C: Array, t: Array, bases: tuple[Array, Array, Array]) -> Trajectory:
+        x, dx, ddx = (B @ C for B in bases)
+        q = np.tile(self.brief.q0, (len(t), 1))
+        v, a = np.zeros((2, len(t), self.brief.nv))
+        q[:, self.places], v[:, self.dofs], a[:, self.dofs] = x, dx, ddx
+        period = self.curves.duration if self.curves.periodic else None
+        return Trajectory(t, q, v, a, self.curves.kind, period)
+
+    @property
+    def places(self) -> list[int]:
+        """Places of the moving degrees of freedom in q."""
+        where = {joint.vadr: joint.qadr for joint in self.brief.joints}
+        return [where[int(dof)] for dof in self.dofs]
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Coefficients (m, k) that no motion within the limits goes beyond: a harmonic of a curve
+        is at most 4 / pi of the curve's largest value. Steps of a search are kept inside; a
+        function of other families may be compensated by its neighbours, and gets more room."""
+        brief, dofs = self.brief, self.dofs
+        room = 4 / np.pi if self.curves.kind == "fourier" else 4.0
+        x, dx, ddx = (np.abs(B).max(axis=0)[1:, None] for B in self.curves.at(self.curves.grid()))
+        half = 0.5 * (brief.high - brief.low)[dofs]
+        most = np.min([half / x, brief.v[dofs] / dx, brief.a[dofs] / ddx], axis=0)
+        high = np.vstack([brief.high[dofs], room * most])
+        return np.vstack([brief.low[dofs], -room * most]), high
+
+    def random(self, rng: np.random.Generator, share: float) -> Array:
+        """Coefficients of a random motion that uses `share` of the position, velocity or
+        acceleration limit of every joint, whichever comes first; its place is drawn."""
+        brief, dofs = self.brief, self.dofs
+        bases = self.curves.at(self.curves.grid())
+        C = rng.normal(size=(self.curves.size, len(dofs)))
+        C[0] = 0.0
+        x, dx, ddx = (B @ C for B in bases)
+        room = (brief.high - brief.low)[dofs]
+        C *= share / np.max(
+            [
+                np.ptp(x, axis=0) / room,
+                np.abs(dx).max(axis=0) / brief.v[dofs],
+                np.abs(ddx).max(axis=0) / brief.a[dofs],
+            ],
+            axis=0,
+        )
+        x = bases[0] @ C
+        first = brief.low[dofs] + 0.5 * (1 - share) * room - x.min(axis=0)
+        last = brief.high[dofs] - 0.5 * (1 - share) * room - x.max(axis=0)
+        C[0] = first + rng.uniform(size=len(dofs)) * np.maximum(last - first, 0.0)
+        return C
+
+
+class Stopped(Exception):
+    """The budget of evaluations is used up."""
+
+
+@dataclass
+class Search:
+    """One search; it keeps count and the best feasible coefficients, so that it can be stopped."""
+
+    space: Space
+    question: Question
+    criterion: Criterion
+    limits: tuple[Limit, ...]
+    tell: Tell = lambda count, value: None
+    most: int = 10**9  # evaluations of the criterion
+    evaluations: int = 0
+    kept: list[tuple[float, Array]] = field(default_factory=list)  # the best last
+    interrupted: bool = False
+    nearest: tuple[float, str] = (np.inf, "")  # the least violation met, and of what
+
+    def __post_init__(self) -> None:
+        """Bases on the grid of the search, once."""
+        self.t = self.space.curves.grid()
+        self.bases = self.space.curves.at(self.t)
+        self.shape = (self.space.curves.size, len(self.space.dofs))
+        self._at: Array | None = None
+
+    def run(self, starts: list[Array], iterations: int) -> None:
+        """A short search from every start, a long one from the best of their ends."""
+        try:
+            ends = [self._descend(C, SHARPNESS[0], max(iterations // 5, 1)) for C in starts]
+            best = min(ends, key=lambda end: end[0])[1] if len(ends) > 1 else ends[0][1]
+            for sharpness in SHARPNESS:
+                best = self._descend(best, sharpness, iterations)[1]
+        except Stopped:
+            pass
+        except KeyboardInterrupt:
+            self.interrupted = True
+
+    def value(self, C: Array) -> float:
+        """The criterion alone, for ranking starts."""
+        motion = self._motion(C)
+        return self.criterion.value(self._rows(motion))
+
+    def violation(self, C: Array) -> float:
+        """The largest use of any limit on the grid of the search."""
+        motion = self._motion(C)
+        return max(
+            float(np.abs(limit.use(_thinned(motion, limit.every))).max()) for limit in self.limits
+        )
+
+    def _descend(self, C: Array, sharpness: float, iterations: int) -> tuple[float, Array]:
+        # Columns are scaled so that a unit of each coefficient moves a share of the limits.
+        scale = np.tile(self._scale(), (self.shape[0], 1))
+        low, high = self.space.bounds()
+        start = (np.clip(C, low, high) / scale).ravel()
+        constraint: Any = {
+            "type": "ineq",
+            "fun": lambda x: 1.0 - self._limits_at(x.reshape(self.shape) * scale, sharpness)[0],
+            "jac": lambda x: (
+                -self._limits_at(x.reshape(self.shape) * scale, sharpness)[1] * scale.ravel()
+            ),
+        }
+        result = minimize(
+            lambda x: self._value_at(x.reshape(self.shape) * scale),
+            start,
+            jac=lambda x: self._slope_at(x.reshape(self.shape) * scale).ravel() * scale.ravel(),
+            method="SLSQP",
+            constraints=[constraint],
+            bounds=Bounds((low / scale).ravel(), (high / scale).ravel()),
+            options={"maxiter": iterations, "ftol": 1e-5},  # type: ignore[call-overload]
+        )
+        end = self._restored(result.x.reshape(self.shape) * scale, sharpness)
+        over = max(self.violation(end) - 1.0, 0.0)
+        return self.value(end) + 100 * over, end
+
+    def _restored(self, C: Array, sharpness: float) -> Array:
+        """The nearest coefficients within the limits, by Newton steps of least length: a search
+        that is cut off hovers a few per cent outside."""
+        scale = np.tile(self._scale(), (self.shape[0], 1))
+        for _ in range(RESTORING):
+            value, slope = self._limits_at(C, sharpness)
+            if (value <= 1.0).all():
+                break
+            # Limits that are near bind as well, or a step would only trade one for another.
+            binding = value > 0.97
+            J = slope[binding] * scale.ravel()
+            step = np.linalg.lstsq(J, np.minimum(0.995 - value[binding], 0.0))[0]
+            C = C + step.reshape(self.shape) * scale
+        return C
+
+    def _scale(self) -> Array:
+        return self.space.brief.v[self.space.dofs]
+
+    def _motion(self, C: Array) -> Trajectory:
+        return self.space._played(C, self.t, self.bases)
+
+    def _rows(self, motion: Trajectory) -> Array:
+        Y = self.question.rows(motion)
+        return Y.reshape(-1, Y.shape[2])
+
+    def _visit(self, C: Array) -> None:
+        """Everything about coefficients that the solver looks at, computed once."""
+        if self._at is not None and np.array_equal(self._at, C):
+            return
+        if self.evaluations >= self.most:
+            raise Stopped
+        self.evaluations += 1
+        self._at = C.copy()
+        self._here = self._motion(C)
+        self._W = self._rows(self._here)
+        self._f = self.criterion.value(self._W)
+        self._thin = [_thinned(self._here, limit.every) for limit in self.limits]
+        self._uses = [limit.use(thin) for limit, thin in zip(self.limits, self._thin, strict=True)]
+        most = [float(np.abs(use).max()) for use in self._uses]
+        self.nearest = min(self.nearest, (max(most), self.limits[int(np.argmax(most))].kind))
+        if (
+            max(most) <= 1.0
+            and np.isfinite(self._f)
+            and (not self.kept or self._f < self.kept[-1][0])
+        ):
+            self.kept = [*self.kept[-MOST_KEPT + 1 :], (self._f, C.copy())]
+        if self.kept:
+            self.tell(self.evaluations, self.kept[-1][0])
+
+    def _value_at(self, C: Array) -> float:
+        self._visit(C)
+        return self._f if np.isfinite(self._f) else 1e3
+
+    def _slope_at(self, C: Array) -> Array:
+        self._visit(C)
+        by_W = self.criterion.slope(self._W)
+        G = by_W.reshape(len(self.t), -1, by_W.shape[1])
+        return self._coefficients(self.question.slopes(self._here, G))
+
+    def _coefficients(self, slopes: tuple[Array, Array, Array], every: int = 1) -> Array:
+        """Slopes by C (m, k) from those by q, v, a (N, nv) of one sample of `every`."""
+        own = (slope[:, self.space.dofs] for slope in slopes)
+        return np.asarray(sum(B[::every].T @ s for B, s in zip(self.bases, own, strict=True)))
+
+    def _limits_at(self, C: Array, sharpness: float) -> tuple[Array, Array]:
+        """Smooth maxima of the limits, and their slopes (count, m k)."""
+        self._visit(C)
+        values, slopes = [], []
+        for limit, use, thin in zip(self.limits, self._uses, self._thin, strict=True):
+            for value, slope in self._constraints(limit, use, thin, sharpness):
+                values.append(value)
+                slopes.append(slope.ravel())
+        return np.array(values), np.array(slopes)
+
+    def _constraints(
+        self, limit: Limit, use: Array, motion: Trajectory, sharpness: float
+    ) -> Iterator[tuple[float, Array]]:
+        columns = use.reshape(-1, 1) if limit.split == "together" else use
+        value, weight = smooth_max(columns, sharpness)
+        if limit.split == "by joint":
+            # No coefficient is shared, so that one pull serves all columns.
+            together = self._coefficients(limit.slopes(motion, weight), limit.every)
+            for j in range(len(value)):
+                slope = np.zeros(self.shape)
+                slope[:, j] = together[:, j]
+                yield float(value[j]), slope
+            return
+        for j in range(len(value)):
+            if value[j] < NEAR:
+                yield float(value[j]), np.zeros(self.shape)
+                continue
+            G = weight if limit.split == "together" else weight * (np.arange(len(value)) == j)
+            slopes = limit.slopes(motion, G.reshape(use.shape))
+            yield float(value[j]), self._coefficients(slopes, limit.every)
+
+
+def _thinned(motion: Trajectory, every: int) -> Trajectory:
+    if every == 1:
+        return motion
+    t, q, v, a = (array[::every] for array in (motion.t, motion.q, motion.v, motion.a))
+    return Trajectory(t, q, v, a)

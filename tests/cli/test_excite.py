@@ -1,0 +1,93 @@
+"""The verb excite: what it writes is what it tells, and it says what it cannot."""
+
+import json
+from pathlib import Path
+
+import can
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner, Result
+
+from sysid_bench.cli import main
+
+QUICK = ("--harmonics", "2", "--period", "5 s", "--iterations", "5")
+MOTORS = ("--motors", "DM10010,DM10010,DM10010,DM8009,DM8009,DM8009")
+PROMISED = {
+    "robot", "objective", "condition", "start_condition", "seconds", "limits", "violations", "file",
+}  # fmt: skip
+
+
+def excite(*words: str) -> Result:
+    return CliRunner().invoke(main, ["excite", *words])
+
+
+def test_the_motion_and_its_figures_are_written(tmp_path: Path) -> None:
+    file = tmp_path / "motion.csv"
+    done = excite("ur5", *QUICK, "--json", "--seed", "3", "-o", str(file))
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert set(told) >= PROMISED
+    assert told["violations"] == []
+    assert told["condition"] < told["start_condition"]
+    assert set(told["limits"]) == {"position", "velocity", "acceleration", "torque", "collision"}
+    assert all(used["margin"] >= 0 for used in told["limits"].values())
+    table = pd.read_csv(file)
+    assert len(table) == 1000
+    np.testing.assert_allclose(np.diff(table["t"]), 0.005, atol=1e-12)
+    for joint in told["joints"]:
+        slope = np.gradient(table[f"{joint}.q"], table["t"])
+        np.testing.assert_allclose(slope[1:-1], table[f"{joint}.v"][1:-1], atol=1e-3)
+        assert f"{joint}.tau" in table
+
+
+def test_a_can_log_holds_a_frame_per_motor_and_sample(tmp_path: Path) -> None:
+    file = tmp_path / "motion.log"
+    words = ("--export", "can", *MOTORS, "--rate", "100 Hz", "--json", "--clamp", "100 %")
+    done = excite("ur5", *QUICK, *words, "-o", str(file))
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert told["rest"]
+    assert told["family"] == "fourier-polynomial"
+    assert {drive["motor"] for drive in told["export"]} == {"DM10010", "DM8009"}
+    with can.LogReader(str(file)) as reader:
+        frames = list(reader)
+    assert len(frames) == 500 * 6
+    assert {frame.arbitration_id for frame in frames} == set(range(1, 7))
+
+
+def test_the_next_motion_reads_the_last_one(tmp_path: Path) -> None:
+    first = tmp_path / "first.csv"
+    assert excite("ur5", *QUICK, "--objective", "D", "-o", str(first)).exit_code == 0
+    alone, after = (
+        json.loads(excite("ur5", *QUICK, "--objective", "D", "--json", *more).stdout)
+        for more in ((), ("--after", str(first)))
+    )
+    assert alone["log_det"] != after["log_det"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("ur5", "--objective", "C"), "No objective is called 'C'"),
+        (("ur5", "--objective", "D=x"), "no number"),
+        (("ur5", "--family", "taylor"), "family"),
+        (("ur5", "--export", "dxf", "-o", "m"), "No export is called 'dxf'"),
+        (("ur5", "--export", "csv"), "-o FILE"),
+        (("ur5", "--export", "can", "-o", "m.log"), "Which motors"),
+        (("ur5", "--export", "can", "-o", "m.log", "--motors", "DM4310"), "1 motor(s) for 6"),
+        (("ur5", "--export", "can", "-o", "m.log", "--motors", "a.toml"), "no file 'a.toml'"),
+        (("ur5", "--joints", "elbow"), "elbow_joint"),
+        (("ur5", "--limit", "w=3"), "No limit is called 'w'"),
+        (("ur5", "--limit", "v=1,2"), "6"),
+        (("ur5", "--box", "tool0=0:1"), "x:x,y:y,z:z"),
+        (("ur5", "--after", "nowhere.csv"), "nowhere.csv"),
+        (("ur5", "-o", "no/such/folder.csv"), "no folder"),
+        (("ur5", "--period", "5 kg"), "kg"),
+    ],
+)
+def test_wrong_words_are_refused_before_anything_long(words: tuple[str, ...], said: str) -> None:
+    done = excite(*words)
+    assert done.exit_code == 2, done.output
+    assert said in done.output
+    assert "Traceback" not in done.output

@@ -1,0 +1,204 @@
+"""Laws of designed motions: better than random ones, within all limits, the same for a seed."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.excitation.brief import Brief, brief_of
+from sysid_bench.excitation.curves import FAMILIES, curves_of
+from sysid_bench.excitation.geometry import scene_of
+from sysid_bench.excitation.insight import question, torque_of
+from sysid_bench.excitation.limits import smooth_max
+from sysid_bench.excitation.optimised import Optimised, criterion_of, told_by
+from sysid_bench.excitation.search import Search
+from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.models.random_robot import RandomRobot, random_robot
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.types import Trajectory
+from tests.robots import named_robot, robot_of
+
+QUICK = {"harmonics": 2, "period": 5.0, "iterations": 6}
+TREES = RandomRobot(bodies=(4, 4), ball=0.0, free_root=0.0, welded=0.0)
+
+
+def brief(robot: RobotModel, rate: float = 100.0, terms: tuple[str, ...] = ()) -> Brief:
+    base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
+    return replace(
+        brief_of(robot, rate),
+        regress=question(robot, base.names),
+        torque=torque_of(robot),
+        scene=partial(scene_of, robot),
+    )
+
+
+def test_families_are_the_derivatives_of_themselves() -> None:
+    t = np.linspace(0.3, 9.7, 50)
+    h = 1e-5
+    for kind in FAMILIES:
+        curves = curves_of(kind, 10.0, 4)
+        x, dx, ddx = curves.at(t)
+        up, down = curves.at(t + h), curves.at(t - h)
+        np.testing.assert_allclose((up[0] - down[0]) / (2 * h), dx, atol=1e-7)
+        np.testing.assert_allclose((up[1] - down[1]) / (2 * h), ddx, atol=1e-6)
+        assert x.shape == (50, curves.size) == (50, 9)
+        assert np.linalg.matrix_rank(x) == 9
+        np.testing.assert_allclose(x[:, 0], 1.0)
+
+
+@pytest.mark.parametrize("kind", ["fourier-polynomial", "b-spline"])
+@pytest.mark.parametrize("harmonics", [1, 3, 7])
+def test_families_for_hardware_rest_at_both_ends(kind: str, harmonics: int) -> None:
+    _, dx, ddx = curves_of(kind, 7.0, harmonics).at(np.array([0.0, 7.0]))
+    np.testing.assert_allclose(dx, 0.0, atol=1e-10)
+    np.testing.assert_allclose(ddx, 0.0, atol=1e-9)
+
+
+def test_a_smooth_maximum_lies_above_and_near() -> None:
+    use = np.random.default_rng(0).uniform(-1, 1, (100, 4))
+    value, slope = smooth_max(use, 60.0)
+    top = np.abs(use).max(axis=0)
+    assert (value >= top).all()
+    assert (value <= top + np.log(200) / 60.0).all()
+    assert (np.abs(slope).sum(axis=0) <= 1.0 + 1e-12).all()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("objective", ["cond", {"D": 1.0, "A": 0.5}])
+@pytest.mark.parametrize("seed", [1, 5])
+def test_slopes_of_a_search_are_its_differences(family: str, objective: object, seed: int) -> None:
+    """Criterion and limits alike, by the coefficients."""
+    robot = robot_of(random_robot(seed, TREES))
+    told = replace(brief(robot, terms=("viscous", "coulomb")), tau=np.full(robot.nv, 30.0))
+    made = Optimised(objective=objective, family=family, **QUICK)  # type: ignore[arg-type]
+    space, rng = made.space(told), np.random.default_rng(seed)
+    draws = [space.random(rng, 0.5) for _ in range(8)]
+    assert told.regress is not None
+    asked = told_by(space, told.regress, draws).smooth
+    search = Search(space, asked, criterion_of(objective, asked, space, draws), made.limits(told))  # type: ignore[arg-type]
+    C, step = draws[0], 1e-6
+    slope = search._slope_at(C)
+    _, limits = search._limits_at(C, 60.0)
+    for i, j in [(0, 0), (1, 0), (3, -1), (4, -1)]:
+        up, down = C.copy(), C.copy()
+        up[i, j] += step
+        down[i, j] -= step
+        difference = (search._value_at(up) - search._value_at(down)) / (2 * step)
+        assert abs(slope[i, j] - difference) <= 1e-4 * np.abs(slope).max() + 1e-6
+        differences = (search._limits_at(up, 60.0)[0] - search._limits_at(down, 60.0)[0]) / 2e-6
+        pulled = limits.reshape(-1, *C.shape)[:, i, j]
+        near = search._limits_at(C, 60.0)[0] > 0.6  # farther ones are not looked at closer
+        np.testing.assert_allclose(pulled[near], differences[near], atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["ur5", "z1", "xarm7"])
+def test_a_design_beats_random_motions_and_keeps_every_limit(name: str) -> None:
+    robot = named_robot(name, "box-2kg")
+    told = brief(robot)
+    tau = np.abs(torque_of(robot).of(_random(told))).max(axis=0) * 2.5
+    told = replace(told, tau=tau)
+    made = Optimised("D", harmonics=2, period=5.0, iterations=20, clearance=0.01)
+    design = made.solve(told, np.random.default_rng(0))
+    assert design.value < design.start - 0.3  # per parameter: exp(0.15) in every standard deviation
+    fine = made.motion(design.C, told.at(2000.0))
+    assert (np.abs(fine.v) <= robot.limits.v).all()
+    assert (np.abs(fine.a) <= robot.limits.a).all()
+    assert (np.abs(torque_of(robot).of(fine)) <= tau).all()
+    scalar = [joint.qadr for joint in robot.joints]
+    assert (fine.q[:, scalar] >= robot.limits.q_low).all()
+    assert (fine.q[:, scalar] <= robot.limits.q_high).all()
+    used = made.report(design.C, told)
+    assert set(used) == {"position", "velocity", "acceleration", "torque", "collision"}
+    assert all(one.use <= 1.0 and one.margin >= 0.0 for one in used.values())
+    assert used["collision"].value >= 0.01
+
+
+def _random(told: Brief) -> Trajectory:
+    space = Optimised(**QUICK).space(told)  # type: ignore[arg-type]
+    return space.motion(space.random(np.random.default_rng(9), 0.7), np.linspace(0, 5, 50))
+
+
+def test_a_design_is_its_seed_whatever_the_rate() -> None:
+    told = brief(named_robot("ur5"))
+    made = Optimised(**QUICK)  # type: ignore[arg-type]
+    one = made.design(told, np.random.default_rng(3))
+    same = made.design(told.at(500.0), np.random.default_rng(3))
+    other = made.design(told, np.random.default_rng(4))
+    np.testing.assert_array_equal(one.q, same.q[::5])
+    assert np.abs(one.q - other.q).max() > 0.1
+
+
+def test_joints_that_are_not_named_hold_still() -> None:
+    robot = named_robot("ur5")
+    told = brief(robot)
+    made = Optimised(joints=("elbow_joint", "wrist_1_joint"), **QUICK)  # type: ignore[arg-type]
+    motion = made.design(told, np.random.default_rng(0))
+    moving = [robot.rows.index(name) for name in made.joints]
+    held = [i for i in range(robot.nv) if i not in moving]
+    assert (motion.v[:, held] == 0).all()
+    assert (np.abs(motion.v[:, moving]).max(axis=0) > 0.1).all()
+
+
+def test_boxes_hold_a_named_body() -> None:
+    robot = named_robot("ur5")
+    told = brief(robot)
+    body = robot.body_names[robot.tool_body]
+    box = {body: [[-2, 2], [-2, 2], [0.1, 2]]}
+    made = Optimised(boxes=box, **QUICK)  # type: ignore[arg-type]
+    design = made.solve(told, np.random.default_rng(0))
+    scene = scene_of(robot)
+    motion = made.motion(design.C, told)
+    place = [robot.body_names.index(body) + 1]
+    assert min(scene.positions(q, place)[0][0, 2] for q in motion.q) >= 0.1
+
+
+def test_what_was_recorded_changes_what_to_run_next() -> None:
+    told = brief(named_robot("ur5"))
+    made = Optimised(objective="D", **QUICK)  # type: ignore[arg-type]
+    first = made.design(told, np.random.default_rng(0))
+    after = made.solve(told, np.random.default_rng(0), known=[first])
+    assert np.abs(after.C - made.solve(told, np.random.default_rng(0)).C).max() > 1e-3
+
+
+def test_an_interrupt_leaves_the_best_feasible_so_far() -> None:
+    told = brief(named_robot("ur5"))
+    made = Optimised(objective="D", harmonics=2, period=5.0, iterations=200)
+
+    def stop(count: int, value: float) -> None:
+        if count >= 25:
+            raise KeyboardInterrupt
+
+    design = made.solve(told, np.random.default_rng(0), tell=stop)
+    assert design.interrupted
+    assert design.evaluations <= 26
+    assert max(used.use for used in made.report(design.C, told).values()) <= 1.0
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"objective": "best"},
+        {"family": "taylor"},
+        {"harmonics": 0},
+        {"period": -1.0},
+        {"torque_share": 1.5},
+        {"iterations": 0},
+    ],
+)
+def test_settings_that_make_no_design_are_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(UsageError):
+        Optimised(**bad)  # type: ignore[arg-type]
+
+
+def test_what_cannot_be_designed_is_said() -> None:
+    robot = named_robot("ur5")
+    told = brief(robot)
+    with pytest.raises(UsageError, match="no regressor"):
+        Optimised(**QUICK).design(brief_of(robot, 100.0), np.random.default_rng(0))  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="elbow_joint"):
+        Optimised(joints=("elbo_joint",)).design(told, np.random.default_rng(0))
+    weak = replace(told, tau=np.full(robot.nv, 1e-3))
+    with pytest.raises(UnsupportedError, match="torque"):
+        Optimised(**QUICK).design(weak, np.random.default_rng(0))  # type: ignore[arg-type]
