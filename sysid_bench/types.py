@@ -35,11 +35,13 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """The declared joint controller: tau = kp (q_ref - q) + kd (v_ref - v), at `rate`."""
+    """The declared joint controller: tau = kp (q_ref - q) + kd (v_ref - v), at `rate`, v with the
+    slope of the encoder's error low-passed at `velocity_cutoff`."""
 
     kp: Float[Array, " nv"]
     kd: Float[Array, " nv"]
     rate: float  # Hz
+    velocity_cutoff: float  # Hz, first order
 
 
 @dataclass(frozen=True, eq=False)

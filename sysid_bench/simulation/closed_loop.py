@@ -1,5 +1,6 @@
 """Closed-loop simulation: MuJoCo forward, under a joint controller that sees the noisy encoders."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -25,8 +26,10 @@ class ClosedLoop:
 
     Gains place each joint's own inertia, at the reference posture, at `bandwidth` with `damping`,
     and are raised where the joint's load (gravity, friction) would leave it more than `droop` of
-    its range behind. The velocity that the controller feeds back carries the encoder error's slope
-    through a first-order low-pass at `velocity_cutoff`.
+    its range behind; `kp` and `kd` (N m/rad and N m s/rad, or N/m and N s/m), one number for all
+    joints or one each, replace that design. The velocity that the controller feeds back carries
+    the encoder error's slope through a first-order low-pass at `velocity_cutoff`; far above the
+    control rate it is the plain backward difference.
     """
 
     rate: float = field(default=1000.0, metadata={"unit": "Hz"})
@@ -34,6 +37,16 @@ class ClosedLoop:
     damping: float = 0.7
     droop: float = field(default=0.005, metadata={"unit": "1"})
     velocity_cutoff: float = field(default=30.0, metadata={"unit": "Hz"})
+    kp: float | Sequence[float] | None = None
+    kd: float | Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for gains that are no positive numbers, or given by halves."""
+        if (self.kp is None) != (self.kd is None):
+            raise UsageError("A controller is declared with both kp and kd, or with neither.")
+        for name, gains in (("kp", self.kp), ("kd", self.kd)):
+            if gains is not None and not _positive(gains):
+                raise UsageError(f"{name} = {gains!r}: gains are positive numbers, one or a list.")
 
     def design_rate(self, recording: float) -> float:
         """The control rate (Hz); the recording rate must divide it."""
@@ -67,7 +80,7 @@ class ClosedLoop:
         # The engine takes an input that is not a number for zero, with a warning alone.
         check_finite(robot.name, encoder, "encoder error")
         mj = controlled_model(plant, controller)
-        control = commands(controller, commanded, encoder, robot, self.velocity_cutoff)
+        control = commands(controller, commanded, encoder, robot)
         steps = _steps_with_laws if plant.laws else _rollout
         q, v, a, tau = steps(plant, mj, commanded, control)
         motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
@@ -78,6 +91,12 @@ class ClosedLoop:
 
     def controller(self, plant: Plant) -> Controller:
         """The declared gains (nv,) of a plant."""
+        if self.kp is not None and self.kd is not None:
+            robot = plant.robot
+            return Controller(
+                _per_joint(self.kp, robot), _per_joint(self.kd, robot), self.rate,
+                self.velocity_cutoff,
+            )  # fmt: skip
         J, load = _own_inertia(plant), typical_load(plant)
         reach = np.minimum(plant.robot.limits.q_high - plant.robot.limits.q_low, 2 * np.pi)
         kp = np.maximum((2 * np.pi * self.bandwidth) ** 2 * J, load / (self.droop * reach))
@@ -87,7 +106,26 @@ class ClosedLoop:
             kp, np.maximum(J * (0.5 * self.rate) ** 2, plant.terms.viscous * 0.5 * self.rate)
         )
         kp = _one_digit(kp)
-        return Controller(kp, _one_digit(2 * self.damping * np.sqrt(kp * J)), self.rate)
+        kd = _one_digit(2 * self.damping * np.sqrt(kp * J))
+        return Controller(kp, kd, self.rate, self.velocity_cutoff)
+
+
+def _positive(gains: object) -> bool:
+    values = gains if isinstance(gains, (list, tuple)) else [gains]
+    return bool(values) and all(
+        isinstance(x, (int, float)) and not isinstance(x, bool) and 0 < x < np.inf for x in values
+    )
+
+
+def _per_joint(gains: float | Sequence[float], robot: RobotModel) -> Array:
+    """Declared gains (nv,); raises UsageError where their number is not that of the joints."""
+    values = np.atleast_1d(np.asarray(gains, dtype=float))
+    if len(values) not in (1, robot.nv):
+        raise UsageError(
+            f"{robot.name} has {robot.nv} joints, and the controller {len(values)} gains; write "
+            "one for all, or one each."
+        )
+    return np.broadcast_to(values, (robot.nv,)).copy()
 
 
 def _one_digit(gains: Array) -> Array:
@@ -137,12 +175,12 @@ def controlled_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
 
 
 def commands(
-    controller: Controller, commanded: Trajectory, encoder: Array, robot: RobotModel, cutoff: float
+    controller: Controller, commanded: Trajectory, encoder: Array, robot: RobotModel
 ) -> Array:
     """Motor inputs u (N, nv) such that kp (u - q) - kd v is the law on what the encoders read:
     kp (q_ref - q - n) + kd (v_ref - v - s), s the low-passed backward difference of the error n."""
     difference = np.diff(encoder, axis=0, prepend=encoder[:1]) * controller.rate
-    keep = float(np.exp(-2 * np.pi * cutoff / controller.rate))
+    keep = float(np.exp(-2 * np.pi * controller.velocity_cutoff / controller.rate))
     slope = lfilter([1 - keep], [1, -keep], difference, axis=0)
     places = [joint.qadr for joint in robot.joints]
     ratio = controller.kd / controller.kp

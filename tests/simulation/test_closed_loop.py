@@ -127,10 +127,10 @@ def test_the_feedback_law_is_the_declared_one() -> None:
 def test_the_velocity_feedback_carries_the_low_passed_slope_of_the_error() -> None:
     robot = robot_of(RICH)
     commanded = motion_of(robot, FOURIER, RATE)
-    controller = Controller(np.full(3, 4.0), np.full(3, 2.0), RATE)
+    controller = Controller(np.full(3, 4.0), np.full(3, 2.0), RATE, 30.0)
     ramp = 0.1 * commanded.t[:, None] * np.ones(3)
-    u = commands(controller, commanded, ramp, robot, cutoff=30.0)
-    still = commands(controller, commanded, np.zeros_like(ramp), robot, cutoff=30.0)
+    u = commands(controller, commanded, ramp, robot)
+    still = commands(controller, commanded, np.zeros_like(ramp), robot)
     settled = commanded.t > 0.2  # long after 1 / (2 pi 30 Hz)
     np.testing.assert_allclose((u - still + ramp)[settled], -0.5 * 0.1, rtol=1e-6)
 
