@@ -23,6 +23,10 @@ from sysid_bench.units import quantity
 BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
         "estimator": {
+            "clie": "sysid_bench.identification.estimators.clie:CLIE",
+            "cloe": "sysid_bench.identification.estimators.cloe:CLOE",
+            "didim": "sysid_bench.identification.estimators.didim:DIDIM",
+            "iv": "sysid_bench.identification.estimators.iv:IV",
             "min-norm": "sysid_bench.identification.estimators.min_norm:MinNorm",
             "ols": "sysid_bench.identification.estimators.ols:OLS",
             "wls": "sysid_bench.identification.estimators.wls:WLS",

@@ -204,7 +204,8 @@ class Experiment:
     `regress(motion)` yields blocks of the base regressor (n, rows, r) along any motion;
     `simulate(theta)` runs the method's own noise-free model with these parameters (p,) under the
     declared controller along the commanded motion and returns a Recording with exact v and a. It
-    raises UnsupportedError where no controller is declared.
+    raises UnsupportedError where no controller is declared. `known(motion)` is the torque (n, rows)
+    of what the task takes as known along any motion.
     """
 
     problem: Problem
@@ -212,6 +213,7 @@ class Experiment:
     raw: Recording  # as the sensors gave it
     regress: Callable[[Trajectory], Iterator[Float[Array, "n rows r"]]] = field(repr=False)
     simulate: Callable[[Float[Array, " p"]], Recording] = field(repr=False)
+    known: Callable[[Trajectory], Float[Array, "n rows"]] = field(repr=False)
 
 
 EstimateStatus = Literal["ok", "failed", "unsupported"]

@@ -1,6 +1,6 @@
 """One experiment made ready: simulated once, its regressor reduced once, for all its estimators."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from typing import Any
@@ -71,7 +71,9 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
         for name, oracle in _held_out(spec, subject, plant).items()
     }
     regress = partial(regressor_blocks, posing.regression, posing.places)
-    experiment = Experiment(problem, recording, raw, regress, _Simulate(declared(robot, task), raw))
+    told = declared(robot, task)
+    known = _Known(told, posing.places)
+    experiment = Experiment(problem, recording, raw, regress, _Simulate(told, raw), known)
     seal(experiment)
     return Prepared(
         robot, task, problem, experiment, held_out, task.truth,
@@ -135,10 +137,7 @@ class Posing:
 
     def known(self, motion: Trajectory) -> Array:
         """Torque (N, nv) of the parts that the task declares known."""
-        if not self.task.knows_something:
-            return np.zeros_like(motion.v)
-        tau = newton_euler(self.robot.tree, self.task.known_links, motion)
-        return tau + known_terms(self.robot, self.task, motion)
+        return known_torque(self.robot, self.task.known_links, self.task.known_terms, motion)
 
 
 def regressor_blocks(
@@ -149,15 +148,32 @@ def regressor_blocks(
         yield block.dense()[:, list(rows)]
 
 
-def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:
-    """Torque (N, nv) of the joint terms that are known."""
-    tau = np.zeros_like(motion.v)
+def known_torque(
+    robot: RobotModel, links: Array, terms: Mapping[str, Array], motion: Trajectory
+) -> Array:
+    """Torque (N, nv) of the links (n_links, 10) and joint terms, by name (nv,), that are known."""
+    if not (links.any() or any(values.any() for values in terms.values())):
+        return np.zeros_like(motion.v)
+    tau = newton_euler(robot.tree, links, motion)
     deflection = _scalar_positions(robot, motion) - robot.joint_terms.spring_reference
-    for term, values in task.known_terms.items():
+    for term, values in terms.items():
         for dof in np.flatnonzero(values):
             state = deflection[:, dof], motion.v[:, dof], motion.a[:, dof]
             tau[:, dof] += values[dof] * TERM[SUFFIX[term]](*state)
     return tau
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What methods are told of the torque along any motion."""
+
+    told: Declared
+    places: tuple[int, ...]
+
+    def __call__(self, motion: Trajectory) -> Array:
+        told = self.told
+        tau = known_torque(told.robot, told.known_links, told.known_terms, motion)
+        return tau[:, list(self.places)]
 
 
 def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recording, Recording]:
