@@ -254,6 +254,7 @@ class Score:
     rmse_train: float | None = None  # N m, N: residual on the measured training torque
     rmse_test: float | None = None  # N m, N: all held-out motions, all joints
     torque_error: float | None = None  # held-out RMS error / RMS torque, joints scaled first
+    torque_error_sample: float | None = None  # held-out mean of |error| / |torque| per sample
     torque_error_by_motion: Mapping[str, float | None] = field(default_factory=dict)
     rank: int | None = None  # base parameters of the task
     data_rank: int | None = None  # of them, excited by the training motion

@@ -35,6 +35,7 @@ def score(
         rmse_train=_rmse([problem], beta),
         rmse_test=_rmse(tests, beta) if tests else None,
         torque_error=_torque_error(tests, beta) if tests else None,
+        torque_error_sample=_sample_error(tests, beta) if tests else None,
         torque_error_by_motion={
             name: _torque_error([test], beta) for name, test in held_out.items()
         },
@@ -124,6 +125,21 @@ def _torque_error(problems: list[Problem], beta: Array) -> float | None:
         return None
     relative = _row_errors(problems, beta)[large] / rms[large]
     return float(np.sqrt((relative**2).mean()))
+
+
+def _sample_error(problems: list[Problem], beta: Array) -> float | None:
+    """Mean over samples of |error| / |torque|, each a vector over the joints, as BIRDy publishes it
+    (Leboutet et al. 2021); None where rows are not of one kind, torques of joints."""
+    if set(problems[0].kinds) != {"joint N m"}:
+        return None
+    shares = []
+    for problem in problems:
+        for Y, b in problem.blocks():
+            size = np.linalg.norm(b, axis=1)
+            moves = size > 0
+            shares.append(np.linalg.norm(b - Y @ beta, axis=1)[moves] / size[moves])
+    every = np.concatenate(shares)
+    return float(every.mean()) if len(every) else None
 
 
 def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> float | None:

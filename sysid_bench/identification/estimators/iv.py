@@ -25,6 +25,9 @@ WEAK = 1e-6
 """Instruments whose weakest direction correlates less than this share of the strongest tell
 nothing about it."""
 
+SHRINKS = 0.5
+"""Steps that do not shrink to this share of the one before go to and fro: half of them is taken."""
+
 
 @dataclass(frozen=True)
 class IV:
@@ -46,6 +49,7 @@ class IV:
         floor = floor_of(b)
         sigma = sigmas(b, floor)
         simulated = experiment.simulate(theta)
+        share, before = 1.0, np.inf
         for count in range(1, self.iterations + 1):
             Z = along(experiment, _same_times(simulated, experiment))
             for _ in range(2):  # with the residual's own size per joint
@@ -58,7 +62,10 @@ class IV:
                 return Estimate(
                     beta, covariance=inverse @ inverse.T, stats={"iterations": float(count)}
                 )
-            theta, simulated = _towards(goal, theta, experiment)
+            if length(R, moved) > SHRINKS * before:  # it goes to and fro
+                share *= 0.5
+            before = length(R, moved)
+            theta, simulated = _towards(theta + share * (goal - theta), theta, experiment)
         raise EstimationError(
             f"{self.iterations} iterations did not settle: the last moved the simulated base "
             f"parameters by {length(R, moved):.3g} standard deviations; the noise is too large."
