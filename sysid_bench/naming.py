@@ -31,6 +31,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "min-norm": "sysid_bench.identification.estimators.min_norm:MinNorm",
             "ml": "sysid_bench.identification.estimators.ml:ML",
             "ols": "sysid_bench.identification.estimators.ols:OLS",
+            "rollout": "sysid_bench.identification.estimators.rollout:Rollout",
             "ukf": "sysid_bench.identification.estimators.ukf:UKF",
             "wls": "sysid_bench.identification.estimators.wls:WLS",
         },

@@ -36,12 +36,14 @@ class Trajectory:
 @dataclass(frozen=True, eq=False)
 class Controller:
     """The declared joint controller: tau = kp (q_ref - q) + kd (v_ref - v), at `rate`, v with the
-    slope of the encoder's error low-passed at `velocity_cutoff`."""
+    slope of the encoder's error low-passed at `velocity_cutoff`. The torque is `held` from sample to
+    sample, or else follows the velocity between them."""
 
     kp: Float[Array, " nv"]
     kd: Float[Array, " nv"]
     rate: float  # Hz
     velocity_cutoff: float  # Hz, first order
+    held: bool = True
 
 
 @dataclass(frozen=True, eq=False)

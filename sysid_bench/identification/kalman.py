@@ -14,8 +14,9 @@ from sysid_bench.types import Array, Estimate, Experiment
 TOLD = 0.1
 """Torque that the start is trusted with, relative to the RMS, where no prior says how well."""
 
-LEAST = 1e-6
-"""Noise that a filter reckons with at least, relative to a signal's RMS: time steps round."""
+LEAST = (1e-5, 1e-2)
+"""Noise of positions and torques that a filter reckons with at least, relative to their RMS: time
+steps and differences are not exact, and a filter that takes them so runs away."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +105,7 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     part = slice(first, first + len(recording))
     q, tau = raw.q[part], raw.tau[part]
     sizes = [np.sqrt((x**2).mean(axis=0)) for x in (q, tau)]
-    least = [np.maximum(LEAST * size, LEAST * size.max()) for size in sizes]
+    least = [np.maximum(share * x, 0.1 * share * x.max()) for share, x in zip(LEAST, sizes)]
     q_noise, tau_noise = (
         np.maximum(white_noise(x), at_least) for x, at_least in zip((q, tau), least, strict=True)
     )
