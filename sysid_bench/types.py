@@ -36,8 +36,8 @@ class Trajectory:
 @dataclass(frozen=True, eq=False)
 class Controller:
     """The declared joint controller: tau = kp (q_ref - q) + kd (v_ref - v), at `rate`, v with the
-    slope of the encoder's error low-passed at `velocity_cutoff`. The torque is `held` from sample to
-    sample, or else follows the velocity between them."""
+    slope of the encoder's error low-passed at `velocity_cutoff`. The torque is `held` between
+    samples, or else follows the velocity there."""
 
     kp: Float[Array, " nv"]
     kd: Float[Array, " nv"]
@@ -257,6 +257,7 @@ class Score:
     rmse_test: float | None = None  # N m, N: all held-out motions, all joints
     torque_error: float | None = None  # held-out RMS error / RMS torque, joints scaled first
     torque_error_sample: float | None = None  # held-out mean of |error| / |torque| per sample
+    torque_error_worst: float | None = None  # held-out RMS error / RMS torque of the worst joint
     torque_error_by_motion: Mapping[str, float | None] = field(default_factory=dict)
     rank: int | None = None  # base parameters of the task
     data_rank: int | None = None  # of them, excited by the training motion

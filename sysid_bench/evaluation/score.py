@@ -36,6 +36,7 @@ def score(
         rmse_test=_rmse(tests, beta) if tests else None,
         torque_error=_torque_error(tests, beta) if tests else None,
         torque_error_sample=_sample_error(tests, beta) if tests else None,
+        torque_error_worst=_worst_error(tests, beta) if tests else None,
         torque_error_by_motion={
             name: _torque_error([test], beta) for name, test in held_out.items()
         },
@@ -125,6 +126,13 @@ def _torque_error(problems: list[Problem], beta: Array) -> float | None:
         return None
     relative = _row_errors(problems, beta)[large] / rms[large]
     return float(np.sqrt((relative**2).mean()))
+
+
+def _worst_error(problems: list[Problem], beta: Array) -> float | None:
+    """RMS error over RMS torque of the worst row that moves enough torque to be judged."""
+    rms = _row_rms(problems)
+    large = _large(rms, problems[0].kinds)
+    return float((_row_errors(problems, beta)[large] / rms[large]).max()) if large.any() else None
 
 
 def _sample_error(problems: list[Problem], beta: Array) -> float | None:

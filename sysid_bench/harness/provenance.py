@@ -53,7 +53,8 @@ def versions() -> dict[str, str | None]:
 
 def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
     """16 hex digits over this package's source, the bytes of model files (with the files that an
-    MJCF includes) and of motions, the files of plug-ins ("module:object", "file:x.py:object") and versions.
+    MJCF includes) and of motions, the files of plug-ins ("module:object", "file:x.py:object") and
+    versions.
 
     A plug-in stands for the whole package that it lies in. Files are read once per process.
     """

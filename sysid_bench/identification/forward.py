@@ -25,7 +25,9 @@ class Forward:
     dt: float
     substeps: int = 1
 
-    def step(self, beta: Array, q: Array, v: Array, tau: Array, after: Array) -> tuple[Array, Array]:
+    def step(
+        self, beta: Array, q: Array, v: Array, tau: Array, after: Array
+    ) -> tuple[Array, Array]:
         """q and v (S, n) after dt, the torque going from `tau` to `after`, by Heun's rule."""
         h = self.dt / self.substeps
         for k in range(self.substeps):
@@ -82,4 +84,6 @@ def differences(f: Callable[[Array], Array], x: Array, sizes: Array) -> Array:
     """Forward differences (..., k) of f at x (k,), all at once: f takes (k + 1, k)."""
     points = np.concatenate([x[None], x + np.diag(sizes)])
     values = f(points)
-    return np.moveaxis((values[1:] - values[0]) / sizes.reshape(-1, *[1] * (values.ndim - 1)), 0, -1)
+    return np.moveaxis(
+        (values[1:] - values[0]) / sizes.reshape(-1, *[1] * (values.ndim - 1)), 0, -1
+    )

@@ -105,7 +105,9 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     part = slice(first, first + len(recording))
     q, tau = raw.q[part], raw.tau[part]
     sizes = [np.sqrt((x**2).mean(axis=0)) for x in (q, tau)]
-    least = [np.maximum(share * x, 0.1 * share * x.max()) for share, x in zip(LEAST, sizes)]
+    least = [
+        np.maximum(share * x, 0.1 * share * x.max()) for share, x in zip(LEAST, sizes, strict=True)
+    ]
     q_noise, tau_noise = (
         np.maximum(white_noise(x), at_least) for x, at_least in zip((q, tau), least, strict=True)
     )

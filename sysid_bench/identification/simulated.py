@@ -5,8 +5,7 @@ Every step stays among possible bodies, is halved until the data are explained b
 that does not settle or never left its start says so.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
@@ -225,7 +224,7 @@ def at(motion: Trajectory, places: Array) -> Trajectory:
 
 def places_of(t: Array, grid: Array) -> Array:
     """Where the times t (M,) lie in a grid (N,) that holds them."""
-    return np.abs(np.searchsorted(grid, t - 0.5 * (grid[1] - grid[0])))
+    return np.searchsorted(grid, t - 0.5 * (grid[1] - grid[0]))
 
 
 def along(experiment: Experiment, motion: Trajectory) -> Array:

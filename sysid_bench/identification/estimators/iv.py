@@ -19,7 +19,7 @@ from sysid_bench.identification.simulated import (
     sigmas,
     simulating,
 )
-from sysid_bench.types import Array, Estimate, Experiment, Recording
+from sysid_bench.types import Array, Estimate, Experiment, Recording, Trajectory
 
 WEAK = 1e-6
 """Instruments whose weakest direction correlates less than this share of the strongest tell
@@ -78,7 +78,7 @@ def _measured(experiment: Experiment) -> tuple[Array, Array]:
     return np.concatenate([W for W, _ in parts]), np.concatenate([b for _, b in parts])
 
 
-def _same_times(simulated: Recording, experiment: Experiment):  # type: ignore[no-untyped-def]
+def _same_times(simulated: Recording, experiment: Experiment) -> Trajectory:
     """The simulated motion at the samples that filtering left."""
     return at(simulated.motion, places_of(experiment.recording.t, simulated.t))
 

@@ -20,6 +20,9 @@ LEAST: Final = (1e-13, 1e-10)
 NUDGE: Final = 1e-6
 """Of the finite differences of the torque, relative to the size of q, v and a."""
 
+SHRINKS: Final = 0.7
+"""Steps that do not shrink to this share of the one before go to and fro: half of them is taken."""
+
 
 @dataclass(frozen=True)
 class ML:
@@ -41,20 +44,25 @@ class ML:
         data = _Data(experiment, _differences(experiment))
         beta, q = solve(compress(experiment.problem)), data.q
         sigma = _torque_noise(data, beta, q)
+        share, before = 1.0, np.inf
         for count in range(1, self.iterations + 1):
             line = data.line(beta, q)
             R, step, q_new, rest = line.solved(sigma)
-            beta, q = beta + step, q_new
+            size = length(R, step)
             if settled(R, step, beta):
                 return Estimate(
-                    beta, covariance=covariance(R), stats={"iterations": float(count)}
+                    beta + step, covariance=covariance(R), stats={"iterations": float(count)}
                 )
+            if size > SHRINKS * before:  # it goes to and fro
+                share *= 0.5
+            before = size
+            beta, q = beta + share * step, q + share * (q_new - q)
             sigma = line.torque_noise(rest, sigma)
             if not np.isfinite(beta).all():
                 break
         raise EstimationError(
             f"{self.iterations} iterations did not settle: the last moved the base parameters by "
-            f"{length(R, step):.3g} standard deviations; the noise is too large."
+            f"{size:.3g} standard deviations; the noise is too large."
         )
 
 
@@ -92,9 +100,7 @@ class _Data:
         for which, D in enumerate((None, *self.rates)):
             if exact and D is not None:
                 break
-            blocks = [
-                self._slope(beta, motion, which, j)[inner] for j in range(q.shape[1])
-            ]
+            blocks = [self._slope(beta, motion, which, j)[inner] for j in range(q.shape[1])]
             count, n = len(q) - 2, q.shape[1]
             B = bsr_array((np.stack(blocks, axis=-1), np.arange(count), np.arange(count + 1)))
             pick = eye_array(len(q), format="csr")[inner] if D is None else D[inner]
@@ -113,7 +119,7 @@ class _Data:
         for sign in (1, -1):
             moved = [x.copy() for x in arrays]
             moved[which][:, j] += sign * size
-            there = Trajectory(motion.t, *moved)
+            there = Trajectory(motion.t, moved[0], moved[1], moved[2])
             sides.append(along(self.experiment, there) @ beta + self.experiment.known(there))
         slope = (sides[0] - sides[1]) / (2 * size)
         if which == 1:  # friction's step at standstill is no slope

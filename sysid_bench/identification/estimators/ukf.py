@@ -28,7 +28,9 @@ class UKF:
 
     def _predicted(self, model: JointFilter, belief: Belief, k: int) -> Belief:
         root = self.spread * _root(belief.covariance).T
-        points = model.step(belief.mean + np.concatenate([root * 0, root, -root])[len(root) - 1 :], k)
+        points = model.step(
+            belief.mean + np.concatenate([root * 0, root, -root])[len(root) - 1 :], k
+        )
         centre, plus, minus = points[0], points[1 : len(root) + 1], points[len(root) + 1 :]
         weight = 0.5 / self.spread**2
         mean = centre + weight * (plus + minus - 2 * centre).sum(axis=0)
