@@ -39,8 +39,8 @@ class Controller:
     slope of the encoder's error low-passed at `velocity_cutoff`. The torque is `held` between
     samples, or else follows the velocity there."""
 
-    kp: Float[Array, " nv"]
-    kd: Float[Array, " nv"]
+    kp: Float[Array, " rows"]
+    kd: Float[Array, " rows"]
     rate: float  # Hz
     velocity_cutoff: float  # Hz, first order
     held: bool = True
@@ -49,15 +49,16 @@ class Controller:
 @dataclass(frozen=True, eq=False)
 class Recording:
     """What a robot would give: sensor signals, their rate, the commanded motion, the controller.
+    Torque is that of `rows`; of joints that follow others q, v and a come from those others.
 
     `v` and `a` are absent until a filter has made them from q (or an ideal sensor gave them).
     """
 
     t: Float[Array, " N"]
     q: Float[Array, "N nq"]
-    tau: Float[Array, "N nv"]
+    tau: Float[Array, "N rows"]
     rate: float  # Hz
-    rows: tuple[str, ...]  # names of the degrees of freedom
+    rows: tuple[str, ...]  # names of the degrees of freedom that have torques of their own
     v: Float[Array, "N nv"] | None = None
     a: Float[Array, "N nv"] | None = None
     commanded: Trajectory | None = None
@@ -80,7 +81,7 @@ class Oracle:
     """What really happened in one simulated motion: for scoring only."""
 
     motion: Trajectory  # exact
-    tau: Float[Array, "N nv"]  # noise-free joint torque
+    tau: Float[Array, "N rows"]  # noise-free torque of the degrees of freedom that have their own
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +116,8 @@ class BaseMap:
     gap: float
     near_degenerate: int
     singular_values: Float[Array, " k"]
+    row_space: Float[Array, "r p"] | None = None
+    """An orthonormal basis of the rows of K, sharper than K where its entries are large."""
 
     @property
     def rank(self) -> int:
@@ -302,8 +305,8 @@ class Evidence:
 
     row: Mapping[str, Any]  # the row as stored (Row)
     motion: Trajectory  # the measured motion
-    measured: Float[Array, "N nv"]
-    predicted: Float[Array, "N nv"] | None
+    measured: Float[Array, "N n"]
+    predicted: Float[Array, "N n"] | None
     rows: tuple[str, ...]
     singular_values: Float[Array, " k"]
     gap_map: Float[Array, "rows p"]  # max over samples of |Y - Y_pin|

@@ -62,6 +62,15 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
         f"{verdict['base_parameters']} base parameters"
         + (f" ({verdict['near_degenerate']} near-degenerate)" if verdict["near_degenerate"] else "")
     )
+    if verdict["coupling"] is not None:
+        coupling = verdict["coupling"]
+        followers = coupling["dependent"]
+        names = ", ".join(followers[:6]) + (", ..." if len(followers) > 6 else "")
+        click.echo(
+            f"  coupled, {len(followers)} followers ({names}): gap {coupling['gap']:.1e}  "
+            f"closure {coupling['closure']:.1e}, "
+            f"{coupling['coupled_base_parameters']} base parameters"
+        )
     for repair in verdict["repairs"]:
         click.echo(f"  repaired: {repair}")
     if verdict["reason"]:

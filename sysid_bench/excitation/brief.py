@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
+from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.spatial.rotation import body_rates, product, quaternion_of_vector
 from sysid_bench.types import Array, Trajectory
@@ -26,7 +27,9 @@ def is_count(value: object) -> bool:
 class Brief:
     """A robot's moves and limits. Each degree of freedom has a scalar profile x: a joint position,
     or for a free joint the displacement (3) and rotation vector (3) from its reference pose, for a
-    ball joint the rotation vector. Arrays (nv,); `q0` (nq,) is the reference configuration."""
+    ball joint the rotation vector. Arrays (nv,); `q0` (nq,) is the reference configuration.
+
+    Of coupled joints the profiles, and the arrays, are those of the independent ones alone."""
 
     joints: tuple[Joint, ...]
     low: Array
@@ -35,6 +38,7 @@ class Brief:
     a: Array
     q0: Array
     rate: float  # Hz
+    coupling: Coupling | None = None
 
     @property
     def nv(self) -> int:
@@ -58,7 +62,14 @@ class Brief:
         self, t: Array, x: Array, dx: Array, ddx: Array, name: str, period: float | None = None
     ) -> Trajectory:
         """The motion of profiles x, dx, ddx (N, nv)."""
-        q = np.tile(self.q0, (len(t), 1))
+        if self.coupling is None:
+            return Trajectory(t, *self._tree_motion(x, dx, ddx), name, period)
+        spread = (self.coupling.spread(profile) for profile in (x, dx, ddx))
+        return Trajectory(t, *self.coupling.completed(*self._tree_motion(*spread)), name, period)
+
+    def _tree_motion(self, x: Array, dx: Array, ddx: Array) -> tuple[Array, Array, Array]:
+        """q, v, a of profiles (N, nv) of every degree of freedom."""
+        q = np.tile(self.q0, (len(x), 1))
         v, a = dx.copy(), ddx.copy()
         for joint in self.joints:
             at, dof = joint.qadr, joint.vadr
@@ -71,7 +82,7 @@ class Brief:
             turn = slice(dof, dof + 3)
             q[:, at : at + 4] = product(q[:, at : at + 4], quaternion_of_vector(x[:, turn]))
             v[:, turn], a[:, turn] = body_rates(x[:, turn], dx[:, turn], ddx[:, turn])
-        return Trajectory(t, q, v, a, name, period)
+        return q, v, a
 
 
 def brief_of(robot: RobotModel, rate: float) -> Brief:
@@ -94,4 +105,11 @@ def brief_of(robot: RobotModel, rate: float) -> Brief:
             a[turn] = np.maximum(a[turn] - 0.5 * v[turn] ** 2, 0.5 * a[turn]) / np.sqrt(3)
             v[turn] /= np.sqrt(3)
     q0 = np.array(robot.mj.qpos0)
-    return Brief(robot.joints, low, high, v, a, q0, rate)
+    if robot.coupling is None:
+        return Brief(robot.joints, low, high, v, a, q0, rate)
+    moving, slower = robot.coupling.independent, robot.coupling.slower
+    scalar = robot.coupling.qadr[moving] >= 0
+    low = np.where(scalar, robot.coupling.low, low[moving])
+    high = np.where(scalar, robot.coupling.high, high[moving])
+    v, a = slower * v[moving], slower * a[moving]
+    return Brief(robot.joints, low, high, v, a, q0, rate, robot.coupling)

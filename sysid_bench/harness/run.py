@@ -6,6 +6,7 @@ failed, timeout or crash; 1 a robot's cross-check failed; 4 nothing was measured
 """
 
 import os
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from sysid_bench.harness.argument import argument_of
 from sysid_bench.harness.plan import Cell, expand
 from sysid_bench.harness.provenance import cell_fingerprint, environment
 from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names, installed_names
 from sysid_bench.harness.suite.read import Suite, load_suite
 from sysid_bench.harness.words import FAILURES, STATUSES
@@ -71,8 +73,10 @@ def run(
     _check(rerun, limit, jobs)
     if timeout is not None:
         _seconds(timeout)
-    folder = _folder(suite_or_folder, out, names or installed_names(robots_dir), overrides)
+    names = names or installed_names(robots_dir)
+    folder = _folder(suite_or_folder, out, names, overrides, robots_dir)
     suite, plan = folder.suite, folder.plan
+    robots_dir = robots_dir or suite.robots_dir
     selected = plan.select(select)[:limit]
     limit_seconds = _seconds(suite.run.timeout if timeout is None else timeout)
     with folder.lock() as descriptor:
@@ -110,7 +114,11 @@ def _seconds(timeout: float | str) -> float:
 
 
 def _folder(
-    source: Suite | str | Path, out: Path | None, names: Names, overrides: Mapping[str, str] | None
+    source: Suite | str | Path,
+    out: Path | None,
+    names: Names,
+    overrides: Mapping[str, str] | None,
+    robots_dir: Path | None,
 ) -> RunFolder:
     """The run folder to work in: opened where `source` is one, made of a suite otherwise."""
     if not isinstance(source, Suite) and Path(source).is_dir():
@@ -125,9 +133,22 @@ def _folder(
         suite = source
     else:
         suite = load_suite(places.suite(str(source)), names, overrides)
+        suite = _signed(suite, str(source), robots_dir, overrides or {})
     return RunFolder.create(
         out or Path("reports") / suite.name, suite, expand(suite, names), environment()
     )
+
+
+def _signed(
+    suite: Suite, source: str, robots_dir: Path | None, overrides: Mapping[str, str]
+) -> Suite:
+    """The suite with what a later command needs to go on: the user's robots, and what was typed."""
+    words = ["sysid-bench", "run", source]
+    words += ["--robots", str(robots_dir)] if robots_dir else []
+    words += [word for key, value in overrides.items() for word in ("--set", f"{key}={value}")]
+    robots = str(robots_dir.resolve()) if robots_dir else None
+    origin = Origin(folder=str(suite.folder), robots=robots, command=shlex.join(words))
+    return suite.model_copy(update={"origin": origin})
 
 
 def _todo(

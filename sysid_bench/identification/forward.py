@@ -74,7 +74,10 @@ def scalar_joints(experiment: Experiment, what: str) -> int:
     not every torque is measured."""
     raw, problem = experiment.raw, experiment.problem
     if raw.q.shape[1] != len(raw.rows):
-        raise UnsupportedError(f"{what} needs hinges and slides: orientations are no such states.")
+        raise UnsupportedError(
+            f"{what} needs hinges and slides that move on their own: orientations and joints that "
+            "follow others are no such states."
+        )
     if problem.rows != raw.rows:
         raise UnsupportedError(f"{what} needs every joint's torque; this task measures a part.")
     return len(raw.rows)

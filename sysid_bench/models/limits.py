@@ -6,6 +6,7 @@ import numpy as np
 
 from sysid_bench.models.manifest import Limits, Manifest
 from sysid_bench.models.robot import Joint, JointLimits
+from sysid_bench.types import Array
 
 if TYPE_CHECKING:
     import mujoco
@@ -46,6 +47,28 @@ def limits_of(
         elif mj.jnt_actfrclimited[j]:
             tau[dof] = np.abs(mj.jnt_actfrcrange[j]).min() or np.inf
     return JointLimits(low, high, v, a, tau)
+
+
+def stated_limits(
+    mj: "mujoco.MjModel",
+    joints: tuple[Joint, ...],
+    manifest: Manifest,
+    velocities: dict[str, float],
+) -> tuple[Array, Array, Array]:
+    """(lowest q, highest q, v) (nv,) where the manifest, for that joint, or the model states them;
+    infinite elsewhere: what is usual binds no joint that follows another one."""
+    low, high, v = np.full(mj.nv, -np.inf), np.full(mj.nv, np.inf), np.full(mj.nv, np.inf)
+    for j, joint in enumerate(joints):
+        if joint.kind not in USUAL:
+            continue
+        told, dof = manifest.limits.get(joint.name, Limits()), joint.vadr
+        if told.q is not None:
+            low[dof], high[dof] = told.q
+        elif mj.jnt_limited[j] and np.ptp(mj.jnt_range[j]) <= UNLIMITED[joint.kind]:
+            low[dof], high[dof] = mj.jnt_range[j]
+        written = velocities.get(joint.name, np.inf)
+        v[dof] = told.v or (written if written <= PLACEHOLDER[joint.kind] else np.inf)
+    return low, high, v
 
 
 def _told(manifest: Manifest, joint: str) -> Limits:

@@ -1,5 +1,6 @@
 """A manifest and a payload become a RobotModel."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,10 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
-from sysid_bench.models.limits import limits_of
+from sysid_bench.models.coupling.build import Dofs, coupling_of
+from sysid_bench.models.coupling.mimic import add_mimics
+from sysid_bench.models.coupling.read import equalities_of, keep_equalities
+from sysid_bench.models.limits import limits_of, stated_limits
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf import mjcf_spec
 from sysid_bench.models.numbers import check_numbers
@@ -41,35 +45,32 @@ def load_robot(
     data = _read(manifest.path) if manifest.text is None else manifest.text.encode()
     root = parse_xml(data, manifest.path.name).tag
     if root == "robot":
-        urdf = canonical_urdf(data, manifest.path.name, free)
-        spec, text, repairs, velocities = (
-            _urdf_spec(urdf, manifest),
-            urdf.text.encode(),
-            urdf.repairs,
-            urdf.velocity_limits,
-        )
+        read = _urdf_source(data, manifest, free)
     elif root == "mujoco":
-        spec, repairs = mjcf_spec(manifest.path, None if manifest.text is None else data)
-        text, velocities, urdf = data, {}, None
+        text = None if manifest.text is None else data
+        spec, repairs, actuated = mjcf_spec(manifest.path, text)
+        read = _Source("mjcf", spec, data, repairs, {}, actuated)
     else:
         raise ModelError(
             f"{manifest.path.name} is neither URDF nor MJCF: its root element is <{root}>."
         )
-    return _assemble(
-        manifest, payload, free, spec, text, "mjcf" if urdf is None else "urdf", repairs, velocities
-    )
+    return _assemble(manifest, payload, free, read)
 
 
-def _assemble(
-    manifest: Manifest,
-    payload: Payload,
-    free: bool,
-    spec: mujoco.MjSpec,
-    text: bytes,
-    format: str,
-    repairs: tuple[str, ...],
-    velocities: dict[str, float],
-) -> RobotModel:
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """A model file as read: what its text says that MuJoCo's spec does not is kept beside it."""
+
+    format: str
+    spec: mujoco.MjSpec
+    text: bytes
+    repairs: tuple[str, ...]
+    velocities: dict[str, float]  # limits by joint, rad/s or m/s
+    actuated: tuple[str, ...]  # joints with motors
+
+
+def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source) -> RobotModel:
+    spec = source.spec
     if free:
         _free_the_base(spec, manifest)
     if manifest.gravity is not None:
@@ -81,9 +82,22 @@ def _assemble(
     tool, pose = _tool(bare, manifest, names)
     if payload:
         _mount(spec, tool + 1, pose, payload, _free_name("payload", names))
-    mj = _compile(spec, manifest) if payload else bare
+    equalities = equalities_of(bare) if manifest.couplings and bare.neq else None
+    if equalities is not None:
+        keep_equalities(spec, equalities)
+    mj = _compile(spec, manifest) if payload or equalities is not None else bare
     joints = _joints(mj)
     _check_known(manifest, joints)
+    repairs = (*source.repairs, *heard())
+    coupling = None
+    if equalities is not None:
+        repairs += equalities.left_out
+        if equalities.constraints:
+            dofs = _dofs(mj, joints, manifest, source.velocities)
+            coupling = coupling_of(
+                equalities.constraints, dofs, source.actuated, manifest.independent
+            )
+            repairs += coupling.repairs
     return RobotModel(
         name=manifest.name,
         manifest=manifest,
@@ -95,12 +109,37 @@ def _assemble(
         joints=joints,
         phi=_phi(mj),
         joint_terms=_joint_terms(mj, manifest, joints),
-        limits=limits_of(mj, joints, manifest, velocities),
+        limits=limits_of(mj, joints, manifest, source.velocities),
         tool_body=_index_of(mj, names[tool]) if payload else tool,
         payload_body=_payload_body(mj, bare) if payload else None,
-        format=format,
-        text=text,
-        repairs=(*repairs, *heard()),
+        format=source.format,
+        text=source.text,
+        repairs=repairs,
+        coupling=coupling,
+    )
+
+
+def _dofs(
+    mj: mujoco.MjModel,
+    joints: tuple[Joint, ...],
+    manifest: Manifest,
+    velocities: dict[str, float],
+) -> Dofs:
+    qadr, q0, slides = np.full(mj.nv, -1), np.zeros(mj.nv), np.zeros(mj.nv, dtype=bool)
+    for joint in joints:
+        if joint.kind in ("hinge", "slide"):
+            qadr[joint.vadr], q0[joint.vadr] = joint.qadr, mj.qpos0[joint.qadr]
+            slides[joint.vadr] = joint.kind == "slide"
+    limits = limits_of(mj, joints, manifest, velocities)
+    return Dofs(
+        names=tuple(name for joint in joints for name in joint.dofs),
+        qadr=qadr,
+        q0=q0,
+        slides=slides,
+        low=limits.q_low,
+        high=limits.q_high,
+        v=limits.v,
+        stated=stated_limits(mj, joints, manifest, velocities),
     )
 
 
@@ -110,6 +149,17 @@ def _read(path: Path) -> bytes:
             f"{path.name} has {path.stat().st_size} bytes; no robot text is that long."
         )
     return path.read_bytes()
+
+
+def _urdf_source(data: bytes, manifest: Manifest, free: bool) -> _Source:
+    urdf = canonical_urdf(data, manifest.path.name, free)
+    spec = _urdf_spec(urdf, manifest)
+    if manifest.couplings:
+        told = tuple(add_mimics(spec, urdf.mimic))
+    else:
+        told = tuple(f"mimic joint {m.joint!r} treated as independent" for m in urdf.mimic)
+    repairs = (*told, *urdf.repairs)
+    return _Source("urdf", spec, urdf.text.encode(), repairs, urdf.velocity_limits, ())
 
 
 def _urdf_spec(urdf: Urdf, manifest: Manifest) -> mujoco.MjSpec:

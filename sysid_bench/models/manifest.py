@@ -74,6 +74,12 @@ class Sensor(_Table):
     at: str
 
 
+class Couplings(_Table):
+    """Which joints of coupled ones move on their own; the rest is chosen."""
+
+    independent: tuple[str, ...] = ()
+
+
 class Source(_Table):
     """Where the model comes from."""
 
@@ -93,6 +99,8 @@ class _Text(_Table):
     terms: tuple[str, ...] = ()
     limits: dict[str, Limits] = Field(default_factory=dict)
     joints: dict[str, JointTerms] = Field(default_factory=dict)
+    couplings: bool = True
+    coupling: Couplings = Couplings()
     sensor: tuple[Sensor, ...] = ()
     source: Source = Source()
 
@@ -110,6 +118,8 @@ class Manifest:
     terms: tuple[str, ...] = ()
     limits: Mapping[str, Limits] = field(default_factory=dict)
     joints: Mapping[str, JointTerms] = field(default_factory=dict)
+    couplings: bool = True  # False: mimic joints and closed loops are ignored
+    independent: tuple[str, ...] = ()  # of coupled joints, those that must move on their own
     sensors: tuple[Sensor, ...] = ()
     licence: str = ""
     manifest_file: Path | None = None
@@ -126,8 +136,8 @@ def find_manifest(
     source: str, robots_dir: Path | None = None, folder: Path | None = None
 ) -> Manifest:
     """The robot called `source`: a name, a folder with robot.toml, a model file, a file of a
-    package ("example-robot-data:ur_description/urdf/ur5_robot.urdf", "robot_descriptions:NAME"), or
-    a random tree ("random:7").
+    package ("example-robot-data:ur_description/urdf/ur5_robot.urdf", "robot_descriptions:NAME"), a
+    random tree ("random:7"), or a random robot with a mechanism ("random:four-bar:7").
 
     Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Raises UsageError for
     a name or file that does not exist, ModelError for a manifest that cannot be read.
@@ -172,6 +182,8 @@ def read_manifest(file: Path) -> Manifest:
         terms=written.terms,
         limits=written.limits,
         joints=written.joints,
+        couplings=written.couplings,
+        independent=written.coupling.independent,
         sensors=written.sensor,
         licence=written.source.licence,
         manifest_file=file,
@@ -201,13 +213,19 @@ def is_model(source: str) -> bool:
     return bool(colon) and scheme in (RANDOM, "file", *PACKAGES)
 
 
-def _random(source: str, seed: str) -> Manifest:
+def _random(source: str, rest: str) -> Manifest:
+    from sysid_bench.models.random_coupled import random_coupled
     from sysid_bench.models.random_robot import random_robot
 
+    kind, _, seed = rest.rpartition(":")
     if not (seed.isascii() and seed.isdigit() and len(seed) <= 18):
-        raise UsageError(f"{source!r}: a random robot goes by a whole number; write 'random:7'.")
-    text = random_robot(int(seed))
-    return Manifest(source, Path(source), title=f"A random tree, seed {int(seed)}", text=text)
+        raise UsageError(
+            f"{source!r}: a random robot goes by a whole number; write 'random:7' for a tree, "
+            "'random:four-bar:7' for one with a mechanism."
+        )
+    text = random_coupled(kind, int(seed)) if kind else random_robot(int(seed))
+    title = f"A random {kind or 'tree'}, seed {int(seed)}"
+    return Manifest(source, Path(source), title=title, text=text)
 
 
 def _from_package(source: str, rest: str) -> Manifest:
@@ -259,5 +277,10 @@ def _line(problem: Any) -> str:
 def _known_keys(place: tuple[Any, ...]) -> set[str]:
     if len(place) == 1:
         return set(_Text.model_fields)
-    tables: dict[Any, type[BaseModel]] = {"limits": Limits, "joints": JointTerms, "sensor": Sensor}
+    tables: dict[Any, type[BaseModel]] = {
+        "limits": Limits,
+        "joints": JointTerms,
+        "coupling": Couplings,
+        "sensor": Sensor,
+    }
     return set(tables.get(place[0], Source).model_fields)

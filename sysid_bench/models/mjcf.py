@@ -7,15 +7,17 @@ import mujoco
 from sysid_bench.errors import ModelError
 from sysid_bench.models.mjcf_files import check_files
 from sysid_bench.models.mjcf_inertia import settle_inertias
-from sysid_bench.models.mjcf_terms import settle_terms
+from sysid_bench.models.mjcf_terms import AT_JOINT, settle_terms
 
 _LOOKS = ("hfields", "skins", "textures", "materials")
 _UNUSED = ("keys", "pairs", "excludes", "sensors", "tuples")
 
 
-def mjcf_spec(path: Path, text: bytes | None = None) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """The spec of a file, or of a text that includes nothing and is called `path`; and, in words,
-    what had to be left out. Raises ModelError with MuJoCo's reason."""
+def mjcf_spec(
+    path: Path, text: bytes | None = None
+) -> tuple[mujoco.MjSpec, tuple[str, ...], tuple[str, ...]]:
+    """The spec of a file, or of a text that includes nothing and is called `path`; in words, what
+    had to be left out; and the joints that carry motors. Raises ModelError with MuJoCo's reason."""
     spec = _read(path, text)
     spec.compiler.fusestatic = False  # welded bodies keep their own parameters
     for collection in (*_UNUSED, *_LOOKS):
@@ -25,9 +27,10 @@ def mjcf_spec(path: Path, text: bytes | None = None) -> tuple[mujoco.MjSpec, tup
         element.material = ""
     repairs = settle_inertias(spec, path)
     repairs += settle_terms(spec)
+    actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
     for actuator in list(spec.actuators):
         spec.delete(actuator)
-    return spec, repairs
+    return spec, repairs, actuated
 
 
 def _read(path: Path, text: bytes | None) -> mujoco.MjSpec:

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 _SCALAR: Final = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_AT_JOINT: Final = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+AT_JOINT: Final = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _BIT: Final = mujoco.mjtDisableBit
 
 
@@ -31,7 +31,7 @@ def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
         if not (actuator.armature or damping.any()):
             continue
         joint = joints.get(actuator.target)
-        at_joint = int(actuator.trntype) in _AT_JOINT and joint is not None
+        at_joint = int(actuator.trntype) in AT_JOINT and joint is not None
         if joint is None or not at_joint or int(joint.type) not in _SCALAR:
             yield f"armature and damping of actuator {_called(actuator)}, at no joint, left out"
             continue

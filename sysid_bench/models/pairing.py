@@ -30,6 +30,7 @@ class Pairing:
     model: pin.Model
     carrier: Array
     X: Array
+    poses: tuple[pin.SE3, ...]  # of each body in its carrier
     free: tuple[tuple[int, int], ...]  # (q, v) addresses of free joints
     ball: tuple[tuple[int, int], ...]
     scalar: tuple[tuple[int, float], ...]  # (q address, qpos0) of hinges and slides
@@ -87,6 +88,7 @@ def pair(mj: mujoco.MjModel) -> Pairing:
         model=model,
         carrier=carrier[1:],
         X=np.stack(X) if X else np.zeros((0, 10, 10)),
+        poses=tuple(pose[1:]),
         free=tuple((qa, va) for kind, qa, va in joints if kind == FREE),
         ball=tuple((qa, va) for kind, qa, va in joints if kind == BALL),
         scalar=tuple((qa, float(mj.qpos0[qa])) for kind, qa, _ in joints if kind in (HINGE, SLIDE)),

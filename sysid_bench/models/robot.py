@@ -1,16 +1,17 @@
 """One robot for both engines: the compiled MuJoCo model, its names, its limits and its truth."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import Payload
 from sysid_bench.models.tree import BALL, FREE, HINGE, SLIDE, Tree
 from sysid_bench.spatial.inertia import NAMES
-from sysid_bench.types import Array, Body
+from sysid_bench.types import Array, Body, Trajectory
 
 if TYPE_CHECKING:
     import mujoco
@@ -84,6 +85,8 @@ class RobotModel:
     format: str  # "urdf" or "mjcf"
     text: bytes = field(repr=False)  # the canonical text (URDF) or the file (MJCF)
     repairs: tuple[str, ...] = ()
+    coupling: Coupling | None = None
+    """Joints that follow others; None where every joint moves on its own."""
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -106,6 +109,37 @@ class RobotModel:
     def nv(self) -> int:
         """Number of degrees of freedom."""
         return self.tree.nv
+
+    @cached_property
+    def torque_dofs(self) -> Array:
+        """Degrees of freedom (n,) that move on their own: torque lives on them."""
+        return np.arange(self.nv) if self.coupling is None else self.coupling.independent
+
+    @property
+    def torque_rows(self) -> tuple[str, ...]:
+        """Names of `torque_dofs` (n,): the rows of every problem, all of `rows` if uncoupled."""
+        return tuple(self.rows[dof] for dof in self.torque_dofs)
+
+    @property
+    def torque_kinds(self) -> tuple[str, ...]:
+        """`row_kinds` of `torque_rows` (n,)."""
+        return tuple(self.row_kinds[dof] for dof in self.torque_dofs)
+
+    @cached_property
+    def uncoupled(self) -> "RobotModel":
+        """The same tree with every joint on its own."""
+        return self if self.coupling is None else replace(self, coupling=None)
+
+    def reduced(self, q: Array, tau: Array) -> Array:
+        """Torques (N, n) on `torque_rows` of generalised forces tau (N, nv) of the tree at q."""
+        return tau if self.coupling is None else self.coupling.reduced(q, tau)
+
+    def completed(self, motion: Trajectory) -> Trajectory:
+        """The motion with the joints that follow where the independent ones put them."""
+        if self.coupling is None:
+            return motion
+        q, v, a = self.coupling.completed(motion.q, motion.v, motion.a)
+        return replace(motion, q=q, v=v, a=a)
 
     @property
     def scalar_dofs(self) -> Array:

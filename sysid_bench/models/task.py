@@ -1,5 +1,6 @@
 """What is unknown: the parameters of a task, their true values, and what methods take as known."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -106,10 +107,9 @@ def _link(robot: RobotModel) -> Task:
 
 def _terminal(robot: RobotModel, terms: tuple[str, ...]) -> Task:
     """What the last joint before the tool tells on its own: of the composite of the link that it
-    carries, and of its own terms."""
+    carries, and of its own terms; where it follows another joint, that one's torque and terms."""
     link = _link(robot)
-    carrier = robot.tree.links[int(robot.tree.carrier[robot.tool_body])]
-    dofs = carrier.joints[-1].dofs
+    dofs = _last_measured(robot)
     rows = tuple(robot.rows[dof] for dof in dofs)
     asked = [(term, dof) for term in terms for dof in dofs if dof in robot.scalar_dofs]
     values = [float(getattr(robot.joint_terms, term)[dof]) for term, dof in asked]
@@ -122,6 +122,26 @@ def _terminal(robot: RobotModel, terms: tuple[str, ...]) -> Task:
         np.concatenate([link.truth.theta, values]),
     )
     return Task("terminal", link.bodies, truth, link.known_links, known, rows)
+
+
+def _last_measured(robot: RobotModel) -> Sequence[int]:
+    """The degrees of freedom whose torque is that of the last joint of the tool's branch: its own,
+    or where it follows others the last that it follows."""
+    moving, at = set(robot.torque_dofs.tolist()), int(robot.tree.carrier[robot.tool_body])
+    while at >= 0:
+        link = robot.tree.links[at]
+        for joint in reversed(link.joints):
+            if moving.issuperset(joint.dofs):
+                return joint.dofs
+            assert robot.coupling is not None
+            drivers = robot.coupling.drivers(joint.vadr)
+            if len(drivers):
+                return [int(drivers[-1])]
+        at = link.parent
+    raise UnsupportedError(
+        f"No joint before the tool {robot.body_names[robot.tool_body]!r} can move; name another "
+        "tool in the manifest."
+    )
 
 
 def _terms_without(robot: RobotModel, identified: tuple[str, ...]) -> dict[str, Array]:

@@ -26,13 +26,23 @@ _TINY = {"mass": 1e-6, "moment": 1e-9}  # what a moving massless link gets: kg, 
 
 
 @dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another: q = multiplier * q of `driver` + offset."""
+
+    joint: str
+    driver: str | None
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class Urdf:
     """A canonical URDF: its text, the repairs in words, and what MuJoCo would not read from it."""
 
     text: str
     repairs: tuple[str, ...]
     velocity_limits: dict[str, float]  # joint -> rad/s or m/s
-    mimic: tuple[str, ...]  # joints that the file couples to another one
+    mimic: tuple[Mimic, ...]  # taken out of the text: Pinocchio has no regressor for them
 
 
 def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urdf:
@@ -42,12 +52,12 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
         raise ModelError(f"{name} is no URDF: its root element is <{robot.tag}>, not <robot>.")
     _strip(robot)
     tree = _Chain.of(robot, name)
-    mimic = tuple(_drop_mimic(robot))
+    mimic = tuple(_take_mimic(robot, name))
     if free_base:
         tree = _without_world(robot, tree, name)
     robot.attrib.setdefault("name", "robot")  # Pinocchio insists
     limits = settle_joints(robot, tree.root, name)
-    repairs = [f"mimic joint {joint!r} treated as independent" for joint in mimic]
+    repairs: list[str] = []
     for link in robot.findall("link"):
         repairs += _repair_inertia(link, name)
     repairs += _give_mass_to_moving(tree)
@@ -174,13 +184,16 @@ def _end(joint: ET.Element, tag: str, links: dict[str, ET.Element], name: str) -
     return link
 
 
-def _drop_mimic(robot: ET.Element) -> list[str]:
-    dropped = []
+def _take_mimic(robot: ET.Element, name: str) -> list[Mimic]:
+    taken = []
     for joint in robot.findall("joint"):
         for mimic in joint.findall("mimic"):
             joint.remove(mimic)
-            dropped.append(str(joint.get("name")))
-    return dropped
+            label = f"{name}: the mimic of joint {joint.get('name')!r}"
+            multiplier = _number(mimic, "multiplier", label, default=1.0)
+            offset = _number(mimic, "offset", label, default=0.0)
+            taken.append(Mimic(str(joint.get("name")), mimic.get("joint"), multiplier, offset))
+    return taken
 
 
 def _without_world(robot: ET.Element, chain: _Chain, name: str) -> _Chain:

@@ -9,14 +9,14 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from scipy.linalg import lapack
 
-from sysid_bench.regressors.regression import Regression
+from sysid_bench.regressors.coupled import AnyRegression
 from sysid_bench.types import Array, Factor, Trajectory
 
 
 def fold(
-    regression: Regression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
+    regression: AnyRegression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> tuple[Factor, ...]:
-    """One Factor per row for the right-hand side b (N, nv); `rows`: only these (None: all)."""
+    """One Factor per row for the right-hand side b (N, n); `rows`: only these (None: all)."""
     chosen = range(len(regression.rows)) if rows is None else rows
     factors = {i: np.zeros((0, len(regression.touched[i]) + 1)) for i in chosen}
     for block in regression.blocks(motion):
@@ -58,7 +58,7 @@ def _triangle(stack: Array) -> Array:
 
 
 def dense_blocks(
-    regression: Regression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
+    regression: AnyRegression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> Iterator[tuple[Array, Array]]:
     """The rows themselves again: (Y (n, rows, p), b (n, rows)) block by block; as for `fold`."""
     chosen = slice(None) if rows is None else list(rows)

@@ -9,12 +9,14 @@ from typing import Final
 @dataclass(frozen=True)
 class Metric:
     """A numeric column of the cells. `unit` may hold alternatives ("N m|N": rotary|linear);
-    `digits` are significant ones, 0 for whole numbers."""
+    `digits` are significant ones, 0 for whole numbers; sizes below `floor` are rounding, and none
+    of them is better than another."""
 
     name: str
     title: str
     unit: str = ""
     digits: int = 3
+    floor: float = 0.0
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -29,10 +31,11 @@ class Metric:
 
 
 _TORQUE = "N m|N"
+_ROUNDING: Final = 1e-12
 _ALL: Final = (
     Metric("rmse_train", "Training RMSE", _TORQUE),
     Metric("rmse_test", "Held-out RMSE", _TORQUE),
-    Metric("torque_error", "Relative held-out torque error"),
+    Metric("torque_error", "Relative held-out torque error", floor=_ROUNDING),
     Metric("rank", "Base parameters", digits=0),
     Metric("data_rank", "Excited base parameters", digits=0),
     Metric("parameters", "Parameters", digits=0),
@@ -41,11 +44,11 @@ _ALL: Final = (
     Metric("condition", "Condition number (SI columns)"),
     Metric("condition_unit", "Condition number (unit columns)"),
     Metric("d_optimality", "Log-determinant of information"),
-    Metric("parameter_error", "Relative parameter error in torque"),
-    Metric("beta_error", "Relative base-parameter error"),
-    Metric("payload_error", "Relative payload error"),
-    Metric("mass_error", "Mass error", "kg"),
-    Metric("com_error", "Error of the centre of mass", "m"),
+    Metric("parameter_error", "Relative parameter error in torque", floor=_ROUNDING),
+    Metric("beta_error", "Relative base-parameter error", floor=_ROUNDING),
+    Metric("payload_error", "Relative payload error", floor=_ROUNDING),
+    Metric("mass_error", "Mass error", "kg", floor=_ROUNDING),
+    Metric("com_error", "Error of the centre of mass", "m", floor=_ROUNDING),
     Metric("feasible", "Share of feasible estimates"),
     Metric("plausible", "Share of plausible estimates"),
     Metric("min_eigenvalue", "Smallest pseudo-inertia eigenvalue"),

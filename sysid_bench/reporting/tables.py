@@ -104,14 +104,18 @@ class Table:
 
     @cached_property
     def notations(self) -> dict[Key, Notation]:
-        """How the numbers of each column are printed."""
+        """How the numbers of each column are printed: alike where only the estimator differs."""
         digits = 0 if self.stat == "count" else self.metric.digits
-        return {
-            column: notation(
-                [entry.value for key, entry in self.entries.items() if key[1] == column], digits
-            )
-            for column in self.columns
-        }
+        values: dict[Key, list[float | None]] = {}
+        for (_, column), entry in self.entries.items():
+            values.setdefault(self._beside(column), []).append(entry.value)
+        shared = {beside: notation(numbers, digits) for beside, numbers in values.items()}
+        return {column: shared[self._beside(column)] for column in self.columns}
+
+    def _beside(self, column: Key) -> Key:
+        """What columns that are read side by side have in common: all but the estimator."""
+        pairs = zip(self.column_fields, column, strict=True)
+        return tuple(part for field, part in pairs if field != "estimator")
 
 
 def make_table(
@@ -288,8 +292,10 @@ def _competition(table: Table, key: tuple[Key, Key]) -> Key:
 
 def _winners(table: Table, keys: list[tuple[Key, Key]], sign: int) -> list[tuple[Key, Key]]:
     values = {key: v for key in keys if (v := table.entries[key].value) is not None}
-    if len(keys) < 2 or not values:
+    floor = table.metric.floor
+    if len(keys) < 2 or not values or all(abs(v) < floor for v in values.values()):
         return []
+    values = {key: max(v, floor) if v >= 0 else min(v, -floor) for key, v in values.items()}
     first = min(values, key=lambda key: sign * values[key])
     # Numbers that print alike are equal to the reader: all of them are best.
     text = table.notations[first[1]].text

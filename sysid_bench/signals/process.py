@@ -34,7 +34,7 @@ class Processing:
             )
         q = _smooth_positions(recording.q, joints, self.filter, rate)
         if self.differentiate:
-            v = _rates(q, joints, rate, recording.tau.shape[1])
+            v = _rates(q, joints, rate)
             a = np.gradient(v, 1.0 / rate, axis=0)
         elif recording.v is None or recording.a is None:
             raise UsageError("derivatives = 'exact' needs a recording with v and a; use 'from q'.")
@@ -75,10 +75,10 @@ def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate:
     return q
 
 
-def _rates(q: Array, joints: tuple[Joint, ...], rate: float, nv: int) -> Array:
+def _rates(q: Array, joints: tuple[Joint, ...], rate: float) -> Array:
     """Central differences (N, nv); for quaternions the body's angular velocity 2 conj(q) dq/dt."""
     dq = np.gradient(q, 1.0 / rate, axis=0)
-    v = np.empty((len(q), nv))
+    v = np.empty((len(q), sum(len(joint.dofs) for joint in joints)))
     for joint in joints:
         at, dof = joint.qadr, joint.vadr
         if joint.kind in ("hinge", "slide"):

@@ -6,9 +6,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from sysid_bench.models.coupling.read import ends_of, sums_of
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import JointTerms, RobotModel
+from sysid_bench.spatial.rotation import quaternion_of_matrix
 
 
 def bare_robot(robot: RobotModel) -> RobotModel:
@@ -34,7 +36,7 @@ def bare_robot(robot: RobotModel) -> RobotModel:
 
 
 def bare_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
-    """Bodies and joints of a compiled model; no shapes, tendons, inertias or joint terms."""
+    """Bodies, joints and equalities of a compiled model; no shapes, inertias or joint terms."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     bodies = [spec.worldbody]
@@ -48,6 +50,8 @@ def bare_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
         for k in range(mj.body_jntnum[b]):
             _add_joint(body, mj, int(mj.body_jntadr[b]) + k)
         bodies.append(body)
+    for e in range(mj.neq):
+        _add_equality(spec, bodies, mj, e)
     return spec
 
 
@@ -60,3 +64,29 @@ def _add_joint(body: mujoco.MjsBody, mj: mujoco.MjModel, j: int) -> None:
     joint.actfrclimited, joint.actfrcrange = bool(mj.jnt_actfrclimited[j]), mj.jnt_actfrcrange[j]
     if kind != mujoco.mjtJoint.mjJNT_BALL:
         joint.ref, joint.springref = mj.qpos0[at], mj.qpos_spring[at]
+
+
+def _add_equality(
+    spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody], mj: mujoco.MjModel, e: int
+) -> None:
+    """An equality of joints or tendons as one of fixed tendons, of bodies as one of sites: MuJoCo
+    would find the anchors of bodies anew from their reference posture."""
+    kind = mujoco.mjtEq(int(mj.eq_type[e]))
+    loop = kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
+    names = []
+    if loop:
+        for end, (body, p, R) in enumerate(ends_of(mj, e)):
+            names.append(f"end {end} of equality {e}")
+            bodies[body].add_site(name=names[-1], pos=p, quat=quaternion_of_matrix(R))
+    else:
+        for side, terms in enumerate(sums_of(mj, e)):
+            if terms:
+                names.append(f"sum {side} of equality {e}")
+                tendon = spec.add_tendon(name=names[-1])
+                for dof, coefficient in terms.items():
+                    tendon.wrap_joint(mj.joint(int(mj.dof_jntid[dof])).name, coefficient)
+    equality = spec.add_equality(name=f"equality {e}")
+    equality.type = kind if loop else mujoco.mjtEq.mjEQ_TENDON
+    equality.objtype = mujoco.mjtObj.mjOBJ_SITE if loop else mujoco.mjtObj.mjOBJ_TENDON
+    equality.name1, equality.name2 = names[0], names[1] if len(names) > 1 else ""
+    equality.data = np.array(mj.eq_data[e])

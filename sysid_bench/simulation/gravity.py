@@ -8,13 +8,28 @@ import numpy as np
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.states import random_states
 from sysid_bench.simulation.inverse import rigid_torque
-from sysid_bench.types import Array
+from sysid_bench.types import Array, Trajectory
 
 POSTURES = 50
 
 
 def gravity_rms(robot: RobotModel, mj: mujoco.MjModel) -> Array:
     """RMS gravity torque (nv,) of a compiled model of the robot over random postures."""
+    return _rms(gravity_torque(robot, mj)[1])
+
+
+def measured_gravity_rms(robot: RobotModel, mj: mujoco.MjModel) -> Array:
+    """The same on the joints that have torques of their own (n,)."""
+    postures, tau = gravity_torque(robot, mj)
+    return _rms(robot.reduced(postures.q, tau))
+
+
+def gravity_torque(robot: RobotModel, mj: mujoco.MjModel) -> tuple[Trajectory, Array]:
+    """Random postures and the gravity torque (N, nv) at each."""
     postures = random_states(robot, POSTURES, np.random.default_rng(0))
     still = replace(postures, v=np.zeros_like(postures.v), a=np.zeros_like(postures.a))
-    return np.sqrt((rigid_torque(mj, still) ** 2).mean(axis=0))
+    return still, rigid_torque(mj, still)
+
+
+def _rms(tau: Array) -> Array:
+    return np.sqrt((tau**2).mean(axis=0))

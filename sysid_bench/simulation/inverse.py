@@ -15,7 +15,8 @@ CHUNK = 512
 
 @dataclass(frozen=True)
 class Inverse:
-    """The robot follows the motion exactly: tau = M a + bias + joint terms + effects."""
+    """The robot follows the motion exactly: tau = M a + bias + joint terms + effects; of coupled
+    joints the independent ones carry it all, tau_ind = G^T tau."""
 
     def design_rate(self, recording: float) -> float:
         """Rate (Hz) at which the motion is to be designed for a recording rate."""
@@ -24,8 +25,9 @@ class Inverse:
     def run(
         self, plant: Plant, commanded: Trajectory, encoder: Array
     ) -> tuple[Oracle, Controller | None]:
-        """What happens along the motion; encoder noise (N, nv) has no controller to disturb."""
-        tau = rigid_torque(plant.bench, commanded) + passive_torque(plant, commanded)
+        """What happens along the motion; encoder noise (N, n) has no controller to disturb."""
+        tree = rigid_torque(plant.bench, commanded) + passive_torque(plant, commanded)
+        tau = plant.robot.reduced(commanded.q, tree)
         return Oracle(commanded, check_finite(plant.robot.name, tau, "torque")), None
 
 

@@ -21,27 +21,27 @@ class Noise:
     quantum: float = 0.0
 
     def torque_std(self, tau: Array) -> Array:
-        """Standard deviation (nv,) of the torque noise for noise-free torques (N, nv)."""
+        """Standard deviation (n,) of the torque noise for noise-free torques (N, n)."""
         return self.tau + self.tau_relative * np.sqrt((tau**2).mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Standard normal draws of one repeat, (N, nv) each: shared by all noise levels."""
+    """Standard normal draws of one repeat, (N, rows) each: shared by all noise levels."""
 
     encoder: Array
     torque: Array
 
 
-def draw(count: int, recorded: int, nv: int, rng: np.random.Generator) -> Draws:
+def draw(count: int, recorded: int, rows: int, rng: np.random.Generator) -> Draws:
     """Draws for `count` control steps and `recorded` samples."""
-    return Draws(rng.normal(size=(count, nv)), rng.normal(size=(recorded, nv)))
+    return Draws(rng.normal(size=(count, rows)), rng.normal(size=(recorded, rows)))
 
 
 def encoder_error(
     noise: Noise, draws: Draws, q: Array | None = None, rounded: Array | slice = slice(None)
 ) -> Array:
-    """Error of every encoder reading (N, nv); with positions q (N, nv) that of rounding as well, in
+    """Error of every encoder reading (N, rows); with positions q (N, rows) that of rounding too, in
     the degrees of freedom `rounded` (an orientation has no encoder that counts)."""
     error = noise.q * draws.encoder
     if noise.quantum > 0 and q is not None:
@@ -61,19 +61,26 @@ def sense(
     controller: Controller | None,
     ideal_rates: bool,
 ) -> Recording:
-    """The recording of every `every`-th step: encoders with their error (N, nv), torque with white
-    noise of `torque_std` (nv,). With `ideal_rates` v and a are reported exactly as well."""
+    """The recording of every `every`-th step: encoders with their error (N, n), torque with white
+    noise of `torque_std` (n,). With `ideal_rates` v and a are reported exactly as well.
+
+    Joints that follow others carry no encoder: what is recorded of them follows from the others.
+    """
     motion = oracle.motion
     kept = slice(None, None, every)
     step = motion.t[1] - motion.t[0]
+    if robot.coupling is not None:
+        error = robot.coupling.spread(error)
+    q = displaced(robot, motion.q[kept], error[kept])
+    read = robot.completed(Trajectory(motion.t[kept], q, motion.v[kept], motion.a[kept]))
     return Recording(
         t=motion.t[kept],
-        q=displaced(robot, motion.q[kept], error[kept]),
+        q=read.q,
         tau=oracle.tau[kept] + torque_std * draws.torque,
         rate=float(1.0 / (every * step)),
-        rows=robot.rows,
-        v=motion.v[kept] if ideal_rates else None,
-        a=motion.a[kept] if ideal_rates else None,
+        rows=robot.torque_rows,
+        v=read.v if ideal_rates else None,
+        a=read.a if ideal_rates else None,
         commanded=commanded,
         controller=controller,
         period=motion.period,

@@ -1,5 +1,7 @@
 """MuJoCo's own inverse dynamics, sample by sample: the second witness of Y."""
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 
@@ -20,3 +22,35 @@ def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
         mujoco.mj_inverse(mj, data)
         tau[k] = data.qfrc_inverse + data.qfrc_passive + data.qfrc_constraint
     return tau
+
+
+@dataclass(frozen=True, eq=False)
+class Constrained:
+    """What MuJoCo says of closed chains along a motion: `tau` (N, n) on the independent joints, and
+    the largest `violation` (rad, m) of any constraint."""
+
+    tau: Array
+    violation: float
+
+
+def constrained_torque(robot: RobotModel, motion: Trajectory) -> Constrained:
+    """The torques with which the independent joints alone make the motion: M a + bias less the
+    constraint forces that hold the joints that follow, by MuJoCo's own constraint Jacobian."""
+    coupling = robot.coupling
+    assert coupling is not None
+    with kept():
+        mj = bench_flags(robot.spec.copy().compile())
+    mj.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+    mj.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
+    data = mujoco.MjData(mj)
+    tree = inverse_torque(robot, motion)
+    tau, violation = tree[:, coupling.independent], 0.0
+    for k in range(len(motion)):
+        data.qpos[:] = motion.q[k]
+        mujoco.mj_fwdPosition(mj, data)
+        closes = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        J = data.efc_J.reshape(data.nefc, mj.nv)[closes]
+        violation = max(violation, float(np.abs(data.efc_pos[closes]).max(initial=0.0)))
+        force = np.linalg.lstsq(J[:, coupling.dependent].T, tree[k, coupling.dependent])[0]
+        tau[k] -= J[:, coupling.independent].T @ force
+    return Constrained(tau, violation)

@@ -41,7 +41,7 @@ def basis(
         "robot": robot.name,
         "task": task,
         "terms": list(chosen),
-        "rows": list(robot.rows if asked.rows is None else asked.rows),
+        "rows": list(robot.torque_rows if asked.rows is None else asked.rows),
         "parameters": len(asked.parameters),
         "base_parameters": base.rank,
         # Joint terms come last, so that no pivot among the inertial parameters owes them anything.

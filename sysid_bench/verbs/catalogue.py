@@ -52,6 +52,8 @@ def _robot(name: str, robots_dir: Path | None) -> Entry:
             j: limits.model_dump(exclude_none=True) for j, limits in manifest.limits.items()
         },
         "joints": {j: terms.model_dump(exclude_none=True) for j, terms in manifest.joints.items()},
+        "couplings": manifest.couplings,
+        "coupling": {"independent": list(manifest.independent)},
         "sensors": [sensor.model_dump() for sensor in manifest.sensors],
         "licence": manifest.licence,
     }

@@ -44,7 +44,7 @@ def _verdict(source: str, manifest: Any, samples: int, free_base: bool | None) -
     except ModelError as error:
         return _refused(manifest.name, str(manifest.path), error)
     verdict = check(robot, samples)
-    base: BaseMap = structural_base(robot, robot.inertial_columns)
+    base: BaseMap = structural_base(robot.uncoupled, robot.inertial_columns)
     return {
         "robot": robot.name,
         "file": str(manifest.path),
@@ -60,8 +60,27 @@ def _verdict(source: str, manifest: Any, samples: int, free_base: bool | None) -
         "native_reason": verdict.native_reason,
         "base_parameters": base.rank,
         "near_degenerate": base.near_degenerate,
-        "coupling": None,
+        "coupling": _coupling(robot, verdict),
         "repairs": list(robot.repairs),
+    }
+
+
+def _coupling(robot: Any, verdict: Any) -> dict[str, Any] | None:
+    """Names of the joints that move and that follow, the figures, and the base parameters that
+    their torques tell."""
+    from sysid_bench.identifiability.structural import structural_base
+
+    if robot.coupling is None:
+        return None
+    check, names = verdict.coupling, robot.rows
+    return {
+        "independent": list(robot.torque_rows),
+        "dependent": [names[dof] for dof in robot.coupling.dependent],
+        "gap": check.gap,
+        "closure": check.closure,
+        "jacobian": check.jacobian,
+        "violation": check.violation,
+        "coupled_base_parameters": structural_base(robot, robot.inertial_columns).rank,
     }
 
 

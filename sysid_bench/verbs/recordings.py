@@ -122,7 +122,7 @@ def _write(
     from sysid_bench.units import quantity
 
     (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
-    argument = argument_of([planned], run_folder.suite, robots_dir)
+    argument = argument_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_dir)
     path = _path(run_folder, cell)
     path.parent.mkdir(parents=True, exist_ok=True)
     return write(evidence(argument, dict(row)), path, quantity(max_hz, "Hz"))

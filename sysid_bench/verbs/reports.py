@@ -120,5 +120,7 @@ def _origin(run_folder: "RunFolder") -> "Origin":
     from sysid_bench.reporting.latex import Origin
 
     cells = sorted(cell.id for cell in run_folder.plan.cells)
-    command = f"sysid-bench run {shlex.quote(run_folder.suite.name)}"
+    suite = run_folder.suite
+    typed = suite.origin.command if suite.origin else None
+    command = typed or f"sysid-bench run {shlex.quote(suite.name)}"
     return Origin(run_folder.path.name, digest(cells)[:12], command)

@@ -1,7 +1,10 @@
 """Failures stay where they happen: other experiments unharmed, one sentence each, right codes."""
 
+import html
+import json
 import os
 import random
+import shlex
 import signal
 import subprocess
 import sys
@@ -103,6 +106,27 @@ def test_nan_in_a_manifest_is_one_sentence(cli: Run, tmp_path: Path) -> None:
     assert "limits.all.v" in told
     assert "gravity" in told
     assert "finite" in told
+
+
+def test_a_run_remembers_the_folder_of_its_robots(cli: Run, tmp_path: Path) -> None:
+    robot = tmp_path / "my arms" / "arm"
+    robot.mkdir(parents=True)
+    (robot / "robot.toml").write_text(
+        'name = "arm"\nfile = "example-robot-data:ur_description/urdf/ur5_robot.urdf"\n'
+    )
+    (tmp_path / "s.toml").write_text(small_suite(robots=("arm",)))
+    typed = ("run", "s.toml", "--robots", "my arms", "--set", "seed=7")
+    assert cli(*typed, "-o", "out", "--limit", "2").returncode == 0
+    done = cli("run", "out")
+    assert done.returncode == 0, done.stderr
+    state = json.loads(cli("status", "out", "--json").stdout)
+    assert (list(state["statuses"]), state["open"]) == (["ok"], 0)
+    first = rows_of(tmp_path / "out")[0]["id"]
+    command = json.loads(cli("cell", "out", first, "--json").stdout)["command"]
+    assert cli(*shlex.split(command)[1:]).returncode == 0
+    assert cli("record", "out", first).returncode == 0
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert shlex.join(["sysid-bench", *typed]) in html.unescape(report)
 
 
 def test_an_unknown_estimator_runs_nothing(cli: Run, tmp_path: Path) -> None:

@@ -36,7 +36,8 @@ def check_limits(robot: RobotModel) -> None:
 
 
 def check_states(robot: RobotModel) -> None:
-    motion = states(robot, 50)
+    """Of joints on their own: what follows others goes where these put it."""
+    motion = states(robot.uncoupled, 50)
     for joint in robot.joints:
         at = joint.qadr
         if joint.kind in ("hinge", "slide"):

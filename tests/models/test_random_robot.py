@@ -11,6 +11,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.random_coupled import MECHANISMS, random_coupled
 from sysid_bench.models.random_robot import RandomRobot, random_robot
 from sysid_bench.spatial.inertia import smallest_eigenvalue
 from tests.random_trees import random_texts
@@ -81,3 +82,16 @@ def test_settings_that_make_no_robot_are_refused(wrong: dict[str, object]) -> No
 def test_a_seed_is_a_whole_number(source: str) -> None:
     with pytest.raises(UsageError, match="whole number"):
         find_manifest(source)
+
+
+@pytest.mark.parametrize("kind", MECHANISMS)
+def test_a_kind_and_a_seed_are_one_mechanism(kind: str) -> None:
+    assert random_coupled(kind, 7) == find_manifest(f"random:{kind}:7").text
+    assert len({random_coupled(kind, seed) for seed in MANY}) == len(MANY)
+
+
+def test_a_wrong_kind_or_seed_of_mechanism_is_told() -> None:
+    with pytest.raises(UsageError, match=r"'fourbar'.*Did you mean 'four-bar'.*slider-crank"):
+        find_manifest("random:fourbar:7")
+    with pytest.raises(UsageError, match="'random:four-bar:7'"):
+        find_manifest("random:four-bar:x")

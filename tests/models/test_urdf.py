@@ -9,7 +9,7 @@ import pytest
 
 from sysid_bench import places
 from sysid_bench.errors import ModelError
-from sysid_bench.models.urdf import canonical_urdf, parse_xml
+from sysid_bench.models.urdf import Mimic, canonical_urdf, parse_xml
 from sysid_bench.spatial.inertia import matrix_of_six
 from sysid_bench.types import Array
 from tests.robots import named_robot, random_rotation, robot_of, urdf_files, urdf_robot
@@ -228,12 +228,12 @@ def test_a_frame_with_something_fixed_to_it_stays_massless() -> None:
     np.testing.assert_array_equal(robot_of(urdf.text).phi[:, 0], [1, 0, 1])
 
 
-def test_a_mimic_joint_is_independent_and_told() -> None:
+def test_a_mimic_joint_is_taken_out_of_the_text_and_kept() -> None:
     parts = [link("a"), link("b"), link("c"), joint("i", "a", "b")]
     coupled = joint("j", "b", "c", inside='<mimic joint="i" multiplier="2"/>')
     urdf = canonical_urdf(robot(*parts, coupled), "r.urdf")
-    assert urdf.mimic == ("j",)
-    assert urdf.repairs == ("mimic joint 'j' treated as independent",)
+    assert urdf.mimic == (Mimic("j", "i", 2.0, 0.0),)
+    assert urdf.repairs == ()
     assert robot_of(urdf.text).nv == 2
 
 

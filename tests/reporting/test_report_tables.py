@@ -119,7 +119,7 @@ def test_the_best_are_those_that_no_competitor_beats(
     sign = 1 if best == "min-bold" else -1
     for key, entry in table.entries.items():
         rivals = [
-            other.value
+            max(other.value, table.metric.floor)
             for place, other in table.entries.items()
             if other.value is not None
             and all(
@@ -130,11 +130,13 @@ def test_the_best_are_those_that_no_competitor_beats(
                 if name != "estimator"
             )
         ]
-        if entry.value is not None and sign * entry.value == min(sign * v for v in rivals):
-            assert entry.best
+        if entry.value is not None and max(rivals) > table.metric.floor:
+            ours = max(entry.value, table.metric.floor)
+            assert entry.best or sign * ours != min(sign * v for v in rivals)
         if entry.best:
             assert entry.value is not None
-            assert sign * entry.value <= min(sign * v for v in rivals) + abs(entry.value) * 0.01
+            ours = max(entry.value, table.metric.floor)
+            assert sign * ours <= min(sign * v for v in rivals) + ours * 0.01
 
 
 def test_numbers_that_print_alike_are_all_best() -> None:
@@ -144,6 +146,29 @@ def test_numbers_that_print_alike_are_all_best() -> None:
     ]
     table = table_of(pd.DataFrame(rows), ["robot"], ["estimator"])
     assert [e.best for e in table.entries.values()] == [True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("values", "best"),
+    [([3e-15, 2e-15], [False, False]), ([3e-15, 2e-15, 1e-3], [True, True, False])],
+)
+def test_rounding_is_no_merit(values: list[float], best: list[bool]) -> None:
+    rows = [
+        {"robot": "r", "estimator": str(k), "status": "ok", "torque_error": v}
+        for k, v in enumerate(values)
+    ]
+    table = table_of(pd.DataFrame(rows), ["robot"], ["estimator"])
+    assert [e.best for e in table.entries.values()] == best
+
+
+def test_columns_that_differ_in_the_estimator_alone_are_printed_alike() -> None:
+    rows = [
+        {"robot": "r", "noise": n, "estimator": e, "status": "ok", "torque_error": v}
+        for n, e, v in [("x", "a", 0.02), ("x", "b", 2e-5), ("y", "a", 0.02), ("y", "b", 0.03)]
+    ]
+    table = table_of(pd.DataFrame(rows), ["robot"], ["noise", "estimator"])
+    told = [table.notations[column].scientific for column in table.columns]
+    assert told == [True, True, False, False]
 
 
 def test_rows_and_columns_stand_in_the_order_of_the_cells(cells: pd.DataFrame) -> None:

@@ -274,7 +274,7 @@ def test_declared_gains_are_the_controller(kp: Any, kd: Any) -> None:
         ({"kp": 1.0}, "both kp and kd"),
         ({"kp": [1.0, -1.0, 1.0], "kd": 1.0}, "positive"),
         ({"kp": "stiff", "kd": 1.0}, "positive"),
-        ({"kp": [1.0, 1.0], "kd": 1.0}, "3 joints"),
+        ({"kp": [1.0, 1.0], "kd": 1.0}, "3 motors"),
     ],
 )
 def test_gains_that_are_no_controller_are_refused(gains: dict[str, Any], told: str) -> None:

@@ -38,7 +38,8 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
     motion = recording.motion
     positions, quaternions = poses(model, motion.q)
     r = ready.problem.base.rank
-    places = [model.rows.index(row) for row in ready.problem.rows]
+    places = [model.torque_rows.index(row) for row in ready.problem.rows]
+    tree_rows = [model.rows.index(row) for row in ready.problem.rows]
     parents = [int(model.mj.body_parentid[b]) - 1 for b in range(1, model.mj.nbody)]
     return Evidence(
         row=row,
@@ -47,7 +48,7 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
         predicted=_predicted(ready, estimate),
         rows=ready.problem.rows,
         singular_values=np.linalg.svd(compress(ready.problem)[:r, :r], compute_uv=False),
-        gap_map=robot.check.gap_map[places],
+        gap_map=robot.check.gap_map[tree_rows],
         gap_columns=robot.check.columns,
         estimate=estimate,
         base=ready.problem.base,

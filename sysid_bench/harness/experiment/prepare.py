@@ -20,9 +20,10 @@ from sysid_bench.harness.experiment.spec import (
 from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.task import Task, task_of
+from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
-from sysid_bench.regressors.regression import TERM, Regression, regression
+from sysid_bench.regressors.regression import TERM
 from sysid_bench.signals.process import processing_of
 from sysid_bench.simulation.candidate import Declared, candidate, declared
 from sysid_bench.simulation.closed_loop import ClosedLoop
@@ -61,7 +62,7 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     robot = subject.robot
     task = task_of(robot, spec.task, _terms(spec, robot))
     base = subject.base(task.parameters, task.rows)
-    posing = Posing(robot, task, base, regression(robot, base.names))
+    posing = Posing(robot, task, base, torque_regression(robot, base.names))
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
     raw, recording = _record(spec, subject, plant)
     prior = _prior(spec, task)
@@ -112,36 +113,36 @@ class Posing:
     robot: RobotModel
     task: Task
     base: BaseMap
-    regression: Regression
+    regression: AnyRegression
 
     @property
     def places(self) -> tuple[int, ...]:
-        """The rows of the robot that the task measures, as places in v."""
-        rows = self.robot.rows if self.task.rows is None else self.task.rows
-        return tuple(self.robot.rows.index(row) for row in rows)
+        """The rows of the robot that the task measures, as places in its `torque_rows`."""
+        own = self.robot.torque_rows
+        return tuple(own.index(row) for row in (own if self.task.rows is None else self.task.rows))
 
     def pose(self, motion: Trajectory, tau: Array, prior: Prior | None = None) -> Problem:
-        """W beta = b along a motion, the known torque taken from tau (N, nv)."""
+        """W beta = b along a motion, the known torque taken from tau (N, n)."""
         b = tau - self.known(motion)
         return Problem(
             parameters=self.task.parameters,
             base=self.base,
-            rows=tuple(self.robot.rows[i] for i in self.places),
+            rows=tuple(self.robot.torque_rows[i] for i in self.places),
             factors=fold(self.regression, motion, b, self.places),
             bodies=self.task.bodies,
             blocks=partial(dense_blocks, self.regression, motion, b, self.places),
             samples=len(motion),
             prior=prior,
-            kinds=tuple(self.robot.row_kinds[i] for i in self.places),
+            kinds=tuple(self.robot.torque_kinds[i] for i in self.places),
         )
 
     def known(self, motion: Trajectory) -> Array:
-        """Torque (N, nv) of the parts that the task declares known."""
+        """Torque (N, n) of the parts that the task declares known."""
         return known_torque(self.robot, self.task.known_links, self.task.known_terms, motion)
 
 
 def regressor_blocks(
-    regression: Regression, rows: tuple[int, ...], motion: Trajectory
+    regression: AnyRegression, rows: tuple[int, ...], motion: Trajectory
 ) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
     for block in regression.blocks(motion):
@@ -151,16 +152,16 @@ def regressor_blocks(
 def known_torque(
     robot: RobotModel, links: Array, terms: Mapping[str, Array], motion: Trajectory
 ) -> Array:
-    """Torque (N, nv) of the links (n_links, 10) and joint terms, by name (nv,), that are known."""
+    """Torque (N, n) of the links (n_links, 10) and joint terms, by name (nv,), that are known."""
     if not (links.any() or any(values.any() for values in terms.values())):
-        return np.zeros_like(motion.v)
+        return np.zeros((len(motion), len(robot.torque_dofs)))
     tau = newton_euler(robot.tree, links, motion)
     deflection = _scalar_positions(robot, motion) - robot.joint_terms.spring_reference
     for term, values in terms.items():
         for dof in np.flatnonzero(values):
             state = deflection[:, dof], motion.v[:, dof], motion.a[:, dof]
             tau[:, dof] += values[dof] * TERM[SUFFIX[term]](*state)
-    return tau
+    return robot.reduced(motion.q, tau)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,17 +187,20 @@ def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recor
     design = subject.build("excitation", spec.excitation).design
     commanded = design(brief_of(robot, rate), np.random.default_rng(motion_seed(spec)))
     rng = np.random.default_rng(noise_seed(spec))
-    draws = draw(len(commanded), len(range(0, len(commanded), every)), robot.nv, rng)
+    moving = robot.torque_dofs
+    draws = draw(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
     error = encoder_error(noise, draws)
     oracle, controller = simulation.run(plant, commanded, error)
     if noise.quantum > 0:
         # Rounding depends on where the robot is: the positions of a first run tell, the second runs
         # with the loop seeing it.
-        scalar = robot.scalar_dofs
-        error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
+        scalar = np.flatnonzero(np.isin(moving, robot.scalar_dofs))
+        there = _scalar_positions(robot, oracle.motion)[:, moving]
+        error = encoder_error(noise, draws, there, scalar)
         oracle, controller = simulation.run(plant, commanded, error)
         # Recorded is what is read where the robot was then: it lies on the encoder's grid.
-        error = encoder_error(noise, draws, _scalar_positions(robot, oracle.motion), scalar)
+        there = _scalar_positions(robot, oracle.motion)[:, moving]
+        error = encoder_error(noise, draws, there, scalar)
     raw = sense(
         robot,
         oracle,
@@ -209,7 +213,15 @@ def _record(spec: ExperimentSpec, subject: Subject, plant: Plant) -> tuple[Recor
         controller,
         ideal_rates=not processing.differentiate,
     )
-    return raw, processing.apply(raw, robot.joints)
+    return raw, _completed(robot, processing.apply(raw, robot.joints))
+
+
+def _completed(robot: RobotModel, recording: Recording) -> Recording:
+    """The recording with the joints that follow where filtered signals put the others."""
+    if robot.coupling is None:
+        return recording
+    motion = robot.completed(recording.motion)
+    return replace(recording, q=motion.q, v=motion.v, a=motion.a)
 
 
 def _scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
@@ -228,7 +240,9 @@ def _held_out(spec: ExperimentSpec, subject: Subject, plant: Plant) -> dict[str,
         rng = np.random.default_rng(held_out_seed(spec, place))
         design = subject.build("excitation", excitation).design
         motion = design(brief_of(plant.robot, spec.rate), rng)
-        oracle, _ = Inverse().run(plant, motion, np.zeros_like(motion.v))
+        oracle, _ = Inverse().run(
+            plant, motion, np.zeros((len(motion), len(plant.robot.torque_dofs)))
+        )
         name = excitation["use"]
         motions[name if name not in motions else f"{name}-{place}"] = oracle
     return motions
@@ -262,7 +276,7 @@ class _Simulate:
             raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
         plant = candidate(self.told, theta)
         oracle = ClosedLoop(rate=controller.rate).track(
-            plant, controller, commanded, np.zeros_like(commanded.v)
+            plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
         every = round(controller.rate / self.raw.rate)
         kept = slice(None, None, every)

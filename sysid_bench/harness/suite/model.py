@@ -245,7 +245,11 @@ class Run(Section):
 
 
 class Origin(Section):
+    """Where a suite came from: its folder, the user's robots, the command that was typed."""
+
     folder: StrictStr
+    robots: StrictStr | None = None
+    command: StrictStr | None = None
 
 
 class Suite(Section):
@@ -269,6 +273,11 @@ class Suite(Section):
     def folder(self) -> Path:
         """Where relative robots and plug-in files are looked for."""
         return Path(self.origin.folder) if self.origin else Path()
+
+    @property
+    def robots_dir(self) -> Path | None:
+        """The folder of the user's own robots that the run was started with."""
+        return Path(self.origin.robots) if self.origin and self.origin.robots else None
 
     @property
     def robots(self) -> tuple[tuple[RobotEntry, str], ...]:

@@ -47,7 +47,7 @@ def update_of(
     A body is phi (10,) or (m, com (3,), inertia about it (3, 3) or six numbers).
     """
     refuse_unidentified(verdicts or {})
-    robot = load_robot(Manifest(path.stem, path))
+    robot = load_robot(Manifest(path.stem, path, couplings=False))
     known_joints = [j.name for j in robot.joints if j.kind in ("hinge", "slide")]
     for kind, wanted, known in (
         ("body", bodies, robot.body_names),

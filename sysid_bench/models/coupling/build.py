@@ -1,0 +1,119 @@
+"""The coupling of a compiled model: its constraints in groups, each with its reach."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_bench.errors import ModelError, unknown_name
+from sysid_bench.models.coupling.choose import connected, group_of
+from sysid_bench.models.coupling.constraints import Constraint
+from sysid_bench.models.coupling.coupling import Coupling, names_of
+from sysid_bench.models.coupling.group import Group
+from sysid_bench.models.coupling.reach import reach_of, steepest
+from sysid_bench.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Dofs:
+    """What is known of the degrees of freedom (nv,): names, place in q and reference of hinges and
+    slides (-1, 0 elsewhere), which are slides, and limits: `low`, `high`, `v` as motions use them,
+    `stated` the same where somebody states them, infinite elsewhere."""
+
+    names: tuple[str, ...]
+    qadr: Array
+    q0: Array
+    slides: Array
+    low: Array
+    high: Array
+    v: Array
+    stated: tuple[Array, Array, Array]
+
+
+def coupling_of(
+    constraints: Sequence[Constraint],
+    dofs: Dofs,
+    actuated: Sequence[str] = (),
+    independent: Sequence[str] = (),
+) -> Coupling:
+    """The coupling of constraints on a robot's degrees of freedom; `actuated` joints are rather
+    independent than others, those named in `independent` must be.
+
+    Raises UsageError for an unknown name, ModelError for a coupling that cannot be used.
+    """
+    for name in independent:
+        if name not in dofs.names:
+            raise unknown_name("joint in coupling.independent", name, dofs.names)
+    place = {name: dof for dof, name in enumerate(dofs.names)}
+    motors = frozenset(place[name] for name in actuated if name in place)
+    wanted = frozenset(place[name] for name in independent)
+    groups = tuple(
+        group_of(members, dofs.slides, dofs.names, motors, wanted)
+        for members in connected(constraints)
+    )
+    following = np.sort(np.concatenate([group.dofs[group.dependent] for group in groups]))
+    moving = np.setdiff1d(np.arange(len(dofs.names)), following)
+    if len(moving) == 0:
+        raise ModelError(
+            "The equalities hold every joint; there is nothing to identify. Write "
+            "couplings = false in a robot.toml to let every joint move on its own."
+        )
+    low, high, slower = dofs.low.copy(), dofs.high.copy(), np.ones(len(dofs.names))
+    repairs = []
+    for group in groups:
+        own = group.dofs[group.independent]
+        low[own], high[own], slower[own], told = _room(group, dofs)
+        repairs += [told] if told else []
+    return Coupling(
+        nv=len(dofs.names),
+        names=dofs.names,
+        groups=groups,
+        independent=moving,
+        dependent=following,
+        qadr=dofs.qadr,
+        q0=dofs.q0,
+        low=low[moving],
+        high=high[moving],
+        slower=slower[moving],
+        repairs=tuple(repairs),
+    )
+
+
+def _room(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
+    """(low, high, slower) of the independent joints of a group, and in words what was ignored."""
+    moving, following = group.dofs[group.independent], group.dofs[group.dependent]
+    if len(moving) == 0:
+        return np.zeros(0), np.zeros(0), np.ones(0), ""
+    q0 = dofs.q0[group.dofs]
+    bounds = dofs.stated[0][group.dofs], dofs.stated[1][group.dofs]
+    bounds[0][group.independent], bounds[1][group.independent] = dofs.low[moving], dofs.high[moving]
+    low, high = reach_of(group, bounds[0] - q0, bounds[1] - q0)
+    told = ""
+    if not _roomy(group, low, high):
+        # Files couple joints against their own limits; a follower's limit binds nothing then.
+        for bound, none in zip(bounds, (-np.inf, np.inf), strict=True):
+            bound[group.dependent] = none
+        low, high = reach_of(group, bounds[0] - q0, bounds[1] - q0)
+        told = (
+            f"limits of {names_of(dofs.names, following)} ignored: they leave "
+            f"{names_of(dofs.names, moving)}, which they follow, no room"
+        )
+    if not _roomy(group, low, high):
+        least = float(group.regularity(group.reference[None])[0])
+        raise ModelError(
+            f"The coupling of {names_of(dofs.names, group.dofs)} leaves "
+            f"{names_of(dofs.names, moving)} no room: next to the reference posture the closure is "
+            f"lost or singular (smallest singular value there {least:.2g}); draw the model in a "
+            "posture that is not flat or stretched."
+        )
+    slope = steepest(group, low, high)
+    fastest = slope @ dofs.v[moving]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.minimum(1.0, dofs.stated[2][following] / fastest)
+    share = np.where(fastest > 0, share, 1.0)
+    slower = np.where(slope > 0, share[:, None], 1.0).min(axis=0, initial=1.0)
+    return low + dofs.q0[moving], high + dofs.q0[moving], slower, told
+
+
+def _roomy(group: Group, low: Array, high: Array) -> bool:
+    return bool((high - low > 1e-3 * group.units[group.independent]).all())

@@ -1,0 +1,124 @@
+"""The joints on the way from a common body to a point: its pose, its Jacobian and their change.
+
+Everything is in the axes of the common body, samples first. A chain knows hinges and slides alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_bench.spatial.rotation import skew
+from sysid_bench.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class ChainJoint:
+    """One hinge or slide: its place among the coordinates, axis and anchor (3,) in its body."""
+
+    place: int
+    slide: bool
+    axis: Array
+    anchor: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One body: its pose (p, R) in the body before, and the joints that move it, in order."""
+
+    p: Array
+    R: Array
+    joints: tuple[ChainJoint, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Bodies from the common one (excluded) to the last, and the frame (p, R) in the last."""
+
+    steps: tuple[Step, ...]
+    p: Array
+    R: Array
+
+    def reach(self, x: Array) -> "Reached":
+        """Where the end is with the joints displaced by x (N, k) from their reference."""
+        N = len(x)
+        R, p = np.tile(np.eye(3), (N, 1, 1)), np.zeros((N, 3))
+        joints, axes, anchors = [], [], []
+        for step in self.steps:
+            R, p = R @ step.R, p + R @ step.p
+            for joint in step.joints:
+                axis = R @ joint.axis
+                anchor = p + R @ joint.anchor
+                displacement = x[:, joint.place]
+                if joint.slide:
+                    p = p + axis * displacement[:, None]
+                else:
+                    R = R @ _turns_about(joint.axis, displacement)
+                    p = anchor - R @ joint.anchor
+                joints.append(joint)
+                axes.append(axis)
+                anchors.append(anchor)
+        return Reached(p + R @ self.p, R @ self.R, tuple(joints), tuple(axes), tuple(anchors))
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """The end of a chain, p (N, 3) and R (N, 3, 3); axis and anchor (N, 3) of each joint."""
+
+    p: Array
+    R: Array
+    joints: tuple[ChainJoint, ...]
+    axes: tuple[Array, ...]
+    anchors: tuple[Array, ...]
+
+    def jacobian(self, k: int) -> Array:
+        """Twist [w; v] (N, 6, k) of the end per unit rate of each of k coordinates."""
+        J = np.zeros((len(self.p), 6, k))
+        for joint, axis, anchor in zip(self.joints, self.axes, self.anchors, strict=True):
+            if joint.slide:
+                J[:, 3:, joint.place] = axis
+            else:
+                J[:, :3, joint.place] = axis
+                J[:, 3:, joint.place] = _cross(axis, self.p - anchor)
+        return J
+
+    def drift(self, v: Array) -> Array:
+        """Acceleration [alpha; a] (N, 6) of the end at rates v (N, k) that do not change."""
+        w, out = np.zeros_like(self.p), np.zeros((len(self.p), 6))
+        velocity = np.einsum("nij,nj->ni", self.jacobian(v.shape[1])[:, 3:], v)
+        for i, (joint, axis) in enumerate(zip(self.joints, self.axes, strict=True)):
+            rate = v[:, joint.place, None]
+            turning = _cross(w, axis)
+            if joint.slide:
+                out[:, 3:] += turning * rate
+                continue
+            carried = self._carried(self.anchors[i], i, v)
+            out[:, :3] += turning * rate
+            out[:, 3:] += _cross(turning, self.p - self.anchors[i]) * rate
+            out[:, 3:] += _cross(axis, velocity - carried) * rate
+            w = w + axis * rate
+        return out
+
+    def _carried(self, point: Array, count: int, v: Array) -> Array:
+        """Velocity (N, 3) that the first `count` joints give to a point beyond them."""
+        velocity = np.zeros_like(point)
+        for joint, axis, anchor in zip(
+            self.joints[:count], self.axes[:count], self.anchors[:count], strict=True
+        ):
+            arm = axis if joint.slide else _cross(axis, point - anchor)
+            velocity += arm * v[:, joint.place, None]
+        return velocity
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """a x b of vectors (N, 3): numpy's own spends more on its axes than on the numbers."""
+    out = np.empty_like(a)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
+    return out
+
+
+def _turns_about(axis: Array, angle: Array) -> Array:
+    """Rotations (N, 3, 3) by `angle` (N,) about a unit axis (Rodrigues)."""
+    along = np.outer(axis, axis)
+    cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+    return along + (np.eye(3) - along) * cos + skew(axis) * sin

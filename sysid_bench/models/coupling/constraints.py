@@ -1,0 +1,76 @@
+"""What couples joints: relations between sums of joint positions, and loops that are closed.
+
+Both are equations r(x) = 0 in the displacements x of some hinges and slides from their reference,
+with the Jacobian J = dr/dx and the drift dJ/dt v.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from sysid_bench.models.coupling.chain import Chain
+from sysid_bench.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Relation:
+    """first . x = P(second . x), P by its coefficients from the constant on: an equality of two
+    joints or two fixed tendons, or of one with a constant."""
+
+    name: str
+    dofs: tuple[int, ...]
+    first: Array
+    second: Array
+    coefficients: Array
+
+    @property
+    def linear(self) -> bool:
+        """Whether J is the same everywhere."""
+        return not self.coefficients[2:].any()
+
+    def equation(self, x: Array) -> tuple[Array, Array]:
+        """r (N, 1) and J (N, 1, k) at x (N, k)."""
+        slope = polynomial.polyval(x @ self.second, polynomial.polyder(self.coefficients))
+        r = x @ self.first - polynomial.polyval(x @ self.second, self.coefficients)
+        return r[:, None], (self.first - slope[:, None] * self.second)[:, None]
+
+    def drift(self, x: Array, v: Array) -> Array:
+        """dJ/dt v (N, 1)."""
+        bend = polynomial.polyval(x @ self.second, polynomial.polyder(self.coefficients, 2))
+        return (-bend * (v @ self.second) ** 2)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """Two chains from one body whose ends meet: in their points, and where `rigid` in their axes
+    as well. Rows: difference of the points, then the rotation vector between the axes."""
+
+    name: str
+    dofs: tuple[int, ...]
+    one: Chain
+    other: Chain
+    rigid: bool
+
+    @property
+    def linear(self) -> bool:
+        """Whether J is the same everywhere: never counted on."""
+        return False
+
+    def equation(self, x: Array) -> tuple[Array, Array]:
+        """r (N, 3 or 6) and J (N, 3 or 6, k) at x (N, k); J is exact where the loop is closed."""
+        one, other = self.one.reach(x), self.other.reach(x)
+        J = one.jacobian(x.shape[1]) - other.jacobian(x.shape[1])
+        r = one.p - other.p
+        if not self.rigid:
+            return r, J[:, 3:]
+        turn = 0.5 * np.cross(other.R, one.R, axis=1).sum(axis=2)
+        return np.concatenate([r, turn], axis=1), J[:, [3, 4, 5, 0, 1, 2]]
+
+    def drift(self, x: Array, v: Array) -> Array:
+        """dJ/dt v (N, 3 or 6)."""
+        difference = self.one.reach(x).drift(v) - self.other.reach(x).drift(v)
+        return difference[:, [3, 4, 5, 0, 1, 2]] if self.rigid else difference[:, 3:]
+
+
+Constraint = Relation | Loop

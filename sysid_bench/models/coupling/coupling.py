@@ -1,0 +1,142 @@
+"""Which degrees of freedom move and which follow, and how: q, v, a of the tree from those of the
+independent joints, and torques of the tree on them, tau_ind = G(q)^T tau_tree."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sysid_bench.errors import ModelError
+from sysid_bench.models.coupling.group import Group
+from sysid_bench.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """The couplings of a robot with `nv` degrees of freedom: `independent` (n,) ones move, the
+    `dependent` (m,) ones follow. Arrays (n,): `low`, `high` bound positions that all close;
+    `slower` is the share of its limits that an independent joint may use so that its followers keep
+    theirs. `repairs` tells what had to be ignored.
+    `qadr` and `q0` (nv,): place in q and reference of hinges and slides (-1, 0 elsewhere)."""
+
+    nv: int
+    names: tuple[str, ...]
+    groups: tuple[Group, ...]
+    independent: Array
+    dependent: Array
+    qadr: Array
+    q0: Array
+    low: Array
+    high: Array
+    slower: Array
+    repairs: tuple[str, ...] = ()
+
+    @cached_property
+    def _columns(self) -> tuple[tuple[Group, Array, Array], ...]:
+        """Each group with the places of its dependent and independent dofs among all of them."""
+        return tuple(
+            (
+                group,
+                np.searchsorted(self.dependent, group.dofs[group.dependent]),
+                np.searchsorted(self.independent, group.dofs[group.independent]),
+            )
+            for group in self.groups
+        )
+
+    @cached_property
+    def touches(self) -> Array:
+        """(m, n) whether a dependent dof follows an independent one at all."""
+        out = np.zeros((len(self.dependent), len(self.independent)), dtype=bool)
+        for group, rows, columns in self._columns:
+            if group.linear:
+                F = group.follow(group.reference[None])[0]
+                out[np.ix_(rows, columns)] = F != 0.0
+            else:
+                out[np.ix_(rows, columns)] = True
+        return out
+
+    def drivers(self, dof: int) -> Array:
+        """The independent dofs that a dependent one follows, in tree order."""
+        return self.independent[self.touches[int(np.searchsorted(self.dependent, dof))]]
+
+    def follow(self, q: Array) -> Array:
+        """F (N, m, n) with v_dep = F v_ind at closed q (N, nq)."""
+        out = np.zeros((len(q), len(self.dependent), len(self.independent)))
+        for group, rows, columns in self._columns:
+            out[:, rows[:, None], columns] = group.follow(self._displacement(group, q))
+        return out
+
+    def G(self, q: Array) -> Array:
+        """G (N, nv, n) with v = G v_ind at closed q (N, nq)."""
+        out = np.zeros((len(q), self.nv, len(self.independent)))
+        out[:, self.independent, np.arange(len(self.independent))] = 1.0
+        out[:, self.dependent] = self.follow(q)
+        return out
+
+    def reduced(self, q: Array, tau: Array) -> Array:
+        """G^T tau (N, n) of generalised forces tau (N, nv) of the tree."""
+        followed = np.einsum("nij,ni->nj", self.follow(q), tau[:, self.dependent])
+        return tau[:, self.independent] + followed
+
+    def completed(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """q (N, nq), v, a (N, nv) of the whole tree: dependent joints follow the independent ones,
+        whatever came in their places.
+
+        Raises ModelError where the closure cannot be met or is singular, naming the configuration.
+        """
+        q, v, a = q.copy(), v.copy(), a.copy()
+        for group in self.groups:
+            moving, following = group.dofs[group.independent], group.dofs[group.dependent]
+            given = self._displacement(group, q)[:, group.independent]
+            x, good = group.closed(given)
+            if not good.all():
+                raise self._lost(group, given[int(np.argmin(good))])
+            q[:, self.qadr[group.dofs]] = x + self.q0[group.dofs]
+            F = group.follow(x)
+            v[:, following] = _times(F, v[:, moving])
+            a[:, following] = _times(F, a[:, moving]) + group.drift(x, v[:, group.dofs])
+        return q, v, a
+
+    def spread(self, values: Array) -> Array:
+        """Values (N, n) of the independent dofs at their places (N, nv); zero elsewhere."""
+        out = np.zeros((len(values), self.nv))
+        out[:, self.independent] = values
+        return out
+
+    def reference(self, q: Array) -> Array:
+        """q (nq,) with the coupled joints at their closed reference posture."""
+        q = q.copy()
+        for group in self.groups:
+            q[self.qadr[group.dofs]] = group.reference + self.q0[group.dofs]
+        return q
+
+    def _displacement(self, group: Group, q: Array) -> Array:
+        return q[:, self.qadr[group.dofs]] - self.q0[group.dofs]
+
+    def _lost(self, group: Group, given: Array) -> ModelError:
+        x, _ = group.walked(given[None])
+        value = float(group.regularity(x)[0])
+        return ModelError(
+            f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is singular, "
+            f"at {posture(self, group, given)} (smallest singular value {value:.2g} on the way "
+            "there); keep the motion nearer to the reference posture, by limits in the manifest."
+        )
+
+
+def posture(coupling: Coupling, group: Group, given: Array) -> str:
+    """ "crank = 0.31, lift = -0.2" of the independent joints of a group."""
+    moving = group.dofs[group.independent]
+    values = given + coupling.q0[moving]
+    return ", ".join(
+        f"{coupling.names[dof]} = {value:.4g}" for dof, value in zip(moving, values, strict=True)
+    )
+
+
+def names_of(names: tuple[str, ...], dofs: Array) -> str:
+    """ "a, b, c" of some degrees of freedom."""
+    return ", ".join(names[dof] for dof in dofs)
+
+
+def _times(F: Array, v: Array) -> Array:
+    """F v (N, r) for F (N or 1, r, c) and v (N, c)."""
+    return np.matmul(F, v[:, :, None])[:, :, 0]

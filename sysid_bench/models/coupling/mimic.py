@@ -1,0 +1,27 @@
+"""URDF <mimic> as equalities of joints, which MuJoCo and we then read like any other."""
+
+from collections.abc import Iterator, Sequence
+
+import mujoco
+
+from sysid_bench.models.tree import HINGE, SLIDE
+from sysid_bench.models.urdf import Mimic
+
+
+def add_mimics(spec: mujoco.MjSpec, mimics: Sequence[Mimic]) -> Iterator[str]:
+    """Adds an equality per mimic joint; in words, those that follow what does not move."""
+    moving = {joint.name for joint in spec.joints if int(joint.type) in (HINGE, SLIDE)}
+    for mimic in mimics:
+        if mimic.joint not in moving:
+            continue
+        if mimic.driver == mimic.joint or mimic.driver not in moving:
+            yield (
+                f"joint {mimic.joint!r} moves on its own: it mimics {mimic.driver!r}, which is no "
+                "other hinge or slide of the robot"
+            )
+            continue
+        equality = spec.add_equality(name=f"mimic of {mimic.joint}")
+        equality.type = mujoco.mjtEq.mjEQ_JOINT
+        equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
+        equality.name1, equality.name2 = mimic.joint, mimic.driver
+        equality.data[:5] = [mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]

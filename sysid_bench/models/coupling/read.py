@@ -1,0 +1,191 @@
+"""The active equality constraints of a compiled model as constraints on hinges and slides."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from sysid_bench.errors import ModelError
+from sysid_bench.models.coupling.chain import Chain, ChainJoint, Step
+from sysid_bench.models.coupling.constraints import Constraint, Loop, Relation
+from sysid_bench.models.tree import HINGE, SLIDE
+from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.types import Array
+
+_JOINT: Final = int(mujoco.mjtEq.mjEQ_JOINT)
+_TENDON: Final = int(mujoco.mjtEq.mjEQ_TENDON)
+_CONNECT: Final = int(mujoco.mjtEq.mjEQ_CONNECT)
+_WELD: Final = int(mujoco.mjtEq.mjEQ_WELD)
+_SITE: Final = int(mujoco.mjtObj.mjOBJ_SITE)
+_WRAPS_JOINT: Final = int(mujoco.mjtWrap.mjWRAP_JOINT)
+
+ADVICE: Final = "write couplings = false in a robot.toml to let every joint move on its own"
+
+
+@dataclass(frozen=True, eq=False)
+class Equalities:
+    """The constraints of a model, the ids of the equalities they come from, and in words which
+    active ones are left out."""
+
+    constraints: tuple[Constraint, ...]
+    ids: tuple[int, ...]
+    left_out: tuple[str, ...]
+
+
+def equalities_of(mj: mujoco.MjModel) -> Equalities:
+    """What an MJCF's equalities say about joints; raises ModelError for loops that pass balls or
+    free bodies, and for spatial tendons."""
+    constraints: list[Constraint] = []
+    ids, left_out = [], []
+    for e in range(mj.neq):
+        if not mj.eq_active0[e]:
+            continue
+        why = _no_coupling(mj, e)
+        if why:
+            left_out.append(f"equality {_name(mj, e)} left out: {why}")
+            continue
+        constraints.append(_constraint(mj, e))
+        ids.append(e)
+    return Equalities(tuple(constraints), tuple(ids), tuple(left_out))
+
+
+def keep_equalities(spec: mujoco.MjSpec, equalities: Equalities) -> None:
+    """Deletes every equality of a spec that is no constraint of the robot's coupling."""
+    for equality in [e for e in spec.equalities if e.id not in equalities.ids]:
+        spec.delete(equality)
+
+
+def _no_coupling(mj: mujoco.MjModel, e: int) -> str:
+    """Why an equality couples no joints; empty where it does."""
+    kind = int(mj.eq_type[e])
+    if kind not in (_JOINT, _TENDON, _CONNECT, _WELD):
+        return "it couples no joints"
+    if kind in (_JOINT, _TENDON):
+        return ""
+    one, other = (body for body, _, _ in ends_of(mj, e))
+    if mj.body_mocapid[one] >= 0 or mj.body_mocapid[other] >= 0:
+        return "a mocap body is moved by hand"
+    if not (_joints_on(mj, _way(mj, one, other)) or _joints_on(mj, _way(mj, other, one))):
+        return "its bodies move together already"
+    return ""
+
+
+def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
+    kind = int(mj.eq_type[e])
+    if kind in (_JOINT, _TENDON):
+        return _relation(mj, e)
+    return _loop(mj, e, kind == _WELD and mj.eq_data[e, 10] > 0)
+
+
+def sums_of(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
+    """The two sums {dof: coefficient} that a joint or tendon equality relates; the second may be
+    empty."""
+    sum_of = _joint_sum if int(mj.eq_type[e]) == _JOINT else _tendon_sum
+    other = int(mj.eq_obj2id[e])
+    return sum_of(mj, int(mj.eq_obj1id[e])), sum_of(mj, other) if other >= 0 else {}
+
+
+def _relation(mj: mujoco.MjModel, e: int) -> Relation:
+    first, second = sums_of(mj, e)
+    dofs = tuple(sorted(first | second))
+    coefficients = np.array(mj.eq_data[e, :5])
+    if not second:
+        coefficients[1:] = 0.0
+    return Relation(
+        _name(mj, e),
+        dofs,
+        np.array([first.get(dof, 0.0) for dof in dofs]),
+        np.array([second.get(dof, 0.0) for dof in dofs]),
+        coefficients,
+    )
+
+
+def _joint_sum(mj: mujoco.MjModel, j: int) -> dict[int, float]:
+    return {int(mj.jnt_dofadr[j]): 1.0}
+
+
+def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
+    total: dict[int, float] = {}
+    for w in range(int(mj.tendon_adr[t]), int(mj.tendon_adr[t] + mj.tendon_num[t])):
+        if int(mj.wrap_type[w]) != _WRAPS_JOINT:
+            raise ModelError(
+                f"The equality of tendon {mj.tendon(t).name!r} cannot be resolved: its length is "
+                f"no sum of joint positions; use a fixed tendon, or {ADVICE}."
+            )
+        dof = int(mj.jnt_dofadr[mj.wrap_objid[w]])
+        total[dof] = total.get(dof, 0.0) + float(mj.wrap_prm[w])
+    return total
+
+
+def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> Loop:
+    (one, p1, R1), (other, p2, R2) = ends_of(mj, e)
+    ways = _way(mj, one, other), _way(mj, other, one)
+    joints = [j for way in ways for j in _joints_on(mj, way)]
+    for j in joints:
+        if int(mj.jnt_type[j]) not in (HINGE, SLIDE):
+            raise ModelError(
+                f"The loop of equality {_name(mj, e)} passes {mj.joint(j).name!r}, a ball or free "
+                f"joint; loops of hinges and slides alone can be closed. Delete it, or {ADVICE}."
+            )
+    dofs = tuple(sorted(int(mj.jnt_dofadr[j]) for j in joints))
+    first = Chain(tuple(_steps(mj, ways[0], dofs)), p1, R1)
+    second = Chain(tuple(_steps(mj, ways[1], dofs)), p2, R2)
+    return Loop(_name(mj, e), dofs, first, second, rigid)
+
+
+def ends_of(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:
+    """(body, p, R) of the two frames that a connect or weld brings together."""
+    ids = int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])
+    if int(mj.eq_objtype[e]) == _SITE:
+        return tuple(
+            (int(mj.site_bodyid[s]), np.array(mj.site_pos[s]), _matrix(mj.site_quat[s]))
+            for s in ids
+        )
+    data, unturned = np.array(mj.eq_data[e]), np.eye(3)
+    if int(mj.eq_type[e]) == _CONNECT:
+        return (ids[0], data[:3], unturned), (ids[1], data[3:6], unturned)
+    # MuJoCo keeps a weld's anchor in the second body first, then the pose in the first.
+    return (ids[0], data[3:6], _matrix(data[6:10])), (ids[1], data[:3], unturned)
+
+
+def _matrix(quaternion: Array) -> Array:
+    return matrix_of_quaternion(np.array(quaternion) / np.linalg.norm(quaternion))
+
+
+def _way(mj: mujoco.MjModel, body: int, other: int) -> list[int]:
+    """The bodies from the last that both hang on (excluded) to `body`."""
+    mine, theirs = _ancestors(mj, body), set(_ancestors(mj, other))
+    return [b for b in reversed(mine) if b not in theirs]
+
+
+def _ancestors(mj: mujoco.MjModel, body: int) -> list[int]:
+    """A body, the one it hangs on, and so on to the world."""
+    found = [body]
+    while found[-1] > 0:
+        found.append(int(mj.body_parentid[found[-1]]))
+    return found
+
+
+def _joints_on(mj: mujoco.MjModel, way: list[int]) -> list[int]:
+    return [int(mj.body_jntadr[b]) + k for b in way for k in range(int(mj.body_jntnum[b]))]
+
+
+def _steps(mj: mujoco.MjModel, way: list[int], dofs: tuple[int, ...]) -> Iterator[Step]:
+    for b in way:
+        joints = tuple(
+            ChainJoint(
+                dofs.index(int(mj.jnt_dofadr[j])),
+                int(mj.jnt_type[j]) == SLIDE,
+                np.array(mj.jnt_axis[j]),
+                np.array(mj.jnt_pos[j]),
+            )
+            for j in _joints_on(mj, [b])
+        )
+        yield Step(np.array(mj.body_pos[b]), _matrix(mj.body_quat[b]), joints)
+
+
+def _name(mj: mujoco.MjModel, e: int) -> str:
+    name = mj.equality(e).name
+    return repr(name) if name else f"{e + 1} (unnamed)"
