@@ -35,11 +35,15 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """The declared joint controller: tau = kp (q_ref - q) + kd (v_ref - v), at `rate`."""
+    """The declared joint controller: tau = kp (q_ref - q) + kd (v_ref - v), at `rate`, v with the
+    slope of the encoder's error low-passed at `velocity_cutoff`. The torque is `held` between
+    samples, or else follows the velocity there."""
 
     kp: Float[Array, " rows"]
     kd: Float[Array, " rows"]
     rate: float  # Hz
+    velocity_cutoff: float  # Hz, first order
+    held: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +222,8 @@ class Experiment:
     `regress(motion)` yields blocks of the base regressor (n, rows, r) along any motion;
     `simulate(theta)` runs the method's own noise-free model with these parameters (p,) under the
     declared controller along the commanded motion and returns a Recording with exact v and a. It
-    raises UnsupportedError where no controller is declared.
+    raises UnsupportedError where no controller is declared. `known(motion)` is the torque (n, rows)
+    of what the task takes as known along any motion.
     """
 
     problem: Problem
@@ -226,6 +231,7 @@ class Experiment:
     raw: Recording  # as the sensors gave it
     regress: Callable[[Trajectory], Iterator[Float[Array, "n rows r"]]] = field(repr=False)
     simulate: Callable[[Float[Array, " p"]], Recording] = field(repr=False)
+    known: Callable[[Trajectory], Float[Array, "n rows"]] = field(repr=False)
 
 
 EstimateStatus = Literal["ok", "failed", "unsupported"]
@@ -266,6 +272,8 @@ class Score:
     rmse_train: float | None = None  # N m, N: residual on the measured training torque
     rmse_test: float | None = None  # N m, N: all held-out motions, all joints
     torque_error: float | None = None  # held-out RMS error / RMS whole torque, joints scaled first
+    torque_error_sample: float | None = None  # held-out mean of |error| / |torque| per sample
+    torque_error_worst: float | None = None  # held-out RMS error / RMS torque of the worst joint
     torque_error_by_motion: Mapping[str, float | None] = field(default_factory=dict)
     rank: int | None = None  # base parameters of the task
     data_rank: int | None = None  # of them, excited by the training motion

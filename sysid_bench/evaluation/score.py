@@ -45,6 +45,8 @@ def score(
         rmse_train=_rmse([problem], beta),
         rmse_test=_rmse(tests, beta) if tests else None,
         torque_error=_torque_error(tests, beta) if tests else None,
+        torque_error_sample=_sample_error(tests, beta) if tests else None,
+        torque_error_worst=_worst_error(tests, beta) if tests else None,
         torque_error_by_motion={
             name: _torque_error([test], beta) for name, test in held_out.items()
         },
@@ -142,10 +144,35 @@ def _relative_errors(problems: list[Problem], beta: Array) -> Array:
     return np.where(asked, _row_errors(problems, beta) / np.where(asked, rms, 1.0), np.nan)
 
 
-def _torque_error(problems: list[Problem], beta: Array) -> float | None:
+def _judged(problems: list[Problem], beta: Array) -> Array:
+    """The relative errors of the rows that move enough torque to be judged."""
     relative = _relative_errors(problems, beta)
-    judged = relative[_large(_row_rms(problems), problems[0].kinds) & np.isfinite(relative)]
+    return relative[_large(_row_rms(problems), problems[0].kinds) & np.isfinite(relative)]
+
+
+def _torque_error(problems: list[Problem], beta: Array) -> float | None:
+    judged = _judged(problems, beta)
     return float(np.sqrt((judged**2).mean())) if len(judged) else None
+
+
+def _worst_error(problems: list[Problem], beta: Array) -> float | None:
+    judged = _judged(problems, beta)
+    return float(judged.max()) if len(judged) else None
+
+
+def _sample_error(problems: list[Problem], beta: Array) -> float | None:
+    """Mean over samples of |error| / |torque|, each a vector over the joints, as BIRDy publishes it
+    (Leboutet et al. 2021); None where rows are not of one kind, torques of joints."""
+    if set(problems[0].kinds) != {"joint N m"}:
+        return None
+    shares = []
+    for problem in problems:
+        for Y, b in problem.blocks():
+            size = np.linalg.norm(b, axis=1)
+            moves = size > 0
+            shares.append(np.linalg.norm(b - Y @ beta, axis=1)[moves] / size[moves])
+    every = np.concatenate(shares)
+    return float(every.mean()) if len(every) else None
 
 
 def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> float | None:

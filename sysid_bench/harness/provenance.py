@@ -53,7 +53,8 @@ def versions() -> dict[str, str | None]:
 
 def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
     """16 hex digits over this package's source, the bytes of model files (with the files that an
-    MJCF includes), the files of plug-ins ("module:object", "file:x.py:object") and versions.
+    MJCF includes) and of motions, the files of plug-ins ("module:object", "file:x.py:object") and
+    versions.
 
     A plug-in stands for the whole package that it lies in. Files are read once per process.
     """
@@ -74,7 +75,9 @@ def cell_fingerprint(cell: Cell, robots_dir: Path | None, folder: Path | None) -
     if not files:
         return ""
     targets = [_target(kind, plugin, folder) for kind, some in plugins.items() for plugin in some]
-    return fingerprint(files, targets)
+    specs = [located(plugin, folder) for some in plugins.values() for plugin in some]
+    read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
+    return fingerprint([*files, *read], targets)
 
 
 @cache

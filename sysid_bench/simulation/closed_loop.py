@@ -1,5 +1,6 @@
 """Closed-loop simulation: MuJoCo forward, under a joint controller that sees the noisy encoders."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -9,6 +10,7 @@ from mujoco.batch import Batch
 from scipy.signal import lfilter
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
+from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.simulation.gravity import measured_gravity_rms
 from sysid_bench.simulation.plant import Plant, check_finite
@@ -18,6 +20,11 @@ STIFF_FRICTION: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])
 """solref and solimp of friction loss: MuJoCo's default is soft and leaves 12 % of the torque of a
 joint with Coulomb friction unexplained; with these settings a moving joint leaves 0.03 %."""
 
+EXPLICIT: Final = 1.0
+"""Steps times the fastest decay up to which velocities are taken explicitly, as a digital
+controller holds its torque. An implicit step moves the robot as if every joint had kd + viscous
+friction times the step more inertia, and positions then tell another robot than the torques: 17 %
+of the torque of a UR5 at 500 Hz. Beyond it an explicit step would ring."""
 STIFF_EQUALITY: Final = ([0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0])
 """solref and solimp of couplings, stiff from the start: the default leaves 1 % of the torque, these
 less than 0.01 %."""
@@ -41,8 +48,10 @@ class ClosedLoop:
 
     Gains place each joint's own inertia, at the reference posture, at `bandwidth` with `damping`,
     and are raised where the joint's load (gravity, friction) would leave it more than `droop` of
-    its range behind. The velocity that the controller feeds back carries the encoder error's slope
-    through a first-order low-pass at `velocity_cutoff`.
+    its range behind; `kp` and `kd` (N m/rad and N m s/rad, or N/m and N s/m), one number for all
+    joints or one each, replace that design. The velocity that the controller feeds back carries
+    the encoder error's slope through a first-order low-pass at `velocity_cutoff`; far above the
+    control rate it is the plain backward difference.
     """
 
     rate: float = field(default=1000.0, metadata={"unit": "Hz"})
@@ -50,6 +59,16 @@ class ClosedLoop:
     damping: float = 0.7
     droop: float = field(default=0.005, metadata={"unit": "1"})
     velocity_cutoff: float = field(default=30.0, metadata={"unit": "Hz"})
+    kp: float | Sequence[float] | None = None
+    kd: float | Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for gains that are no positive numbers, or given by halves."""
+        if (self.kp is None) != (self.kd is None):
+            raise UsageError("A controller is declared with both kp and kd, or with neither.")
+        for name, gains in (("kp", self.kp), ("kd", self.kd)):
+            if gains is not None and not _positive(gains):
+                raise UsageError(f"{name} = {gains!r}: gains are positive numbers, one or a list.")
 
     def design_rate(self, recording: float) -> float:
         """The control rate (Hz); the recording rate must divide it."""
@@ -86,7 +105,7 @@ class ClosedLoop:
         lead = 0 if robot.coupling is None else LEAD_IN
         whole = _led_in(robot, commanded, lead)
         encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
-        control = commands(controller, whole, encoder, robot, self.velocity_cutoff)
+        control = commands(controller, whole, encoder, robot)
         steps = _steps_with_laws if plant.laws else _rollout
         q, v, a, tau = (signal[lead:] for signal in steps(plant, mj, whole, control))
         motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
@@ -96,7 +115,24 @@ class ClosedLoop:
         return Oracle(motion, tau[:, robot.torque_dofs])
 
     def controller(self, plant: Plant) -> Controller:
-        """The declared gains (n,) of a plant, one per motor."""
+        """The declared controller of a plant, with gains (n,), one per motor."""
+        kp, kd = self._declared(plant.robot) or self._designed(plant)
+        return Controller(kp, kd, self.rate, self.velocity_cutoff, self._holds(plant, kd))
+
+    def _holds(self, plant: Plant, kd: Array) -> bool:
+        """Whether the torque can be held from sample to sample: a coupled robot takes many steps
+        between, and its dampers act in each."""
+        if plant.robot.coupling is not None:
+            return False
+        return fastest_decay(plant.bench, kd + plant.terms.viscous) <= EXPLICIT * self.rate
+
+    def _declared(self, robot: RobotModel) -> tuple[Array, Array] | None:
+        if self.kp is None or self.kd is None:
+            return None
+        return _per_motor(self.kp, robot), _per_motor(self.kd, robot)
+
+    def _designed(self, plant: Plant) -> tuple[Array, Array]:
+        """Gains (n,) from the bandwidth, the damping and the load."""
         J, load = _own_inertia(plant), typical_load(plant)
         reach = np.minimum(_range(plant.robot), 2 * np.pi)
         kp = np.maximum((2 * np.pi * self.bandwidth) ** 2 * J, load / (self.droop * reach))
@@ -105,7 +141,25 @@ class ClosedLoop:
         # that the joint's own viscous friction makes.
         kp = np.minimum(kp, np.maximum(J * (0.5 * self.rate) ** 2, viscous * 0.5 * self.rate))
         kp = _one_digit(kp)
-        return Controller(kp, _one_digit(2 * self.damping * np.sqrt(kp * J)), self.rate)
+        return kp, _one_digit(2 * self.damping * np.sqrt(kp * J))
+
+
+def _positive(gains: object) -> bool:
+    values = gains if isinstance(gains, (list, tuple)) else [gains]
+    return bool(values) and all(
+        isinstance(x, (int, float)) and not isinstance(x, bool) and 0 < x < np.inf for x in values
+    )
+
+
+def _per_motor(gains: float | Sequence[float], robot: RobotModel) -> Array:
+    """Declared gains (n,); raises UsageError where their number is not that of the motors."""
+    values, n = np.atleast_1d(np.asarray(gains, dtype=float)), len(robot.torque_dofs)
+    if len(values) not in (1, n):
+        raise UsageError(
+            f"{robot.name} has {n} motors, and the controller {len(values)} gains; write one for "
+            "all, or one each."
+        )
+    return np.broadcast_to(values, (n,)).copy()
 
 
 def _one_digit(gains: Array) -> Array:
@@ -133,17 +187,21 @@ def _range(robot: RobotModel) -> Array:
 
 def _own_inertia(plant: Plant) -> Array:
     """Diagonal of M (n,) at the reference posture, kg m^2 or kg."""
-    mj, coupling = plant.bench, plant.robot.coupling
+    return np.diag(_mass_matrix(plant.bench, plant.robot.coupling)).copy()
+
+
+def _mass_matrix(mj: mujoco.MjModel, coupling: Coupling | None = None) -> Array:
+    """M (n, n) at the reference posture."""
     data = mujoco.MjData(mj)
     if coupling is not None:
         data.qpos[:] = coupling.reference(np.array(mj.qpos0))
     mujoco.mj_forward(mj, data)
     M = np.zeros((mj.nv, mj.nv))
     mujoco.mj_fullM(mj, data, M)
-    if coupling is not None:
-        G = coupling.G(data.qpos[None])[0]
-        M = G.T @ M @ G
-    return np.diag(M).copy()
+    if coupling is None:
+        return M
+    G = coupling.G(data.qpos[None])[0]
+    return G.T @ M @ G
 
 
 def typical_load(plant: Plant) -> Array:
@@ -180,7 +238,17 @@ def controlled_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     if plant.robot.coupling is not None:
         _close(mj, plant, controller)
+    elif controller.held:
+        mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_EULER)
+        mj.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
     return mj
+
+
+def fastest_decay(mj: mujoco.MjModel, damping: Array) -> float:
+    """Largest rate (1/s) at which damping (nv,) alone brings a velocity to rest, at the reference
+    posture."""
+    root = np.sqrt(damping)
+    return float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(_mass_matrix(mj)) * root)[-1])
 
 
 def _close(mj: mujoco.MjModel, plant: Plant, controller: Controller) -> None:
@@ -222,12 +290,12 @@ def _motors(robot: RobotModel) -> list[Joint]:
 
 
 def commands(
-    controller: Controller, commanded: Trajectory, encoder: Array, robot: RobotModel, cutoff: float
+    controller: Controller, commanded: Trajectory, encoder: Array, robot: RobotModel
 ) -> Array:
     """Motor inputs u (N, n) such that kp (u - q) - kd v is the law on what the encoders read:
     kp (q_ref - q - n) + kd (v_ref - v - s), s the low-passed backward difference of the error n."""
     difference = np.diff(encoder, axis=0, prepend=encoder[:1]) * controller.rate
-    keep = float(np.exp(-2 * np.pi * cutoff / controller.rate))
+    keep = float(np.exp(-2 * np.pi * controller.velocity_cutoff / controller.rate))
     slope = lfilter([1 - keep], [1, -keep], difference, axis=0)
     places = [joint.qadr for joint in _motors(robot)]
     ratio = controller.kd / controller.kp

@@ -50,7 +50,7 @@ class Bench:
         self.silence = np.zeros_like(self.motion.v)
         controller = self.loop.controller(self.plant)
         self.mj = controlled_model(self.plant, controller)
-        self.control = commands(controller, self.motion, self.silence, self.robot, 30.0)[None]
+        self.control = commands(controller, self.motion, self.silence, self.robot)[None]
 
     def rollout(self) -> None:
         """The simulation alone."""

@@ -97,6 +97,12 @@ def test_errors_are_what_they_say(place: tuple[str, str, str]) -> None:
     large = judged(size, made.problem)
     relative = rms(error, axis=0)[large] / size[large]
     assert figures.torque_error == pytest.approx(rms(relative), rel=1e-7)
+    assert figures.torque_error_worst == pytest.approx(relative.max(), rel=1e-7)
+    if set(made.problem.kinds) == {"joint N m"}:
+        lengths = np.linalg.norm(error, axis=1) / np.linalg.norm(bh, axis=1)
+        assert figures.torque_error_sample == pytest.approx(lengths.mean(), rel=1e-7)
+    else:  # newtons and newton metres have no common length
+        assert figures.torque_error_sample is None
     star = made.problem.base.K @ made.truth.theta
     expected = np.linalg.norm(Yh @ (beta - star)) / np.linalg.norm(Yh @ star)
     assert figures.parameter_error == pytest.approx(expected, rel=1e-7)

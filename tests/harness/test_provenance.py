@@ -83,15 +83,17 @@ def cell_of(folder: Path, body: str = "", estimators: str = "") -> Cell:
 
 
 def test_a_cell_depends_on_its_model_and_on_every_plugin_file(tmp_path: Path) -> None:
-    for name in ("arm.urdf", "mine.py", "motion.py"):
+    every = ("arm.urdf", "mine.py", "motion.py", "motion.csv")
+    for name in every:
         (tmp_path / name).write_text(name)
-    cell = cell_of(tmp_path, '[defaults]\nheld_out = "file:motion.py:Motion"')
+    held_out = '["file:motion.py:Motion", { use = "fourier", file = "motion.csv" }]'
+    cell = cell_of(tmp_path, f"[defaults]\nheld_out = [{held_out}]")
     seen = {cell_fingerprint(cell, None, tmp_path)}
-    for name in ("arm.urdf", "mine.py", "motion.py"):
+    for name in every:
         (tmp_path / name).write_text("changed")
         forget()
         seen.add(cell_fingerprint(cell, None, tmp_path))
-    assert len(seen) == 4
+    assert len(seen) == 5
     (tmp_path / "arm.urdf").unlink()
     forget()
     assert cell_fingerprint(cell, None, tmp_path) == ""

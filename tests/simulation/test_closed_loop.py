@@ -127,10 +127,10 @@ def test_the_feedback_law_is_the_declared_one() -> None:
 def test_the_velocity_feedback_carries_the_low_passed_slope_of_the_error() -> None:
     robot = robot_of(RICH)
     commanded = motion_of(robot, FOURIER, RATE)
-    controller = Controller(np.full(3, 4.0), np.full(3, 2.0), RATE)
+    controller = Controller(np.full(3, 4.0), np.full(3, 2.0), RATE, 30.0)
     ramp = 0.1 * commanded.t[:, None] * np.ones(3)
-    u = commands(controller, commanded, ramp, robot, cutoff=30.0)
-    still = commands(controller, commanded, np.zeros_like(ramp), robot, cutoff=30.0)
+    u = commands(controller, commanded, ramp, robot)
+    still = commands(controller, commanded, np.zeros_like(ramp), robot)
     settled = commanded.t > 0.2  # long after 1 / (2 pi 30 Hz)
     np.testing.assert_allclose((u - still + ramp)[settled], -0.5 * 0.1, rtol=1e-6)
 
@@ -238,3 +238,45 @@ def test_a_bare_robot_keeps_its_kinematics_and_nothing_else(name: str) -> None:
         assert not getattr(bare.mj, field).any(), field
     assert bare.body_names == robot.body_names
     assert bare.rows == robot.rows
+
+
+@pytest.mark.parametrize("name", [SMOOTH, RICH])
+def test_a_held_torque_moves_the_positions_as_the_equation_of_motion_says(name: str) -> None:
+    """Second differences of the positions are the accelerations that the torques make; an implicit
+    step would move them as if kd times the step were inertia."""
+    robot, loop = robot_of(name), ClosedLoop(rate=2000.0)
+    oracle, controller = run(robot, loop=loop)
+    assert controller.held
+    q, a = oracle.motion.q, oracle.motion.a
+    second = np.diff(q, 2, axis=0) * loop.rate**2
+    np.testing.assert_allclose(second, a[1:-1], atol=1e-6 * np.abs(a).max())
+
+
+def test_a_loop_too_slow_for_its_damping_is_not_held() -> None:
+    robot = robot_of("kinova")  # wrists without rotors, and much viscous friction
+    assert not ClosedLoop(rate=500.0).controller(plant_of(robot)).held
+    oracle, _ = run(robot)
+    assert np.isfinite(oracle.motion.q).all()
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(50.0, 5.0), ([50.0, 40.0, 30.0], [5.0, 4.0, 3.0])])
+def test_declared_gains_are_the_controller(kp: Any, kd: Any) -> None:
+    robot, loop = robot_of(RICH), ClosedLoop(rate=RATE, kp=kp, kd=kd)
+    oracle, controller = run(robot, loop=loop)
+    np.testing.assert_array_equal(controller.kp, np.broadcast_to(kp, 3))
+    np.testing.assert_array_equal(controller.kd, np.broadcast_to(kd, 3))
+    assert len(oracle.motion) > 0
+
+
+@pytest.mark.parametrize(
+    ("gains", "told"),
+    [
+        ({"kp": 1.0}, "both kp and kd"),
+        ({"kp": [1.0, -1.0, 1.0], "kd": 1.0}, "positive"),
+        ({"kp": "stiff", "kd": 1.0}, "positive"),
+        ({"kp": [1.0, 1.0], "kd": 1.0}, "3 motors"),
+    ],
+)
+def test_gains_that_are_no_controller_are_refused(gains: dict[str, Any], told: str) -> None:
+    with pytest.raises(UsageError, match=told):
+        ClosedLoop(rate=RATE, **gains).controller(plant_of(robot_of(RICH)))

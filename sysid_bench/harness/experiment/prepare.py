@@ -1,6 +1,6 @@
 """One experiment made ready: simulated once, its regressor reduced once, for all its estimators."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -88,8 +88,10 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
         for name, oracle in _held_out(spec, subject, plant, briefed).items()
     }
     regress = partial(regressor_blocks, posing.regression, posing.places, instruments)
-    simulate = _nothing_to_simulate if task.cuts else _Simulate(declared(robot, task), raw)
-    experiment = Experiment(problem, recording, raw, regress, simulate)
+    told = declared(robot, task)
+    simulate = _nothing_to_simulate if task.cuts else _Simulate(told, raw)
+    known = _nothing_to_simulate if task.cuts else _Known(told, posing.places)
+    experiment = Experiment(problem, recording, raw, regress, simulate, known)
     seal(experiment)
     return Prepared(
         robot, task, problem, experiment, held_out, task.truth,
@@ -165,13 +167,14 @@ class Posing:
 
     def known(self, motion: Trajectory) -> Array:
         """Torque and wrench (N, n + 6 sensors) of the parts that the task declares known."""
-        robot = self.robot
-        if not self.task.knows_something:
+        robot, task = self.robot, self.task
+        if not task.knows_something:
             return np.zeros((len(motion), len(self.instruments.measured)))
         whole = self.instruments.motion(motion)
-        tau = newton_euler(self.instruments.tree, self.task.known_links, whole)
-        joints = tau[:, : robot.nv] + known_terms(robot, self.task, motion)
-        return np.hstack([robot.reduced(motion.q, joints), tau[:, robot.nv :]])
+        tau = newton_euler(self.instruments.tree, task.known_links, whole)
+        terms = term_torque(robot, task.known_terms, task.known_coupling, motion)
+        joints = robot.reduced(motion.q, tau[:, : robot.nv] + terms)
+        return np.hstack([joints, tau[:, robot.nv :]])
 
 
 def recorded(recording: Recording) -> Array:
@@ -188,17 +191,33 @@ def regressor_blocks(
         yield block.dense()[:, list(rows)]
 
 
-def known_terms(robot: RobotModel, task: Task, motion: Trajectory) -> Array:
-    """Torque (N, nv) of the joint terms that are known."""
+def term_torque(
+    robot: RobotModel, terms: Mapping[str, Array], coupling: Array | None, motion: Trajectory
+) -> Array:
+    """Torque (N, nv) of joint terms, by name (nv,), and of a viscous coupling (nv, nv)."""
     tau = np.zeros_like(motion.v)
     deflection = _scalar_positions(robot, motion) - robot.joint_terms.spring_reference
-    if task.known_coupling is not None:
-        tau += motion.v @ task.known_coupling.T
-    for term, values in task.known_terms.items():
+    if coupling is not None:
+        tau += motion.v @ coupling.T
+    for term, values in terms.items():
         for dof in np.flatnonzero(values):
             state = deflection[:, dof], motion.v[:, dof], motion.a[:, dof]
             tau[:, dof] += values[dof] * TERM[SUFFIX[term]](*state)
     return tau
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What methods are told of the torque along any motion."""
+
+    told: Declared
+    places: tuple[int, ...]
+
+    def __call__(self, motion: Trajectory) -> Array:
+        told = self.told
+        tau = newton_euler(told.robot.tree, told.known_links, motion)
+        tau += term_torque(told.robot, told.known_terms, told.known_coupling, motion)
+        return told.robot.reduced(motion.q, tau)[:, list(self.places)]
 
 
 def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float) -> Brief:
@@ -332,7 +351,7 @@ def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
     return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
 
 
-def _nothing_to_simulate(theta: Array) -> Recording:
+def _nothing_to_simulate(asked: Any) -> Any:
     """What a loop needs beside the sensors is not declared."""
     raise UnsupportedError(
         "A task with force/torque sensors declares no whole robot: nothing to simulate with."

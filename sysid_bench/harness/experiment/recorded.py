@@ -203,6 +203,7 @@ def pose_logs(
         training[0].log.recording,
         partial(_regress, posing),
         _no_simulation,
+        _no_simulation,
     )
     posed = {name: posing.pose([test], base) for name, test in tests.items()}
     return Posed(robot, problem, posed, experiment, posing, tuple(training), selection)
@@ -540,7 +541,7 @@ def _regress(posing: _Posing, motion: Trajectory) -> Iterator[Array]:
         yield W
 
 
-def _no_simulation(theta: Array) -> Recording:
+def _no_simulation(asked: Any) -> Any:
     raise UnsupportedError("This recording declares no controller: nothing to simulate with.")
 
 

@@ -52,12 +52,17 @@ def no_names() -> Names:
 
 
 def located(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
-    """A plug-in's spec whose "file:mine.py:Thing" is found from the suite's folder."""
-    use = spec.get("use")
-    if folder is None or not isinstance(use, str) or not use.startswith("file:"):
-        return dict(spec)
-    path, colon, attribute = use.removeprefix("file:").rpartition(":")
-    return {**spec, "use": f"file:{folder / path}{colon}{attribute}"}
+    """A plug-in's spec whose "file:mine.py:Thing", and whose setting `file`, are found from the
+    suite's folder."""
+    found, use = dict(spec), spec.get("use")
+    if folder is None:
+        return found
+    if isinstance(use, str) and use.startswith("file:"):
+        path, colon, attribute = use.removeprefix("file:").rpartition(":")
+        found["use"] = f"file:{folder / path}{colon}{attribute}"
+    if isinstance(spec.get("file"), str):
+        found["file"] = str(folder / spec["file"])
+    return found
 
 
 def complaint(error: BaseException) -> str:

@@ -1,0 +1,122 @@
+"""A motion from a CSV file: a column `t` (s) and one per joint, by its name (rad, m)."""
+
+import csv
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.excitation.brief import Brief, is_count
+from sysid_bench.types import Array, Trajectory
+
+FAINT: Final = 1e-8
+"""Harmonics below this share of the largest are digits that the file leaves out."""
+
+OVER: Final = 1e-6
+"""Share of a limit by which rounding in a file may pass it."""
+
+
+@dataclass(frozen=True)
+class MotionFile:
+    """The motion of `file`, found from the suite's folder, at any rate.
+
+    With `period` the rows are one period of a motion that repeats: between them it is the Fourier
+    series through them, exact for a motion without frequencies above half the file's rate. Without,
+    it is the quintic spline through them.
+    """
+
+    file: str
+    period: float | None = field(default=None, metadata={"unit": "s"})
+    cycles: int = 1
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for settings that make no motion."""
+        if not is_count(self.cycles) or (self.period is not None and not self.period > 0):
+            raise UsageError(f"{self}: cycles count from 1, the period is positive.")
+        if self.period is None and self.cycles != 1:
+            raise UsageError(f"{self}: a motion without a period has one cycle.")
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """The motion; raises UsageError where it is not one of this robot within its limits."""
+        t, x = _read(Path(self.file), _names(brief, self.file))
+        name = Path(self.file).stem
+        if self.period is None:
+            grid = brief.times(t[-1] - t[0])
+            motion = _spline(t - t[0], x, grid)
+        else:
+            if abs(len(t) * (t[1] - t[0]) - self.period) > 1e-6 * self.period:
+                raise UsageError(
+                    f"{self.file}: {len(t)} rows every {t[1] - t[0]:.6g} s are not the period of "
+                    f"{self.period} s; leave out the row that repeats the first."
+                )
+            grid = brief.times(self.cycles * self.period)
+            motion = _series(x, self.period, grid)
+        _check(brief, motion, self.file)
+        return brief.trajectory(grid, *motion, name, self.period)
+
+
+def _names(brief: Brief, file: str) -> list[str]:
+    if any(joint.kind not in ("hinge", "slide") for joint in brief.joints):
+        raise UsageError(f"{file}: a motion file moves hinges and slides alone.")
+    return [joint.name for joint in brief.joints]
+
+
+def _read(path: Path, names: list[str]) -> tuple[Array, Array]:
+    """Times (N,) and positions (N, nv) in the order of the names."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            header, *rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+        table = np.array(rows, dtype=float)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path} is no table of numbers with a header: {error}.") from error
+    columns = [name.strip() for name in header]
+    missing = [name for name in ("t", *names) if name not in columns]
+    if missing or table.ndim != 2 or table.shape[1] != len(columns):
+        raise UsageError(
+            f"{path} has the columns {', '.join(columns)}; expected t, {', '.join(names)}."
+        )
+    t = table[:, columns.index("t")]
+    steps = np.diff(t)
+    if len(t) < 10 or not np.isfinite(table).all() or not (steps > 0).all():
+        raise UsageError(f"{path} needs ten rows of finite numbers, its times rising.")
+    if np.ptp(steps) > 1e-3 * steps.mean():
+        raise UsageError(f"{path}: the times are not evenly spaced; resample the motion.")
+    return t, table[:, [columns.index(name) for name in names]]
+
+
+def _spline(t: Array, x: Array, grid: Array) -> tuple[Array, Array, Array]:
+    from scipy.interpolate import make_interp_spline
+
+    curve = make_interp_spline(t, x, k=5)
+    return curve(grid), curve(grid, nu=1), curve(grid, nu=2)
+
+
+def _series(x: Array, period: float, grid: Array) -> tuple[Array, Array, Array]:
+    """The Fourier series (N, nv) through the rows of one period, and its derivatives."""
+    c = np.fft.rfft(x, axis=0) / len(x)
+    if len(x) % 2 == 0:
+        c[-1] = 0.0  # half the file's rate has no phase
+    k = np.flatnonzero(np.abs(c).max(axis=1) > FAINT * np.abs(c[1:]).max())
+    k = k[k > 0]
+    w, wave = 2 * np.pi / period * k, np.exp(2j * np.pi / period * np.outer(grid, k))
+    parts = [2 * (wave @ ((1j * w[:, None]) ** n * c[k])).real for n in range(3)]
+    return c[0].real + parts[0], parts[1], parts[2]
+
+
+def _check(brief: Brief, motion: tuple[Array, Array, Array], file: str) -> None:
+    x, dx, ddx = motion
+    reach = brief.high - brief.low
+    worst = {
+        "position": np.maximum(x.max(axis=0) - brief.high, brief.low - x.min(axis=0)) / reach,
+        "velocity": np.abs(dx).max(axis=0) / brief.v - 1,
+        "acceleration": np.abs(ddx).max(axis=0) / brief.a - 1,
+    }
+    for what, over in worst.items():
+        j = int(np.argmax(over))
+        if not over[j] <= OVER:
+            raise UsageError(
+                f"{file}: the {what} of {brief.joints[j].name} passes its limit by "
+                f"{100 * over[j]:.3g} %; slow the motion down, or raise the limit in the manifest."
+            )

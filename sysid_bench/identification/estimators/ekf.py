@@ -1,0 +1,43 @@
+"""EKF: states and parameters together, the model linearised at every sample."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_bench.identification.forward import differences
+from sysid_bench.identification.kalman import Belief, JointFilter, joint_filter
+from sysid_bench.types import Array, Estimate, Experiment
+
+
+@dataclass(frozen=True)
+class EKF:
+    """Extended Kalman filter on [q v beta], beta constant, driven by the measured torques and
+    corrected by the measured positions (Gautier, Poignet 2001).
+
+    Noise levels are read off the signals. Starts from the prior and its spread, else from least
+    squares. Not consistent: torques between samples are taken as straight lines, and the
+    linearisation forgets what it has not seen; `substeps` of Heun's rule per sample.
+    """
+
+    substeps: int = 1
+
+    def fit(self, experiment: Experiment) -> Estimate:
+        """The estimate after the last sample; raises EstimationError where it runs away."""
+        model = joint_filter(experiment, "The EKF", self.substeps)
+        start = belief = model.measured(model.begin(), 0)
+        for k in range(len(model.q) - 1):
+            belief = model.measured(_predicted(model, belief, k), k + 1)
+        return model.answer(belief, start)
+
+
+def _predicted(model: JointFilter, belief: Belief, k: int) -> Belief:
+    sizes = _sizes(belief)
+    F = differences(lambda states: model.step(states, k), belief.mean, sizes)
+    mean = model.step(belief.mean[None], k)[0]
+    P = F @ belief.covariance @ F.T + model.disturbed(belief.mean)
+    return Belief(mean, 0.5 * (P + P.T))
+
+
+def _sizes(belief: Belief) -> Array:
+    """Steps (k,) of the differences: a hundredth of what is uncertain, above rounding."""
+    return np.maximum(1e-2 * np.sqrt(np.diag(belief.covariance)), 1e-7 * np.abs(belief.mean) + 1e-9)

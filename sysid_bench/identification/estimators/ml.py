@@ -1,0 +1,200 @@
+"""Maximum likelihood: noise on positions and torques, the motion as nuisance."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.linalg import cholesky_banded, lapack
+from scipy.sparse import bsr_array, csr_array, diags_array, eye_array, kron
+
+from sysid_bench.errors import EstimationError
+from sysid_bench.identification.compressed import compress, solve
+from sysid_bench.identification.forward import scalar_joints
+from sysid_bench.identification.noise_level import white_noise
+from sysid_bench.identification.simulated import along, covariance, folded, length, rows_of, settled
+from sysid_bench.types import Array, Estimate, Experiment, Trajectory
+
+LEAST: Final = (1e-13, 1e-10)
+"""Noise of positions and torques at least, relative to their RMS: rounding."""
+
+NUDGE: Final = 1e-6
+"""Of the finite differences of the torque, relative to the size of q, v and a."""
+
+SHRINKS: Final = 0.7
+"""Steps that do not shrink to this share of the one before go to and fro: half of them is taken."""
+
+
+@dataclass(frozen=True)
+class ML:
+    """Most likely beta and motion under white noise on q and tau, each joint its own (Olsen,
+    Swevers, Verdonck 2002, here with the motion itself among the unknowns: Britt, Luecke 1973).
+
+    The true positions are nuisance; v and a are their differences. Each step linearises the torque
+    about the motion found so far, weighs its residual with (S_tau + A S_q A')^-1, A its derivative
+    by the positions through the differences, a banded matrix, and corrects the motion by what the
+    residual tells. So the regressor is not taken along the noise, and no filter is needed. The
+    noise of q is read off its sixth differences, that of tau off the residual.
+    """
+
+    iterations: int = 30
+
+    def fit(self, experiment: Experiment) -> Estimate:
+        """The estimate; raises EstimationError where the iteration does not settle."""
+        scalar_joints(experiment, "Maximum likelihood")
+        data = _Data(experiment, _differences(experiment))
+        beta, q = solve(compress(experiment.problem)), data.q
+        sigma = _torque_noise(data, beta, q)
+        share, before = 1.0, np.inf
+        for count in range(1, self.iterations + 1):
+            line = data.line(beta, q)
+            R, step, q_new, rest = line.solved(sigma)
+            size = length(R, step)
+            if settled(R, step, beta):
+                return Estimate(
+                    beta + step, covariance=covariance(R), stats={"iterations": float(count)}
+                )
+            if size > SHRINKS * before:  # it goes to and fro
+                share *= 0.5
+            before = size
+            beta, q = beta + share * step, q + share * (q_new - q)
+            sigma = line.torque_noise(rest, sigma)
+            if not np.isfinite(beta).all():
+                break
+        raise EstimationError(
+            f"{self.iterations} iterations did not settle: the last moved the base parameters by "
+            f"{size:.3g} standard deviations; the noise is too large."
+        )
+
+
+def _torque_noise(data: "_Data", beta: Array, q: Array) -> Array:
+    line = data.line(beta, q)
+    return line.torque_noise(line.error.reshape(-1, line.rows), np.zeros(line.rows))
+
+
+@dataclass(frozen=True, eq=False)
+class _Data:
+    """Positions and torques as measured, and the differences (N, N) that make v and a."""
+
+    experiment: Experiment
+    rates: tuple[csr_array, csr_array]
+
+    @property
+    def q(self) -> Array:
+        return self.experiment.raw.q
+
+    def motion(self, q: Array) -> Trajectory:
+        raw = self.experiment.raw
+        if raw.v is not None and raw.a is not None:
+            return Trajectory(raw.t, q, raw.v, raw.a)
+        return Trajectory(raw.t, q, *(D @ q for D in self.rates))
+
+    def line(self, beta: Array, q: Array) -> "_Line":
+        """The torques of beta along a motion, and how they hang on both."""
+        experiment, motion = self.experiment, self.motion(q)
+        inner = slice(1, len(q) - 1)  # the ends have no differences
+        W = along(experiment, motion)[inner]
+        model = W @ beta + experiment.known(motion)[inner]
+        tau = rows_of(experiment, experiment.raw.tau)
+        exact = experiment.raw.v is not None
+        A = None
+        for which, D in enumerate((None, *self.rates)):
+            if exact and D is not None:
+                break
+            blocks = [self._slope(beta, motion, which, j)[inner] for j in range(q.shape[1])]
+            count, n = len(q) - 2, q.shape[1]
+            B = bsr_array((np.stack(blocks, axis=-1), np.arange(count), np.arange(count + 1)))
+            pick = eye_array(len(q), format="csr")[inner] if D is None else D[inner]
+            part = csr_array(B @ kron(pick, eye_array(n), format="csr"))
+            A = part if A is None else A + part
+        assert A is not None
+        at_least = LEAST[0] * np.sqrt((self.q**2).mean(axis=0)).max()
+        noise = np.maximum(white_noise(self.q), at_least)
+        return _Line(W, (tau[inner] - model).ravel(), A, (self.q - q).ravel(), noise, q, tau)
+
+    def _slope(self, beta: Array, motion: Trajectory, which: int, j: int) -> Array:
+        """Derivative (N, rows) of the torque by q, v or a of joint j."""
+        arrays = [motion.q.copy(), motion.v.copy(), motion.a.copy()]
+        size = NUDGE * max(float(np.abs(arrays[which][:, j]).max()), 1e-3)
+        sides = []
+        for sign in (1, -1):
+            moved = [x.copy() for x in arrays]
+            moved[which][:, j] += sign * size
+            there = Trajectory(motion.t, moved[0], moved[1], moved[2])
+            sides.append(along(self.experiment, there) @ beta + self.experiment.known(there))
+        slope = (sides[0] - sides[1]) / (2 * size)
+        if which == 1:  # friction's step at standstill is no slope
+            slope[np.abs(motion.v[:, j]) <= size] = 0.0
+        return slope
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """The linear problem about (beta, q): e = W dbeta + A dq + noise."""
+
+    W: Array  # (M, rows, r)
+    error: Array  # (M rows,)
+    A: csr_array  # (M rows, N n)
+    away: Array  # (N n,) measured less present positions
+    q_noise: Array  # (n,)
+    q: Array
+    tau: Array
+
+    @property
+    def rows(self) -> int:
+        return self.W.shape[1]
+
+    def solved(self, sigma: Array) -> tuple[Array, Array, Array, Array]:
+        """R of the whitened rows, the step of beta, the motion after it, the residual (M, rows)."""
+        r, M = self.W.shape[-1], len(self.W)
+        spread = np.tile(self.q_noise**2, len(self.q))
+        weighted = csr_array(self.A @ diags_array(spread))
+        C = weighted @ self.A.T + diags_array(np.tile(sigma**2, M))
+        L = _banded_root(C.tocsr(), 3 * self.rows)
+        e = self.error - self.A @ self.away
+        white = _whiten(L, np.column_stack([self.W.reshape(-1, r), e]))
+        R = folded(white[:, None, :r], white[:, r:])
+        step = solve(R)
+        rest = e - self.W.reshape(-1, r) @ step
+        found = _whiten(L, _whiten(L, rest[:, None]), transposed=True)[:, 0]
+        q = self.q + (self.away + weighted.T @ found).reshape(self.q.shape)
+        return R, step, q, rest.reshape(M, -1)
+
+    def torque_noise(self, rest: Array, before: Array) -> Array:
+        """What the noise of positions does not explain of the residuals (rows,)."""
+        spread = np.tile(self.q_noise**2, len(self.q))
+        explained = (self.A.multiply(self.A) @ spread).reshape(-1, self.rows).mean(axis=0)
+        total = (rest**2).mean(axis=0)
+        floor = LEAST[1] ** 2 * (self.tau**2).mean(axis=0)
+        left = np.maximum(total - explained, 0.01 * total)
+        return np.sqrt(np.maximum(left, np.maximum(floor, floor.max() * 1e-6)))
+
+
+def _differences(experiment: Experiment) -> tuple[csr_array, csr_array]:
+    """First and second central differences (N, N); zero at the ends."""
+    N, rate = len(experiment.raw), experiment.raw.rate
+    inside = np.ones(N)
+    inside[[0, -1]] = 0
+    first = diags_array([-0.5 * rate, 0.5 * rate], offsets=[-1, 1], shape=(N, N))
+    second = diags_array([rate**2, -2 * rate**2, rate**2], offsets=[-1, 0, 1], shape=(N, N))
+    keep = diags_array(inside)
+    return (keep @ first).tocsr(), (keep @ second).tocsr()
+
+
+def _banded_root(C: csr_array, width: int) -> Array:
+    """The lower Cholesky factor of a banded matrix, in LAPACK's band storage."""
+    coo = C.tocoo()
+    band = np.zeros((width, C.shape[0]))
+    low = coo.row >= coo.col
+    band[(coo.row - coo.col)[low], coo.col[low]] = coo.data[low]
+    try:
+        return cholesky_banded(band, lower=True)
+    except np.linalg.LinAlgError as error:
+        raise EstimationError("The covariance of the residuals is singular.") from error
+
+
+def _whiten(L: Array, rows: Array, transposed: bool = False) -> Array:
+    """L^-1 rows, or L'^-1 rows."""
+    solved, info = lapack.dtbtrs(L, rows, uplo="L", trans="T" if transposed else "N")
+    if info != 0:
+        raise np.linalg.LinAlgError(f"dtbtrs refused its argument {info}.")
+    return solved

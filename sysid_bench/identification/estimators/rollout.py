@@ -1,0 +1,128 @@
+"""Rollouts: short open-loop predictions of the positions, compared by least squares."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.identification.compressed import compress, solve
+from sysid_bench.identification.forward import Forward, scalar_joints
+from sysid_bench.identification.output_error import NUDGE
+from sysid_bench.identification.possible import Possible, possible
+from sysid_bench.identification.simulated import Descent, Trial, floor_of
+from sysid_bench.types import Array, Estimate, Experiment
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Multiple shooting (Bock 1983): the motion is cut into pieces of `horizon`, the model runs
+    over each under the measured torques, and beta and every piece's start are what predicts the
+    measured positions best; the starts are eliminated piece by piece.
+
+    Starts from the prior, else from least squares. Not consistent: measured torques are inputs with
+    noise, taken as straight lines between the samples; `substeps` of Heun's rule per sample.
+    """
+
+    horizon: float = field(default=0.2, metadata={"unit": "s"})
+    substeps: int = 1
+    iterations: int = 20
+
+    def fit(self, experiment: Experiment) -> Estimate:
+        """The estimate; raises EstimationError where the iteration does not settle."""
+        scalar_joints(experiment, "A rollout")
+        room = possible(experiment.problem)
+        pieces = _pieces(experiment, self.horizon, self.substeps)
+        return Descent(self.iterations).run(pieces, room, _start(room))
+
+
+def _start(room: Possible) -> Array:
+    if room.problem.prior is not None:
+        return room.centre
+    R = compress(room.problem)
+    return room.nearest(solve(R), R[:-1, :-1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Measured positions and torques (S, C, n) of C pieces, and where each begins (C, 2 n)."""
+
+    experiment: Experiment
+    forward: Forward
+    q: Array
+    tau: Array
+    begin: Array
+    approximates = False
+
+    @cached_property
+    def floor(self) -> Array:
+        """Rounding of the positions (n,)."""
+        return np.asarray(floor_of(self.q.reshape(-1, self.q.shape[-1])))
+
+    @cached_property
+    def nudges(self) -> Array:
+        """Steps (r,) of beta that change the torques a little."""
+        R = compress(self.experiment.problem)
+        return NUDGE * np.linalg.norm(R[:, -1]) / np.linalg.norm(R[:, :-1], axis=0)
+
+    def attempt(self, theta: Array) -> Trial:
+        """Predictions, and what no start of a piece explains of their errors."""
+        beta = self.experiment.problem.base.K @ theta
+        Q, ahead = self._starts(beta)
+        return Trial(theta, beta, self._unexplained(Q, self.q - ahead))
+
+    def slope(self, trial: Trial) -> Array:
+        """Derivative (M, n, r) of the predictions, without what the starts take."""
+        Q, ahead = self._starts(trial.beta)
+        betas = trial.beta + np.diag(self.nudges)
+        moved = self._run(betas, np.tile(self.begin, (len(betas), 1, 1)))
+        columns = [
+            self._unexplained(Q, (one - ahead) / nudge)
+            for one, nudge in zip(moved, self.nudges, strict=True)
+        ]
+        return np.stack(columns, axis=-1)
+
+    def _starts(self, beta: Array) -> tuple[Array, Array]:
+        """An orthonormal basis (C, S n, 2 n) of what the starts can do, and the predictions."""
+        S, C, n = self.q.shape
+        size = 1e-6 * np.maximum(np.abs(self.begin).max(axis=0), 1e-3)
+        begins = self.begin + np.concatenate([np.zeros((1, 2 * n)), np.diag(size)])[:, None]
+        runs = self._run(np.tile(beta, (2 * n + 1, 1)), begins)
+        slopes = (runs[1:] - runs[0]) / size[:, None, None, None]
+        return np.linalg.qr(slopes.transpose(2, 1, 3, 0).reshape(C, S * n, 2 * n))[0], runs[0]
+
+    def _unexplained(self, Q: Array, errors: Array) -> Array:
+        """Errors (S, C, n) less what the starts explain, (S C, n)."""
+        S, C, n = errors.shape
+        flat = errors.transpose(1, 0, 2).reshape(C, S * n, 1)
+        rest = flat - Q @ (Q.transpose(0, 2, 1) @ flat)
+        return rest.reshape(C * S, n)
+
+    def _run(self, betas: Array, begins: Array) -> Array:
+        """Positions (P, S, C, n) for P betas (P, r) and starts (P, C, 2 n)."""
+        P, (S, C, n) = len(betas), self.q.shape
+        beta = np.repeat(betas, C, axis=0)
+        q, v = begins.reshape(P * C, 2 * n)[:, :n], begins.reshape(P * C, 2 * n)[:, n:]
+        path = [q]
+        for k in range(S - 1):
+            tau, after = (np.tile(self.tau[i], (P, 1)) for i in (k, k + 1))
+            q, v = self.forward.step(beta, q, v, tau, after)
+            path.append(q)
+        return np.array(path).reshape(S, P, C, n).transpose(1, 0, 2, 3)
+
+
+def _pieces(experiment: Experiment, horizon: float, substeps: int) -> _Pieces:
+    raw, recording = experiment.raw, experiment.recording
+    S = round(horizon * raw.rate) + 1
+    C = len(recording) // max(S, 1)
+    if S < 6 or C < 1:
+        raise UsageError(
+            f"A horizon of {horizon} s at {raw.rate} Hz is {S - 1} samples of {len(recording)}; a "
+            "piece needs 5, and the recording one piece."
+        )
+    first = int(np.argmin(np.abs(raw.t - recording.t[0])))
+    part = slice(first, first + C * S)
+    q, tau = (x[part].reshape(C, S, -1).transpose(1, 0, 2) for x in (raw.q, raw.tau))
+    motion = recording.motion
+    begin = np.concatenate([motion.q[: C * S : S], motion.v[: C * S : S]], axis=1)
+    return _Pieces(experiment, Forward(experiment, 1 / raw.rate, substeps), q, tau, begin)

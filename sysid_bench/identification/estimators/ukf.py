@@ -1,0 +1,53 @@
+"""UKF: states and parameters together, carried by sigma points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_bench.errors import EstimationError
+from sysid_bench.identification.kalman import Belief, JointFilter, joint_filter
+from sysid_bench.types import Array, Estimate, Experiment
+
+
+@dataclass(frozen=True)
+class UKF:
+    """Unscented Kalman filter on [q v beta], beta constant: as the EKF, with 2 k + 1 sigma points
+    in place of derivatives (van der Merwe 2004); `spread` is how far they lie, in standard
+    deviations."""
+
+    spread: float = 1.0
+    substeps: int = 1
+
+    def fit(self, experiment: Experiment) -> Estimate:
+        """The estimate after the last sample; raises EstimationError where it runs away."""
+        model = joint_filter(experiment, "The UKF", self.substeps)
+        start = belief = model.measured(model.begin(), 0)
+        for k in range(len(model.q) - 1):
+            belief = model.measured(self._predicted(model, belief, k), k + 1)
+        return model.answer(belief, start)
+
+    def _predicted(self, model: JointFilter, belief: Belief, k: int) -> Belief:
+        root = self.spread * _root(belief.covariance).T
+        points = model.step(
+            belief.mean + np.concatenate([root * 0, root, -root])[len(root) - 1 :], k
+        )
+        centre, plus, minus = points[0], points[1 : len(root) + 1], points[len(root) + 1 :]
+        weight = 0.5 / self.spread**2
+        mean = centre + weight * (plus + minus - 2 * centre).sum(axis=0)
+        first = (plus - minus) / (2 * self.spread)
+        bend = (plus + minus - 2 * centre) / (2 * self.spread**2)
+        P = first.T @ first + 0.5 * bend.T @ bend + model.disturbed(belief.mean)
+        return Belief(mean, 0.5 * (P + P.T))
+
+
+def _root(P: Array) -> Array:
+    """L (k, k) with L L' = P; what rounding takes is given back."""
+    scale = np.sqrt(np.diag(P))
+    scale = np.where(scale > 0, scale, 1.0)
+    even = P / np.outer(scale, scale)
+    for share in (0.0, 1e-13, 1e-11, 1e-9, 1e-7):
+        try:
+            return scale[:, None] * np.linalg.cholesky(even + share * np.eye(len(P)))
+        except np.linalg.LinAlgError:
+            continue
+    raise EstimationError("The filter's covariance lost its meaning: the noise is too large.")

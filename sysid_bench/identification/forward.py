@@ -1,0 +1,92 @@
+"""The model run forward by its own regressor: accelerations under given torques, any beta.
+
+Filters need what bodies that exist do not give: a model for every beta they try on the way. The
+mass matrix and the bias are read off inverse dynamics, Y(q, v, a) beta plus what is known.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError
+from sysid_bench.types import Array, Experiment, Trajectory
+
+FAR: Final = 1e6
+"""A position, rate or acceleration beyond this (rad, rad/s ...) is a model that runs away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Forward:
+    """Steps of a model; q, v, tau (S, n) of S states at once, each with its own beta (S, r)."""
+
+    experiment: Experiment
+    dt: float
+    substeps: int = 1
+
+    def step(
+        self, beta: Array, q: Array, v: Array, tau: Array, after: Array
+    ) -> tuple[Array, Array]:
+        """q and v (S, n) after dt, the torque going from `tau` to `after`, by Heun's rule."""
+        h = self.dt / self.substeps
+        for k in range(self.substeps):
+            one = tau + k / self.substeps * (after - tau)
+            two = tau + (k + 1) / self.substeps * (after - tau)
+            a = self.acceleration(beta, q, v, one)
+            b = self.acceleration(beta, q + h * v + 0.5 * h * h * a, v + h * a, two)
+            q = q + h * v + h * h / 6 * (2 * a + b)
+            v = v + 0.5 * h * (a + b)
+        if not (np.abs(q) < FAR).all() or not (np.abs(v) < FAR).all():
+            raise SimulationError("The model runs away with these parameters.")
+        return q, v
+
+    def acceleration(self, beta: Array, q: Array, v: Array, tau: Array) -> Array:
+        """(S, n): M^-1 (tau - bias)."""
+        S, n = q.shape
+        unit = np.concatenate([np.zeros((1, n)), np.eye(n)])
+        motion = Trajectory(
+            np.zeros(S * (n + 1)),
+            np.repeat(q, n + 1, axis=0),
+            np.repeat(v, n + 1, axis=0),
+            np.tile(unit, (S, 1)),
+        )
+        needed = self.torque(np.repeat(beta, n + 1, axis=0), motion).reshape(S, n + 1, n)
+        bias, M = needed[:, 0], (needed[:, 1:] - needed[:, :1]).transpose(0, 2, 1)
+        try:
+            return np.linalg.solve(M, (tau - bias)[..., None])[..., 0]
+        except np.linalg.LinAlgError as error:
+            raise EstimationError("The model of these parameters has no inertia.") from error
+
+    def torque(self, beta: Array, motion: Trajectory) -> Array:
+        """Inverse dynamics (S, n), each sample with its own beta (S, r)."""
+        tau = self.experiment.known(motion)
+        done = 0
+        for Y in self.experiment.regress(motion):
+            part = slice(done, done + len(Y))
+            tau[part] += np.einsum("nij,nj->ni", Y, beta[part])
+            done += len(Y)
+        return tau
+
+
+def scalar_joints(experiment: Experiment, what: str) -> int:
+    """The number of joints; raises UnsupportedError where positions are no numbers per joint, or
+    not every torque is measured."""
+    raw, problem = experiment.raw, experiment.problem
+    if raw.q.shape[1] != len(raw.rows):
+        raise UnsupportedError(
+            f"{what} needs hinges and slides that move on their own: orientations and joints that "
+            "follow others are no such states."
+        )
+    if problem.rows != raw.rows:
+        raise UnsupportedError(f"{what} needs every joint's torque; this task measures a part.")
+    return len(raw.rows)
+
+
+def differences(f: Callable[[Array], Array], x: Array, sizes: Array) -> Array:
+    """Forward differences (..., k) of f at x (k,), all at once: f takes (k + 1, k)."""
+    points = np.concatenate([x[None], x + np.diag(sizes)])
+    values = f(points)
+    return np.moveaxis(
+        (values[1:] - values[0]) / sizes.reshape(-1, *[1] * (values.ndim - 1)), 0, -1
+    )

@@ -1,0 +1,94 @@
+"""What can be simulated: every answer is a robot that exists, and explains beta where one can."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sysid_bench.identification.compressed import compress
+from sysid_bench.identification.possible import possible
+from sysid_bench.simulation.candidate import candidate, declared
+from sysid_bench.spatial.inertia import smallest_eigenvalue
+from sysid_bench.types import Array, Problem
+from tests.experiments.experiment_world import RICH, SMOOTH, ready_once
+
+ROBOTS = ("ur5", "tx40", SMOOTH, "random:1")
+
+
+def metric(problem: Problem) -> Array:
+    return compress(problem)[:-1, :-1]
+
+
+def exists(problem: Problem, theta: Array) -> bool:
+    places = {name: i for i, name in enumerate(problem.parameters)}
+    phi = np.array([theta[[places[c] for c in b.columns]] for b in problem.bodies])
+    terms = [theta[i] for name, i in places.items() if name.endswith((".fv", ".fc", ".Ia"))]
+    return bool((smallest_eigenvalue(phi) > 0).all()) and all(x > 0 for x in terms)
+
+
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_bodies_that_explain_beta_are_found_where_there_are_some(robot: str, told: bool) -> None:
+    made = ready_once(robot)
+    problem = made.problem if told else replace(made.problem, prior=None)
+    K, prior = problem.base.K, made.problem.prior
+    assert prior is not None
+    beta = K @ (0.5 * (prior.theta + possible(made.problem).centre))  # of a robot that exists
+    theta = possible(problem).nearest(beta, metric(problem))
+    assert exists(problem, theta)
+    np.testing.assert_allclose(K @ theta, beta, atol=1e-9 * np.abs(beta).max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_for_any_beta_the_answer_exists_and_can_be_simulated(robot: str, seed: int) -> None:
+    made = ready_once(robot)
+    problem = made.problem
+    rng = np.random.default_rng(seed)
+    beta = problem.base.K @ made.truth.theta
+    wild = beta * rng.normal(size=len(beta)) * 3
+    theta = possible(problem).nearest(wild, metric(problem))
+    assert exists(problem, theta)
+    assert candidate(declared(made.robot, made.task), theta).bench.nv == made.robot.nv
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_what_is_taken_for_an_impossible_beta_is_near_it(robot: str) -> None:
+    """Nearer than other robots that exist: the prior, the centre of no prior, the truth."""
+    made = ready_once(robot)
+    problem, R = made.problem, metric(made.problem)
+    K, truth = problem.base.K, made.truth.theta
+    beta = K @ truth
+    step = np.random.default_rng(1).normal(size=len(beta))
+    wild = beta + 0.5 * np.linalg.norm(R @ beta) / np.linalg.norm(R @ step) * step
+    room = possible(problem)
+    found = np.linalg.norm(R @ (K @ room.nearest(wild, R) - wild))
+    for other in (room.centre, possible(replace(problem, prior=None)).centre, truth):
+        assert found <= np.linalg.norm(R @ (K @ other - wild)) * (1 + 1e-4)
+
+
+def test_a_lift_moves_beta_alone_and_stays_inside_its_reach() -> None:
+    problem = ready_once(RICH).problem
+    room = possible(problem)
+    lift = room.lift(room.centre)
+    K = problem.base.K
+    rounding = 1e-11 * (np.abs(K) @ np.abs(lift)).max()
+    np.testing.assert_allclose(K @ lift, np.eye(problem.base.rank), atol=rounding)
+    for direction in lift.T:
+        for sign in (1, -1):
+            end = room.centre + sign * room.reach(room.centre, direction) * direction
+            assert np.isfinite(room.divergence(end))
+
+
+def test_slopes_are_those_of_the_divergence() -> None:
+    problem = ready_once(RICH).problem
+    first, prior = possible(replace(problem, prior=None)), possible(problem)
+    theta = 0.5 * (first.centre + prior.centre)
+    gradient, hessian = prior.slopes(theta)
+    for j in range(len(theta)):
+        size = 1e-6 * max(abs(theta[j]), 1e-4)
+        step = size * (np.arange(len(theta)) == j)
+        rise = (prior.divergence(theta + step) - prior.divergence(theta - step)) / (2 * size)
+        bend = (prior.slopes(theta + step)[0] - prior.slopes(theta - step)[0]) / (2 * size)
+        assert rise == pytest.approx(gradient[j], rel=1e-4, abs=1e-4 * np.abs(gradient).max())
+        np.testing.assert_allclose(bend, hessian[j], atol=1e-4 * np.abs(hessian[j]).max())
