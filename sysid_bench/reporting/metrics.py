@@ -37,6 +37,8 @@ _ALL: Final = (
     Metric("rmse_train", "Training RMSE", _TORQUE),
     Metric("rmse_test", "Held-out RMSE", _TORQUE),
     Metric("torque_error", "Relative held-out torque error", floor=_ROUNDING),
+    Metric("torque_error_sample", "Held-out torque error per sample", floor=_ROUNDING),
+    Metric("torque_error_worst", "Held-out torque error of the worst joint", floor=_ROUNDING),
     Metric("rank", "Base parameters", digits=0),
     Metric("data_rank", "Excited base parameters", digits=0),
     Metric("parameters", "Parameters", digits=0),
