@@ -114,7 +114,7 @@ class _Reading:
             return self.file(file, None, model, attached) + Counter(inclusions=1)
         if element.tag == "model":
             root = self.parsed(file)
-            attached[element.get("name") or root.get("model", "")] = file
+            attached[element.get("name", root.get("model", ""))] = file
             self.model(file, root)
         else:
             self.weigh(file)
@@ -154,7 +154,8 @@ class _Reading:
             weight[key] += copies * count
         if max(weight["inclusions"], len(self.files) + len(self.open)) > MOST_FILES:
             raise ModelError(
-                f"{self.path.name} pulls in files more than {MOST_FILES} times; no robot needs that."
+                f"{self.path.name} pulls in files more than {MOST_FILES} times; no robot needs "
+                "that."
             )
         if weight["bytes"] > LARGEST_FILE:
             raise self.too_long(weight["bytes"])
@@ -212,7 +213,7 @@ def _check_sizes(element: ET.Element, name: str) -> None:
     if element.tag == "hfield":
         sizes, limit = [_product(element, "nrow", "ncol")], MOST_CELLS
     elif element.tag == "size":
-        keys = [key for key in element.keys() if key.startswith("nuser") or key == "nkey"]
+        keys = [key for key in element.attrib if key.startswith("nuser") or key == "nkey"]
         sizes, limit = [_product(element, key) for key in keys], MOST_NUMBERS
     elif element.tag == "mesh" and element.get("builtin") is not None:
         sizes, limit = _numbers(element, "params", "0"), FINEST_MESH

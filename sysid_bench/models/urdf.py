@@ -22,8 +22,11 @@ from sysid_bench.types import Array
 
 _SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _ROWS, _COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # of the six in the matrix
-_SMALLEST_MOMENT: Final = 1e-14  # kg m^2; MuJoCo rejects moving bodies below 1e-15
-_ROUNDING: Final = 1e-12  # of the largest moment
+_SMALLEST: Final = 1.5e-14  # kg m^2; MuJoCo rejects moments below 1e-14
+_ROUNDING: Final = 1e-14  # of the largest moment
+_UNTOLD: Final = 1e-12  # of an inertia: rounding, and no repair
+_LAMINA: Final = 1e-13  # of the largest moment; how thick a body without thickness is made
+_MARGIN: Final = 1e-6  # of the largest moment; how thick an impossible one is made
 MASSLESS: Final = 1e-9  # kg
 TINY_MASS: Final = 1e-6  # kg; what a massless body that moves gets
 TINY_MOMENT: Final = 1e-9  # kg m^2
@@ -86,7 +89,7 @@ def _strip(robot: ET.Element) -> Iterator[str]:
             for element in link.findall(tag):
                 link.remove(element)
     for section in robot.findall("mujoco"):
-        written = [f"{part.tag} {key}" for part in section for key in part.keys()]
+        written = [f"{part.tag} {key}" for part in section for key in part.attrib]
         if given := [words for words in written if words not in _NO_DYNAMICS]:
             yield f"of the <mujoco> extension left out: {', '.join(given)}"
     for tag in ("mujoco", "gazebo", "transmission", "material", "sensor"):
@@ -231,15 +234,18 @@ def _repair_inertia(link: ET.Element, name: str) -> list[str]:
         if element.get(key) is None:  # absent means zero, and MuJoCo wants to see it
             element.set(key, repr(float(value)))
     moments = np.linalg.eigvalsh(matrix_of_six(six))
-    if not six.any():
+    if not six.any() or (mass > 0 and np.abs(six).max() < _SMALLEST):
         return _point_mass(element, mass, link)
     # MuJoCo finds the moments of a tilted lamina again, rounded to either side of the border.
-    slack = _ROUNDING * moments[2] if six[[1, 2, 4]].any() else 0.0
-    if moments[0] >= _SMALLEST_MOMENT and moments[0] + moments[1] >= moments[2] + slack:
+    tilted = six[[1, 2, 4]].any() or inertial.find("origin[@rpy]") is not None
+    slack = _ROUNDING * moments[2] if tilted else 0.0
+    if moments[0] >= _SMALLEST and moments[0] + moments[1] >= moments[2] + slack:
         return []
     nearest = _nearest_possible(matrix_of_six(six))
     change = np.abs(nearest - matrix_of_six(six)).max() / np.abs(six).max()
     _write_six(element, six_of_matrix(nearest))
+    if change <= _UNTOLD:
+        return []
     return [
         f"inertia of link {link.get('name')!r} made possible (largest change {change:.2g} of it)"
     ]
@@ -248,17 +254,20 @@ def _repair_inertia(link: ET.Element, name: str) -> list[str]:
 def _point_mass(element: ET.Element, mass: float, link: ET.Element) -> list[str]:
     if mass <= 0:
         return []
-    moment = max(1e-9, 1e-6 * mass)
+    moment = max(_SMALLEST, 1e-6 * mass)
     _write_six(element, np.array([moment, 0, 0, moment, 0, moment]))
     return [f"point mass of link {link.get('name')!r} given the inertia {moment:.2g} kg m^2"]
 
 
 def _nearest_possible(inertia: Array) -> Array:
-    """The inertia with the negative eigenvalues of its density covariance lifted to a margin."""
+    """The inertia with the negative eigenvalues of its density covariance lifted to a margin: to
+    next to nothing for a lamina, which is possible but for rounding."""
     covariance = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     values, vectors = np.linalg.eigh(covariance)
     # Relative to what is there: a microrobot's inertia is as good as a crane's.
-    lifted = np.maximum(values, max(1e-6 * float(np.abs(inertia).max()), _SMALLEST_MOMENT))
+    largest = float(np.abs(inertia).max())
+    lamina = values[0] >= -_LAMINA * largest and values[1] >= _MARGIN * largest
+    lifted = np.maximum(values, max((_LAMINA if lamina else _MARGIN) * largest, _SMALLEST))
     covariance = vectors @ np.diag(lifted) @ vectors.T
     return np.trace(covariance) * np.eye(3) - covariance
 

@@ -40,16 +40,6 @@ def quaternion_of_matrix(R: Array) -> Array:
     return q / np.linalg.norm(q) * (1.0 if q[0] >= 0 else -1.0)
 
 
-def rpy_of_matrix(R: Array) -> Array:
-    """Roll, pitch, yaw (3,) of R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll), as a URDF has them."""
-    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    yaw = np.arctan2(R[1, 0], R[0, 0])
-    c, s = np.cos(yaw), np.sin(yaw)
-    # With the yaw taken out, so that looking straight up or down leaves the roll well defined.
-    roll = np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
-    return np.array([roll, pitch, yaw])
-
-
 def product(left: Array, right: Array) -> Array:
     """Quaternion product (..., 4): first `right`, then `left`."""
     a, b, c, d = np.moveaxis(left, -1, 0)

@@ -8,7 +8,6 @@ import numpy as np
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.writing.lamina import is_lamina, principal
 from sysid_bench.models.writing.proof import as_written
 from sysid_bench.models.writing.rewrite import rewritten
 from sysid_bench.models.writing.update import Bodies, Joints, Update
@@ -26,6 +25,10 @@ from sysid_bench.types import Array
 _POSE: Final = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 _COPIES: Final = ("replicate", "composite", "flexcomp", "attach")
 """Elements that make bodies which the text does not write one by one."""
+
+LAMINA: Final = 1e-9
+"""Of the trace: below it a principal moment of the density is none, and MuJoCo's own reading of a
+full inertia may round it to the wrong side; principal moments are written instead."""
 
 
 def updated_mjcf(
@@ -128,11 +131,14 @@ def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
 def _inertia(inertia: Array) -> dict[str, str | None]:
     """Attributes of an inertia (3, 3) about the centre of mass: xx yy zz xy xz yz, or, for what has
     no thickness, principal moments and their axes."""
-    if not is_lamina(inertia):
+    density = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    if density[0] > LAMINA * np.trace(inertia):
         full = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
         return {"fullinertia": numbers(*full), "diaginertia": None}
-    moments, axes = principal(inertia)
-    quat = quaternion_of_matrix(axes)
+    moments, axes = np.linalg.eigh(inertia)
+    moments = np.maximum(moments, 0.0)
+    moments[2] = min(moments[2], moments[0] + moments[1])  # a lamina lies on the border
+    quat = quaternion_of_matrix(axes * np.sign(np.linalg.det(axes)))
     return {"diaginertia": numbers(*moments), "quat": numbers(*quat), "fullinertia": None}
 
 

@@ -94,8 +94,9 @@ def _phi(name: str, value: BodyValue) -> Array:
         phi = np.zeros(0)
     if phi.shape != (10,) or not np.isfinite(phi).all():
         raise UsageError(
-            f"The body {name!r} cannot have {value!r}; it needs ten finite numbers m hx hy hz Ixx Ixy Ixz Iyy Iyz Izz, or "
-            "(m, com, inertia about it as six numbers or (3, 3))."
+            f"The body {name!r} cannot have {value!r}; it needs ten finite numbers "
+            "m hx hy hz Ixx Ixy Ixz Iyy Iyz Izz, or (m, com, inertia about it as six numbers or "
+            "(3, 3))."
         )
     return phi
 

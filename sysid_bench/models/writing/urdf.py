@@ -4,10 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from sysid_bench.errors import ModelError
-from sysid_bench.models.writing.lamina import is_lamina, principal
 from sysid_bench.models.writing.rewrite import rewritten
 from sysid_bench.models.writing.update import Bodies, Joints, Update
 from sysid_bench.models.writing.xml_text import (
@@ -18,7 +15,6 @@ from sysid_bench.models.writing.xml_text import (
     numbers,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia, six_of_matrix
-from sysid_bench.spatial.rotation import rpy_of_matrix
 from sysid_bench.types import Array
 
 _SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -59,15 +55,11 @@ def _called(root: Element, tag: str, name: str, file: str) -> Element:
 
 def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
     mass, com, inertia = mass_com_inertia(phi)
-    rpy = np.zeros(3)
-    if is_lamina(inertia) and inertia.any():
-        moments, axes = principal(inertia)
-        inertia, rpy = np.diag(moments), rpy_of_matrix(axes)
-    six = zip(_SIX, map(numbers, six_of_matrix(inertia)), strict=True)
+    moments = zip(_SIX, map(numbers, six_of_matrix(inertia)), strict=True)
     parts: dict[str, dict[str, str]] = {
-        "origin": {"xyz": numbers(*com), "rpy": numbers(*rpy)},
+        "origin": {"xyz": numbers(*com), "rpy": "0 0 0"},
         "mass": {"value": numbers(mass)},
-        "inertia": dict(six),
+        "inertia": dict(moments),
     }
     inertial = link.child("inertial")
     if inertial is None:
