@@ -23,6 +23,12 @@ SENSOR = "Force/torque sensor: a name of the manifest, or a fixed joint, site or
 @click.argument("robots", nargs=-1, required=True, metavar="ROBOT|FILE...")
 @click.option("--samples", default=50, show_default=True, help="Random states to compare at.")
 @click.option("--free-base", is_flag=True, default=None, help="Let the root body float.")
+@click.option(
+    "--assets",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    metavar="DIR",
+    help="The folder that MJCF files may read below; default: each file's own.",
+)
 @robots_option
 @json_option
 @verb
@@ -30,6 +36,7 @@ def crosscheck(
     robots: tuple[str, ...],
     samples: int,
     free_base: bool | None,
+    assets: Path | None,
     robots_dir: Path | None,
     as_json: bool,
 ) -> int:
@@ -39,7 +46,9 @@ def crosscheck(
     """
     from sysid_bench.verbs.crosscheck import crosscheck as check
 
-    verdicts = check(*robots, samples=samples, free_base=free_base, robots_dir=robots_dir)
+    verdicts = check(
+        *robots, samples=samples, free_base=free_base, robots_dir=robots_dir, assets=assets
+    )
     if as_json:
         print_json(verdicts)
     else:
@@ -74,7 +83,7 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
             f"{coupling['coupled_base_parameters']} base parameters"
         )
     for repair in verdict["repairs"]:
-        click.echo(f"  repaired: {repair}")
+        click.echo(f"  {'doubtful' if repair.endswith('?') else 'repaired'}: {repair}")
     if verdict["reason"]:
         click.echo(f"sysid-bench: {verdict['robot']}: {verdict['reason']}", err=True)
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.urdf import parse_xml
+from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.spatial.rotation import product
 from sysid_bench.types import Array, Shape, ShapeKind
 

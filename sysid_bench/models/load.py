@@ -11,22 +11,21 @@ from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.coupling.build import Dofs, coupling_of
 from sysid_bench.models.coupling.mimic import add_mimics
 from sysid_bench.models.coupling.read import equalities_of, keep_equalities
+from sysid_bench.models.doubts import doubts_of
 from sysid_bench.models.limits import limits_of, stated_limits
 from sysid_bench.models.locking import lock_joints
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf import mjcf_spec
-from sysid_bench.models.numbers import check_numbers
+from sysid_bench.models.numbers import LARGEST_TREE, check_numbers
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, JointTerms, RobotModel
 from sysid_bench.models.tree import FREE, tree_of
-from sysid_bench.models.urdf import Urdf, canonical_urdf, parse_xml
+from sysid_bench.models.urdf import MASSLESS, TINY_MASS, TINY_MOMENT, Urdf, canonical_urdf
 from sysid_bench.models.warnings import heard, kept
+from sysid_bench.models.xml_file import parse_xml, read_bytes
 from sysid_bench.spatial.inertia import matrix_of_six, phi_of
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_matrix
 from sysid_bench.types import Array
-
-LARGEST_FILE = 64 * 2**20  # bytes; a model text beyond it is a mistake
-LARGEST_TREE = 100_000  # bodies times degrees of freedom; Y of 50 states takes 400 MB then
 
 
 def load_robot(
@@ -43,14 +42,19 @@ def load_robot(
     manifest = source if isinstance(source, Manifest) else find_manifest(str(source), robots_dir)
     free = manifest.free_base if free_base is None else free_base
     heard()
-    data = _read(manifest.path) if manifest.text is None else manifest.text.encode()
+    data = read_bytes(manifest.path) if manifest.text is None else manifest.text.encode()
     root = parse_xml(data, manifest.path.name).tag
     if root == "robot":
         read = _urdf_source(data, manifest, free)
     elif root == "mujoco":
         text = None if manifest.text is None else data
-        spec, repairs, actuated = mjcf_spec(manifest.path, text)
+        spec, repairs, actuated = mjcf_spec(manifest.path, text, manifest.assets)
         read = _Source("mjcf", spec, data, repairs, {}, actuated)
+    elif root == "mujocoinclude":
+        raise ModelError(
+            f"{manifest.path.name} is a part to be included in a model; give the file that "
+            "includes it."
+        )
     else:
         raise ModelError(
             f"{manifest.path.name} is neither URDF nor MJCF: its root element is <{root}>."
@@ -72,8 +76,7 @@ class _Source:
 
 def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source) -> RobotModel:
     spec = source.spec
-    if free:
-        _free_the_base(spec, manifest)
+    mended = _free_the_base(spec, manifest) if free else ()
     if manifest.gravity is not None:
         spec.option.gravity = manifest.gravity
     _apply_joint_terms(spec, manifest)
@@ -90,9 +93,10 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         keep_equalities(spec, equalities)
     mj = _compile(spec, manifest) if payload or equalities is not None else bare
     joints = _joints(mj)
+    _check_rows(manifest, joints)
     _check_known(manifest, joints)
     _check_bodies(manifest, _body_names(mj))
-    repairs = (*source.repairs, *heard())
+    repairs = (*source.repairs, *mended, *heard(), *doubts_of(mj))
     coupling = None
     if equalities is not None:
         repairs += equalities.left_out
@@ -147,14 +151,6 @@ def _dofs(
     )
 
 
-def _read(path: Path) -> bytes:
-    if path.stat().st_size > LARGEST_FILE:
-        raise ModelError(
-            f"{path.name} has {path.stat().st_size} bytes; no robot text is that long."
-        )
-    return path.read_bytes()
-
-
 def _urdf_source(data: bytes, manifest: Manifest, free: bool) -> _Source:
     urdf = canonical_urdf(data, manifest.path.name, free)
     spec = _urdf_spec(urdf, manifest)
@@ -199,19 +195,42 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _free_the_base(spec: mujoco.MjSpec, manifest: Manifest) -> None:
+def _free_the_base(spec: mujoco.MjSpec, manifest: Manifest) -> tuple[str, ...]:
+    """Gives the root body a free joint, and mass if it has none; what was done, in words."""
     roots = list(spec.worldbody.bodies)
     if len(roots) != 1:
         raise ModelError(
             f"{manifest.name}: a free base needs one root body; there are {len(roots)}."
         )
     if any(int(joint.type) == FREE for joint in roots[0].joints):
-        return
+        return ()
     if list(roots[0].joints):
         raise ModelError(
             f"{manifest.name}: the root body already has joints; it cannot float as well."
         )
-    roots[0].add_freejoint(name="root")
+    told = _give_mass_to_root(spec, roots[0])
+    joints = tuple(joint.name for joint in spec.joints)
+    roots[0].add_freejoint(name=_free_name("root", joints))
+    return told
+
+
+def _give_mass_to_root(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> tuple[str, ...]:
+    """A body that moves needs mass, of its own or welded to it; before it floats it needs none."""
+    try:
+        with kept():
+            mj = spec.compile()
+    except (ValueError, mujoco.FatalError):
+        return ()  # told where the whole model is compiled
+    welded = {root.id}
+    for b in range(root.id + 1, mj.nbody):
+        if int(mj.body_parentid[b]) in welded and mj.body_jntnum[b] == 0:
+            welded.add(b)
+    if mj.body_mass[list(welded)].sum() >= MASSLESS:
+        return ()
+    root.explicitinertial, root.mass, root.inertia = True, TINY_MASS, np.full(3, TINY_MOMENT)
+    root.ipos, root.iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    root.fullinertia, root.ialt.type = np.full(6, np.nan), mujoco.mjtOrientation.mjORIENTATION_QUAT
+    return (f"massless root body {root.name!r} given {TINY_MASS:.0e} kg",)
 
 
 def _apply_joint_terms(spec: mujoco.MjSpec, manifest: Manifest) -> None:
@@ -275,6 +294,18 @@ def _joints(mj: mujoco.MjModel) -> tuple[Joint, ...]:
             Joint(name, TYPE_NAMES[kind], int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j]), dofs)
         )
     return tuple(joints)
+
+
+def _check_rows(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
+    owners: dict[str, str] = {}
+    for joint in joints:
+        for row in joint.dofs:
+            if row in owners:
+                raise ModelError(
+                    f"{manifest.name}: {row!r} would name a degree of freedom of the joint "
+                    f"{owners[row]!r} and one of {joint.name!r}; rename one of these joints."
+                )
+            owners[row] = joint.name
 
 
 def _check_known(manifest: Manifest, joints: tuple[Joint, ...]) -> None:

@@ -2,15 +2,16 @@
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from sysid_bench import places
-from sysid_bench.errors import ModelError, UsageError, unknown_name
+from sysid_bench.errors import ModelError, UsageError, reason_of, unknown_name
 
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
 """Joint terms that can be identified beside the inertial parameters."""
@@ -118,6 +119,7 @@ class _Text(_Table):
     name: str
     title: str = ""
     file: str
+    assets: str | None = None
     tool: str | None = None
     free_base: bool = False
     gravity: tuple[Finite, Finite, Finite] | None = None
@@ -141,6 +143,7 @@ class Manifest:
     name: str
     path: Path
     title: str = ""
+    assets: Path | None = None  # the folder that an MJCF may read files of; None: its own
     tool: str | None = None
     free_base: bool = False
     gravity: tuple[float, float, float] | None = None
@@ -205,9 +208,11 @@ def read_manifest(file: Path) -> Manifest:
     for name, limits in written.limits.items():
         if limits.q is not None and not limits.q[0] < limits.q[1]:
             raise ModelError(f"{file}: limits.{name}.q must be [low, high]; got {list(limits.q)}.")
+    path, assets = _model_path(written.file, file)
     return Manifest(
         name=written.name,
-        path=_model_path(written.file, file),
+        path=path,
+        assets=assets if written.assets is None else path.parent / written.assets,
         title=written.title or written.name,
         tool=written.tool,
         free_base=written.free_base,
@@ -267,40 +272,68 @@ def _random(source: str, rest: str) -> Manifest:
 
 def _from_package(source: str, rest: str) -> Manifest:
     if source.startswith("robot_descriptions:"):
-        path = _robot_description(rest, source)
-        return Manifest(name=rest.removesuffix("_description"), path=path, title=rest)
+        path, assets = _robot_description(rest, source)
+        name = rest.removesuffix("_description")
+        return Manifest(name=name, path=path, title=rest, assets=assets)
     folder = places.example_robot_data()
     path = folder / rest
     if not path.is_file():
         known = [str(file.relative_to(folder)) for file in folder.rglob("*.urdf")]
-        raise unknown_name("file of example-robot-data", rest, known)
+        raise _unknown_file(rest, known)
     return Manifest(name=path.stem, path=path, title=rest)
 
 
-def _model_path(written: str, manifest: Path) -> Path:
+def _unknown_file(name: str, known: Sequence[str]) -> UsageError:
+    near = get_close_matches(name, known, n=3, cutoff=0.8)
+    if not near:  # a shorter name, or one of another folder
+        near = [file for file in known if Path(name).stem.lower() in file.lower()][:3]
+    nearest = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
+    return UsageError(
+        f"No file of example-robot-data is called {name!r}.{nearest} There are {len(known)} URDFs."
+    )
+
+
+def _model_path(written: str, manifest: Path) -> tuple[Path, Path | None]:
+    """The model file, and the folder of the package that it may read files of."""
+    assets = None
     package, colon, rest = written.partition(":")
     if package == "example-robot-data" and colon:
         path = places.example_robot_data() / rest
     elif package == "robot_descriptions" and colon:
-        path = _robot_description(rest, str(manifest))
+        path, assets = _robot_description(rest, str(manifest))
     else:
         path = manifest.parent / written
     if not path.is_file():
         raise ModelError(f"{manifest}: the model file {written!r} is not there (looked at {path}).")
-    return path
+    return path, assets
 
 
-def _robot_description(name: str, manifest: str) -> Path:
+def _robot_description(name: str, manifest: str) -> tuple[Path, Path | None]:
+    """The model file of a description, and its package's folder. Reading it may fetch it."""
     import importlib
 
+    asked = f"{manifest}: 'robot_descriptions:{name}'"
     try:
+        if not name.isidentifier() or name.startswith("_"):
+            raise ModuleNotFoundError(name)
         module = importlib.import_module(f"robot_descriptions.{name}")
     except ModuleNotFoundError as error:
         raise ModelError(
-            f"{manifest}: 'robot_descriptions:{name}' is not installed or not known; "
+            f"{asked} is not installed or not known; "
             "pip install robot_descriptions, and see its list of names."
         ) from error
-    return Path(getattr(module, "URDF_PATH", None) or module.MJCF_PATH)
+    except Exception as error:  # its modules clone repositories while they are imported
+        raise ModelError(
+            f"{asked} could not be fetched ({reason_of(error)[:200]}); it needs the internet once, "
+            "to download the robot's files."
+        ) from error
+    file = getattr(module, "URDF_PATH", None) or getattr(module, "MJCF_PATH", None)
+    if file is None:
+        raise ModelError(f"{asked} is no robot: it has neither a URDF nor an MJCF.")
+    path, folder = Path(file), getattr(module, "PACKAGE_PATH", None)
+    if not path.is_file():
+        raise ModelError(f"{asked}: its file {str(path)!r} is not there; fetch it again.")
+    return path, Path(folder) if folder and path.is_relative_to(folder) else None
 
 
 def _line(problem: Any) -> str:

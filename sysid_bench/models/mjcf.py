@@ -14,18 +14,21 @@ _UNUSED = ("keys", "pairs", "excludes", "sensors", "tuples")
 
 
 def mjcf_spec(
-    path: Path, text: bytes | None = None
+    path: Path, text: bytes | None = None, assets: Path | None = None
 ) -> tuple[mujoco.MjSpec, tuple[str, ...], tuple[str, ...]]:
     """The spec of a file, or of a text that includes nothing and is called `path`; in words, what
-    had to be left out; and the joints that carry motors. Raises ModelError with MuJoCo's reason."""
-    spec = _read(path, text)
+    had to be left out; and the joints that carry motors. Files are read below the folder `assets`,
+    or that of `path`. Raises ModelError with MuJoCo's reason."""
+    folder = assets or path.parent
+    spec = _read(path, text, folder)
     spec.compiler.fusestatic = False  # welded bodies keep their own parameters
+    spec.memory = spec.nstack = spec.njmax = spec.nconmax = -1  # as much as it needs
     for collection in (*_UNUSED, *_LOOKS):
         for element in list(getattr(spec, collection)):
             spec.delete(element)
     for element in [*spec.geoms, *spec.sites, *spec.tendons]:
         element.material = ""
-    repairs = settle_inertias(spec, path)
+    repairs = settle_inertias(spec, path, folder)
     repairs += settle_terms(spec)
     actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
     for actuator in list(spec.actuators):
@@ -33,8 +36,8 @@ def mjcf_spec(
     return spec, repairs, actuated
 
 
-def _read(path: Path, text: bytes | None) -> mujoco.MjSpec:
-    check_files(path, path.read_bytes() if text is None else text)
+def _read(path: Path, text: bytes | None, folder: Path) -> mujoco.MjSpec:
+    check_files(path, path.read_bytes() if text is None else text, folder)
     try:
         if text is None:
             return mujoco.MjSpec.from_file(str(path))

@@ -13,8 +13,8 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from sysid_bench.errors import ModelError
-from sysid_bench.models.mjcf_files import inside
+from sysid_bench.errors import ModelError, first_few
+from sysid_bench.models.mjcf_files import inside, outside
 from sysid_bench.models.warnings import kept
 from sysid_bench.types import Array
 
@@ -28,17 +28,18 @@ _AUTO: Final = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO)
 LARGEST_MESH: Final = 256 * 2**20  # bytes
 
 
-def settle_inertias(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
+def settle_inertias(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str, ...]:
     """Makes the inertias of a spec explicit where meshes or rules of the compiler decide them, and
-    deletes every shape that needs a file. Tells, in words, the bodies whose meshes are absent.
+    deletes every shape that needs a file. Meshes lie below `folder`. Tells, in words, the bodies
+    whose meshes are absent.
 
     Raises ModelError where such a body moves and weighs nothing else, or a mesh lies outside of
-    the model's folder.
+    `folder`.
     """
     weighing = [geom for body in spec.bodies for geom in _weighing(spec, body)]
-    files = {geom: _mesh_file(spec, geom.meshname, path) for geom in weighing}
+    files = {geom: _mesh_file(spec, geom.meshname, path, folder) for geom in weighing}
     lost = [geom for geom, file in files.items() if file is not None and not file.is_file()]
-    absent = _Absent.of(lost, files, path)
+    absent = _Absent.of(lost, files, folder)
     kept_geoms = [geom for geom in weighing if geom not in lost]
     for geom in [g for g in spec.geoms if _is_filed(g) and g not in kept_geoms]:
         spec.delete(geom)
@@ -60,23 +61,22 @@ class _Absent:
 
     @classmethod
     def of(
-        cls, lost: list[mujoco.MjsGeom], files: dict[mujoco.MjsGeom, Path | None], path: Path
+        cls, lost: list[mujoco.MjsGeom], files: dict[mujoco.MjsGeom, Path | None], folder: Path
     ) -> "_Absent":
         """In the order of the text, each once."""
         bodies = dict.fromkeys(geom.parent.name or "(unnamed)" for geom in lost)
         found = [file for geom in lost if (file := files[geom]) is not None]
-        names = dict.fromkeys(str(file.relative_to(path.parent)) for file in found)
-        return cls(tuple(bodies), tuple(names), path.parent.name)
+        names = dict.fromkeys(str(file.resolve().relative_to(folder.resolve())) for file in found)
+        return cls(tuple(bodies), tuple(names), folder.resolve().name)
 
     def __bool__(self) -> bool:
         return bool(self.bodies)
 
     def __str__(self) -> str:
-        more = "" if len(self.files) < 4 else f" and {len(self.files) - 3} more"
         return (
-            f"{', '.join(self.bodies)}: inertia came from meshes that are not there "
-            f"({', '.join(self.files[:3])}{more}): give each of these bodies an <inertial>, or put "
-            f"the meshes into the model's folder {self.folder!r}"
+            f"{first_few(self.bodies)}: inertia came from meshes that are not there "
+            f"({first_few(self.files)}): give each of these bodies an <inertial>, or put "
+            f"the meshes into the folder {self.folder!r}"
         )
 
 
@@ -96,7 +96,7 @@ def _weighing(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> Iterator[mujoco.MjsG
             yield geom
 
 
-def _mesh_file(spec: mujoco.MjSpec, name: str, path: Path) -> Path | None:
+def _mesh_file(spec: mujoco.MjSpec, name: str, path: Path, folder: Path) -> Path | None:
     """Where a mesh lies; None where its vertices stand in the text."""
     mesh = spec.mesh(name)
     if mesh is None:
@@ -105,11 +105,10 @@ def _mesh_file(spec: mujoco.MjSpec, name: str, path: Path) -> Path | None:
         return None
     written = Path(mesh.file).name if spec.strippath else mesh.file
     file = path.parent / (spec.compiler.meshdir or "") / written
-    if not inside(file, path.parent):
+    if not inside(file, folder):
         raise ModelError(
             f"{path.name}: the inertia of a body comes from the mesh {mesh.file!r}, which lies "
-            "outside of the model's folder, and nothing is read there; put it into that folder, "
-            "or give the body an <inertial>."
+            f"{outside(path, file)}; or give the body an <inertial>."
         )
     if file.is_file() and file.stat().st_size > LARGEST_MESH:
         raise ModelError(f"{path.name}: the mesh {mesh.file!r} is too large for a robot's part.")

@@ -12,13 +12,20 @@ if TYPE_CHECKING:
 LARGEST: Final = 1e9
 """SI units. No robot weighs or reaches more; squares and products of it stay far from overflow."""
 
+LARGEST_TREE: Final = 100_000
+"""Bodies times degrees of freedom; Y of 50 states takes 400 MB then."""
+
+LARGEST_TERM: Final = 1e13
+"""N m s/rad and the like: public models hold joints still with a damping of 1e11."""
+
 _OF_BODIES: Final = (
     "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat", "body_inertia"
 )  # fmt: skip
 _OF_JOINTS: Final = ("jnt_pos", "jnt_axis")
-_OF_THE_MODEL: Final = (
-    "qpos0", "qpos_spring", "dof_armature", "dof_damping", "dof_frictionloss", "jnt_stiffness"
-)  # fmt: skip
+_OF_THE_MODEL: Final = {
+    "qpos0": LARGEST, "qpos_spring": LARGEST, "dof_armature": LARGEST, "dof_damping": LARGEST_TERM,
+    "dof_frictionloss": LARGEST_TERM, "jnt_stiffness": LARGEST_TERM,
+}  # fmt: skip
 
 
 def check_numbers(mj: "mujoco.MjModel", name: str) -> None:
@@ -34,9 +41,9 @@ def check_numbers(mj: "mujoco.MjModel", name: str) -> None:
         lengths = np.linalg.norm(getattr(mj, key), axis=1)
         for b in np.flatnonzero(np.abs(lengths - 1) > 1e-6).tolist():
             raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
-    for key in _OF_THE_MODEL:
-        for i in _wrong(getattr(mj, key)):
-            raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i])
+    for key, largest in _OF_THE_MODEL.items():
+        for i in _wrong(getattr(mj, key), largest):
+            raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i], largest)
     for key in ("dof_armature", "dof_damping", "dof_frictionloss"):
         for i in np.flatnonzero(np.ravel(getattr(mj, key)) < 0)[:1].tolist():
             joint = mj.joint(int(mj.dof_jntid[i % mj.nv])).name
@@ -48,14 +55,16 @@ def check_numbers(mj: "mujoco.MjModel", name: str) -> None:
         raise _error(name, "the model", "gravity", mj.opt.gravity)
 
 
-def _wrong(values: np.ndarray) -> list[int]:
+def _wrong(values: np.ndarray, largest: float = LARGEST) -> list[int]:
     """First places whose numbers are not finite or too large; NaN compares false."""
-    good = np.abs(values.reshape(len(values), -1)) <= LARGEST
+    good = np.abs(values.reshape(len(values), -1)) <= largest
     return [int(i) for i in np.flatnonzero(~good.all(axis=1))]
 
 
-def _error(name: str, place: str, key: str, value: np.ndarray) -> ModelError:
+def _error(
+    name: str, place: str, key: str, value: np.ndarray, largest: float = LARGEST
+) -> ModelError:
     return ModelError(
         f"{name}: {key} of {place} is {np.ravel(value).tolist()}; numbers must be finite and at "
-        f"most {LARGEST:.0e} in SI units: correct the file."
+        f"most {largest:.0e} in SI units: correct the file."
     )

@@ -7,22 +7,32 @@ repaired, one by one; each repair is told in words, because it is part of the si
 import math
 import xml.etree.ElementTree as ET
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from sysid_bench.errors import ModelError
+from sysid_bench.models.doubts import turned_too_far
 from sysid_bench.models.urdf_joints import settle_joints
+from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.spatial.inertia import matrix_of_six, six_of_matrix
 from sysid_bench.types import Array
 
 _SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_SMALLEST_MOMENT: Final = 1e-13  # kg m^2; MuJoCo rejects moving bodies below 1e-15
-_ROUNDING: Final = 1e-12  # of the largest moment
-_MASSLESS: Final = 1e-9  # kg
-DEEPEST: Final = 400  # nested elements; MuJoCo stops at 500, Python's recursion at 1000
-_TINY = {"mass": 1e-6, "moment": 1e-9}  # what a moving massless link gets: kg, kg m^2
+_ROWS, _COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # of the six in the matrix
+_SMALLEST: Final = 1.5e-14  # kg m^2; MuJoCo rejects moments below 1e-14
+_ROUNDING: Final = 1e-14  # of the largest moment
+_UNTOLD: Final = 1e-12  # of an inertia: rounding, and no repair
+_LAMINA: Final = 1e-13  # of the largest moment; how thick a body without thickness is made
+_MARGIN: Final = 1e-6  # of the largest moment; how thick an impossible one is made
+MASSLESS: Final = 1e-9  # kg
+TINY_MASS: Final = 1e-6  # kg; what a massless body that moves gets
+TINY_MOMENT: Final = 1e-9  # kg m^2
+_NO_DYNAMICS: Final = (
+    "compiler meshdir", "compiler strippath", "compiler discardvisual", "compiler fusestatic"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -50,57 +60,38 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     robot = parse_xml(text, name)
     if robot.tag != "robot":
         raise ModelError(f"{name} is no URDF: its root element is <{robot.tag}>, not <robot>.")
-    _strip(robot)
+    told = list(_strip(robot))
     tree = _Chain.of(robot, name)
     mimic = tuple(_take_mimic(robot, name))
     if free_base:
         tree = _without_world(robot, tree, name)
+    told += _rename_worlds(robot, tree, free_base)
+    tree = _Chain.of(robot, name)
     robot.attrib.setdefault("name", "robot")  # Pinocchio insists
     limits = settle_joints(robot, tree.root, name)
     repairs: list[str] = []
     for link in robot.findall("link"):
         repairs += _repair_inertia(link, name)
-    repairs += _give_mass_to_moving(tree)
+    repairs += _give_mass_to_moving(tree, free_base)
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")
     return Urdf(
         ET.tostring(robot, encoding="unicode"),
-        (*repairs, *limits),
+        (*repairs, *limits, *told, *turned_too_far(robot)),
         _velocities(robot, name),
         mimic,
     )
 
 
-def parse_xml(text: str | bytes, name: str) -> ET.Element:
-    """The root element; DOCTYPE and entities are refused, since they can explode or read files."""
-    data = text.encode() if isinstance(text, str) else text
-    letters = data.replace(b"\0", b"")  # the same letters in UTF-16 and UTF-32
-    if b"<!DOCTYPE" in letters or b"<!ENTITY" in letters:
-        raise ModelError(
-            f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
-        )
-    try:
-        root = ET.fromstring(data)
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise ModelError(f"{name} is no well-formed XML: {error}.") from error
-    _check_depth(root, name)
-    return root
-
-
-def _check_depth(root: ET.Element, name: str) -> None:
-    level = [root]
-    for _ in range(DEEPEST):
-        level = [child for element in level for child in element]
-        if not level:
-            return
-    raise ModelError(f"{name} nests elements more than {DEEPEST} deep; no robot is like that.")
-
-
-def _strip(robot: ET.Element) -> None:
+def _strip(robot: ET.Element) -> Iterator[str]:
     for link in robot.findall("link"):
         for tag in ("visual", "collision"):
             for element in link.findall(tag):
                 link.remove(element)
+    for section in robot.findall("mujoco"):
+        written = [f"{part.tag} {key}" for part in section for key in part.attrib]
+        if given := [words for words in written if words not in _NO_DYNAMICS]:
+            yield f"of the <mujoco> extension left out: {', '.join(given)}"
     for tag in ("mujoco", "gazebo", "transmission", "material", "sensor"):
         for element in robot.findall(tag):
             robot.remove(element)
@@ -198,8 +189,9 @@ def _take_mimic(robot: ET.Element, name: str) -> list[Mimic]:
 
 def _without_world(robot: ET.Element, chain: _Chain, name: str) -> _Chain:
     """A root link called `world` stands for the ground: a floating robot begins below it."""
-    children = chain.below.get(chain.root, [])
-    if chain.root != "world" or len(children) != 1:
+    kinds = [kind for _, kind in chain.below.get(chain.root, [])]
+    weighs = chain.links[chain.root].find("inertial") is not None
+    if chain.root != "world" or weighs or kinds not in (["fixed"], ["floating"]):
         return chain
     robot.remove(chain.links["world"])
     for joint in robot.findall("joint"):
@@ -209,11 +201,27 @@ def _without_world(robot: ET.Element, chain: _Chain, name: str) -> _Chain:
     return _Chain.of(robot, name)
 
 
+def _rename_worlds(robot: ET.Element, chain: _Chain, free_base: bool) -> Iterator[str]:
+    """MuJoCo takes every link called `world` for the ground: one that moves needs another name."""
+    if "world" not in chain.links or (chain.root == "world" and not free_base):
+        return
+    new = "world_"
+    while new in chain.links:
+        new += "_"
+    chain.links["world"].set("name", new)
+    for end in (*robot.findall("joint/parent"), *robot.findall("joint/child")):
+        if end.get("link") == "world":
+            end.set("link", new)
+    yield f"link 'world', which moves, is called {new!r}"
+
+
 def _repair_inertia(link: ET.Element, name: str) -> list[str]:
     inertial = link.find("inertial")
     if inertial is None:
         return []
     label = f"{name}: link {link.get('name')!r}"
+    if inertial.find("mass") is None:
+        raise ModelError(f"{label} has an <inertial> without <mass>; give it a mass in kg.")
     mass = _number(inertial.find("mass"), "value", label)
     element = inertial.find("inertia")
     _check_origin(inertial.find("origin"), label)
@@ -226,15 +234,18 @@ def _repair_inertia(link: ET.Element, name: str) -> list[str]:
         if element.get(key) is None:  # absent means zero, and MuJoCo wants to see it
             element.set(key, repr(float(value)))
     moments = np.linalg.eigvalsh(matrix_of_six(six))
-    if not six.any():
+    if not six.any() or (mass > 0 and np.abs(six).max() < _SMALLEST):
         return _point_mass(element, mass, link)
     # MuJoCo finds the moments of a tilted lamina again, rounded to either side of the border.
-    slack = _ROUNDING * moments[2] if six[[1, 2, 4]].any() else 0.0
-    if moments[0] >= _SMALLEST_MOMENT and moments[0] + moments[1] >= moments[2] + slack:
+    tilted = six[[1, 2, 4]].any() or inertial.find("origin[@rpy]") is not None
+    slack = _ROUNDING * moments[2] if tilted else 0.0
+    if moments[0] >= _SMALLEST and moments[0] + moments[1] >= moments[2] + slack:
         return []
     nearest = _nearest_possible(matrix_of_six(six))
     change = np.abs(nearest - matrix_of_six(six)).max() / np.abs(six).max()
     _write_six(element, six_of_matrix(nearest))
+    if change <= _UNTOLD:
+        return []
     return [
         f"inertia of link {link.get('name')!r} made possible (largest change {change:.2g} of it)"
     ]
@@ -243,38 +254,44 @@ def _repair_inertia(link: ET.Element, name: str) -> list[str]:
 def _point_mass(element: ET.Element, mass: float, link: ET.Element) -> list[str]:
     if mass <= 0:
         return []
-    moment = max(1e-9, 1e-6 * mass)
+    moment = max(_SMALLEST, 1e-6 * mass)
     _write_six(element, np.array([moment, 0, 0, moment, 0, moment]))
     return [f"point mass of link {link.get('name')!r} given the inertia {moment:.2g} kg m^2"]
 
 
 def _nearest_possible(inertia: Array) -> Array:
-    """The inertia with the negative eigenvalues of its density covariance lifted to a margin."""
+    """The inertia with the negative eigenvalues of its density covariance lifted to a margin: to
+    next to nothing for a lamina, which is possible but for rounding."""
     covariance = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     values, vectors = np.linalg.eigh(covariance)
-    lifted = np.maximum(values, 1e-6 * max(float(np.trace(covariance)), 1e-3))
+    # Relative to what is there: a microrobot's inertia is as good as a crane's.
+    largest = float(np.abs(inertia).max())
+    lamina = values[0] >= -_LAMINA * largest and values[1] >= _MARGIN * largest
+    lifted = np.maximum(values, max((_LAMINA if lamina else _MARGIN) * largest, _SMALLEST))
     covariance = vectors @ np.diag(lifted) @ vectors.T
     return np.trace(covariance) * np.eye(3) - covariance
 
 
-def _give_mass_to_moving(chain: _Chain) -> list[str]:
-    repairs = []
-    for children in chain.below.values():
-        for child, kind in children:
-            if kind == "fixed" or chain.rigid_mass(child) >= _MASSLESS:
-                continue
-            link = chain.links[child]
-            for inertial in link.findall("inertial"):
-                link.remove(inertial)
-            inertial = ET.SubElement(link, "inertial")
-            ET.SubElement(inertial, "origin", {"xyz": "0 0 0"})
-            ET.SubElement(inertial, "mass", {"value": repr(_TINY["mass"])})
-            moment = _TINY["moment"]
-            _write_six(
-                ET.SubElement(inertial, "inertia"), np.array([moment, 0, 0, moment, 0, moment])
-            )
-            repairs.append(f"massless moving link {child!r} given {_TINY['mass']:.0e} kg")
-    return repairs
+def _give_mass_to_moving(chain: _Chain, free_base: bool) -> Iterator[str]:
+    moving = [child for below in chain.below.values() for child, kind in below if kind != "fixed"]
+    for name in [chain.root] * free_base + moving:
+        if chain.rigid_mass(name) >= MASSLESS:
+            continue
+        link = chain.links[name]
+        weightless = any(_has_moments(inertial) for inertial in link.findall("inertial"))
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+        inertial = ET.SubElement(link, "inertial")
+        ET.SubElement(inertial, "origin", {"xyz": "0 0 0"})
+        ET.SubElement(inertial, "mass", {"value": repr(TINY_MASS)})
+        _write_six(ET.SubElement(inertial, "inertia"), TINY_MOMENT * np.eye(3)[_ROWS, _COLUMNS])
+        lost = "; its inertia, which nothing without mass can have, left out" if weightless else ""
+        yield f"massless moving link {name!r} given {TINY_MASS:.0e} kg{lost}"
+
+
+def _has_moments(inertial: ET.Element) -> bool:
+    inertia = inertial.find("inertia")
+    return inertia is not None and any(float(inertia.get(key, 0.0)) for key in _SIX)
 
 
 def _mass(link: ET.Element) -> float:

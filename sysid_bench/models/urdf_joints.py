@@ -9,6 +9,9 @@ from sysid_bench.errors import ModelError, unknown_name
 KINDS: Final = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating", "spherical")
 """Planar becomes two slides and a hinge; spherical, which is MuJoCo's own addition, a ball."""
 
+PLANAR_PARTS: Final = {"_TX": "prismatic", "_TY": "prismatic", "_RZ": "continuous"}
+"""How MuJoCo calls the joints of a planar one, and what they are."""
+
 
 def settle_joints(robot: ET.Element, root: str, name: str) -> tuple[str, ...]:
     """Checks the kinds of joints and completes their limits in place; what was done, in words.
@@ -16,8 +19,15 @@ def settle_joints(robot: ET.Element, root: str, name: str) -> tuple[str, ...]:
     Raises ModelError for a kind that there is not, and for a floating joint that is not at the
     ground: MuJoCo knows none there.
     """
+    names = {joint.get("name") for joint in robot.findall("joint")}
     for joint in robot.findall("joint"):
         _check_kind(joint, root, name)
+        parts = {f"{joint.get('name')}{part}" for part in PLANAR_PARTS}
+        if joint.get("type") == "planar" and parts & names:
+            raise ModelError(
+                f"{name}: the planar joint {joint.get('name')!r} becomes {', '.join(sorted(parts))}"
+                f", and another joint is called {min(parts & names)!r}; rename that one."
+            )
     return tuple(text for joint in robot.findall("joint") for text in _complete_limits(joint))
 
 

@@ -90,6 +90,8 @@ def bench_flags(mj: mujoco.MjModel) -> mujoco.MjModel:
         bits.mjDSBL_AUTORESET,
     ):
         mj.opt.disableflags |= int(bit)
+    # Inverse dynamics of the continuous time, whatever the integrator.
+    mj.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_INVDISCRETE)
     mj.opt.density = mj.opt.viscosity = 0.0
     mj.body_gravcomp[:] = 0.0
     mj.jnt_stiffnesspoly[:] = mj.dof_dampingpoly[:] = 0.0

@@ -1,6 +1,7 @@
 """MuJoCo's own inverse dynamics, sample by sample: the second witness of Y."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -10,11 +11,16 @@ from sysid_bench.models.warnings import kept
 from sysid_bench.simulation.plant import bench_flags
 from sysid_bench.types import Array, Trajectory
 
+_BIT: Final = mujoco.mjtDisableBit
+
 
 def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
     """M a + bias (N, nv) from `mj_inverse`, passive and constraint forces taken out."""
     with kept():
         mj = bench_flags(robot.spec.copy().compile())
+    # Off, not subtracted: a damping of 1e11, which holds a joint still, would drown the rest.
+    for bit in (_BIT.mjDSBL_SPRING, _BIT.mjDSBL_DAMPER, _BIT.mjDSBL_FRICTIONLOSS):
+        mj.opt.disableflags |= int(bit)
     data = mujoco.MjData(mj)
     tau = np.empty_like(motion.v)
     for k in range(len(motion)):

@@ -1,10 +1,11 @@
 """Any robot in both engines, without a suite."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.errors import ModelError, UsageError
+from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.types import BaseMap
 
 
@@ -13,36 +14,49 @@ def crosscheck(
     samples: int = 50,
     free_base: bool | None = None,
     robots_dir: Path | None = None,
+    assets: Path | None = None,
 ) -> list[dict[str, Any]]:
     """The verdict on each robot name or model file, as `crosscheck --json` prints it.
 
     A file that cannot be used is a verdict (ok false, with its reason); an unknown name is a
-    UsageError before anything is loaded.
+    UsageError before anything is loaded. `assets`: the folder that MJCF files may read below,
+    instead of their own.
     """
     from sysid_bench.models.manifest import Manifest, find_manifest
 
     if samples < 1:
         raise UsageError(f"--samples {samples}: at least one state is needed to compare.")
-    manifests: list[tuple[str, Manifest | ModelError]] = []
+    manifests: list[tuple[str, Manifest | Exception]] = []
     for source in sources:
         try:
             manifests.append((str(source), find_manifest(str(source), robots_dir)))
-        except ModelError as error:
+        except UsageError:
+            raise
+        except Exception as error:
             manifests.append((str(source), error))
+    if assets is not None:
+        manifests = [
+            (source, m if isinstance(m, Exception) else replace(m, assets=assets))
+            for source, m in manifests
+        ]
     return [_verdict(source, manifest, samples, free_base) for source, manifest in manifests]
 
 
 def _verdict(source: str, manifest: Any, samples: int, free_base: bool | None) -> dict[str, Any]:
+    if isinstance(manifest, Exception):
+        return _refused(Path(source).stem, source, manifest)
+    try:
+        return _measured(manifest, samples, free_base)
+    except Exception as error:  # one file never takes the others with it
+        return _refused(manifest.name, str(manifest.path), error)
+
+
+def _measured(manifest: Any, samples: int, free_base: bool | None) -> dict[str, Any]:
     from sysid_bench.evaluation.crosscheck import crosscheck as check
     from sysid_bench.identifiability.structural import structural_base
     from sysid_bench.models.load import load_robot
 
-    if isinstance(manifest, ModelError):
-        return _refused(Path(source).stem, source, manifest)
-    try:
-        robot = load_robot(manifest, free_base=free_base)
-    except ModelError as error:
-        return _refused(manifest.name, str(manifest.path), error)
+    robot = load_robot(manifest, free_base=free_base)
     verdict = check(robot, samples)
     base: BaseMap = structural_base(robot.uncoupled, robot.inertial_columns)
     return {
@@ -90,7 +104,7 @@ def _refused(name: str, file: str, error: Exception) -> dict[str, Any]:
         "robot": name,
         "file": file,
         "ok": False,
-        "reason": str(error),
+        "reason": reason_of(error),
         **nothing,
         "repairs": [],
     }

@@ -1,5 +1,7 @@
 """What an MJCF text may pull in: files of its own folder, once, and no more than a robot needs."""
 
+import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +9,8 @@ import pytest
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import read_manifest
+from sysid_bench.verbs.crosscheck import crosscheck
 from tests.robots import robot_of
 
 BODY = '<body name="{}"><joint/><inertial pos="0 0 .1" mass="1" diaginertia="1 1 1"/></body>'
@@ -19,6 +23,12 @@ def write(folder: Path, **texts: str) -> Path:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")
     return folder / "main.xml"
+
+
+ATTACHING = (
+    '<mujoco><asset><model name="s" file="part.xml"/></asset><worldbody>'
+    f'{BODY.format("a")}<body><attach model="s" prefix="p_"/></body></worldbody></mujoco>'
+)
 
 
 def including(*files: str, bodies: str = "") -> str:
@@ -38,6 +48,30 @@ def test_includes_are_read_beside_the_model_and_beside_each_other(tmp_path: Path
     assert set(robot.body_names) == {"one", "two", "three"}
     together = "".join(map(BODY.format, robot.body_names))
     np.testing.assert_array_equal(robot.phi, robot_of(including(bodies=together)).phi)
+
+
+def test_an_attached_model_may_not_include_from_outside_either(tmp_path: Path) -> None:
+    write(tmp_path, secret=including(bodies=BODY.format("secret")))
+    file = write(tmp_path / "model", main=ATTACHING, part=including("../secret.xml"))
+    with pytest.raises(ModelError, match=r"secret\.xml'> lies outside .*assets = \"\.\.\""):
+        load_robot(file)
+
+
+def test_an_outer_folder_may_be_named(tmp_path: Path) -> None:
+    """By a manifest, from the model's folder; nothing beyond it is read."""
+    bodies = f"<mujocoinclude>{BODY.format('outer')}</mujocoinclude>"
+    main = including(bodies='<include file="../bodies.xml"/>')
+    file = write(tmp_path / "robot" / "mjcf", main=main)
+    write(tmp_path / "robot", bodies=bodies)
+    manifest = tmp_path / "robot.toml"
+    manifest.write_text('name = "r"\nfile = "robot/mjcf/main.xml"\nassets = ".."\n')
+    assert load_robot(read_manifest(manifest)).body_names == ("outer",)
+    [verdict] = crosscheck(file, samples=2, assets=tmp_path / "robot")
+    assert verdict["ok"]
+    file.write_text(including("../../bodies.xml"))
+    write(tmp_path, bodies=bodies)
+    with pytest.raises(ModelError, match="outside"):
+        load_robot(read_manifest(manifest))
 
 
 @pytest.mark.parametrize("element", ["include", "model"])
@@ -93,6 +127,73 @@ MANY = '<replicate count="{}" offset="1 0 0">{}</replicate>'
 def test_a_text_that_stands_for_too_much_is_refused_at_once(bodies: str) -> None:
     with pytest.raises(ModelError, match="elements"):
         robot_of(including(bodies=bodies))
+
+
+def bomb(levels: int) -> dict[str, str]:
+    """Files of which each includes the next one twice."""
+    twice = '<include file="f{0}.xml"/><include file="f{0}.xml"/>'
+    texts = {
+        f"f{k}": f"<mujocoinclude>{twice.format(k + 1)}</mujocoinclude>" for k in range(levels)
+    }
+    return {"main": including("f0.xml"), **texts, f"f{levels}": "<mujocoinclude/>"}
+
+
+GREAT = {
+    "included twice, again and again": bomb(30),
+    "a long chain": {
+        "main": including("f0.xml"),
+        **{f"f{k}": including(f"f{k + 1}.xml") for k in range(400)},
+        "f400": including(),
+    },
+    "attached copies": {
+        "main": ATTACHING,
+        "part": including(bodies=MANY.format(3000, MANY.format(3000, BODY.format("b")))),
+    },
+    "many parts, each large": {
+        "main": including(*(f"f{k}.xml" for k in range(25))),
+        **{f"f{k}": including(bodies=MANY.format(6000, BODY.format("b"))) for k in range(25)},
+    },
+    "bodies times joints": {"main": including(bodies=MANY.format(1000, BODY.format("a")))},
+    "a height field": {
+        "main": '<mujoco><asset><hfield name="h" nrow="20000" ncol="20000" size="1 1 1 1"/>'
+        f"</asset><worldbody>{BODY.format('a')}</worldbody></mujoco>"
+    },
+    "user data": {
+        "main": f'<mujoco><size nuser_body="100000000"/><worldbody>{BODY.format("a")}</worldbody>'
+        "</mujoco>"
+    },
+    "a fine mesh": {
+        "main": '<mujoco><asset><mesh name="m" builtin="supersphere" params="99999 1 1"/></asset>'
+        f"<worldbody>{BODY.format('a')}</worldbody></mujoco>"
+    },
+    "soft bodies": {
+        "main": including(bodies=BODY.format("a") + '<flexcomp type="grid" count="20 20 20"/>')
+    },
+}
+
+
+@pytest.mark.parametrize("case", GREAT)
+def test_what_is_too_much_in_all_is_refused_before_it_is_built(case: str, tmp_path: Path) -> None:
+    file = write(tmp_path, **GREAT[case])
+    start = time.perf_counter()
+    with pytest.raises(ModelError) as refusal:
+        load_robot(file)
+    assert time.perf_counter() - start < 3
+    assert "\n" not in str(refusal.value)
+    assert re.search("no robot|product", str(refusal.value))
+
+
+def test_a_great_file_is_not_read(tmp_path: Path) -> None:
+    file = write(tmp_path, main=including("great.xml"))
+    with open(tmp_path / "great.xml", "wb") as great:
+        great.truncate(3 * 2**30)
+    with pytest.raises(ModelError, match="bytes together"):
+        load_robot(file)
+
+
+def test_memory_that_a_text_reserves_is_not_taken() -> None:
+    text = f'<mujoco><size memory="100G"/><worldbody>{BODY.format("a")}</worldbody></mujoco>'
+    assert robot_of(text).nv == 1
 
 
 def test_a_tree_that_is_too_large_to_compare_is_refused() -> None:

@@ -94,3 +94,47 @@ def test_the_suite_decides_whether_the_base_floats(base: bool | None, nv: int) -
 def test_a_base_is_yes_or_no() -> None:
     with pytest.raises(UsageError, match="free_base"):
         specs('free_base = "yes"')
+
+
+@pytest.mark.parametrize("name", ["_cache", "loaders.pinocchio", "", "a b"])
+def test_what_is_no_description_is_not_imported(name: str) -> None:
+    with pytest.raises(ModelError, match="not installed or not known"):
+        find_manifest(f"robot_descriptions:{name}")
+
+
+def test_a_description_that_cannot_be_fetched_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "robot_descriptions").mkdir()
+    for name, text in (
+        ("__init__", ""),
+        ("far_description", "raise OSError('git clone\\nfailed\\n' * 99)"),
+        ("hand_description", "PACKAGE_PATH = 'x'"),
+    ):
+        (tmp_path / "robot_descriptions" / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "robot_descriptions", raising=False)
+    for name, words in (("far", "could not be fetched.*internet"), ("hand", "neither a URDF")):
+        with pytest.raises(ModelError, match=words) as refusal:
+            find_manifest(f"robot_descriptions:{name}_description")
+        assert "\n" not in str(refusal.value)
+        assert len(str(refusal.value)) < 500
+
+
+def test_an_unknown_file_lists_a_few() -> None:
+    with pytest.raises(UsageError, match=r"ur5_robot\.urdf") as refusal:
+        find_manifest("example-robot-data:ur5.urdf")
+    assert len(str(refusal.value)) < 400
+
+
+def test_no_exception_takes_the_other_verdicts_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    from sysid_bench.evaluation import crosscheck as room
+
+    def breaks(robot: object, samples: int) -> object:
+        raise ZeroDivisionError("by chance")
+
+    monkeypatch.setattr(room, "crosscheck", breaks)
+    first, second = crosscheck("random:1", "random:2", samples=2)
+    for verdict in (first, second):
+        assert not verdict["ok"]
+        assert verdict["reason"] == "ZeroDivisionError: by chance"

@@ -72,8 +72,7 @@ def test_what_urdf_has_agrees_in_both_engines(name: str, free: bool) -> None:
     robot = robot_of(text, free_base=free)
     assert [j.kind for j in robot.joints] == ["free"] * free + kinds
     agrees(robot)
-    native = crosscheck(robot, 8).native_gap
-    assert (native is None) == (name == "planar")
+    assert crosscheck(robot, 8).native_gap is not None
 
 
 def test_a_floating_joint_at_the_ground_is_a_free_base() -> None:
@@ -84,7 +83,92 @@ def test_a_floating_joint_at_the_ground_is_a_free_base() -> None:
     agrees(robot)
 
 
+TWO_ARMS = urdf(
+    link("world", ""), link("a"), link("b"), joint("j", "world a"), joint("k", "world b")
+)
+FLOATING = {
+    "a joint below world": (urdf(link("world", ""), link("a"), joint("j", "world a")), 1),
+    "two joints below world": (TWO_ARMS, 2),
+    "world weighs": (urdf(link("world"), link("a"), joint("j", "world a", "fixed", ""),
+                          link("b"), joint("k", "a b")), 1),
+    "no mass at the root": (urdf(link("base", ""), link("a"), joint("j", "base a")), 1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FLOATING)
+def test_a_free_base_takes_no_joint_away(name: str) -> None:
+    text, moving = FLOATING[name]
+    fixed, robot = robot_of(text), robot_of(text, free_base=True)
+    assert (fixed.nv, robot.nv) == (moving, 6 + moving)
+    assert set(fixed.rows) < set(robot.rows)
+    assert [told for told in robot.repairs if "massless" in told or "world" in told]
+    agrees(robot)
+
+
+def test_a_massless_mjcf_root_may_float() -> None:
+    inertial = '<inertial pos="0 0 .1" mass="1" diaginertia="1 1 1"/>'
+    body = f'<body name="a"><joint/>{inertial}</body>'
+    robot = robot_of(
+        f'<mujoco><worldbody><body name="r">{body}</body></worldbody></mujoco>', free_base=True
+    )
+    assert robot.nv == 7
+    assert any("massless root body 'r'" in told for told in robot.repairs)
+    agrees(robot)
+
+
+NAMES = ("root_joint", "root", "universe", "world", "b0", "j1", "base_link", "free")
+
+
+@pytest.mark.parametrize("free", [False, True], ids=["fixed", "free"])
+@pytest.mark.parametrize("name", NAMES)
+def test_no_name_means_anything_to_an_engine(name: str, free: bool) -> None:
+    plain, named = arm(), re.sub(r'"(j|a)"', f'"{name}"', arm())
+    check = crosscheck(robot_of(named, free_base=free), 8)
+    assert check.ok(), check.reason()
+    assert check.native_gap is not None
+    assert robot_of(named, free_base=free).nv == robot_of(plain, free_base=free).nv
+
+
+def test_attributes_of_other_programs_are_let_pass() -> None:
+    prefixed = LIMIT.replace("<limit", '<limit drake:acceleration="3"')
+    text = arm(inside=prefixed).replace("<robot", '<robot xmlns="http://www.ros.org"')
+    np.testing.assert_array_equal(robot_of(text).phi, robot_of(arm()).phi)
+
+
+DOUBTFUL = {
+    "centre": (arm(tip=INERTIAL.replace('xyz=".1 0 .1"', 'xyz="100 0 100"')), "tip.* mm?"),
+    "offset": (arm().replace('xyz="0 .1 .2"', 'xyz="0 100 200"'), "a, tip.*50 m.* mm?"),
+    "inertia": (arm(tip=re.sub(r'i(..)="([^"]+)"', r'i\1="\g<2>e6"', INERTIAL)), "tip.*mm\\^2"),
+    "turns": (arm().replace('rpy=".1 0 .3"', 'rpy="90 0 45"'), "j, k.*degrees"),
+    "range": (arm(inside='<limit lower="-180" upper="180"/>'), "limits of j .*degrees"),
+}
+
+
+@pytest.mark.parametrize("name", DOUBTFUL)
+def test_what_looks_like_another_unit_is_told_and_kept(name: str) -> None:
+    assert robot_of(arm()).repairs == ()
+    text, words = DOUBTFUL[name]
+    (told,) = robot_of(text).repairs
+    assert re.search(words, told)
+
+
+def test_options_of_the_mujoco_extension_are_told() -> None:
+    extension = '<mujoco><compiler meshdir="x" boundmass="5"/><option gravity="0 0 0"/></mujoco>'
+    (told,) = robot_of(arm().replace("<link", f"{extension}<link", 1)).repairs
+    assert told.endswith("left out: compiler boundmass, option gravity")
+
+
+def test_an_inertia_without_mass_is_told() -> None:
+    (told,) = robot_of(arm(tip=INERTIAL.replace('value="1"', 'value="0"'))).repairs
+    assert "inertia, which nothing without mass can have" in told
+
+
 REFUSED = {
+    "planar parts": (
+        arm("planar", "").replace('"k"', '"j_TX"'),
+        "'j_TX'; rename",
+    ),
+    "no mass": (arm(tip=f"<inertial>{INERTIA}</inertial>"), "link 'tip' .*without <mass>"),
     "floating below": (arm("floating", ""), "floating joint 'j'.*'world'.*free base"),
     "unknown kind": (arm("hinge"), r"joint 'j': No kind of joint is called 'hinge'.*revolute"),
     "no kind": (arm(None), "joint 'j' has no type"),

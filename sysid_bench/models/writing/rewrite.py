@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.load import LARGEST_FILE
 from sysid_bench.models.writing.proof import prove
 from sysid_bench.models.writing.update import Bodies, Joints, Update, update_of
 from sysid_bench.models.writing.xml_text import Edit, Element, elements_of, spliced
+from sysid_bench.models.xml_file import LARGEST_FILE
 
 FORMATS: Final = {"mujoco": "MJCF", "robot": "URDF"}
 Edits = Callable[[bytes, Element, Update], Iterable[Edit]]

@@ -89,21 +89,23 @@ def refuse_impossible(phi: Mapping[str, Array]) -> None:
 
 def _phi(name: str, value: BodyValue) -> Array:
     try:
-        if len(value) == 3:
-            mass, com, inertia = value[0], np.asarray(value[1], float), np.asarray(value[2], float)
-            phi = phi_of(
-                float(mass), com, matrix_of_six(inertia) if inertia.shape == (6,) else inertia
-            )
-        else:
-            phi = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"The body {name!r} cannot have {value!r}: {error}.") from error
+        phi = _phi_of_three(*value) if len(value) == 3 else np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        phi = np.zeros(0)
     if phi.shape != (10,) or not np.isfinite(phi).all():
         raise UsageError(
-            f"The body {name!r} needs ten finite numbers m hx hy hz Ixx Ixy Ixz Iyy Iyz Izz, or "
-            f"(m, com, inertia about it); got {value!r}."
+            f"The body {name!r} cannot have {value!r}; it needs ten finite numbers "
+            "m hx hy hz Ixx Ixy Ixz Iyy Iyz Izz, or (m, com, inertia about it as six numbers or "
+            "(3, 3))."
         )
     return phi
+
+
+def _phi_of_three(mass: float, com: Sequence[float], inertia: Any) -> Array:
+    moments, place = np.asarray(inertia, dtype=float), np.asarray(com, dtype=float)
+    if place.shape != (3,) or moments.shape not in ((6,), (3, 3)):
+        raise ValueError("other shapes")
+    return phi_of(float(mass), place, matrix_of_six(moments) if moments.ndim == 1 else moments)
 
 
 def _terms(name: str, values: Mapping[str, float]) -> dict[str, float]:

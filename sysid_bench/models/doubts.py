@@ -1,0 +1,77 @@
+"""Numbers that are possible and look like a wrong unit: told in words, never changed."""
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from sysid_bench.errors import first_few
+from sysid_bench.models.tree import HINGE
+
+if TYPE_CHECKING:
+    import mujoco
+
+FAR: Final = 10.0  # m; how far a centre of mass lies from its body's frame, or mass from it
+LONG: Final = 50.0  # m; how far a body's frame lies from its parent's
+TURNS: Final = 4 * math.pi  # rad; a hinge that is limited at all stops before
+PLACEHOLDER: Final = 1e3  # rad; beyond it a limit means "none", in any unit
+
+
+def doubts_of(mj: "mujoco.MjModel") -> tuple[str, ...]:
+    """What in a compiled model looks like millimetres, degrees or g mm^2; one line a kind."""
+    return (*_lengths(mj), *_inertias(mj), *_ranges(mj))
+
+
+def _lengths(mj: "mujoco.MjModel") -> Iterator[str]:
+    bodies = range(1, mj.nbody)
+    free = {int(mj.jnt_bodyid[j]) for j in range(mj.njnt) if mj.jnt_type[j] == 0}
+    apart = [b for b in bodies if b not in free and np.linalg.norm(mj.body_pos[b]) > LONG]
+    if apart:
+        yield f"{_named(mj, apart)} more than {LONG:.0f} m from the parent: is this in mm?"
+    away = [b for b in bodies if mj.body_mass[b] > 0 and np.linalg.norm(mj.body_ipos[b]) > FAR]
+    if away:
+        yield (
+            f"centre of mass of {_named(mj, away)} more than {FAR:.0f} m from the frame: "
+            "is this in mm?"
+        )
+
+
+def _inertias(mj: "mujoco.MjModel") -> Iterator[str]:
+    """By the radius of gyration: what a body's mass at one distance would have."""
+    wide = [
+        b
+        for b in range(1, mj.nbody)
+        if mj.body_mass[b] > 0 and mj.body_inertia[b].max() > FAR**2 * mj.body_mass[b]
+    ]
+    if wide:
+        yield (
+            f"inertia of {_named(mj, wide)} as of mass more than {FAR:.0f} m away: is this in "
+            "kg mm^2 or g mm^2?"
+        )
+
+
+def _ranges(mj: "mujoco.MjModel") -> Iterator[str]:
+    limits = np.abs(mj.jnt_range).max(axis=1, initial=0.0)
+    hinges = (mj.jnt_type == HINGE) & (mj.jnt_limited == 1)
+    wide = np.flatnonzero(hinges & (limits > TURNS) & (limits <= PLACEHOLDER))
+    if wide.size:
+        names = first_few(mj.joint(int(j)).name for j in wide)
+        yield f"limits of {names} beyond two turns: are they in degrees?"
+
+
+def turned_too_far(robot: ET.Element) -> Iterator[str]:
+    """Origins of a URDF whose roll, pitch or yaw is more than a turn; the text has good numbers."""
+    turned = [
+        str(part.get("name"))
+        for part in (*robot.findall("link"), *robot.findall("joint"))
+        for origin in (*part.findall("origin"), *part.findall("inertial/origin"))
+        if max(abs(float(word)) for word in origin.get("rpy", "0").split()) > 2 * math.pi + 1e-3
+    ]
+    if turned:
+        yield f"rpy of {first_few(turned)} more than a turn: is this in degrees?"
+
+
+def _named(mj: "mujoco.MjModel", bodies: Iterable[int]) -> str:
+    return first_few(mj.body(b).name or "(unnamed)" for b in bodies)

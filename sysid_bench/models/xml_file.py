@@ -1,0 +1,57 @@
+"""The XML of a model as elements: no entities, no namespaces, no depth that breaks a reader."""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Final
+from xml.parsers import expat
+
+from sysid_bench.errors import ModelError
+
+LARGEST_FILE: Final = 64 * 2**20
+"""Bytes; a model text beyond it is a mistake."""
+
+DEEPEST: Final = 400
+"""Nested elements; MuJoCo stops at 500, Python's recursion at 1000."""
+
+
+def read_bytes(path: Path) -> bytes:
+    """The bytes of a model's text; raises ModelError for a file that no robot has."""
+    if path.stat().st_size > LARGEST_FILE:
+        raise ModelError(
+            f"{path.name} has {path.stat().st_size} bytes; no robot text is that long."
+        )
+    return path.read_bytes()
+
+
+def parse_xml(text: str | bytes, name: str) -> ET.Element:
+    """The root element; DOCTYPE and entities are refused, since they can explode or read files.
+
+    Names keep their prefixes as they are written, declared or not, as both engines read them.
+    """
+    data = text.encode() if isinstance(text, str) else text
+    letters = data.replace(b"\0", b"")  # the same letters in UTF-16 and UTF-32
+    if b"<!DOCTYPE" in letters or b"<!ENTITY" in letters:
+        raise ModelError(
+            f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
+        )
+    builder, parser = ET.TreeBuilder(), expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(data, True)
+        root = builder.close()
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise ModelError(f"{name} is no well-formed XML: {error}.") from error
+    _check_depth(root, name)
+    return root
+
+
+def _check_depth(root: ET.Element, name: str) -> None:
+    level = [root]
+    for _ in range(DEEPEST):
+        level = [child for element in level for child in element]
+        if not level:
+            return
+    raise ModelError(f"{name} nests elements more than {DEEPEST} deep; no robot is like that.")
