@@ -112,6 +112,8 @@ class BaseMap:
     gap: float
     near_degenerate: int
     singular_values: Float[Array, " k"]
+    row_space: Float[Array, "r p"] | None = None
+    """An orthonormal basis of the rows of K, sharper than K where its entries are large."""
 
     @property
     def rank(self) -> int:

@@ -1,17 +1,12 @@
 """The same base space with other pivots, and whether two sets span the same space."""
 
+from dataclasses import replace
+
 import numpy as np
-from scipy.linalg import qr, subspace_angles
+from scipy.linalg import subspace_angles
 
 from sysid_bench.errors import UsageError
 from sysid_bench.types import Array, BaseMap
-
-
-def qr_pivots(R: Array, rank: int) -> Array:
-    """Columns (rank,) that QR with column pivoting picks, in their order in R (m, p): each the one
-    with the longest remainder, whatever its place. Gautier (1991)."""
-    _, _, order = qr(R, mode="economic", pivoting=True)
-    return np.sort(order[:rank])
 
 
 def rebase(base: BaseMap, pivots: Array) -> BaseMap:
@@ -28,9 +23,7 @@ def rebase(base: BaseMap, pivots: Array) -> BaseMap:
         )
     K = np.linalg.solve(chosen, base.K)
     K[:, pivots] = np.eye(base.rank)
-    return BaseMap(
-        K, np.asarray(pivots), base.parameters, base.gap, base.near_degenerate, base.singular_values
-    )
+    return replace(base, K=K, pivots=np.asarray(pivots))
 
 
 def same_space(K1: Array, K2: Array) -> float:

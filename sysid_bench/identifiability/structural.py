@@ -9,6 +9,9 @@ from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.fold import triangle
 from sysid_bench.types import Array, BaseMap
 
+NARROWEST = 1.0
+"""rad, m: joints with less range move this far, since what acts is a property of the tree."""
+
 SEED = 0
 """The same random states for everybody: a rank is a property of the robot, not of a draw."""
 
@@ -25,12 +28,35 @@ def structural_factor(
     robot: RobotModel, parameters: tuple[str, ...], rows: tuple[str, ...] | None = None
 ) -> Array:
     """R (m, p) of the regressor over random states, whose column space is that of all motions."""
-    columns = torque_regression(robot, parameters)
+    carried, X = _carried(robot, parameters)
+    columns = torque_regression(robot, carried)
     own = robot.torque_rows
     measured = [own.index(row) for row in (own if rows is None else rows)]
-    count = 64 + 3 * len(parameters) // len(measured)
-    motion = random_states(robot, count, np.random.default_rng(SEED))
+    count = 64 + 3 * len(carried) // len(measured)
+    motion = random_states(robot, count, np.random.default_rng(SEED), NARROWEST)
     factors = []
     for block in columns.blocks(motion):
-        factors.append(triangle([block.dense()[:, measured].reshape(-1, len(parameters))]))
-    return triangle(factors)
+        factors.append(triangle([block.dense()[:, measured].reshape(-1, len(carried))]))
+    return triangle(factors) @ X
+
+
+def _carried(robot: RobotModel, parameters: tuple[str, ...]) -> tuple[tuple[str, ...], Array]:
+    """Columns that all others are mixed from, and the mixture X (m, p): what is welded to a link
+    acts through that link's ten numbers, however many bodies that are."""
+    tree, place = robot.tree, {name: j for j, name in enumerate(robot.inertial_columns)}
+    rows: dict[str, dict[int, float]] = {}
+    for j, name in enumerate(parameters):
+        if name not in place:
+            rows.setdefault(name, {})[j] = 1.0
+            continue
+        body, number = divmod(place[name], 10)
+        link = int(tree.carrier[body])
+        if link >= 0:
+            first = 10 * tree.links[link].body
+            for k in np.flatnonzero(tree.X[body][:, number]):
+                own = robot.inertial_columns[first + int(k)]
+                rows.setdefault(own, {})[j] = float(tree.X[body][k, number])
+    X = np.zeros((len(rows), len(parameters)))
+    for i, mixture in enumerate(rows.values()):
+        X[i, list(mixture)] = list(mixture.values())
+    return tuple(rows), X

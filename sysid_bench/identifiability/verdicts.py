@@ -11,7 +11,12 @@ VERDICTS: Final = get_args(Verdict)
 
 ZERO: Final = 1e-9
 """Below it, relative to the largest of its row, a coefficient of K is rounding error (measured:
-1e-12). Axes that are parallel but for truncated decimals leave 1e-6, which is told as it is."""
+1e-12)."""
+
+SEEN: Final = 1e-6
+"""A parameter whose unit vector is farther than this from the row space is told in a sum only.
+Axes that are parallel but for truncated decimals leave 1e-7, a tenth of a millionth of another
+parameter, on what would be told alone."""
 
 
 def coefficients(base: BaseMap) -> Array:
@@ -23,14 +28,11 @@ def coefficients(base: BaseMap) -> Array:
 
 def verdicts(base: BaseMap) -> tuple[Verdict, ...]:
     """Per parameter (p,): "identifiable" where its unit vector lies in the row space of K,
-    "combination" where it acts only together with others, "none" where it never acts.
-
-    K is the identity on its pivots, so a unit vector lies in the row space iff it is itself a row.
-    """
-    seen = coefficients(base) != 0.0
-    alone = {int(base.pivots[i]) for i in np.flatnonzero(seen.sum(axis=1) == 1)}
-    acts = seen.any(axis=0)
+    "combination" where it acts only together with others, "none" where it never acts."""
+    V = np.linalg.qr(base.K.T)[0].T if base.row_space is None else base.row_space
+    acts = np.linalg.norm(V, axis=0)
+    apart = np.linalg.norm(np.eye(len(base.parameters)) - V.T @ V, axis=0)
     return tuple(
-        "identifiable" if j in alone else "combination" if acts[j] else "none"
+        "identifiable" if apart[j] < SEEN else "combination" if acts[j] > SEEN else "none"
         for j in range(len(base.parameters))
     )

@@ -10,11 +10,15 @@ LARGEST = 2.0
 """Random positions come from a window of twice this where a joint's range is wider (rad, m)."""
 
 
-def random_states(robot: RobotModel, count: int, rng: np.random.Generator) -> Trajectory:
+def random_states(
+    robot: RobotModel, count: int, rng: np.random.Generator, narrowest: float = 0.0
+) -> Trajectory:
     """Independent states: q uniform in its limits, orientations too, v and a standard normal; of
-    coupled joints the independent ones, and the others follow."""
+    coupled joints the independent ones, and the others follow.
+
+    `narrowest` (rad, m): ranges below it are widened to it, of joints that move on their own."""
     if robot.coupling is not None:
-        return _coupled_states(robot, robot.coupling, count, rng)
+        return _coupled_states(robot, robot.coupling, count, rng, narrowest)
     q = np.tile(robot.mj.qpos0, (count, 1))
     for joint in robot.joints:
         at = joint.qadr
@@ -25,21 +29,31 @@ def random_states(robot: RobotModel, count: int, rng: np.random.Generator) -> Tr
             q[:, at : at + 4] = _orientations(count, rng)
         else:
             low, high = robot.limits.q_low[joint.vadr], robot.limits.q_high[joint.vadr]
+            low, high = _widened(low, high, narrowest)
             q[:, at] = rng.uniform(*_window(low, high, float(robot.mj.qpos0[at])), count)
     v, a = rng.normal(size=(2, count, robot.nv))
     return Trajectory(np.arange(count, dtype=float), q, v, a, "random states")
 
 
 def _coupled_states(
-    robot: RobotModel, coupling: Coupling, count: int, rng: np.random.Generator
+    robot: RobotModel,
+    coupling: Coupling,
+    count: int,
+    rng: np.random.Generator,
+    narrowest: float,
 ) -> Trajectory:
-    free = random_states(robot.uncoupled, count, rng)
+    free = random_states(robot.uncoupled, count, rng, narrowest)
     q = free.q.copy()
     for dof, low, high in zip(coupling.independent, coupling.low, coupling.high, strict=True):
         at = coupling.qadr[dof]
         if at >= 0:
             q[:, at] = rng.uniform(*_window(low, high, float(robot.mj.qpos0[at])), count)
     return Trajectory(free.t, *coupling.completed(q, free.v, free.a), free.name)
+
+
+def _widened(low: float, high: float, narrowest: float) -> tuple[float, float]:
+    more = max(0.5 * (narrowest - (high - low)), 0.0)
+    return low - more, high + more
 
 
 def _window(low: float, high: float, reference: float) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """Verdicts, printed sums and other base sets, with the structural nullspace as the oracle."""
 
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from sysid_bench import places
 from sysid_bench.errors import UsageError
-from sysid_bench.identifiability.base import base_map
+from sysid_bench.identifiability.base import CONDITION, base_map, qr_pivots
 from sysid_bench.identifiability.combinations import (
     combinations,
     combined,
@@ -17,7 +18,7 @@ from sysid_bench.identifiability.combinations import (
     near_degenerate,
 )
 from sysid_bench.identifiability.nullspace import parameter_nullspace, structural_rank
-from sysid_bench.identifiability.rebase import qr_pivots, rebase, same_space
+from sysid_bench.identifiability.rebase import rebase, same_space
 from sysid_bench.identifiability.structural import structural_base, structural_factor
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.load import load_robot
@@ -95,6 +96,46 @@ def test_verdicts_of_random_trees_are_those_of_the_nullspace(seed: int) -> None:
     base = inertial_base(robot)
     assert verdicts(base) == told_by(nullspace)
     assert same_space(base.K, row_space(nullspace)) < 1e-8
+
+
+ILL: Final = (1368, 2271, 2322, 3307)
+"""Trees whose left-to-right base set has a condition of 1e7 and more."""
+
+
+@pytest.mark.parametrize("seed", [*ILL, *range(100)])
+def test_verdicts_of_generated_trees_are_those_of_the_nullspace(seed: int) -> None:
+    robot = load_robot(f"random:{seed}")
+    nullspace = parameter_nullspace(robot.tree)
+    base = inertial_base(robot)
+    assert base.rank == len(nullspace) - nullspace.shape[1]
+    if base.rank:
+        assert verdicts(base) == told_by(nullspace)
+
+
+@pytest.mark.parametrize("seed", [*ILL, *range(20)])
+def test_a_base_set_bears_data(seed: int) -> None:
+    robot = load_robot(f"random:{seed}")
+    R = structural_factor(robot, robot.inertial_columns)
+    base = base_map(R, robot.inertial_columns)
+    if base.rank:
+        best = np.linalg.cond(R[:, qr_pivots(R, base.rank)])
+        assert np.linalg.cond(R[:, base.pivots]) <= max(CONDITION, best)
+
+
+def test_the_rank_does_not_hang_on_how_far_a_joint_may_go(tmp_path: Path) -> None:
+    ranks = []
+    for reach in (2.0, 1e-4):
+        file = tmp_path / f"{reach}.xml"
+        file.write_text(
+            f"""<mujoco><worldbody><body name="a"><joint name="a" axis="0 0 1" limited="true"
+            range="-{reach} {reach}"/>
+            <inertial pos=".1 .2 .3" mass="1" fullinertia="2 3 4 .1 .2 .3"/>
+            <body name="b" pos="1 0 0"><joint name="b" axis="0 1 0" limited="true"
+            range="-{reach} {reach}"/><inertial pos=".1 .2 .3" mass="1"
+            fullinertia="2 3 4 .1 .2 .3"/></body></body></worldbody></mujoco>"""
+        )
+        ranks.append(inertial_base(load_robot(file)).rank)
+    assert ranks[0] == ranks[1]
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda", "z1", "solo12"])
