@@ -266,8 +266,8 @@ def _nearest_possible(inertia: Array) -> Array:
     values, vectors = np.linalg.eigh(covariance)
     # Relative to what is there: a microrobot's inertia is as good as a crane's.
     largest = float(np.abs(inertia).max())
-    lamina = values[0] >= -_LAMINA * largest and values[1] >= _MARGIN * largest
-    lifted = np.maximum(values, max((_LAMINA if lamina else _MARGIN) * largest, _SMALLEST))
+    lamina = values[0] >= -_LAMINA * largest and values[1] >= max(_MARGIN * largest, 2 * _SMALLEST)
+    lifted = np.maximum(values, _LAMINA * largest if lamina else max(_MARGIN * largest, _SMALLEST))
     covariance = vectors @ np.diag(lifted) @ vectors.T
     return np.trace(covariance) * np.eye(3) - covariance
 

@@ -240,3 +240,50 @@ def test_a_mesh_outside_of_the_folder_is_not_read(place: str, tmp_path: Path) ->
         "../" if place.startswith("{") else "")))  # fmt: skip
     with pytest.raises(ModelError, match="outside of the model's folder"):
         load_robot(file)
+
+
+def test_absent_meshes_name_a_few_bodies_and_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body = '<body name="b{0}"><joint/><geom type="mesh" mesh="m{0}"/></body>'
+    meshes = "".join(f'<mesh name="m{k}" file="m{k}.stl"/>' for k in range(9))
+    bodies = "".join(body.format(k) for k in range(9))
+    (tmp_path / "r.xml").write_text(model(bodies, f"<asset>{meshes}</asset>"))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ModelError) as refusal:
+        load_robot(Path("r.xml"))
+    message = str(refusal.value)
+    assert "b0, b1, b2 and 6 more: inertia" in message
+    assert "b3" not in message
+    assert f"the folder {tmp_path.name!r}" in message
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicit"])
+def test_inverse_dynamics_is_that_of_continuous_time(integrator: str) -> None:
+    flag = f'<option integrator="{integrator}"><flag invdiscrete="enable"/></option>'
+    check = crosscheck(robot_of(model(hinge('<joint damping="1"/>'), flag)), 8)
+    assert check.ok(), check.reason()
+
+
+def test_a_joint_held_still_by_its_damping_drowns_nothing() -> None:
+    held = '<joint damping="1e11" stiffness="1e8" frictionloss="1e9"/>'
+    robot = robot_of(model(hinge(held, hinge())))
+    check = crosscheck(robot, 8)
+    assert check.ok(), check.reason()
+    assert robot.joint_terms.viscous[0] == 1e11
+    with pytest.raises(ModelError, match="1e\\+13"):
+        robot_of(model(hinge('<joint damping="1e14"/>')))
+
+
+def test_two_degrees_of_freedom_of_one_name_are_refused() -> None:
+    for inner in ('<joint name="root.vx"/>', '<joint name="root.wz" type="slide"/>'):
+        with pytest.raises(ModelError, match=r"'root\.[vw].'.*rename"):
+            robot_of(model(hinge("<freejoint/>", hinge(inner))))
+    ball, hinged = '<joint name="b" type="ball"/>', hinge('<joint name="b.x"/>')
+    with pytest.raises(ModelError, match=r"'b\.x'"):
+        robot_of(model(hinge(ball, hinged)))
+
+
+def test_a_part_is_no_model() -> None:
+    with pytest.raises(ModelError, match="a part to be included"):
+        robot_of(f"<mujocoinclude>{hinge()}</mujocoinclude>")

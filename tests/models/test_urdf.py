@@ -204,6 +204,29 @@ def test_a_lamina_at_any_angle_is_a_robot(seed: int) -> None:
     np.testing.assert_allclose(robot_of(urdf.text).phi[1, 4:], inertia[ROWS, COLUMNS], atol=1e-5)
 
 
+@pytest.mark.parametrize("seed", range(60))
+def test_a_lamina_in_a_turned_frame_is_a_robot_as_written(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = (rng.uniform(0.01, 1, 2) * 10.0 ** rng.uniform(-6, 1)).tolist()
+    six = f"{x!r} 0 0 {y!r} 0 {x + y!r}"
+    rpy = " ".join(map(repr, rng.uniform(-3, 3, 3).tolist()))
+    flat = link("b", inertia=six).replace("<origin", f'<origin rpy="{rpy}"')
+    loaded = robot_of(robot(link("a"), flat, joint("j", "a", "b")))
+    assert loaded.repairs == ()
+    moments = np.linalg.eigvalsh(matrix_of_six(loaded.phi[1, 4:]))
+    np.testing.assert_allclose(moments, sorted([x, y, x + y]), rtol=1e-11)
+
+
+def test_a_microrobot_keeps_its_inertias() -> None:
+    small = "2e-14 0 0 3e-14 0 2.5e-14"
+    text = robot(*(link(name, "1e-6", small) for name in "ab"), joint("j", "a", "b"))
+    assert canonical_urdf(text, "r.urdf").repairs == ()
+    np.testing.assert_allclose(robot_of(text).phi[1, 4:], [2e-14, 0, 0, 3e-14, 0, 2.5e-14])
+    impossible = text.replace(small.split()[0], "2e-11").replace("3e-14", "3e-11")
+    mended = robot_of(impossible.replace("2.5e-14", "5.0001e-11")).phi[1]
+    np.testing.assert_allclose(mended[[4, 7, 9]], [2e-11, 3e-11, 5e-11], rtol=2e-3)
+
+
 def test_a_point_mass_is_given_an_inertia_and_told() -> None:
     text = robot(link("a"), link("b", mass="3", inertia="0 0 0 0 0 0"), joint("j", "a", "b"))
     urdf = canonical_urdf(text, "r.urdf")

@@ -81,6 +81,7 @@ def test_a_floating_joint_at_the_ground_is_a_free_base() -> None:
     robot = robot_of(text)
     assert [j.kind for j in robot.joints] == ["free", "hinge"]
     agrees(robot)
+    assert crosscheck(robot, 8).native_gap is not None
 
 
 TWO_ARMS = urdf(

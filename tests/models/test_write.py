@@ -14,9 +14,9 @@ from sysid_bench.models.writing.mjcf import updated_mjcf
 from sysid_bench.models.writing.update import JOINT_KEYS
 from sysid_bench.models.writing.urdf import updated_urdf
 from sysid_bench.models.writing.xml_text import elements_of
-from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
 from sysid_bench.types import Array
-from tests.robots import random_mjcf, random_phi, urdf_files
+from tests.robots import random_mjcf, random_phi, random_rotation, urdf_files
 
 MJCFS = 23
 WRITTEN = {
@@ -376,3 +376,31 @@ def test_nothing_is_written_beside_the_source(mjcf: Path) -> None:
     before = {path: path.read_bytes() for path in mjcf.parent.iterdir()}
     updated_mjcf(mjcf, {"tip": PHI})
     assert {path: path.read_bytes() for path in mjcf.parent.iterdir()} == before
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_lamina_is_written_and_read_without_repair(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    R, squares = random_rotation(rng), rng.uniform(0.01, 1, 3) * [0, 1, 1]
+    covariance = R @ np.diag(squares) @ R.T
+    inertia = np.trace(covariance) * np.eye(3) - covariance
+    phi = phi_of(2.0, rng.normal(size=3) * 0.1, inertia)
+    six = 'ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"'
+    inertial = f'<inertial><mass value="1"/><inertia {six}/></inertial>'
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in "ab")
+    joint = '<joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint>'
+    file = tmp_path / "r.urdf"
+    file.write_text(f'<robot name="r">{links}{joint}</robot>')
+    file.write_text(updated_urdf(file, {"b": phi}))
+    again = load_robot(file)
+    assert again.repairs == ()
+    np.testing.assert_allclose(again.phi[1], phi, atol=1e-12)
+
+
+def test_three_numbers_are_no_body_in_a_sentence(tmp_path: Path) -> None:
+    file = tmp_path / "r.xml"
+    file.write_text(
+        '<mujoco><worldbody><body name="l2"><joint/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(UsageError, match=r"'l2' cannot have \[1, 2, 3\]; it needs ten finite"):
+        updated_mjcf(file, {"l2": [1, 2, 3]})
