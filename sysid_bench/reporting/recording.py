@@ -1,6 +1,7 @@
 """One cell as a Rerun recording: the moving robot, its torques, residuals and regressor."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -36,7 +37,7 @@ def record(evidence: Evidence, path: Path, max_hz: float = 50) -> Path:
     beside = path.with_name(path.name + ".part")
     row = evidence.row
     # The viewer keeps one layout per application: robots differ in joints, so each is its own.
-    application = f"sysid_bench {row.get('robot', '')}".strip()
+    application = re.sub(r"[^\w .-]", "-", f"sysid_bench {row.get('robot', '')}".strip())
     stream = rr.RecordingStream(application, recording_id=str(row.get("id", path.stem)))
     try:
         stream.save(beside, default_blueprint=_blueprint(evidence))
