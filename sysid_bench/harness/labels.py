@@ -32,7 +32,9 @@ def plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str
     """Short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
     use = str(spec["use"])
     short = label or use.rpartition(":")[2]
-    settings = " ".join(f"{key}={value}" for key, value in spec.items() if key != "use")
+    settings = " ".join(
+        f"{key}={value}" for key, value in spec.items() if key not in ("use", "label")
+    )
     return short, f"{short} {settings}" if settings else f"{short} ({use})" if ":" in use else short
 
 
@@ -48,7 +50,7 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     axes = suite.defaults
     plugins = {"plant": axes.plant, "excitation": axes.excitation, "simulation": axes.simulation}
     labels = {
-        axis: distinct((p.spec, *plugin_texts(p.spec)) for p in specs)
+        axis: distinct((p.spec, *plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
         for axis, specs in plugins.items()
     }
     labels["estimator"] = distinct(

@@ -93,13 +93,13 @@ def test_slopes_of_a_search_are_its_differences(family: str, objective: object, 
         np.testing.assert_allclose(pulled[near], differences[near], atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["ur5", "z1", "xarm7"])
+@pytest.mark.parametrize("name", ["ur5", "xarm7"])
 def test_a_design_beats_random_motions_and_keeps_every_limit(name: str) -> None:
     robot = named_robot(name, "box-2kg")
     told = brief(robot)
     tau = np.abs(torque_of(robot).of(_random(told))).max(axis=0) * 2.5
     told = replace(told, tau=tau)
-    made = Optimised("D", harmonics=2, period=5.0, iterations=20, clearance=0.01)
+    made = Optimised("D", harmonics=2, period=5.0, iterations=15, clearance=0.01)
     design = made.solve(told, np.random.default_rng(0))
     assert design.value < design.start - 0.3  # per parameter: exp(0.15) in every standard deviation
     fine = made.motion(design.C, told.at(2000.0))
@@ -201,4 +201,4 @@ def test_what_cannot_be_designed_is_said() -> None:
         Optimised(joints=("elbo_joint",)).design(told, np.random.default_rng(0))
     weak = replace(told, tau=np.full(robot.nv, 1e-3))
     with pytest.raises(UnsupportedError, match="torque"):
-        Optimised(**QUICK).design(weak, np.random.default_rng(0))  # type: ignore[arg-type]
+        Optimised(harmonics=1, period=2.0, iterations=1).design(weak, np.random.default_rng(0))

@@ -225,10 +225,11 @@ def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, ra
     brief = brief_of(robot, rate)
     if robot.coupling is not None or task.cuts:  # designs serve the joints of trees
         return brief
-    terms = {
+    terms = {  # ball and free joints, whose terms have no columns, are held by designs
         f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
         for term, values in task.known_terms.items()
-        for dof in np.flatnonzero(values)
+        for dof in robot.scalar_dofs
+        if values[dof]
     }
     torque = None
     if prior is not None:
