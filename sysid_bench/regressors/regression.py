@@ -4,7 +4,7 @@ A column is a weighting of the ten raw columns of one link (its own parameter: a
 welded body's: a column of its transport X), or a joint term of one row.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -16,7 +16,7 @@ from sysid_bench.errors import unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.compiled import chosen, program_of
-from sysid_bench.regressors.kernel import BLOCK, blocks, body_columns, sweep
+from sysid_bench.regressors.kernel import blocks, body_columns, sweep
 from sysid_bench.types import Array, Regressor, Trajectory
 
 TermFunction = Callable[[Array, Array, Array], Array]
@@ -84,11 +84,8 @@ class Regression:
 
     def blocks(self, motion: Trajectory) -> Iterator["Block"]:
         """Y of consecutive samples, a cacheful at a time, by the kernel of this process."""
-        yield from self._blocks(motion, blocks(motion))
-
-    def _blocks(self, motion: Trajectory, parts: Iterable[slice]) -> Iterator["Block"]:
         library = chosen().library
-        for part in parts:
+        for part in blocks(motion):
             span = _cut(motion, part)
             values = library.rows(program_of(self), span) if library else self._values(span)
             yield Block(self, part, values)
@@ -123,7 +120,7 @@ class Regression:
         if library is not None:
             library.dense(program_of(self), motion, out)
         else:
-            for block in self._blocks(motion, blocks(motion, 2 * BLOCK)):
+            for block in self.blocks(motion):
                 block.dense(out[block.samples])
         return Regressor(out, self.rows, self.columns)
 
