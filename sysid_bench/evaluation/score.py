@@ -17,14 +17,19 @@ and torques, joints and a floating base are kinds of their own (`Problem.kinds`)
 
 
 def score(
-    estimate: Estimate, problem: Problem, held_out: Mapping[str, Problem], truth: Truth
+    estimate: Estimate,
+    problem: Problem,
+    held_out: Mapping[str, Problem],
+    truth: Truth,
+    about_data: Mapping[str, Any] | None = None,
 ) -> Score:
     """The figures of one estimate; `held_out` are problems posed with exact signals (the Oracle).
 
-    What does not depend on the estimate (rank, condition) is there even where it failed.
+    What does not depend on the estimate (rank, condition) is there even where it failed; whoever
+    scores many estimates of a problem hands it over, as `data_figures` gives it.
     """
     beta = estimate.beta if estimate.status == "ok" else None
-    about_data = data_figures(problem, held_out)
+    about_data = data_figures(problem, held_out) if about_data is None else about_data
     if beta is None:
         return Score(**about_data)
     beta_true = problem.base.K @ truth.theta

@@ -77,7 +77,7 @@ def ran(folder: Path, name: str, estimators: str, jobs: int = 1, **words: Any) -
     """Wall and CPU seconds of a run, and its cells, without tables and report."""
     text = {"repeats": 1, "period": "1 s", "simulation": "inverse", "rate": "100 Hz"}
     suite = folder / f"{name}.toml"
-    suite.write_text(SUITE.format(**{**text, "robot": "random:3", **words}) + estimators)
+    suite.write_text(SUITE.format(**{**text, "robot": "z1", **words}) + estimators)
     start = time.perf_counter(), cpu_seconds()
     result = run(suite, folder / name, jobs=jobs)
     assert set(result.counts) == {"ok"}, result.counts
