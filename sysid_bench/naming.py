@@ -11,8 +11,9 @@ import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
+from collections.abc import Callable, Mapping
+from functools import cache
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, Final
@@ -150,7 +151,13 @@ def _settings(kind: str, name: str, make: Any, given: Mapping[str, Any]) -> dict
 
 
 def _points(kind: str) -> tuple[EntryPoint, ...]:
-    return tuple(entry_points(group=f"sysid_bench.{kind}s"))
+    return _installed(entry_points, f"sysid_bench.{kind}s")
+
+
+@cache
+def _installed(find: Callable[..., EntryPoints], group: str) -> tuple[EntryPoint, ...]:
+    # It looks into every installed package, some 10 ms; fingerprints ask five times per cell.
+    return tuple(find(group=group))
 
 
 def _module(place: str) -> ModuleType:

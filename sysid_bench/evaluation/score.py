@@ -26,15 +26,17 @@ def score(
     held_out: Mapping[str, Problem],
     truth: Truth,
     extents: Mapping[str, Extent] | None = None,
+    about_data: Mapping[str, Any] | None = None,
 ) -> Score:
     """The figures of one estimate; `held_out` are problems posed with exact signals (the Oracle),
     `extents` tell of bodies by name where they can be (None: whether they are plausible is left
     open).
 
-    What does not depend on the estimate (rank, condition) is there even where it failed.
+    What does not depend on the estimate (rank, condition) is there even where it failed; whoever
+    scores many estimates of a problem hands it over, as `data_figures` gives it.
     """
     beta = estimate.beta if estimate.status == "ok" else None
-    about_data = data_figures(problem, held_out)
+    about_data = data_figures(problem, held_out) if about_data is None else about_data
     if beta is None:
         return Score(**about_data)
     beta_true = problem.base.K @ truth.theta

@@ -118,7 +118,7 @@ def _fingerprint(models: tuple[str, ...], plugins: tuple[str, ...]) -> str:
 def _tree(folder: str) -> str:
     """Hash of all Python files below a folder, with their places."""
     found = hashlib.sha256()
-    for file in sorted(Path(folder).rglob("*.py")):
+    for file in sorted([*Path(folder).rglob("*.py"), *Path(folder).rglob("*.c")]):
         found.update(f"{file.relative_to(folder)}\0".encode() + file.read_bytes() + b"\0")
     return found.hexdigest()
 

@@ -33,7 +33,7 @@
 
 #define BLOCK 32 /* samples at once: the frames of an arm stay in the nearest caches */
 #define PANEL 64 /* samples folded at once: a column is 512 bytes */
-#define TILE 8192 /* numbers of dense rows that are put together before they leave the caches */
+#define TILE 2048 /* numbers of dense rows that are put together before they leave the caches */
 #define LARGE (16 << 20) /* bytes of output that the caches do not hold */
 #if defined(__AVX512F__)
 #define LANES 8

@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-import sysid_bench
-from sysid_bench.harness.run import RunResult
+from sysid_bench.harness.run import run
 
 Line = Callable[..., None]
 COMMANDS = {
@@ -48,14 +47,17 @@ use = "{robot}"
 """
 
 
+def cpu_seconds() -> float:
+    """CPU seconds of this process and of those that it waited for."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
 def cpu_of_children(arguments: list[str]) -> float:
     """CPU seconds of a Python process."""
-    before = os.times()
+    before = cpu_seconds()
     subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
-    after = os.times()
-    return (
-        after.children_user + after.children_system - before.children_user - before.children_system
-    )
+    return cpu_seconds() - before
 
 
 def test_starting(benchmark: Any, line: Line) -> None:
@@ -71,15 +73,19 @@ def test_starting(benchmark: Any, line: Line) -> None:
         line(f"{name} / import numpy", value / numpy, 2.5, 1.5)
 
 
-def ran(folder: Path, name: str, estimators: str, jobs: int = 1, **words: Any) -> tuple[float, int]:
-    """Wall seconds of a run, and its cells."""
+def ran(folder: Path, name: str, estimators: str, jobs: int = 1, **words: Any) -> dict[str, float]:
+    """Wall and CPU seconds of a run, and its cells, without tables and report."""
     text = {"repeats": 1, "period": "1 s", "simulation": "inverse", "rate": "100 Hz"}
     suite = folder / f"{name}.toml"
-    suite.write_text(SUITE.format(**{**text, "robot": "random:3", **words}) + estimators)
-    start = time.perf_counter()
-    result: RunResult = sysid_bench.run(suite, out=folder / name, jobs=jobs)
+    suite.write_text(SUITE.format(**{**text, "robot": "z1", **words}) + estimators)
+    start = time.perf_counter(), cpu_seconds()
+    result = run(suite, folder / name, jobs=jobs)
     assert set(result.counts) == {"ok"}, result.counts
-    return time.perf_counter() - start, result.asked
+    return {
+        "wall": time.perf_counter() - start[0],
+        "cpu": cpu_seconds() - start[1],
+        "cells": result.asked,
+    }
 
 
 def test_a_cell_that_does_nothing(benchmark: Any, line: Line, tmp_path: Path) -> None:
@@ -93,9 +99,9 @@ def test_a_cell_that_does_nothing(benchmark: Any, line: Line, tmp_path: Path) ->
 
     def one_round() -> None:
         place = f"{len(costs)}"
-        few, n = ran(tmp_path, f"few{place}", estimators(20))
-        many, m = ran(tmp_path, f"many{place}", estimators(220))
-        costs.append(1e3 * (many - few) / (m - n))
+        few = ran(tmp_path, f"few{place}", estimators(20))
+        many = ran(tmp_path, f"many{place}", estimators(220))
+        costs.append(1e3 * (many["cpu"] - few["cpu"]) / (many["cells"] - few["cells"]))
 
     benchmark.pedantic(one_round, rounds=3)
     line("harness and scores per trivial cell", median(costs), 2, 2, unit="ms")
@@ -111,9 +117,10 @@ def test_a_second_worker(benchmark: Any, line: Line, tmp_path: Path) -> None:
         place = f"{len(ratios)}"
 
         def rate(jobs: int) -> float:
-            few, n = ran(tmp_path, f"few{place}-{jobs}", ols, jobs, repeats=2 * jobs, **words)
-            many, m = ran(tmp_path, f"many{place}-{jobs}", ols, jobs, repeats=42, **words)
-            return (m - n) / (many - few)  # without starting the workers
+            few = ran(tmp_path, f"few{place}-{jobs}", ols, jobs, repeats=2 * jobs, **words)
+            many = ran(tmp_path, f"many{place}-{jobs}", ols, jobs, repeats=42, **words)
+            # The difference is without starting the workers.
+            return (many["cells"] - few["cells"]) / (many["wall"] - few["wall"])
 
         ratios.append(rate(2) / rate(1))
 

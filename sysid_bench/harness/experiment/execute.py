@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
-from sysid_bench.evaluation.score import data_figures, score
+from sysid_bench.evaluation.score import score
 from sysid_bench.harness.canonical import plain
 from sysid_bench.harness.experiment.prepare import Prepared, prepare
 from sysid_bench.harness.experiment.robots import Subject, subject
@@ -88,8 +88,7 @@ def _answer(spec: Mapping[str, Any], ready: Prepared) -> Row:
         failure = {"reason": reason_of(error)}
     except (Exception, SystemExit) as error:
         failure = {"reason": reason_of(error), "traceback": traceback.format_exc()}
-    figures = data_figures(ready.problem, ready.held_out)
-    return dict(plain({"status": "failed", **failure, **figures}))
+    return dict(plain({"status": "failed", **failure, **ready.figures}))
 
 
 def _judged(estimate: Estimate, ready: Prepared) -> Row:
@@ -99,9 +98,8 @@ def _judged(estimate: Estimate, ready: Prepared) -> Row:
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
     }
-    outcome |= asdict(
-        score(estimate, ready.problem, ready.held_out, ready.truth, extents(ready.robot))
-    )
+    reach, figures = extents(ready.robot), ready.figures
+    outcome |= asdict(score(estimate, ready.problem, ready.held_out, ready.truth, reach, figures))
     outcome["stats"] = stats
     outcome["parameters_table"] = list(_parameters(estimate, ready.problem, ready.truth))
     return dict(plain(outcome))

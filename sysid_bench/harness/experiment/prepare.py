@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
+from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.brief import Brief, brief_of
 from sysid_bench.excitation.geometry import scene_of
 from sysid_bench.excitation.insight import Torque, question
@@ -65,6 +66,11 @@ class Prepared:
     held_out: dict[str, Problem]
     truth: Truth
     known: Array  # (N, rows) torque of what the task takes as known, along the measured motion
+
+    @cached_property
+    def figures(self) -> dict[str, Any]:
+        """Rank and conditioning of the data: one and the same for all estimators."""
+        return data_figures(self.problem, self.held_out)
 
 
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
