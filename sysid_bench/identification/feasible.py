@@ -17,6 +17,10 @@ from sysid_bench.types import Array, BaseMap, Body, Estimate, Problem
 TOLERANCE: Final = 1e-7
 """Of Clarabel's duality gap: squares of residuals whose noise has the variance one."""
 
+STEPS: Final = (0.99, 0.95, 0.9)
+"""Shares of the way to the border that Clarabel goes at once: its own, and shorter ones where
+rounding stops it there."""
+
 FEASIBLE: Final = (1e-9, 1e-8)
 """What constraints may be missed by, and what is taken where rounding allows no less."""
 
@@ -163,6 +167,16 @@ def estimate_of(of: Physical, fit: Fit) -> Estimate:
     return Estimate(theta=of.scale * fit.x, stats=stats)
 
 
+def _settings(step: float) -> clarabel.DefaultSettings:
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
+    settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = ACCEPTED
+    settings.tol_feas, settings.reduced_tol_feas = FEASIBLE
+    settings.max_step_fraction = step
+    return settings
+
+
 def _solved(
     of: Physical, limits: Limits, origin: Array, T: Array, P: Array, q: Array
 ) -> tuple[Array, float, int]:
@@ -176,20 +190,18 @@ def _solved(
     P = P * size * size[:, None]
     free = -size * cho_solve(cho_factor(P), size * q) if q.any() else np.zeros(len(q))
     origin, T = origin + T @ free, T * size
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
-    settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = ACCEPTED
-    settings.tol_feas, settings.reduced_tol_feas = FEASIBLE
-    answer = clarabel.DefaultSolver(
-        sparse.csc_matrix(np.triu(P)),
-        np.zeros(len(q)),
-        sparse.csc_matrix(cones.G @ T),
-        cones.h - cones.G @ origin,
-        cones.cones(),
-        settings,
-    ).solve()
-    status = str(answer.status)
+    for step in STEPS:
+        answer = clarabel.DefaultSolver(
+            sparse.csc_matrix(np.triu(P)),
+            np.zeros(len(q)),
+            sparse.csc_matrix(cones.G @ T),
+            cones.h - cones.G @ origin,
+            cones.cones(),
+            _settings(step),
+        ).solve()
+        status = str(answer.status)
+        if status not in ("NumericalError", "InsufficientProgress"):
+            break
     if "PrimalInfeasible" in status:
         raise EstimationError(
             "No bodies that can exist have these parameters: Clarabel finds the constraints "

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from scipy.linalg import lapack
 
-from sysid_bench.regressors.compiled import chosen, program_of
+from sysid_bench.regressors.compiled import program_of
 from sysid_bench.regressors.coupled import AnyRegression
 from sysid_bench.regressors.regression import Regression
 from sysid_bench.types import Array, Factor, Trajectory
@@ -33,7 +33,7 @@ def fold_all(
     factors = [np.zeros((0, len(regression.touched[i]) + 1)) for i in chosen_rows]
     widest = max((R.shape[1] for R in factors), default=0)
     samples = 0
-    library = chosen().library
+    library = regression.library if isinstance(regression, Regression) else None
     for motion, b in parts:
         # Fewer samples than columns leave a factor with fewer rows, which the kernel's has not.
         if library and isinstance(regression, Regression) and len(motion) >= widest:

@@ -16,8 +16,9 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Measured
 from sysid_bench.models.tree import Tree
-from sysid_bench.regressors.compiled import chosen, program_of
+from sysid_bench.regressors.compiled import Library, chosen, program_of
 from sysid_bench.regressors.kernel import blocks, body_columns, sweep
+from sysid_bench.regressors.program import TERM_CODES
 from sysid_bench.types import Array, Regressor, Trajectory
 
 TermFunction = Callable[[Array, Array, Array], Array]
@@ -72,6 +73,12 @@ class Regression:
     terms: tuple[TermColumn, ...]
 
     @cached_property
+    def library(self) -> Library | None:
+        """The compiled kernel, where this process has one and it knows all of these columns."""
+        known = all(term.kind in TERM_CODES for term in self.terms)
+        return chosen().library if known else None
+
+    @cached_property
     def touched(self) -> tuple[Array, ...]:
         """For each row the places (k,) in Y, in the order of `Block.row`."""
         places: list[list[int]] = [[] for _ in self.rows]
@@ -91,7 +98,7 @@ class Regression:
 
     def blocks(self, motion: Trajectory) -> Iterator["Block"]:
         """Y of consecutive samples, a cacheful at a time, by the kernel of this process."""
-        library = chosen().library
+        library = self.library
         for part in blocks(motion):
             span = _cut(motion, part)
             values = library.rows(program_of(self), span) if library else self._values(span)
@@ -123,7 +130,7 @@ class Regression:
         """Y (N, nv, p) at once, into `out` where it is given: for small motions and witnesses."""
         if out is None:
             out = np.empty((len(motion), len(self.rows), len(self.columns)))
-        library = chosen().library
+        library = self.library
         if library is not None:
             library.dense(program_of(self), motion, out)
         else:

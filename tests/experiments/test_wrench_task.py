@@ -10,6 +10,7 @@ from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
+from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.random_robot import random_robot
 from sysid_bench.models.sensor import cut_at
 from sysid_bench.models.task import task_of
@@ -70,7 +71,10 @@ def test_a_robot_with_a_free_base_and_a_closed_loop_serve_too() -> None:
         loop.experiment.simulate(loop.truth.theta)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMED if name not in ("icub", "solo12")])
+WRISTED = [name for name in NAMED if "wrist" in {s.name for s in find_manifest(name).sensors}]
+
+
+@pytest.mark.parametrize("name", WRISTED)
 def test_a_wrist_tells_all_ten_numbers_of_a_payload(name: str) -> None:
     robot = named_robot(name, "box-2kg")
     task = task_of(robot, "wrench-payload", ("offset",), "wrist", np.arange(6.0))
