@@ -31,9 +31,6 @@ as much as that of the criterion."""
 RESTORING: Final = 15
 """Newton steps back into the limits; two or three do where the way is short."""
 
-MOST_KEPT: Final = 12
-"""Best feasible motions that are kept for the check on a finer grid."""
-
 
 @dataclass(frozen=True, eq=False)
 class Space:
@@ -218,7 +215,7 @@ class Search:
             and np.isfinite(self._f)
             and (not self.kept or self._f < self.kept[-1][0])
         ):
-            self.kept = [*self.kept[-MOST_KEPT + 1 :], (self._f, C.copy())]
+            self.kept.append((self._f, C.copy()))
         if self.kept:
             self.tell(self.evaluations, self.kept[-1][0])
 
