@@ -176,7 +176,7 @@ class Optimised:
         places = len(search.kept) - np.unique(
             np.geomspace(1, len(search.kept) or 1, CHECKS, dtype=int)
         )
-        for place in places[places < len(search.kept)]:
+        for place in places[places >= 0]:  # -1: nothing was kept
             value, C = search.kept[place]
             motion = self._fine(C, space)
             uses = [float(np.abs(limit.use(motion)).max()) for limit in limits]
