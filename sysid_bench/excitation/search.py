@@ -31,6 +31,9 @@ as much as that of the criterion."""
 RESTORING: Final = 15
 """Newton steps back into the limits; two or three do where the way is short."""
 
+STEP: Final = 0.2
+"""The longest such step, in units of scaled coefficients: an amplitude over the velocity limit."""
+
 
 @dataclass(frozen=True, eq=False)
 class Space:
@@ -157,14 +160,18 @@ class Search:
                 -self._limits_at(x.reshape(self.shape) * scale, sharpness)[1] * scale.ravel()
             ),
         }
+        steepest = float(np.abs(self._slope_at(start.reshape(self.shape) * scale) * scale).max())
+        unit = STEP / max(steepest, STEP)  # the first step goes as far as the slope says
         result = minimize(
-            lambda x: self._value_at(x.reshape(self.shape) * scale),
+            lambda x: unit * self._value_at(x.reshape(self.shape) * scale),
             start,
-            jac=lambda x: self._slope_at(x.reshape(self.shape) * scale).ravel() * scale.ravel(),
+            jac=lambda x: (
+                unit * self._slope_at(x.reshape(self.shape) * scale).ravel() * scale.ravel()
+            ),
             method="SLSQP",
             constraints=[constraint],
             bounds=Bounds((low / scale).ravel(), (high / scale).ravel()),
-            options={"maxiter": iterations, "ftol": 1e-5},  # type: ignore[call-overload]
+            options={"maxiter": iterations, "ftol": 1e-5 * unit},  # type: ignore[call-overload]
         )
         end = self._restored(result.x.reshape(self.shape) * scale, sharpness)
         over = max(self.violation(end) - 1.0, 0.0)
@@ -172,18 +179,24 @@ class Search:
 
     def _restored(self, C: Array, sharpness: float) -> Array:
         """The nearest coefficients within the limits, by Newton steps of least length: a search
-        that is cut off hovers a few per cent outside."""
+        that is cut off hovers a few per cent outside. Steps stay short, for slopes tell little of
+        what is far; the least violating coefficients are the answer where none keeps all."""
         scale = np.tile(self._scale(), (self.shape[0], 1))
+        low, high = self.space.bounds()
+        nearest, least = C, np.inf
         for _ in range(RESTORING):
             value, slope = self._limits_at(C, sharpness)
-            if (value <= 1.0).all():
+            if value.max() < least:
+                nearest, least = C, float(value.max())
+            if least <= 1.0:
                 break
             # Limits that are near bind as well, or a step would only trade one for another.
             binding = value > 0.97
             J = slope[binding] * scale.ravel()
-            step = np.linalg.lstsq(J, np.minimum(0.995 - value[binding], 0.0))[0]
-            C = C + step.reshape(self.shape) * scale
-        return C
+            step = np.linalg.lstsq(J, np.minimum(0.995 - value[binding], 0.0), rcond=1e-3)[0]
+            step *= min(1.0, STEP / np.abs(step).max())
+            C = np.clip(C + step.reshape(self.shape) * scale, low, high)
+        return nearest
 
     def _scale(self) -> Array:
         return self.space.brief.v[self.space.dofs]
