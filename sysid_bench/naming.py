@@ -12,7 +12,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
@@ -175,6 +175,13 @@ def _module_of_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise UsageError(f"There is no file {str(path)!r} to take a plug-in from.")
     name = f"sysid_bench_file_{hashlib.sha256(bytes(path.resolve())).hexdigest()[:12]}"
+    status = path.stat()
+    return _executed(name, path, (status.st_mtime_ns, status.st_size))
+
+
+@lru_cache
+def _executed(name: str, path: Path, state: tuple[int, int]) -> ModuleType:
+    """The module of a file in this state: one that was changed is read again."""
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise UsageError(f"{str(path)!r} is no Python file.")

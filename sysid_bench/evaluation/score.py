@@ -1,6 +1,8 @@
 """Judgement of one estimate against what really happened."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -41,22 +43,32 @@ def score(
         return Score(**about_data)
     beta_true = problem.base.K @ truth.theta
     tests = list(held_out.values())
-    joints = _joint_figures(problem, tests, beta)
+    train, test = Rows([problem], beta), Rows(tests, beta) if tests else None
+    figures = {} if test is None else _held_out_figures(test, held_out, beta_true)
     return Score(
         **about_data,
-        rmse_train=_rmse([problem], beta),
-        rmse_test=_rmse(tests, beta) if tests else None,
-        torque_error=_torque_error(tests, beta) if tests else None,
-        torque_error_sample=_sample_error(tests, beta) if tests else None,
-        torque_error_worst=_worst_error(tests, beta) if tests else None,
-        torque_error_by_motion={
-            name: _torque_error([test], beta) for name, test in held_out.items()
-        },
-        parameter_error=_parameter_error(tests, beta, beta_true) if tests else None,
+        **figures,
+        rmse_train=train.rmse,
         beta_error=_relative(beta - beta_true, beta_true),
-        joints=tuple(joints),
+        joints=tuple(_joint_figures(problem.rows, train, test)),
         **_body_figures(estimate, problem, truth, extents),
     )
+
+
+def _held_out_figures(
+    test: "Rows", held_out: Mapping[str, Problem], beta_true: Array
+) -> dict[str, Any]:
+    beta = test.beta
+    return {
+        "rmse_test": test.rmse,
+        "torque_error": test.torque_error,
+        "torque_error_sample": _sample_error(test.problems, beta),
+        "torque_error_worst": test.worst,
+        "torque_error_by_motion": {
+            name: Rows([problem], beta).torque_error for name, problem in held_out.items()
+        },
+        "parameter_error": _parameter_error(test.problems, beta, beta_true),
+    }
 
 
 def data_figures(problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
@@ -120,46 +132,60 @@ def _torque(problem: Problem) -> Array:
     return norms / np.sqrt(problem.samples)
 
 
-def _row_errors(problems: list[Problem], beta: Array) -> Array:
-    squares = np.array([residual_norms(p, beta) ** 2 for p in problems])
-    return np.sqrt(squares.sum(axis=0) / sum(p.samples for p in problems))
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Errors of beta on the rows (rows,) of some problems; computed once, told in many ways."""
 
+    problems: list[Problem]
+    beta: Array
 
-def _rmse(problems: list[Problem], beta: Array) -> float:
-    return float(np.sqrt((_row_errors(problems, beta) ** 2).mean()))
+    @cached_property
+    def errors(self) -> Array:
+        """RMS error."""
+        squares = np.array([residual_norms(p, self.beta) ** 2 for p in self.problems])
+        return np.sqrt(squares.sum(axis=0) / sum(p.samples for p in self.problems))
 
+    @cached_property
+    def rms(self) -> Array:
+        """RMS torque."""
+        return _row_rms(self.problems)
 
-def _large(rms: Array, kinds: tuple[str, ...]) -> Array:
-    """Which rows (rows,) move enough torque to be judged."""
-    names = np.array(kinds or ("",) * len(rms))
-    large = np.zeros(len(rms), dtype=bool)
-    for kind in set(names):
-        of_kind = names == kind
-        large[of_kind] = rms[of_kind] >= SMALL_JOINT * rms[of_kind].max()
-    return large & (rms > 0)
+    @cached_property
+    def large(self) -> Array:
+        """Which rows move enough torque to be judged."""
+        names = np.array(self.problems[0].kinds or ("",) * len(self.rms))
+        large = np.zeros(len(self.rms), dtype=bool)
+        for kind in set(names):
+            of_kind = names == kind
+            large[of_kind] = self.rms[of_kind] >= SMALL_JOINT * self.rms[of_kind].max()
+        return large & (self.rms > 0)
 
+    @cached_property
+    def relative(self) -> Array:
+        """RMS error over RMS torque; NaN where no unknown acts, or no torque."""
+        asked = np.array([len(factor.columns) > 0 for factor in self.problems[0].factors])
+        asked &= self.rms > 0
+        return np.where(asked, self.errors / np.where(asked, self.rms, 1.0), np.nan)
 
-def _relative_errors(problems: list[Problem], beta: Array) -> Array:
-    """RMS error over RMS torque of each row (rows,); NaN where no unknown acts, or no torque."""
-    rms = _row_rms(problems)
-    asked = np.array([len(factor.columns) > 0 for factor in problems[0].factors]) & (rms > 0)
-    return np.where(asked, _row_errors(problems, beta) / np.where(asked, rms, 1.0), np.nan)
+    @cached_property
+    def judged(self) -> Array:
+        """The relative errors of the rows that move enough torque to be judged."""
+        return self.relative[self.large & np.isfinite(self.relative)]
 
+    @property
+    def rmse(self) -> float:
+        """Root mean square of all rows' errors."""
+        return float(np.sqrt((self.errors**2).mean()))
 
-def _judged(problems: list[Problem], beta: Array) -> Array:
-    """The relative errors of the rows that move enough torque to be judged."""
-    relative = _relative_errors(problems, beta)
-    return relative[_large(_row_rms(problems), problems[0].kinds) & np.isfinite(relative)]
+    @property
+    def torque_error(self) -> float | None:
+        """Root mean square of the relative errors of the rows that are judged."""
+        return float(np.sqrt((self.judged**2).mean())) if len(self.judged) else None
 
-
-def _torque_error(problems: list[Problem], beta: Array) -> float | None:
-    judged = _judged(problems, beta)
-    return float(np.sqrt((judged**2).mean())) if len(judged) else None
-
-
-def _worst_error(problems: list[Problem], beta: Array) -> float | None:
-    judged = _judged(problems, beta)
-    return float(judged.max()) if len(judged) else None
+    @property
+    def worst(self) -> float | None:
+        """The largest of them."""
+        return float(self.judged.max()) if len(self.judged) else None
 
 
 def _sample_error(problems: list[Problem], beta: Array) -> float | None:
@@ -189,23 +215,19 @@ def _relative(difference: Array, reference: Array) -> float | None:
     return float(np.linalg.norm(difference)) / size if size > 0 else None
 
 
-def _joint_figures(problem: Problem, tests: list[Problem], beta: Array) -> list[dict[str, Any]]:
-    train = _row_errors([problem], beta)
-    rms = _row_rms(tests) if tests else np.zeros(len(train))
-    errors = _row_errors(tests, beta) if tests else rms
-    relative = _relative_errors(tests, beta) if tests else np.full(len(train), np.nan)
-    large = _large(rms, problem.kinds)
-    return [
-        {
+def _joint_figures(
+    names: Sequence[str], train: Rows, test: Rows | None
+) -> Iterator[dict[str, Any]]:
+    for i, name in enumerate(names):
+        told = test is not None and np.isfinite(test.relative[i])
+        yield {
             "name": name,
-            "rmse_train": float(train[i]),
-            "rmse_test": float(errors[i]) if tests else None,
-            "rms": float(rms[i]) if tests else None,
-            "relative": float(relative[i]) if np.isfinite(relative[i]) else None,
-            "small": bool(not large[i]),
+            "rmse_train": float(train.errors[i]),
+            "rmse_test": None if test is None else float(test.errors[i]),
+            "rms": None if test is None else float(test.rms[i]),
+            "relative": float(test.relative[i]) if test is not None and told else None,
+            "small": test is None or not bool(test.large[i]),
         }
-        for i, name in enumerate(problem.rows)
-    ]
 
 
 def _body_figures(

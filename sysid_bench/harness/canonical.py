@@ -12,9 +12,16 @@ def plain(value: Any) -> Any:
 
     NaN and infinities become None, so that no reader takes them for a measurement.
     """
+    kind = type(value)  # rows hold thousands of numbers: the common kinds come first
+    if kind is float:
+        return value if math.isfinite(value) else None
+    if kind is dict:
+        return {key if type(key) is str else str(key): plain(inner) for key, inner in value.items()}
     if value is None or isinstance(value, (bool, int)):
         return value
     if isinstance(value, str):
+        if value.isascii():
+            return value
         # Half of a surrogate pair, as in the name of a broken file, is no Unicode text.
         return value.encode("utf-8", "backslashreplace").decode()
     if isinstance(value, float):

@@ -31,9 +31,8 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-#define BLOCK 32 /* samples at once: the frames of an arm stay in the nearest caches */
-#define PANEL 64 /* samples folded at once: a column is 512 bytes */
-#define TILE 2048 /* numbers of dense rows that are put together before they leave the caches */
+#define BLOCK 64 /* samples at once: a column is 512 bytes, the frames of an arm stay near */
+#define TILE 3072 /* numbers of dense rows that are put together before they leave the caches */
 #define LARGE (16 << 20) /* bytes of output that the caches do not hold */
 #if defined(__AVX512F__)
 #define LANES 8
@@ -46,8 +45,7 @@
 
 typedef double V __attribute__((vector_size(8 * LANES)));
 typedef int64_t I __attribute__((vector_size(8 * LANES)));
-typedef V S[STEPS];         /* one number of BLOCK samples */
-typedef V P[PANEL / LANES]; /* one column of PANEL samples */
+typedef V S[STEPS]; /* one number of BLOCK samples */
 
 #define EACH for (int k = 0; k < STEPS; k++)
 
@@ -481,7 +479,7 @@ static void row(Frame *link, Columns *A, Frame *from, int part, V *const y[10])
 static void mix(const double *weights, int64_t outputs, S raw[10], V *out)
 {
     for (int64_t i = 0; i < outputs; i++, weights += 10) {
-        V *y = out + i * (PANEL / LANES);
+        V *y = out + i * STEPS;
         EACH {
             V sum = {0};
             for (int c = 0; c < 10; c++)
@@ -514,23 +512,21 @@ typedef struct {
     S nowhere;
 } Desk;
 
-/* All rows of n samples from `start` on: values[i] is the column of PANEL samples that row i of the
- * plan fills, from `offset` on. */
+/* All rows of n samples from `start` on: values[i] is the column of BLOCK samples that row i of the
+ * plan fills. */
 static void fill(const Tree *t, const Plan *plan, const Motion *m, int64_t start, int64_t n,
-                 Frame *frames, Desk *desk, V *values, int64_t offset)
+                 Frame *frames, Desk *desk, V *values)
 {
-    const int64_t stride = PANEL / LANES;
     sweep(t, m, start, n, frames);
-    values += offset / LANES;
     for (int64_t c = 0; c < plan->carriers; c++) {
         Frame *link = frames + plan->frame[c];
         world_columns(link, &desk->columns);
         for (int64_t i = plan->first[c]; i < plan->first[c + 1]; i++) {
-            V *out = values + plan->dest[i] * stride, *y[10];
+            V *out = values + plan->dest[i] * STEPS, *y[10];
             const int mixed = plan->mixed[c] >= 0;
             for (int k = 0; k < 10; k++) {
                 int64_t slot = plan->slot[10 * c + k];
-                y[k] = mixed ? desk->raw[k] : slot < 0 ? desk->nowhere : out + slot * stride;
+                y[k] = mixed ? desk->raw[k] : slot < 0 ? desk->nowhere : out + slot * STEPS;
             }
             row(link, &desk->columns, frames + plan->from[i], (int)plan->part[i], y);
             if (mixed)
@@ -538,7 +534,7 @@ static void fill(const Tree *t, const Plan *plan, const Motion *m, int64_t start
         }
     }
     for (int64_t i = 0; i < plan->terms; i++)
-        term(t, plan, i, m, start, n, values + plan->term_dest[i] * stride);
+        term(t, plan, i, m, start, n, values + plan->term_dest[i] * STEPS);
 }
 
 /* --- Torque ------------------------------------------------------------------------------------ */
@@ -601,7 +597,7 @@ typedef struct {
 /* LANES columns of as many samples become samples of as many columns, `step` apart. */
 static inline void transpose(const V *x, double *y, int64_t step)
 {
-    const int64_t next = PANEL / LANES;
+    const int64_t next = STEPS;
     V a[LANES];
 #if LANES == 8
     V b[LANES];
@@ -630,7 +626,7 @@ static inline void transpose(const V *x, double *y, int64_t step)
 /* A run of LANES samples, `step` apart. */
 static void lay(const V *x, int64_t length, double *y, int64_t step)
 {
-    const int64_t next = PANEL / LANES;
+    const int64_t next = STEPS;
     int64_t c = 0;
     for (; c + LANES <= length; c += LANES)
         transpose(x + c * next, y + c, step);
@@ -650,7 +646,7 @@ static void lay_rows(const Runs *runs, int64_t from, int64_t to, const V *x, dou
         for (int64_t i = runs->first[r]; i < runs->first[r + 1]; i++) {
             double *at = y + runs->column[i];
             if (runs->value[i] >= 0)
-                lay(x + runs->value[i] * (PANEL / LANES), runs->length[i], at, step);
+                lay(x + runs->value[i] * STEPS, runs->length[i], at, step);
             else
                 for (int64_t k = 0; k < LANES; k++)
                     memset(at + k * step, 0, 8 * runs->length[i]);
@@ -704,7 +700,7 @@ static inline double sum(V x)
 static inline __attribute__((always_inline)) void reflect(const V *restrict x, double head, double scale, double *restrict r,
                            V *restrict y, const int many)
 {
-    const int steps = PANEL / LANES;
+    const int steps = STEPS;
     V dot[4] = {{0}, {0}, {0}, {0}};
     for (int k = 0; k < steps; k++)
         for (int i = 0; i < many; i++)
@@ -719,11 +715,11 @@ static inline __attribute__((always_inline)) void reflect(const V *restrict x, d
             y[i * steps + k] -= by[i] * x[k];
 }
 
-/* R (m, m) of [R; X], X (PANEL, m) column by column and destroyed: Householder's reflections, which
+/* R (m, m) of [R; X], X (BLOCK, m) column by column and destroyed: Householder's reflections, which
  * touch row j of R and the samples alone (LAPACK's tpqrt). */
 static void absorb(int64_t m, double *restrict R, V *restrict X)
 {
-    const int steps = PANEL / LANES;
+    const int steps = STEPS;
     for (int64_t j = 0; j < m; j++) {
         V *x = X + j * steps, squares = {0};
         for (int k = 0; k < steps; k++)
@@ -758,7 +754,7 @@ static int64_t rows_of_tile(int64_t width)
 EXPORT int64_t LEVELLED(work)(const Tree *t, int64_t values, int64_t width)
 {
     return 64 + (int64_t)sizeof(Frame) * (t->joints + 1) + (int64_t)sizeof(Desk)
-         + (int64_t)sizeof(P) * values + 8 * LANES * width * rows_of_tile(width);
+         + (int64_t)sizeof(S) * values + 8 * LANES * width * rows_of_tile(width);
 }
 
 #define LAY_OUT                                                                                    \
@@ -774,9 +770,9 @@ EXPORT void LEVELLED(rows)(const Tree *t, const Plan *plan, const Motion *m, dou
     V *values = (V *)(desk + 1);
     for (int64_t start = 0; start < m->samples; start += BLOCK) {
         int64_t n = least(BLOCK, m->samples - start);
-        fill(t, plan, m, start, n, frames, desk, values, 0);
+        fill(t, plan, m, start, n, frames, desk, values);
         for (int64_t i = 0; i < plan->values; i++)
-            memcpy(out + i * m->samples + start, values + i * (PANEL / LANES), 8 * n);
+            memcpy(out + i * m->samples + start, values + i * STEPS, 8 * n);
     }
 }
 
@@ -810,12 +806,12 @@ EXPORT void LEVELLED(dense)(const Tree *t, const Plan *plan, const Motion *m, co
 {
     LAY_OUT;
     V *values = (V *)(desk + 1);
-    double *tile = (double *)(values + plan->values * (PANEL / LANES));
+    double *tile = (double *)(values + plan->values * STEPS);
     const int64_t rows = runs->rows, width = runs->width, size = rows * width;
     const int64_t chunk = rows_of_tile(width), large = m->samples * size * 8 >= LARGE;
     for (int64_t start = 0; start < m->samples; start += BLOCK) {
         int64_t n = least(BLOCK, m->samples - start);
-        fill(t, plan, m, start, n, frames, desk, values, 0);
+        fill(t, plan, m, start, n, frames, desk, values);
         for (int64_t k = 0; k < n; k += LANES) {
             double *y = Y + (start + k) * size;
             const int64_t many = least(LANES, n - k);
@@ -841,19 +837,17 @@ EXPORT void LEVELLED(fold)(const Tree *t, const Plan *plan, const Motion *m, con
 {
     LAY_OUT;
     V *values = (V *)(desk + 1);
-    for (int64_t start = 0; start < m->samples; start += PANEL) {
-        int64_t n = least(PANEL, m->samples - start);
-        for (int64_t offset = 0; offset < n; offset += BLOCK)
-            fill(t, plan, m, start + offset, least(BLOCK, n - offset), frames, desk, values,
-                 offset);
+    for (int64_t start = 0; start < m->samples; start += BLOCK) {
+        int64_t n = least(BLOCK, m->samples - start);
+        fill(t, plan, m, start, n, frames, desk, values);
         for (int64_t r = 0; r < rows; r++) {
-            V *X = values + at[r] * (PANEL / LANES);
-            double *last = (double *)(X + (size[r] - 1) * (PANEL / LANES));
+            V *X = values + at[r] * STEPS;
+            double *last = (double *)(X + (size[r] - 1) * STEPS);
             for (int64_t k = 0; k < n; k++)
                 last[k] = b[(start + k) * t->nv + place[r]];
-            if (n < PANEL)
+            if (n < BLOCK)
                 for (int64_t c = 0; c < size[r]; c++)
-                    memset((double *)(X + c * (PANEL / LANES)) + n, 0, 8 * (PANEL - n));
+                    memset((double *)(X + c * STEPS) + n, 0, 8 * (BLOCK - n));
             absorb(size[r], R[r], X);
         }
     }

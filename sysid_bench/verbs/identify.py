@@ -52,7 +52,6 @@ def identify(
     from sysid_bench.harness.experiment.robots import subject
     from sysid_bench.identification.complete import completed_estimate
     from sysid_bench.identification.identify import identify as solve
-    from sysid_bench.models.extents import extents
     from sysid_bench.naming import build
     from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, warnings_of
     from sysid_bench.verbs.chosen import refuse_ignored_terms
@@ -81,8 +80,7 @@ def identify(
         )
     if complete is not None:
         estimate = completed_estimate(estimate, ready.problem, complete)
-    reach = extents(ready.robot)
-    figures = score(estimate, ready.problem, ready.held_out, ready.truth, reach)
+    figures = score(estimate, ready.problem, ready.held_out, ready.truth, ready.reach)
     bodies = bodies_of(estimate, ready.problem)
     answer = {
         "model": robot.robot.name,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.compiled import VARIABLE, chosen, program_of
+from sysid_bench.regressors.compiled import VARIABLE, Choice, chosen, program_of
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.benchmarks import peers
@@ -36,8 +36,16 @@ class Subject:
         self.humanoid = name in HUMANOIDS
         self.robot: RobotModel = ROBOTS[name]()
         self.motion: Trajectory = states(self.robot, 3000 if self.humanoid else 20000)
-        self.columns: Regression = regression(self.robot, peers.own_columns(self.robot))
-        self.Y: Array = np.empty((len(self.motion), self.robot.nv, len(self.columns.columns)))
+        self.names = peers.own_columns(self.robot)
+        self.Y: Array = np.empty((len(self.motion), self.robot.nv, len(self.names)))
+        self._columns: dict[Choice, Regression] = {}
+
+    @property
+    def columns(self) -> Regression:
+        """The regressor; it stays with the kernel that it met first, so each has its own."""
+        if chosen() not in self._columns:
+            self._columns[chosen()] = regression(self.robot, self.names)
+        return self._columns[chosen()]
 
     def dense(self) -> None:
         """Y with its zeros, by the kernel of this process."""

@@ -3,7 +3,6 @@
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.harness.provenance import versions
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
-from sysid_bench.models.extents import extents
 from sysid_bench.naming import build
 from sysid_bench.types import Estimate, Problem, Row, Truth
 
@@ -98,8 +96,9 @@ def _judged(estimate: Estimate, ready: Prepared) -> Row:
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
     }
-    reach, figures = extents(ready.robot), ready.figures
-    outcome |= asdict(score(estimate, ready.problem, ready.held_out, ready.truth, reach, figures))
+    outcome |= vars(
+        score(estimate, ready.problem, ready.held_out, ready.truth, ready.reach, ready.figures)
+    )
     outcome["stats"] = stats
     outcome["parameters_table"] = list(_parameters(estimate, ready.problem, ready.truth))
     return dict(plain(outcome))

@@ -23,6 +23,7 @@ from sysid_bench.harness.experiment.spec import (
     prior_seed,
 )
 from sysid_bench.identification.calibration import Calibration, calibrate
+from sysid_bench.models.extents import extents
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.prior import PriorSpread, prior_of
@@ -45,6 +46,7 @@ from sysid_bench.types import (
     Array,
     BaseMap,
     Experiment,
+    Extent,
     Oracle,
     Prior,
     Problem,
@@ -71,6 +73,11 @@ class Prepared:
     def figures(self) -> dict[str, Any]:
         """Rank and conditioning of the data: one and the same for all estimators."""
         return data_figures(self.problem, self.held_out)
+
+    @cached_property
+    def reach(self) -> Mapping[str, Extent]:
+        """How far each body reaches."""
+        return extents(self.robot)
 
 
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:

@@ -1,7 +1,7 @@
 """What an experiment is, in SI numbers; its id, and the seeds that hang on parts of it."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Final
 
@@ -43,7 +43,7 @@ class ExperimentSpec:
 
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
-        data = asdict(self)
+        data = {field.name: getattr(self, field.name) for field in fields(self)}
         for key in ("free_base", "sensor"):
             if data[key] is None:  # not written: ids are older than these fields
                 del data[key]
