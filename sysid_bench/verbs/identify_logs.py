@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, UsageError
+from sysid_bench.errors import EstimationError
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.experiment.recorded import Posed, Processed, Selection, Treatment
+    from sysid_bench.harness.experiment.recorded.choice import Selection
+    from sysid_bench.harness.experiment.recorded.pose import Posed
+    from sysid_bench.harness.experiment.recorded.treatment import Processed, Treatment
     from sysid_bench.signals.log_description import LogDescription
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
@@ -57,7 +59,9 @@ def identify_logs(
     """
     from sysid_bench.evaluation.recorded import overall, torque_error
     from sysid_bench.harness.canonical import plain
-    from sysid_bench.harness.experiment.recorded import locked_manifest, pose_logs, processed
+    from sysid_bench.harness.experiment.recorded.locked import locked_manifest
+    from sysid_bench.harness.experiment.recorded.pose import pose_logs
+    from sysid_bench.harness.experiment.recorded.treatment import processed
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.manifest import find_manifest
@@ -83,8 +87,6 @@ def identify_logs(
     chosen = _terms(robot.manifest.terms, robot.rows) if terms is None else tuple(terms)
     training = read[: len(logs)]
     testing = dict(zip(_labels(tests), read[len(logs) :], strict=True))
-    if position_given and task != "payload":
-        raise UsageError("A given position is one of the task 'payload'.")
     posed = pose_logs(task, chosen, training, testing, treatment, tuple(candidates), position_given)
     estimate = solve(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
@@ -181,7 +183,7 @@ def _selection_lines(told: Mapping[str, Any] | None) -> list[str]:
 
 def _draw(path: Path, posed: "Posed", log: "Processed", beta: Any) -> None:
     """Measured and predicted torque of the first test log, or of the training one."""
-    from sysid_bench.harness.experiment.recorded import predicted
+    from sysid_bench.harness.experiment.recorded.posing import predicted
     from sysid_bench.reporting.torques import torque_figure
 
     problem = next(iter(posed.tests.values()), posed.problem)
@@ -200,7 +202,8 @@ def _mass(method: Any, posed: "Posed", beta: Any) -> dict[str, Any]:
     by an order."""
     from scipy.stats import t
 
-    from sysid_bench.harness.experiment.recorded import MASS, without_parts
+    from sysid_bench.harness.experiment.recorded.pose import without_parts
+    from sysid_bench.harness.experiment.recorded.question import MASS
     from sysid_bench.identification.identify import identify as solve
 
     place = posed.problem.base.names.index(MASS)
@@ -257,7 +260,7 @@ def _number(value: float | None) -> str:
 def _treatment(
     logs: "Sequence[LogDescription]", filter: str | None, derivatives: str | None, moving: float
 ) -> "Treatment":
-    from sysid_bench.harness.experiment.recorded import Treatment
+    from sysid_bench.harness.experiment.recorded.treatment import Treatment
     from sysid_bench.signals.process import processing_of
 
     slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
