@@ -3,6 +3,7 @@
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,14 @@ from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
 from sysid_bench.evaluation.score import score
 from sysid_bench.harness.canonical import plain
 from sysid_bench.harness.experiment.prepare import Prepared, prepare
+from sysid_bench.harness.experiment.recorded.cells import (
+    found_parameters,
+    posed_spec,
+    recorded_facts,
+    recorded_score,
+    true_mass,
+)
+from sysid_bench.harness.experiment.recorded.pose import Posed
 from sysid_bench.harness.experiment.robots import Subject, subject
 from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.harness.provenance import versions
@@ -38,14 +47,20 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
         return
     start = time.perf_counter()
     try:
-        ready = prepare(spec, robot)
+        ready = prepare(spec, robot) if spec.log is None else posed_spec(spec, *places)
     except SysidBenchError as error:
         status = "unsupported" if isinstance(error, UnsupportedError) else "failed"
         _emit_all(argument, emit, verdict | {"status": status, "reason": str(error)})
         return
     verdict["seconds_experiment"] = time.perf_counter() - start
     for estimator in argument["estimators"]:
-        emit(_header(argument, estimator) | verdict | _answer(estimator, ready))
+        settings = {key: x for key, x in estimator.items() if key not in ("cell", "label")}
+        answer = (
+            partial(_answer, settings, ready)
+            if isinstance(ready, Prepared)
+            else partial(_answer_of_logs, settings, ready, true_mass(spec))
+        )
+        emit(_header(argument, estimator) | verdict | _guarded(answer, ready))
 
 
 def _verdict(robot: Subject, rule: Mapping[str, Any]) -> Row:
@@ -76,17 +91,38 @@ def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
     return {**argument["labels"], **own, "versions": versions()}
 
 
-def _answer(spec: Mapping[str, Any], ready: Prepared) -> Row:
+def _guarded(answer: Callable[[], Row], ready: Prepared | Posed) -> Row:
     """Status, scores and parameters of one estimator; a stranger's exception is a failed row."""
-    settings = {key: value for key, value in spec.items() if key not in ("cell", "label")}
     try:
-        estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
-        return _judged(estimate, ready)
+        return answer()
     except SysidBenchError as error:
         failure = {"reason": reason_of(error)}
     except (Exception, SystemExit) as error:
         failure = {"reason": reason_of(error), "traceback": traceback.format_exc()}
-    return dict(plain({"status": "failed", **failure, **ready.figures}))
+    figures = ready.figures if isinstance(ready, Prepared) else {}
+    return dict(plain({"status": "failed", **failure, **figures}))
+
+
+def _answer(settings: Mapping[str, Any], ready: Prepared) -> Row:
+    """The row of an estimator on what was simulated."""
+    estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
+    return _judged(estimate, ready)
+
+
+def _answer_of_logs(settings: Mapping[str, Any], posed: Posed, mass: float | None) -> Row:
+    """The row of an estimator on what was recorded."""
+    method = build("estimator", settings)
+    estimate = identify(method, posed.problem, posed.experiment)
+    stats = dict(estimate.stats)
+    outcome: Row = {
+        "status": estimate.status,
+        "reason": estimate.reason,
+        "seconds": stats.pop("seconds"),
+    }
+    outcome |= vars(recorded_score(method, estimate, posed, mass)) | recorded_facts(posed)
+    outcome["stats"] = stats
+    outcome["parameters_table"] = found_parameters(estimate, posed.problem)
+    return dict(plain(outcome))
 
 
 def _judged(estimate: Estimate, ready: Prepared) -> Row:

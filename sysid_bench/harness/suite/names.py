@@ -39,6 +39,7 @@ class Names:
     robot: Callable[[str, Path | None], Robot]
     payload: Callable[[str | Mapping[str, Any]], Load]
     plugin: Callable[[str, Mapping[str, Any]], object]
+    frozen: bool = False  # nothing is looked up: the suite was checked before
 
 
 def installed_names(robots_dir: Path | None = None) -> Names:
@@ -48,7 +49,7 @@ def installed_names(robots_dir: Path | None = None) -> Names:
 
 def no_names() -> Names:
     """Accepts every name: for a frozen suite, which was checked when it was planned."""
-    return Names(_unseen_robot, _unseen_payload, _unseen_plugin)
+    return Names(_unseen_robot, _unseen_payload, _unseen_plugin, frozen=True)
 
 
 def located(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:

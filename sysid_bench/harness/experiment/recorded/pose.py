@@ -28,6 +28,7 @@ class Posed:
     posing: Posing
     training: tuple[Processed, ...]
     testing: dict[str, Processed]
+    terms: tuple[str, ...]
     selection: Selection | None = None
 
 
@@ -66,7 +67,15 @@ def pose_logs(
     )
     posed = {name: posing.pose([test], base) for name, test in tests.items()}
     return Posed(
-        ask.robot, problem, posed, experiment, posing, tuple(training), dict(tests), selection
+        ask.robot,
+        problem,
+        posed,
+        experiment,
+        posing,
+        tuple(training),
+        dict(tests),
+        terms,
+        selection,
     )
 
 
