@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.verbs.folders import open_run
+from sysid_bench.verbs.papers import draw_papers, papers_of, text_of
 
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
@@ -43,6 +44,11 @@ def report(folder: str | Path) -> Path:
             _put(run_folder.path / "tables" / f"{table.name}.{suffix}", _text(table, form, origin))
         for suffix in () if table.metric.words else ("pdf", "svg"):
             figure(table, run_folder.path / "figures" / f"{table.name}.{suffix}")
+    for listing in papers_of(run_folder):
+        for form, suffix in zip(FORMATS, ("md", "csv", "tex"), strict=True):
+            text = text_of(listing, form, origin)
+            _put(run_folder.path / "tables" / f"{listing.name}.{suffix}", text)
+    draw_papers(run_folder, run_folder.path / "figures")
     _put(run_folder.path / "tables" / "numbers.tex", to_macros(tables, origin))
     return write_report(
         RunView(
@@ -64,6 +70,11 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
     tables = {made.name: made for made in _tables(run_folder)}
+    if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
+        listings = {made.name: made for made in papers_of(run_folder)}
+        if name not in listings:
+            raise UsageError(f"{name!r} has no sound cell yet, or is a figure: see figures/.")
+        return text_of(listings[name], form, _origin(run_folder))
     if name not in tables:
         raise unknown_name("table", name, tables)
     return _text(tables[name], form, _origin(run_folder))
