@@ -20,6 +20,7 @@ _JOINT_COLUMNS: Final = {
     "rms": "joint_rms",
     "rmse_test": "joint_rmse",
     "relative": "joint_error",
+    "replayed": "joint_replayed",
     "rmse_train": "joint_rmse_train",
     "relative_train": "joint_error_train",
 }

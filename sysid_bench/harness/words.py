@@ -68,6 +68,7 @@ _NO_NUMBERS = ("joints", "torque_error_by_motion")
 METRICS: Final = (
     *(field.name for field in fields(Score) if field.name not in _NO_NUMBERS),
     "seconds",
+    "seconds_experiment",
     "gap",
     "closure",
     "native_gap",
@@ -81,7 +82,8 @@ VERDICT: Final = "verdict"
 JOINT: Final = "joint"
 """A table by joint has its own metrics."""
 JOINT_METRICS: Final = (
-    "joint_rms", "joint_rmse", "joint_error", "joint_rmse_train", "joint_error_train",
+    "joint_rms", "joint_rmse", "joint_error", "joint_replayed",
+    "joint_rmse_train", "joint_error_train",
 )  # fmt: skip
 
 ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *METRICS}

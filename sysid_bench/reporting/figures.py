@@ -35,6 +35,7 @@ METADATA: Final[Mapping[str, dict[str, None]]] = {
     "svg": {"Date": None, "Creator": None},
 }
 _DECADES_FOR_LOG = 1.5
+_LONGEST = 40  # letters of a label
 
 
 def figure(table: Table, path: Path) -> Path:
@@ -52,7 +53,15 @@ def figure(table: Table, path: Path) -> Path:
 
 def figure_svg(table: Table) -> str:
     """The same picture as an <svg> element to put into a page."""
-    text = _drawn(table, "svg").decode()
+    return _element(_drawn(table, "svg").decode())
+
+
+def svg_element(path: Path) -> str:
+    """The picture in an .svg file as an <svg> element to put into a page."""
+    return _element(path.read_text(encoding="utf-8"))
+
+
+def _element(text: str) -> str:
     return re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
@@ -83,7 +92,7 @@ def _dots(table: Table) -> "Figure":
     for lane, column in enumerate(table.columns):
         offset = ((lane + 0.5) / lanes - 0.5) * 0.72
         _one_series(axes, table, column, lane, offset, logarithmic)
-    axes.set_yticks(range(len(table.rows)), [_plain(" · ".join(row)) for row in table.rows])
+    axes.set_yticks(range(len(table.rows)), [_short(row) for row in table.rows])
     axes.set_ylim(len(table.rows) - 0.5, -0.5)
     axes.set_xlabel(_plain(table.metric.heading))
     axes.grid(axis="x", which="major", color="#dddddd", linewidth=0.4)
@@ -115,7 +124,7 @@ def _one_series(
         if entry.low is not None and entry.high is not None:
             low = entry.value if logarithmic and entry.low <= 0 else entry.low
             axes.plot([low, entry.high], [i + offset] * 2, color=colour, solid_capstyle="butt")
-    name = _plain(" · ".join(column)) or None
+    name = _short(column) or None
     axes.plot(xs, ys, marker, color=colour, markeredgewidth=0, label=name)
 
 
@@ -186,6 +195,12 @@ def _spans_decades(table: Table) -> bool:
     if not positive or any(value < 0 for value in values):
         return False
     return math.log10(max(positive)) - math.log10(min(positive)) > _DECADES_FOR_LOG
+
+
+def _short(key: Key) -> str:
+    """The labels of a row or column, cut where they would leave no room for the numbers."""
+    text = " · ".join(key)
+    return _plain(text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}...")
 
 
 def _plain(text: str) -> str:

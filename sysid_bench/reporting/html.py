@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.reporting.figures import figure_svg
+from sysid_bench.reporting.listing import Listing
 from sysid_bench.reporting.page import (
     assumptions,
     cells_as_data,
@@ -41,6 +42,8 @@ class RunView:
     tables: tuple[Table, ...]
     recordings: Mapping[str, str]
     command: str
+    listings: tuple[Listing, ...] = ()
+    pictures: tuple[tuple[str, str], ...] = ()  # title and <svg> of figures drawn elsewhere
 
 
 def write_report(run: RunView) -> Path:
@@ -74,6 +77,8 @@ def render_report(run: RunView) -> str:
         crosschecks=crosschecks(run.cells),
         tolerance=_tolerance(run.suite),
         tables=run.tables,
+        listings=run.listings,
+        pictures=[(title, Markup(svg)) for title, svg in run.pictures],
         figures=[(table, Markup(figure_svg(table))) for table in _pictured(run)],
         assumptions=assumptions(run.suite, run.cells),
         failures=failures(run.cells),

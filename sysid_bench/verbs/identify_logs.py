@@ -16,10 +16,6 @@ if TYPE_CHECKING:
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as told, over the same samples"
 
-REPEATS: Final = 0.05
-"""A test motion whose states (q, v in units of their spread) lie nearer than this to training
-states, in the median, is the training motion again (measured: 0.02 against 0.3 and more)."""
-
 
 def identify_logs(
     model: str | Path,
@@ -51,6 +47,7 @@ def identify_logs(
     from sysid_bench.harness.canonical import plain
     from sysid_bench.harness.experiment.recorded.asked import Asked, posed_logs
     from sysid_bench.harness.experiment.recorded.mass import mass_of
+    from sysid_bench.harness.experiment.recorded.repeat import replayed
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.manifest import find_manifest
@@ -78,6 +75,7 @@ def identify_logs(
     if estimate.status != "ok" or estimate.beta is None:
         raise EstimationError(f"{name} on {manifest.name}: {estimate.reason}")
     beta = estimate.beta
+    again = {label: replayed(training, test, posed.problem.rows) for label, test in testing.items()}
     bodies = bodies_of(estimate, posed.problem)
     answer = {
         "model": manifest.name,
@@ -96,6 +94,7 @@ def identify_logs(
         "torque_error": torque_error(posed.tests, beta),
         "training": _joint_table(posed.problem, beta),
         "tests": {label: _joint_table(test, beta) for label, test in posed.tests.items()},
+        "replayed": again,
         "logs": [_segment(one, one in training) for one in read],
         "base": base_of(estimate, posed.problem),
         "bodies": bodies,
@@ -109,7 +108,7 @@ def identify_logs(
         "warnings": [
             *robot.repairs,
             *_findings(read),
-            *_repeated(training, testing),
+            *_repeated(again),
             *warnings_of(estimate, posed.problem),
         ],
     }
@@ -271,31 +270,15 @@ def _findings(read: "Sequence[Processed]") -> list[str]:
     ]
 
 
-def _repeated(training: "Sequence[Processed]", tests: "Mapping[str, Processed]") -> list[str]:
+def _repeated(again: Mapping[str, Mapping[str, float] | None]) -> list[str]:
     """Tests that go where the training went tell nothing about other motions."""
     told = []
-    for label, test in tests.items():
-        distance = min(_distance(one, test) for one in training)
-        if distance < REPEATS:
+    for label, errors in again.items():
+        if errors is not None:
+            shares = " ".join(f"{100 * error:.1f}" for error in errors.values())
             told.append(
                 f"{label} repeats the training motion: its errors tell how well the same motion is "
-                "predicted again, and nothing about other motions"
+                "predicted again, and nothing about other motions; the training torque itself, "
+                f"played again, errs by {shares} %"
             )
     return told
-
-
-def _distance(one: "Processed", other: "Processed") -> float:
-    """Median distance of states (q, v) of another log from the nearest of this one."""
-    from scipy.spatial import cKDTree
-
-    spread = np.concatenate([one.recording.q.std(axis=0), one.recording.motion.v.std(axis=0)])
-    moves = spread > 0
-
-    def states(log: "Processed") -> Any:
-        motion = log.recording.motion
-        every = max(1, len(motion) // 2000)
-        x = np.concatenate([motion.q, motion.v], axis=1)
-        return (x[:, moves] / spread[moves])[:: every if log is other else 1]
-
-    found = cKDTree(states(one)).query(states(other))[0] / np.sqrt(moves.sum())
-    return float(np.median(found))

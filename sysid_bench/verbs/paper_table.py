@@ -29,8 +29,9 @@ def paper_table(
     impossible}], missing, smallest_change}; single parameters first.
 
     `zero`: parameters taken for zero (None: as the robot's manifest says). `values`: a JSON file
-    or what it would hold, either what `identify --json-out` wrote, or {row: value} with rows as they are printed here or
-    by the first parameter in them; `missing` are the rows without a value. Raises UsageError.
+    or what it would hold, either what `identify --json-out` wrote, or {row: value} with rows as
+    they are printed here or by the first parameter in them; `missing` are the rows without a value.
+    Raises UsageError.
     """
     from sysid_bench.identifiability.base import base_map
     from sysid_bench.identifiability.combinations import combined, expression

@@ -28,8 +28,8 @@ def papers_of(run: "RunFolder") -> tuple[Listing, ...]:
     return tuple(made)
 
 
-def draw_papers(run: "RunFolder", folder: Path) -> list[Path]:
-    """The torque figures of a run as .pdf and .svg."""
+def draw_papers(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
+    """The torque figures of a run as .pdf and .svg: title and path of the latter."""
     from sysid_bench.harness.experiment.recorded.cells import prediction
     from sysid_bench.reporting.torques import torque_figure
 
@@ -44,7 +44,8 @@ def draw_papers(run: "RunFolder", folder: Path) -> list[Path]:
         units = [kind.removeprefix("joint ") for kind in problem.kinds]
         for kind in ("pdf", "svg"):
             path = folder / f"{entry.name}.{kind}"
-            files.append(torque_figure(path, t, problem.rows, measured, found, units))
+            torque_figure(path, t, problem.rows, measured, found, units)
+        files.append((f"{entry.title or entry.name}: {_source(cell)}", path))
     return files
 
 
@@ -109,7 +110,7 @@ def _base_parameters(run: "RunFolder", entry: "Paper", cell: "Cell") -> Listing:
             str(k),
             row["expression"],
             _number(row["value"]),
-            "impossible" if row["impossible"] else "",
+            row["impossible"] or "",
         )
         for k, row in enumerate(table["rows"], start=1)
     )
@@ -122,9 +123,12 @@ def _base_parameters(run: "RunFolder", entry: "Paper", cell: "Cell") -> Listing:
     notes += [f"Beside them: {', '.join(beside)}."] if beside else []
     change = table["smallest_change"]
     if change is not None and change > 1e-6:
-        notes.append(f"No robot has these values: some have to change by {change:.3g} or more.")
+        zero = f"With {', '.join(table['zero'])} taken for zero, no" if table["zero"] else "No"
+        notes.append(f"{zero} robot has them: some have to change by {change:.3g} or more.")
     title = entry.title or f"Base parameters of {cell.labels['robot']}"
-    return Listing(entry.name, title, ("no.", "parameter", "value", ""), rows, tuple(notes))
+    return Listing(
+        entry.name, title, ("no.", "parameter", "value", "impossible"), rows, tuple(notes)
+    )
 
 
 def _model(run: "RunFolder", entry: "Paper", cell: "Cell") -> Listing:

@@ -28,7 +28,7 @@ FORMATS = ("md", "csv", "latex")
 
 def report(folder: str | Path) -> Path:
     """Writes tables/, figures/ and report.html of a run from its rows; the report's path."""
-    from sysid_bench.reporting.figures import figure
+    from sysid_bench.reporting.figures import figure, svg_element
     from sysid_bench.reporting.html import RunView, write_report
     from sysid_bench.reporting.latex import to_macros
 
@@ -44,11 +44,12 @@ def report(folder: str | Path) -> Path:
             _put(run_folder.path / "tables" / f"{table.name}.{suffix}", _text(table, form, origin))
         for suffix in () if table.metric.words else ("pdf", "svg"):
             figure(table, run_folder.path / "figures" / f"{table.name}.{suffix}")
-    for listing in papers_of(run_folder):
+    listings = papers_of(run_folder)
+    for listing in listings:
         for form, suffix in zip(FORMATS, ("md", "csv", "tex"), strict=True):
             text = text_of(listing, form, origin)
             _put(run_folder.path / "tables" / f"{listing.name}.{suffix}", text)
-    draw_papers(run_folder, run_folder.path / "figures")
+    drawn = draw_papers(run_folder, run_folder.path / "figures")
     _put(run_folder.path / "tables" / "numbers.tex", to_macros(tables, origin))
     return write_report(
         RunView(
@@ -60,6 +61,8 @@ def report(folder: str | Path) -> Path:
             tables=tables,
             recordings=recordings(run_folder),
             command=origin.command,
+            listings=listings,
+            pictures=tuple((title, svg_element(path)) for title, path in drawn),
         )
     )
 

@@ -1,6 +1,6 @@
 """Cells of a suite's [[log]]: some recordings of a real robot, and what is asked of them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from sysid_bench.evaluation.score import data_figures
 from sysid_bench.harness.experiment.recorded.asked import Asked, posed_logs
 from sysid_bench.harness.experiment.recorded.mass import mass_of
 from sysid_bench.harness.experiment.recorded.pose import Posed
+from sysid_bench.harness.experiment.recorded.repeat import replayed
 from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.identifiability.combinations import combined, expression
 from sysid_bench.identifiability.verdicts import verdicts
@@ -58,6 +59,7 @@ def recorded_score(method: Any, estimate: Estimate, posed: Posed, truth: float |
     """The figures of one estimate, with the mass of a load whose position is given; `truth`: what
     a scale said it is (kg)."""
     figures = score_recorded(estimate, posed.problem, posed.tests, data_figures(posed.problem, {}))
+    figures = replace(figures, joints=tuple(_with_replayed(figures.joints, posed)))
     if estimate.status != "ok" or estimate.beta is None or not posed.posing.ask.given:
         return figures
     mass = mass_of(method, posed, estimate.beta)
@@ -68,6 +70,15 @@ def recorded_score(method: Any, estimate: Estimate, posed: Posed, truth: float |
         mass_high=mass.interval[1],
         mass_error=None if truth is None else abs(mass.mass - truth),
     )
+
+
+def _with_replayed(joints: Iterable[Mapping[str, Any]], posed: Posed) -> Iterator[Row]:
+    """Errors of joints beside those of the training torque itself, of the first test log."""
+    again: Mapping[str, float] = {}
+    for test in list(posed.testing.values())[:1]:
+        again = replayed(posed.training, test, posed.problem.rows) or {}
+    for joint in joints:
+        yield {**joint, "replayed": again.get(joint["name"])}
 
 
 def true_mass(spec: ExperimentSpec) -> float | None:
