@@ -16,9 +16,11 @@ if TYPE_CHECKING:
     from sysid_bench.types import Array, Estimate
 
 
-def papers_of(run: "RunFolder") -> tuple[Listing, ...]:
-    """The listings of a run, of cells that have a row; a cell is executed again for its values."""
+def papers_of(run: "RunFolder", name: str | None = None) -> tuple[Listing, ...]:
+    """The listings of a run (None: all), of cells that have a row; a cell is executed again for its
+    values."""
     asked = [entry for entry in run.suite.paper if entry.show != "torques"]
+    asked = [entry for entry in asked if name in (None, entry.name)]
     made = []
     for entry in asked:
         cell = _cell(run, entry)

@@ -74,7 +74,7 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     run_folder = open_run(folder)
     tables = {made.name: made for made in _tables(run_folder)}
     if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
-        listings = {made.name: made for made in papers_of(run_folder)}
+        listings = {made.name: made for made in papers_of(run_folder, name)}
         if name not in listings:
             raise UsageError(f"{name!r} has no sound cell yet, or is a figure: see figures/.")
         return text_of(listings[name], form, _origin(run_folder))

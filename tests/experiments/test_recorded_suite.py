@@ -48,12 +48,6 @@ rows = ["joint"]
 columns = ["terms", "estimator"]
 cells = { metric = "joint_error" }
 select = 'excitation == "plain"'
-[[table]]
-name = "mass"
-rows = ["excitation"]
-columns = ["estimator"]
-cells = { metric = "mass" }
-select = 'task == "payload"'
 [[paper]]
 name = "base"
 show = "base-parameters"
@@ -87,7 +81,7 @@ def ran(folder: Path) -> Iterator[RunFolder]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("WHERE_LOGS_ARE", str(folder))
         result = run(folder / "real.toml", folder / "out", jobs=1)
-        assert result.exit_code == 0, [row.get("reason") for row in result.folder.rows().rows]
+        assert result.exit_code == 0, result.counts
         yield result.folder
 
 
@@ -119,7 +113,6 @@ def test_a_cell_is_what_the_command_line_gives(ran: RunFolder, folder: Path) -> 
 
 def test_reports_show_joints_papers_and_torques(ran: RunFolder) -> None:
     page = report(ran.path).read_text()
-    assert "another motion" in page
     assert "Base parameters of ur5" in page
     lines = table(ran.path, "joints").splitlines()
     assert sum(line.startswith(("| shoulder", "| elbow", "| wrist")) for line in lines) == 6
