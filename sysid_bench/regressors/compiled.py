@@ -13,17 +13,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.c_library import c_library
 from sysid_bench.errors import UsageError
-from sysid_bench.native import native
-from sysid_bench.regressors.program import Program, regression_program
+from sysid_bench.regressors.columns import Columns
+from sysid_bench.regressors.program import Program, columns_program
 from sysid_bench.types import Array, Trajectory
-
-if TYPE_CHECKING:
-    from sysid_bench.regressors.regression import Regression
 
 VARIABLE: Final = "SYSID_BENCH_KERNEL"
 """`numpy`, `compiled`, or one of `LEVELS`: which kernel this process takes; unset, the best."""
@@ -65,7 +63,7 @@ def chosen() -> Choice:
 
 def _load(wanted: str) -> "Library":
     """The library and the wanted instruction set, or the best; OSError with the reason."""
-    dll = native(SOURCE, "libregressor", "kernel_source")
+    dll = c_library(SOURCE, "libregressor", "kernel_source")
     usable = [level for level in LEVELS if _usable(dll, level)]
     if wanted in LEVELS and wanted not in usable:
         raise OSError(f"{wanted} is not among what this machine has: {', '.join(usable)}")
@@ -156,10 +154,10 @@ _PROGRAMS: Final[weakref.WeakKeyDictionary[Any, dict[tuple[int, ...], Program]]]
 )
 
 
-def program_of(regression: "Regression", rows: Sequence[int] | None = None) -> Program:
-    """The program of some rows of a regression (None: all), made once."""
-    wanted = tuple(range(len(regression.rows)) if rows is None else rows)
-    made = _PROGRAMS.setdefault(regression, {})
+def program_of(columns: Columns, rows: Sequence[int] | None = None) -> Program:
+    """The program of some rows of the columns (None: all), made once."""
+    wanted = tuple(range(len(columns.rows)) if rows is None else rows)
+    made = _PROGRAMS.setdefault(columns, {})
     if wanted not in made:
-        made[wanted] = regression_program(regression, wanted)
+        made[wanted] = columns_program(columns, wanted)
     return made[wanted]

@@ -12,7 +12,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from sysid_bench.native import native
+from sysid_bench.c_library import c_library
 from sysid_bench.simulation.plant import Plant
 from sysid_bench.types import Array
 
@@ -54,7 +54,7 @@ def stepped(
 def steps_library() -> Any:
     """The compiled loop with MuJoCo's step, or the reason (a text) why there is none."""
     try:
-        dll = native(SOURCE, "libsteps", "steps_source")
+        dll = c_library(SOURCE, "libsteps", "steps_source")
         dll.step = ctypes.cast(_engine().mj_step, ctypes.c_void_p)
     except (OSError, AttributeError) as error:
         return str(error)

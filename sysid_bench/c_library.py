@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 
-def native(source: Path, library: str, hash_function: str) -> Any:
+def c_library(source: Path, library: str, hash_function: str) -> Any:
     """The library (ctypes) that was compiled from a C file, which lies beside it.
 
     Raises OSError, with the reason, where none was compiled or one from another text.
