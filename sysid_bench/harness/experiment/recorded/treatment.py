@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS, Payload, parse_payload
@@ -47,7 +48,10 @@ def processed(log: LogDescription, manifest: Manifest, treatment: Treatment) -> 
     payload = PAYLOADS["none"] if log.payload is None else parse_payload(_payload_of(log))
     robot = load_robot(manifest, payload)
     read = read_log(log, robot)
-    recording = treatment.processing.apply(read.recording, robot.joints)
+    try:
+        recording = treatment.processing.apply(read.recording, robot.joints)
+    except UsageError as error:
+        raise UsageError(f"{log.source}: {error}") from error
     motion = robot.completed(recording.motion)
     return Processed(
         read,
