@@ -289,7 +289,7 @@ class Score:
     mass_error: float | None = None  # kg, payload and link tasks
     com_error: float | None = None  # m
     inertia_error: float | None = None  # |I - I*| / |I*| about the centre of mass, Frobenius
-    mass: float | None = None  # kg, of a load whose position is given, on recordings
+    mass: float | None = None  # kg, of an unknown load on recordings
     mass_low: float | None = None  # of its 95 % interval
     mass_high: float | None = None
     feasible: bool | None = None

@@ -71,6 +71,9 @@ def test_joints_that_no_log_lists_are_locked(folder: Path, tmp_path: Path) -> No
     wrong = write(tmp_path, recorded(part, 3), name="wrong", locked={"elbow_joint": 0.1})
     with pytest.raises(UsageError, match="shoulder_pan_joint"):
         identify_logs("ur5", [wrong])
+    strange = write(tmp_path, recorded(part, 3), name="strange", joints=["a", "b", "c", "d"])
+    with pytest.raises(UsageError, match="'a'.*shoulder_pan_joint"):
+        identify_logs("ur5", [strange])
     with pytest.raises(UsageError, match="other joints"):
         identify_logs("ur5", [path, folder / "run.toml"])
 

@@ -38,6 +38,12 @@ position_given = true
 true_mass = "2 kg"
 filter = "none"
 train = ["run.toml", { use = "loaded.toml", payload = "box-2kg" }]
+[[log]]
+name = "all of the load"
+robot = "ur5"
+task = "payload"
+filter = "none"
+train = ["run.toml", { use = "loaded.toml", payload = "box-2kg" }]
 [[estimator]]
 use = "ols"
 [[estimator]]
@@ -92,7 +98,7 @@ def plan(folder: Path, old: str = "", new: str = "") -> Plan:
 
 def test_a_cell_is_what_the_command_line_gives(ran: RunFolder, folder: Path) -> None:
     rows = {(r["excitation"], r["terms"], r["estimator"]): r for r in ran.rows().rows.values()}
-    assert len(rows) == 6
+    assert len(rows) == 8
     tests = [folder / "other.toml", folder / "again.toml"]
     told = identify_logs("ur5", [folder / "run.toml"], tests, terms=("viscous", "coulomb"),
                          estimator="wls", filter="none")  # fmt: skip
@@ -108,6 +114,7 @@ def test_a_cell_is_what_the_command_line_gives(ran: RunFolder, folder: Path) -> 
     load = rows["load", "default", "wls"]
     assert load["mass"] == pytest.approx(2.0, rel=2e-3)
     assert load["mass_error"] == pytest.approx(abs(load["mass"] - 2.0))
+    assert rows["all of the load", "default", "ols"]["mass"] == pytest.approx(2.0, rel=5e-3)
     assert load["mass_low"] <= load["mass"] <= load["mass_high"]
 
 

@@ -382,8 +382,8 @@ class Suite(Section):
     def about_something(self) -> "Suite":
         if not self.robot and not self.log:
             raise ValueError(
-                "robot: this key is missing, and so is log; a suite needs at least one [[robot]] to "
-                "simulate, or a [[log]] of a real one."
+                "robot: this key is missing, and so is log; a suite needs at least one [[robot]] "
+                "to simulate, or a [[log]] of a real one."
             )
         return self
 

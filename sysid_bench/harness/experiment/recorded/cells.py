@@ -56,20 +56,31 @@ def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
 
 
 def recorded_score(method: Any, estimate: Estimate, posed: Posed, truth: float | None) -> Score:
-    """The figures of one estimate, with the mass of a load whose position is given; `truth`: what
-    a scale said it is (kg)."""
+    """The figures of one estimate, with the mass of an unknown load; `truth`: what a scale said it
+    is (kg)."""
     figures = score_recorded(estimate, posed.problem, posed.tests, data_figures(posed.problem, {}))
     figures = replace(figures, joints=tuple(_with_replayed(figures.joints, posed)))
-    if estimate.status != "ok" or estimate.beta is None or not posed.posing.ask.given:
+    if estimate.status != "ok" or estimate.beta is None:
         return figures
-    mass = mass_of(method, posed, estimate.beta)
-    return replace(
-        figures,
-        mass=mass.mass,
-        mass_low=mass.interval[0],
-        mass_high=mass.interval[1],
-        mass_error=None if truth is None else abs(mass.mass - truth),
-    )
+    told = _mass(method, estimate.beta, posed)
+    if "mass" in told and truth is not None:
+        told["mass_error"] = abs(told["mass"] - truth)
+    return replace(figures, **told)
+
+
+def _mass(method: Any, beta: Array, posed: Posed) -> dict[str, Any]:
+    """The load's mass: with an interval where its position is given, alone where all ten numbers
+    are unknown and it is identifiable."""
+    ask, base = posed.posing.ask, posed.problem.base
+    if ask.given:
+        found = mass_of(method, posed, beta)
+        low, high = found.interval
+        return {"mass": found.mass, "mass_low": low, "mass_high": high}
+    if not ask.load:
+        return {}
+    place = base.parameters.index(ask.load[0])
+    sure = verdicts(base)[place] == "identifiable"
+    return {"mass": float(base.embed(beta)[place])} if sure else {}
 
 
 def _with_replayed(joints: Iterable[Mapping[str, Any]], posed: Posed) -> Iterator[Row]:

@@ -5,7 +5,7 @@ those of what really moved.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
@@ -19,6 +19,11 @@ def locked_manifest(
     Raises UsageError where the logs differ in their joints or in where the others stand.
     """
     first = logs[0]
+    known = {joint.dofs[0] for joint in robot.joints if joint.kind in ("hinge", "slide")}
+    for name in first.joints:
+        if name != NO_JOINT and name not in known:
+            advice = f"Write {NO_JOINT!r} for a coordinate that is no joint of the model."
+            raise UsageError(f"{first.source}: {unknown_name('joint', name, known, advice)}")
     moving = {joint for joint in first.joints if joint != NO_JOINT}
     for log in logs[1:]:
         if {joint for joint in log.joints if joint != NO_JOINT} != moving:
