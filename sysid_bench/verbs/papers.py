@@ -32,11 +32,14 @@ def papers_of(run: "RunFolder", name: str | None = None) -> tuple[Listing, ...]:
 
 def draw_papers(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
     """The torque figures of a run as .pdf and .svg: title and path of the latter."""
+    asked = [entry for entry in run.suite.paper if entry.show == "torques"]
+    if not asked:
+        return []
     from sysid_bench.harness.experiment.recorded.cells import prediction
     from sysid_bench.reporting.torques import torque_figure
 
     files = []
-    for entry in (entry for entry in run.suite.paper if entry.show == "torques"):
+    for entry in asked:
         cell = _cell(run, entry)
         if cell is None:
             continue

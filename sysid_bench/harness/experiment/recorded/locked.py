@@ -19,11 +19,11 @@ def locked_manifest(
     Raises UsageError where the logs differ in their joints or in where the others stand.
     """
     first = logs[0]
-    known = {joint.dofs[0] for joint in robot.joints if joint.kind in ("hinge", "slide")}
+    own = {joint.dofs[0] for joint in robot.joints if joint.kind in ("hinge", "slide")}
     for name in first.joints:
-        if name != NO_JOINT and name not in known:
+        if name != NO_JOINT and name not in own:
             advice = f"Write {NO_JOINT!r} for a coordinate that is no joint of the model."
-            raise UsageError(f"{first.source}: {unknown_name('joint', name, known, advice)}")
+            raise UsageError(f"{first.source}: {unknown_name('joint', name, own, advice)}")
     moving = {joint for joint in first.joints if joint != NO_JOINT}
     for log in logs[1:]:
         if {joint for joint in log.joints if joint != NO_JOINT} != moving:
