@@ -32,6 +32,14 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.t)
 
+    @property
+    def period_samples(self) -> int:
+        """Samples after which the motion repeats; 0 where it does not, or between two samples."""
+        if self.period is None or len(self.t) < 2:
+            return 0
+        samples = self.period / float(self.t[1] - self.t[0])
+        return round(samples) if abs(samples - round(samples)) < 1e-6 * samples else 0
+
 
 @dataclass(frozen=True, eq=False)
 class Controller:
@@ -194,6 +202,7 @@ class Problem:
     prior: Prior | None = None
     kinds: tuple[str, ...] = ()  # of each row: what may be compared, "joint N m", "base N", ...
     torque: Float[Array, " rows"] | None = None  # RMS of each row's whole torque; None: that of b
+    period: int = 0  # samples after which the motion repeats; 0: it does not
 
     @cached_property
     def stacked(self) -> tuple[Float[Array, "M r"], Float[Array, " M"]]:
@@ -240,11 +249,14 @@ EstimateStatus = Literal["ok", "failed", "unsupported"]
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """What a method answers. `beta` (r,) are base parameters; `theta` (p,) only where the method
-    claims all of them, and then beta = K theta."""
+    claims all of them, and then beta = K theta. `covariance` is the method's own, from its textbook;
+    a least-squares fit of rows divided by `sigma` that says so is judged by its residuals as well.
+    """
 
     beta: Float[Array, " r"] | None = None
     theta: Float[Array, " p"] | None = None
     covariance: Float[Array, "r r"] | None = None
+    sigma: Float[Array, " rows"] | None = None
     status: EstimateStatus = "ok"
     reason: str = ""
     stats: Mapping[str, float] = field(default_factory=dict)
@@ -289,6 +301,9 @@ class Score:
     mass_error: float | None = None  # kg, payload and link tasks
     com_error: float | None = None  # m
     inertia_error: float | None = None  # |I - I*| / |I*| about the centre of mass, Frobenius
+    coverage: Mapping[str, float] = field(
+        default_factory=dict
+    )  # by kind of deviation: share of parameters whose 95 % interval holds the truth
     feasible: bool | None = None
     min_eigenvalue: float | None = None  # smallest of any body's pseudo-inertia
     plausible: bool | None = None

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 FIRST_COLUMNS: Final = ("id", "experiment", *LABELS, "repeat", "status", "reason")
 _LONG: Final[Mapping[str, tuple[str, ...]]] = {
     "joints": ("id", "name"),
-    "parameters_table": ("id", "body", "name", "true", "estimate", "std", "identifiable"),
+    "parameters_table": (
+        "id", "body", "name", "true", "estimate", "std", "std_from", "identifiable",
+    ),
 }
 
 

@@ -37,6 +37,7 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "noise.q",
     "noise.tau",
     "noise.quantum",
+    "noise.tau_correlation",
     "noise.force",
     "noise.moment",
     "noise.force_offset",

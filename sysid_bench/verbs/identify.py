@@ -46,6 +46,7 @@ def identify(
     words, ModelError for a model that cannot be used or values that must not be written,
     EstimationError where the method fails.
     """
+    from sysid_bench.evaluation.covariance import spreads
     from sysid_bench.evaluation.score import score
     from sysid_bench.harness.canonical import plain
     from sysid_bench.harness.experiment.prepare import prepare, terms_of
@@ -53,7 +54,7 @@ def identify(
     from sysid_bench.identification.complete import completed_estimate
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.naming import build
-    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, warnings_of
+    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, std_from, warnings_of
     from sysid_bench.verbs.chosen import refuse_ignored_terms
     from sysid_bench.verbs.model_out import check_answer, check_target, write_model
     from sysid_bench.verbs.sensing import compared, excited
@@ -81,7 +82,8 @@ def identify(
     if complete is not None:
         estimate = completed_estimate(estimate, ready.problem, complete)
     figures = score(estimate, ready.problem, ready.held_out, ready.truth, ready.reach)
-    bodies = bodies_of(estimate, ready.problem)
+    sure = spreads(ready.problem, estimate)
+    bodies = bodies_of(estimate, ready.problem, sure)
     answer = {
         "model": robot.robot.name,
         "file": str(robot.robot.manifest.path),
@@ -98,9 +100,10 @@ def identify(
         "rmse_test": figures.rmse_test,
         "torque_error": figures.torque_error,
         "gap": robot.check.gap,
-        "base": base_of(estimate, ready.problem),
+        "std_from": std_from(sure),
+        "base": base_of(estimate, ready.problem, sure),
         "bodies": bodies,
-        "joints": joints_of(estimate, ready.problem),
+        "joints": joints_of(estimate, ready.problem, sure),
         "payload": next(iter(bodies.values())) if task.endswith("payload") else None,
         "completed": complete,
         "feasible": figures.feasible,

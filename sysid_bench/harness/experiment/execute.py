@@ -5,9 +5,8 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-import numpy as np
-
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
+from sysid_bench.evaluation.covariance import Spread, spreads
 from sysid_bench.evaluation.score import score
 from sysid_bench.harness.canonical import plain
 from sysid_bench.harness.experiment.prepare import Prepared, prepare
@@ -17,7 +16,7 @@ from sysid_bench.harness.provenance import versions
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
-from sysid_bench.types import Estimate, Problem, Row, Truth
+from sysid_bench.types import Estimate, Row
 
 Emit = Callable[[Row], None]
 
@@ -96,33 +95,47 @@ def _judged(estimate: Estimate, ready: Prepared) -> Row:
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
     }
+    problem, truth, sure = ready.problem, ready.truth, spreads(ready.problem, estimate)
+    told = sure if ready.noisy else None
     outcome |= vars(
-        score(estimate, ready.problem, ready.held_out, ready.truth, ready.reach, ready.figures)
+        score(estimate, problem, ready.held_out, truth, ready.reach, ready.figures, told)
     )
     outcome["stats"] = stats
-    outcome["parameters_table"] = list(_parameters(estimate, ready.problem, ready.truth))
+    outcome["parameters_table"] = list(_parameters(estimate, ready, sure))
     return dict(plain(outcome))
 
 
-def _parameters(estimate: Estimate, problem: Problem, truth: Truth) -> Iterator[Row]:
+def _parameters(estimate: Estimate, ready: Prepared, sure: Mapping[str, Spread]) -> Iterator[Row]:
     """True and estimated base parameters, named by their pivots; all parameters where the method
-    claims all of them, with the verdict on each, so that no claim passes for knowledge."""
+    claims all of them, with the verdict on each, so that no claim passes for knowledge.
+
+    `std` is the first of the deviations that there are, `std_from` says which; `bound` is that of
+    Cramer and Rao."""
     if estimate.status != "ok" or estimate.beta is None:
         return
+    problem, truth = ready.problem, ready.truth
     base, told = problem.base, verdicts(problem.base)
     place = {int(j): i for i, j in enumerate(base.pivots)}
-    std = None if estimate.covariance is None else np.sqrt(np.diag(estimate.covariance))
+    kind = next(iter(sure), None)
+    numbers = {f"std_{name}": spread.std for name, spread in sure.items()}
+    if kind is not None:
+        numbers["std"] = sure[kind].std
+    if ready.bound is not None:
+        numbers["bound"] = ready.bound
     whole = estimate.theta is not None
     true = truth.theta if whole else base.embed(base.K @ truth.theta)
     found = base.embed(estimate.beta) if estimate.theta is None else estimate.theta
     for j in range(len(told)) if whole else base.pivots.tolist():
         body, _, parameter = problem.parameters[j].rpartition(".")
         single = not whole or told[j] == "identifiable"
+        known = {name: float(values[place[j]]) for name, values in numbers.items() if single}
         yield {
             "body": body,
             "name": parameter,
             "true": float(true[j]),
             "estimate": float(found[j]),
-            "std": None if std is None or not single else float(std[place[j]]),
+            "std": None,
+            "std_from": kind if single else None,
+            **known,
             "identifiable": told[j],
         }

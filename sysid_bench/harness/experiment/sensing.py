@@ -31,7 +31,7 @@ class Sensing:
             return raw
         white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench", self.run))
         noise = wrench_noise(self.spec.noise)
-        exact = self._wrench(_kept(oracle.motion, every))
+        exact = self._wrench(kept_motion(oracle.motion, every))
         parts = [
             fault.reads(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
             for fault, wrench in zip(
@@ -71,6 +71,7 @@ def _by_sensor(wrenches: Array) -> list[Array]:
     return np.split(wrenches, wrenches.shape[1] // 6, axis=1)
 
 
-def _kept(motion: Trajectory, every: int) -> Trajectory:
+def kept_motion(motion: Trajectory, every: int) -> Trajectory:
+    """Every `every`-th sample of a motion."""
     part = slice(None, None, every)
     return replace(motion, t=motion.t[part], q=motion.q[part], v=motion.v[part], a=motion.a[part])

@@ -104,11 +104,13 @@ class Plant(Plugin):
 
 
 class Noise(Section):
-    """Standard deviations of white noise; `quantum` is the step of the encoder."""
+    """Standard deviations of noise; `quantum` is the step of the encoder, `tau_correlation` how
+    alike the noise of the torque is from one recorded sample to the next (0: white)."""
 
     q: Annotated[Any, measured("rad|m")] = None
     tau: Annotated[Any, measured("N m|N|%")] = None
     quantum: Annotated[Any, measured("rad|m")] = None
+    tau_correlation: Annotated[Any, measured("1", below=1.0)] = None
     force: Annotated[Any, measured("N")] = None  # and so on: force/torque sensors
     moment: Annotated[Any, measured("N m")] = None
     force_offset: Annotated[Any, measured("N")] = None
