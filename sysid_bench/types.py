@@ -249,8 +249,8 @@ EstimateStatus = Literal["ok", "failed", "unsupported"]
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """What a method answers. `beta` (r,) are base parameters; `theta` (p,) only where the method
-    claims all of them, and then beta = K theta. `covariance` is the method's own, from its textbook;
-    a least-squares fit of rows divided by `sigma` that says so is judged by its residuals as well.
+    claims all of them, and then beta = K theta. `covariance` is the method's own formula; `sigma`
+    is given by least squares on rows divided by it, whose residuals tell how sure it is, too.
     """
 
     beta: Float[Array, " r"] | None = None

@@ -125,7 +125,5 @@ def _scores(problem: Problem, beta: Array, sigma: Array) -> tuple[Array, Array]:
     R^-1 times their sum."""
     R = compress(problem, (1 / sigma).tolist())[:-1, :-1]
     inverse = solve_triangular(R, np.eye(len(R)))
-    forces = [
-        np.einsum("nir,ni->nr", Y, (b - Y @ beta) / sigma**2) for Y, b in problem.blocks()
-    ]
+    forces = [np.einsum("nir,ni->nr", Y, (b - Y @ beta) / sigma**2) for Y, b in problem.blocks()]
     return inverse, np.concatenate(forces) @ inverse

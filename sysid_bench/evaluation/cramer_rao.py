@@ -63,26 +63,6 @@ def trajectory_bound(
     return np.linalg.inv(total)
 
 
-def efficiency(
-    estimates: Array, bound: Array, level: float = 0.95, draws: int = 2000, seed: int = 0
-) -> tuple[float, float, float]:
-    """(efficiency, low, high) of repeated estimates (n, r): the mean over parameters of the bound's
-    variance over the variance of the estimates; the interval by resampling the repeats.
-
-    One: as sure as any unbiased method can be. A biased method may seem to exceed it.
-    """
-    rng = np.random.default_rng(seed)
-    best, n = np.diag(bound), len(estimates)
-    told = float((best / estimates.var(axis=0, ddof=1)).mean())
-    again = [
-        float((best / estimates[rng.integers(n, size=n)].var(axis=0, ddof=1)).mean())
-        for _ in range(draws)
-    ]
-    # A resample holds n distinct repeats no more: its variance is short by (n - 1) / n.
-    low, high = np.quantile(again, [0.5 - 0.5 * level, 0.5 + 0.5 * level]) * (n - 1) / n
-    return told, float(low), float(high)
-
-
 def coverage(low: Array, high: Array, truth: Array) -> tuple[float, float]:
     """(share, standard error) of intervals (n, r) that hold the truth (r,), over all parameters;
     parameters of one repeat share their noise, so that repeats alone count for the error."""

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.harness.words import LABELS, PARAMETER, VERDICT
+from sysid_bench.harness.words import COVERAGE, LABELS, PARAMETER, STD_FROM, VERDICT
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -18,7 +18,8 @@ FIRST_COLUMNS: Final = ("id", "experiment", *LABELS, "repeat", "status", "reason
 _LONG: Final[Mapping[str, tuple[str, ...]]] = {
     "joints": ("id", "name"),
     "parameters_table": (
-        "id", "body", "name", "true", "estimate", "std", "std_from", "identifiable",
+        *("id", "body", "name", "true", "estimate", "std", "std_from", "identifiable"),
+        *("base_error", "bound"),
     ),
 }
 
@@ -46,6 +47,24 @@ class Frames:
         both = [lines.merge(told, on="id"), silent.merge(every, how="cross")]
         whole = pd.concat([part for part in both if len(part)] or both)
         return whole.sort_values("place", kind="stable", ignore_index=True).drop(columns="place")
+
+    @cached_property
+    def by_std_from(self) -> "pd.DataFrame":
+        """`cells` with a line per way to tell how sure an estimate is, and its coverage; a cell that
+        is not ok has a line for each that others tell of."""
+        import pandas as pd
+
+        prefix = f"{COVERAGE}."
+        kinds = [str(name) for name in self.cells.columns if str(name).startswith(prefix)]
+        plain = self.cells.drop(columns=kinds)
+        lines = [
+            plain.assign(**{STD_FROM: kind.removeprefix(prefix), COVERAGE: self.cells[kind]})[
+                self.cells[kind].notna() | (self.cells["status"] != "ok")
+            ]
+            for kind in kinds
+        ]
+        empty = plain.assign(**{STD_FROM: None, COVERAGE: None})
+        return pd.concat(lines).sort_index(kind="stable") if lines else empty
 
     def write(self, folder: Path) -> None:
         """cells.parquet, parameters.parquet and joints.parquet, each whole or not at all."""

@@ -27,9 +27,7 @@ def values_of(estimate: Estimate, problem: Problem) -> Array:
     return np.where(told, problem.base.embed(estimate.beta), np.nan)
 
 
-def bodies_of(
-    estimate: Estimate, problem: Problem, sure: Sure
-) -> dict[str, dict[str, Any]]:
+def bodies_of(estimate: Estimate, problem: Problem, sure: Sure) -> dict[str, dict[str, Any]]:
     """{name: mass (kg), com (m), inertia about it (six, kg m^2), each None unless identifiable, and
     `parameters`, `identifiable` (verdicts), `std` of the ten}."""
     places = {name: j for j, name in enumerate(problem.parameters)}
@@ -38,12 +36,12 @@ def bodies_of(
     answer = {}
     for body in problem.bodies:
         at = [places[column] for column in body.columns]
-        sure = told[at] == "identifiable"
-        _, com, inertia = mass_com_inertia(np.where(sure, theta[at], 0.0))
+        alone = told[at] == "identifiable"
+        _, com, inertia = mass_com_inertia(np.where(alone, theta[at], 0.0))
         answer[body.name] = {
-            "mass": float(theta[at[0]]) if sure[0] else None,
-            "com": com.tolist() if sure[:4].all() and theta[at[0]] > 0 else None,
-            "inertia": six_of_matrix(inertia).tolist() if sure.all() else None,
+            "mass": float(theta[at[0]]) if alone[0] else None,
+            "com": com.tolist() if alone[:4].all() and theta[at[0]] > 0 else None,
+            "inertia": six_of_matrix(inertia).tolist() if alone.all() else None,
             "parameters": dict(zip(NAMES, theta[at].tolist(), strict=True)),
             "identifiable": dict(zip(NAMES, told[at].tolist(), strict=True)),
             "std": dict(zip(NAMES, std[at].tolist(), strict=True)),

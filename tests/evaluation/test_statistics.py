@@ -25,7 +25,6 @@ from sysid_bench.evaluation.covariance import (
 )
 from sysid_bench.evaluation.cramer_rao import (
     coverage,
-    efficiency,
     torque_bound,
     trajectory_bound,
 )
@@ -34,6 +33,7 @@ from sysid_bench.evaluation.distances import (
     geodesic_distance,
     subspace_distance,
 )
+from sysid_bench.evaluation.repeats import bias, bound_ratio, efficiency, spread
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.weights import own_sigmas
@@ -135,23 +135,66 @@ def test_quantiles_are_students() -> None:
 # --- The bound ----------------------------------------------------------------------------------
 
 
-def estimates(method: OLS | WLS, repeats: int) -> Array:
+def errors_of(method: OLS | WLS, repeats: int, offset: Array | float = 0.0) -> Array:
     rng, found = np.random.default_rng(5), []
     for _ in range(repeats):
         W = regressor()[:300]
         beta = method.solve(problem_of(W, W @ TRUTH + noise("white", rng)[:300])).beta
         assert beta is not None
-        found.append(beta)
+        found.append(beta - TRUTH + offset)
     return np.array(found)
 
 
-def test_weighted_least_squares_reaches_the_bound_and_plain_does_not() -> None:
+def white_bound() -> Array:
     bound = torque_bound([regressor()[:300]], np.diag([0.3, 0.1]) ** 2)
-    told, low, high = efficiency(estimates(WLS(), 400), bound)
-    assert low < told < high
-    assert low < 1.0 < high
-    told, low, high = efficiency(estimates(OLS(), 400), bound)
+    assert bound is not None
+    return np.sqrt(np.diag(bound))
+
+
+def test_weighted_least_squares_reaches_the_bound_and_plain_does_not() -> None:
+    errors, bound = errors_of(WLS(), 400), white_bound()
+    for figure in (efficiency, spread, bound_ratio):
+        told, low, high = figure(errors, bound)
+        assert low < told < high
+        assert low < 1.0 < high
+    _, _, high = efficiency(errors_of(OLS(), 400), bound)
     assert high < 0.9
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, 3.0])
+def test_bias_is_told_apart_from_scatter(share: float) -> None:
+    bound = white_bound()
+    straight, errors = errors_of(WLS(), 400), errors_of(WLS(), 400, share * bound)
+    np.testing.assert_allclose(spread(errors, bound), spread(straight, bound))
+    told, low, high = bias(errors)
+    assert low <= told <= high
+    assert low <= share <= high + 0.05
+    assert high - low < 0.3
+    assert bound_ratio(errors, bound)[0] == pytest.approx(np.hypot(1, share), rel=0.05)
+
+
+def test_intervals_of_figures_narrow_with_repeats() -> None:
+    bound = white_bound()
+    few, many = (efficiency(errors_of(WLS(), n), bound) for n in (50, 450))
+    assert (many[2] - many[1]) < 0.5 * (few[2] - few[1])
+
+
+@pytest.mark.parametrize("correlation", [0.5, 0.98])
+def test_noise_with_memory_is_bounded_by_the_inverse_of_its_covariance(correlation: float) -> None:
+    W, std = regressor()[:80], np.array([0.3, 0.1])
+    lags = np.abs(np.subtract.outer(np.arange(80), np.arange(80)))
+    inverse = np.linalg.inv(correlation**lags)
+    by_definition = sum(W[:, i].T @ inverse @ W[:, i] / std[i] ** 2 for i in range(2))
+    bound = torque_bound([W[:1], W[1:30], W[30:]], np.diag(std**2), correlation)
+    assert bound is not None
+    np.testing.assert_allclose(np.linalg.inv(bound), by_definition, rtol=1e-9)
+
+
+def test_what_the_motion_does_not_excite_has_no_bound() -> None:
+    W = regressor()[:50].copy()
+    W[..., 2] = W[..., 1]
+    assert torque_bound([W], np.eye(2)) is None
+    assert torque_bound([], np.eye(2)) is None
 
 
 def test_a_motion_that_is_unknown_makes_the_bound_wider() -> None:
@@ -159,6 +202,7 @@ def test_a_motion_that_is_unknown_makes_the_bound_wider() -> None:
     W, G = regressor(), rng.normal(size=(PERIOD * PERIODS, 2, 6))
     torque = np.diag([0.09, 0.01])
     known = torque_bound([W[:100], W[100:]], torque)
+    assert known is not None
     np.testing.assert_allclose(
         known, trajectory_bound([W], [G], torque, np.zeros((6, 6))), atol=1e-15
     )

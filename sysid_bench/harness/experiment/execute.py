@@ -109,26 +109,29 @@ def _parameters(estimate: Estimate, ready: Prepared, sure: Mapping[str, Spread])
     """True and estimated base parameters, named by their pivots; all parameters where the method
     claims all of them, with the verdict on each, so that no claim passes for knowledge.
 
-    `std` is the first of the deviations that there are, `std_from` says which; `bound` is that of
-    Cramer and Rao."""
+    `std` is the first of the deviations that there are, and `std_from` says which. Where a
+    parameter is the pivot of a base parameter, `base_error` is what the estimate of that one is off
+    by, and `bound` its deviation by Cramer and Rao."""
     if estimate.status != "ok" or estimate.beta is None:
         return
     problem, truth = ready.problem, ready.truth
     base, told = problem.base, verdicts(problem.base)
     place = {int(j): i for i, j in enumerate(base.pivots)}
     kind = next(iter(sure), None)
-    numbers = {f"std_{name}": spread.std for name, spread in sure.items()}
+    deviations = {f"std_{name}": spread.std for name, spread in sure.items()}
     if kind is not None:
-        numbers["std"] = sure[kind].std
+        deviations["std"] = sure[kind].std
+    of_base = {"base_error": estimate.beta - base.K @ truth.theta}
     if ready.bound is not None:
-        numbers["bound"] = ready.bound
+        of_base["bound"] = ready.bound
     whole = estimate.theta is not None
     true = truth.theta if whole else base.embed(base.K @ truth.theta)
     found = base.embed(estimate.beta) if estimate.theta is None else estimate.theta
     for j in range(len(told)) if whole else base.pivots.tolist():
         body, _, parameter = problem.parameters[j].rpartition(".")
         single = not whole or told[j] == "identifiable"
-        known = {name: float(values[place[j]]) for name, values in numbers.items() if single}
+        numbers = of_base if j in place else {}
+        numbers = numbers | (deviations if single else {})
         yield {
             "body": body,
             "name": parameter,
@@ -136,6 +139,6 @@ def _parameters(estimate: Estimate, ready: Prepared, sure: Mapping[str, Spread])
             "estimate": float(found[j]),
             "std": None,
             "std_from": kind if single else None,
-            **known,
             "identifiable": told[j],
+            **{name: float(values[place[j]]) for name, values in numbers.items()},
         }
