@@ -57,14 +57,14 @@ class Frames:
         prefix = f"{COVERAGE}."
         kinds = [str(name) for name in self.cells.columns if str(name).startswith(prefix)]
         plain = self.cells.drop(columns=kinds)
-        lines = [
-            plain.assign(**{STD_FROM: kind.removeprefix(prefix), COVERAGE: self.cells[kind]})[
-                self.cells[kind].notna() | (self.cells["status"] != "ok")
-            ]
-            for kind in kinds
-        ]
-        empty = plain.assign(**{STD_FROM: None, COVERAGE: None})
-        return pd.concat(lines).sort_index(kind="stable") if lines else empty
+        failed = self.cells["status"] != "ok"
+        lines = []
+        for kind in kinds or [f"{prefix}none"]:
+            told = self.cells.get(kind, pd.Series(None, self.cells.index, dtype="float64"))
+            line = plain[told.notna() | failed].copy()
+            line[STD_FROM], line[COVERAGE] = kind.removeprefix(prefix), told
+            lines.append(line)
+        return pd.concat(lines).sort_index(kind="stable", ignore_index=True)
 
     def write(self, folder: Path) -> None:
         """cells.parquet, parameters.parquet and joints.parquet, each whole or not at all."""
