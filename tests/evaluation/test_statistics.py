@@ -1,5 +1,6 @@
 """Statistics against simulation and against their definitions: does a 95 % interval hold 95 %?"""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -22,6 +23,7 @@ from sysid_bench.evaluation.covariance import (
     period_spread,
     quantile,
     sandwich_spread,
+    spreads,
 )
 from sysid_bench.evaluation.cramer_rao import (
     coverage,
@@ -38,7 +40,7 @@ from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.weights import own_sigmas
 from sysid_bench.spatial.inertia import pseudo_inertia, transport
-from sysid_bench.types import Array
+from sysid_bench.types import Array, Estimate
 from tests.identification.test_least_squares import problem_of
 from tests.robots import random_phi, random_rotation
 
@@ -120,6 +122,54 @@ def test_a_spread_of_exact_data_is_nothing() -> None:
         assert np.abs(spread.std).max() < 1e-12
 
 
+@pytest.mark.parametrize(
+    ("period", "kinds"),
+    [
+        (PERIOD, ["periods", "residuals", "textbook"]),
+        (PERIOD * PERIODS // 5, ["periods", "residuals", "textbook"]),
+        (PERIOD * PERIODS // 4, ["residuals", "textbook"]),
+        (0, ["residuals", "textbook"]),
+    ],
+)
+def test_periods_are_told_first_where_there_are_enough(period: int, kinds: list[str]) -> None:
+    W = regressor()
+    problem = replace(
+        problem_of(W, W @ TRUTH + noise("slow", np.random.default_rng(1))), period=period
+    )
+    estimate = WLS().solve(problem)
+    assert list(spreads(problem, estimate)) == kinds
+    assert list(spreads(problem, replace(estimate, sigma=None))) == ["textbook"]
+    assert spreads(problem, Estimate(estimate.beta)) == {}
+
+
+@pytest.mark.parametrize("method", [OLS(), WLS()])
+def test_deviations_have_the_units_of_torque_over_those_of_columns(method: OLS | WLS) -> None:
+    W, factor = regressor(), np.array([1e-3, 1.0, 20.0, 1e3])
+    tau = W @ TRUTH + noise("slow", np.random.default_rng(2))
+    plain, scaled = (
+        replace(problem_of(w, t), period=PERIOD) for w, t in ((W, tau), (W * factor, 7.0 * tau))
+    )
+    told, other = (spreads(one, method.solve(one)) for one in (plain, scaled))
+    for kind in told:
+        np.testing.assert_allclose(other[kind].std, 7.0 * told[kind].std / factor, rtol=1e-6)
+
+
+def test_windows_are_bartlett_weights() -> None:
+    W = regressor()[:200]
+    tau = W @ TRUTH + noise("slow", np.random.default_rng(3))[:200]
+    problem, sigma, lags = problem_of(W, tau), np.array([0.3, 0.1]), 7
+    beta = TRUTH + 0.01
+    forces = np.einsum("nir,ni->nr", W, (tau - W @ beta) / sigma**2)
+    middle = forces.T @ forces
+    for k in range(1, lags + 1):
+        shifted = forces[k:].T @ forces[:-k]
+        middle += (1 - k / (lags + 1)) * (shifted + shifted.T)
+    inverse = np.linalg.inv(np.einsum("nir,nis->rs", W / sigma[:, None] ** 2, W))
+    np.testing.assert_allclose(
+        sandwich_spread(problem, beta, sigma, lags).covariance, inverse @ middle @ inverse
+    )
+
+
 def test_the_bandwidth_grows_with_how_slow_noise_is() -> None:
     rng = np.random.default_rng(0)
     white, slow = (noise(kind, rng) for kind in ("white", "slow"))
@@ -135,13 +185,14 @@ def test_quantiles_are_students() -> None:
 # --- The bound ----------------------------------------------------------------------------------
 
 
-def errors_of(method: OLS | WLS, repeats: int, offset: Array | float = 0.0) -> Array:
+@cache
+def errors_of(method: OLS | WLS, repeats: int) -> Array:
     rng, found = np.random.default_rng(5), []
     for _ in range(repeats):
         W = regressor()[:300]
         beta = method.solve(problem_of(W, W @ TRUTH + noise("white", rng)[:300])).beta
         assert beta is not None
-        found.append(beta - TRUTH + offset)
+        found.append(beta - TRUTH)
     return np.array(found)
 
 
@@ -164,7 +215,8 @@ def test_weighted_least_squares_reaches_the_bound_and_plain_does_not() -> None:
 @pytest.mark.parametrize("share", [0.0, 1.0, 3.0])
 def test_bias_is_told_apart_from_scatter(share: float) -> None:
     bound = white_bound()
-    straight, errors = errors_of(WLS(), 400), errors_of(WLS(), 400, share * bound)
+    straight = errors_of(WLS(), 400)
+    errors = straight + share * bound
     np.testing.assert_allclose(spread(errors, bound), spread(straight, bound))
     told, low, high = bias(errors)
     assert low <= told <= high
@@ -175,7 +227,7 @@ def test_bias_is_told_apart_from_scatter(share: float) -> None:
 
 def test_intervals_of_figures_narrow_with_repeats() -> None:
     bound = white_bound()
-    few, many = (efficiency(errors_of(WLS(), n), bound) for n in (50, 450))
+    few, many = (efficiency(errors_of(WLS(), 400)[:n], bound) for n in (40, 400))
     assert (many[2] - many[1]) < 0.5 * (few[2] - few[1])
 
 
