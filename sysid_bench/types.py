@@ -34,11 +34,14 @@ class Trajectory:
 
     @property
     def period_samples(self) -> int:
-        """Samples after which the motion repeats; 0 where it does not, or between two samples."""
+        """Samples after which the motion repeats; 0 where it does not, or where at the end it would
+        be off by half a sample."""
         if self.period is None or len(self.t) < 2:
             return 0
-        samples = self.period / float(self.t[1] - self.t[0])
-        return round(samples) if abs(samples - round(samples)) < 1e-6 * samples else 0
+        step = float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
+        samples = round(self.period / step)
+        off = abs(self.period / step - samples) * len(self.t)
+        return samples if off < 0.5 * samples else 0
 
 
 @dataclass(frozen=True, eq=False)

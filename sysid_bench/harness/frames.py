@@ -50,8 +50,8 @@ class Frames:
 
     @cached_property
     def by_std_from(self) -> "pd.DataFrame":
-        """`cells` with a line per way to tell how sure an estimate is, and its coverage; a cell that
-        is not ok has a line for each that others tell of."""
+        """`cells` with a line per way to tell how sure an estimate is, and its coverage; a cell
+        that is not ok has a line for each that others tell of."""
         import pandas as pd
 
         prefix = f"{COVERAGE}."

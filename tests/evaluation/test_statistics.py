@@ -75,12 +75,12 @@ def covered(kind: str) -> dict[str, float]:
         estimate, sigma = WLS().solve(problem), own_sigmas(problem)
         assert estimate.beta is not None
         assert estimate.covariance is not None
-        for name, spread in (
+        for name, made in (
             ("textbook", Spread(estimate.covariance)),
             ("sandwich", sandwich_spread(problem, estimate.beta, sigma)),
             ("periods", period_spread(problem, estimate.beta, sigma, PERIOD)),
         ):
-            ends[name].append(spread.interval(estimate.beta))
+            ends[name].append(made.interval(estimate.beta))
     found = {}
     for name, pairs in ends.items():
         low, high = (np.array(side) for side in zip(*pairs, strict=True))
@@ -115,11 +115,11 @@ def test_two_periods_are_needed_to_see_a_spread() -> None:
 def test_a_spread_of_exact_data_is_nothing() -> None:
     W = regressor()
     problem = problem_of(W, W @ TRUTH)
-    for spread in (
+    for made in (
         period_spread(problem, TRUTH, np.ones(2), PERIOD),
         sandwich_spread(problem, TRUTH, np.ones(2)),
     ):
-        assert np.abs(spread.std).max() < 1e-12
+        assert np.abs(made.std).max() < 1e-12
 
 
 @pytest.mark.parametrize(

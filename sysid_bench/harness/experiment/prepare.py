@@ -104,7 +104,8 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     seal(experiment)
     return Prepared(
         subject.robot, task, problem, experiment, stage.held_out, task.truth,
-        posing.known(recording.motion)[:, posing.places], taken.bound(posing), bool(spec.noise), stage,
+        posing.known(recording.motion)[:, posing.places], taken.bound(posing), bool(spec.noise),
+        stage,
     )  # fmt: skip
 
 

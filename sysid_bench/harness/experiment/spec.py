@@ -15,8 +15,9 @@ class ExperimentSpec:
     """One simulated recording. JSON values only; plug-ins are {use, settings...} as written.
 
     `noise` holds q, quantum (rad, m), tau (N m, N) or tau_relative (share of the joint's RMS
-    torque) and its tau_correlation from sample to sample, and the errors of force/torque sensors (simulation/wrench.py); `prior` holds mass,
-    inertia, terms (shares) and com (m), or is "truth" or "none".
+    torque) with its tau_correlation from sample to sample, and the errors of force/torque sensors
+    (simulation/wrench.py); `prior` holds mass, inertia, terms (shares) and com (m), or is "truth"
+    or "none".
     """
 
     seed: int  # root of the suite's seed tree
