@@ -53,7 +53,7 @@ def identify(
     from sysid_bench.identification.complete import completed_estimate
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.naming import build
-    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, warnings_of
+    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, moved_of, warnings_of
     from sysid_bench.verbs.chosen import refuse_ignored_terms
     from sysid_bench.verbs.model_out import check_answer, check_target, write_model
     from sysid_bench.verbs.sensing import compared, excited
@@ -105,7 +105,12 @@ def identify(
         "completed": complete,
         "feasible": figures.feasible,
         "plausible": figures.plausible,
-        "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem), *missing],
+        "warnings": [
+            *robot.robot.repairs,
+            *warnings_of(estimate, ready.problem),
+            *moved_of(estimate, ready.problem),
+            *missing,
+        ],
     }
     if told is not None:
         answer["sensor"] = told | {"estimation": compared(spec, ready, estimate)}

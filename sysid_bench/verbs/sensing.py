@@ -97,9 +97,13 @@ def told(sensor: dict[str, Any]) -> list[str]:
         f"{sensor['excited_rank']} of {sensor['structural_rank']} base parameters excited"
     ]
     for name, errors in (sensor["estimation"] or {}).items():
-        lines.append(
-            f"    {name}: torque {errors['torque']:.3g} N m (without the sensor "
-            f"{errors['torque_alone']:.3g}), touch {errors['force']:.3g} N and "
-            f"{errors['moment']:.3g} N m"
+        touch = f"touch {errors['force']:.3g} N and {errors['moment']:.3g} N m"
+        # A sub-tree without joints has no torques.
+        torque = (
+            ""
+            if errors["torque"] is None
+            else f"torque {errors['torque']:.3g} N m (without the sensor "
+            f"{errors['torque_alone']:.3g}), "
         )
+        lines.append(f"    {name}: {torque}{touch}")
     return lines
