@@ -267,6 +267,11 @@ def identify(
         )
     if logs and (noise is not None or payload != "none"):
         raise UsageError("--noise and --payload belong to --simulate; a log states its payload.")
+    if logs and (sensor is not None or complete is not None):
+        raise UsageError(
+            "--sensor and --complete belong to --simulate: logs hold positions and torques, and "
+            "no force/torque sensor."
+        )
     of_logs = (tests, figure, accept, candidates, position_given, filter_text, derivatives, moving)
     if simulate and any(of_logs):
         raise UsageError(

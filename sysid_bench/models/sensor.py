@@ -181,9 +181,19 @@ def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) 
     return Cut(sensor, at, body, R, p, bodies, tuple(stops))
 
 
+def sensor_names(text: str) -> list[str]:
+    """The sensors of a text: "left, right"."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
 def the_sensor(robot: RobotModel, sensor: str | None) -> str:
     """The name asked for, or the only sensor of the robot's manifest; UnsupportedError with what
     there is."""
+    if sensor is not None and len(sensor_names(sensor)) > 1:
+        raise UnsupportedError(
+            f"{robot.name}: the sensors {sensor} each have a sub-tree of their own; take one at a "
+            "time, or the task 'robot', which takes several beside all joint torques."
+        )
     if sensor is not None:
         return sensor
     names = [entry.name for entry in robot.manifest.sensors]

@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import Cut, cut_at, instruments_of, the_sensor
+from sysid_bench.models.sensor import Cut, cut_at, instruments_of, sensor_names, the_sensor
 from sysid_bench.spatial.inertia import transport
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Body, Truth
@@ -146,8 +146,7 @@ def _beside_sensors(robot: RobotModel, task: Task, sensor: str | None) -> Task:
     """The task with the rows of sensors after those of all joints."""
     if sensor is None:
         return task
-    names = [name.strip() for name in sensor.split(",")]
-    cuts = tuple(cut_at(robot, name, ()) for name in names)
+    cuts = tuple(cut_at(robot, name, ()) for name in sensor_names(sensor))
     asked = {body.name for body in task.bodies}
     known = robot.phi if task.name == "payload" else _with_payload(robot)
     known = known * [[float(name not in asked)] for name in robot.body_names]

@@ -40,6 +40,12 @@ def test_a_wrong_sensor_is_one_sentence(cli: Run) -> None:
     assert "'wrist'" in one_sentence(done)
 
 
+def test_identify_refuses_what_it_would_ignore(cli: Run) -> None:
+    done = cli("identify", "ur5", "--log", "run.toml", "--sensor", "wrist")
+    assert done.returncode == 2
+    assert "belong to --simulate" in one_sentence(done)
+
+
 def test_identify_compares_parameters_and_names_what_is_missing() -> None:
     told = identify("icub", task="wrench", sensor="l_arm", noise=NOISE)
     sensor = told["sensor"]

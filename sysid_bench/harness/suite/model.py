@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -210,11 +211,19 @@ def _robot_name(value: Any, info: ValidationInfo) -> str:
     return value
 
 
+def _sensor(value: str | None, info: ValidationInfo) -> str | None:
+    names, folder = context(info).names, context(info).folder
+    for source in info.data.get("use", ()) if value is not None else ():
+        proved(partial(names.sensor, source, folder, value))
+    return value
+
+
 class RobotEntry(Section):
     use: Annotated[tuple[Annotated[str, PlainValidator(_robot_name)], ...], Sweep]
     payloads: Annotated[tuple[Annotated[Any, PlainValidator(_payload)], ...], Sweep] = ("none",)
     free_base: StrictBool | None = None  # None: as the robot's manifest has it
-    sensor: StrictStr | None = None  # of the manifest, or a fixed joint, site or body to cut at
+    sensor: Annotated[StrictStr | None, AfterValidator(_sensor)] = None
+    """Of the manifest, or a fixed joint, site or body to cut at; several: "left, right"."""
 
 
 class Exclude(Section):
