@@ -30,7 +30,7 @@ from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, cut_at, instruments_of
 from sysid_bench.models.task import Task, task_of
-from sysid_bench.regressors.coupled import AnyRegression, torque_regression
+from sysid_bench.regressors.ended import Sensed, sensed_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
 from sysid_bench.regressors.regression import TERM, regression
@@ -83,10 +83,11 @@ class Prepared:
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
     robot = subject.robot
-    task = task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, true_offset(spec))
+    task = task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, partial(true_offset, spec))
     base = subject.base(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
-    posing = Posing(robot, task, base, torque_regression(robot, base.names, instruments))
+    columns = sensed_regression(robot, base.names, instruments, task.rows)
+    posing = Posing(robot, task, base, columns)
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
     sensing = Sensing(spec, plant, task)
     prior = _prior(spec, task)
@@ -143,7 +144,7 @@ class Posing:
     robot: RobotModel
     task: Task
     base: BaseMap
-    regression: AnyRegression
+    regression: Sensed
 
     @cached_property
     def instruments(self) -> Instruments:
@@ -197,7 +198,10 @@ def recorded(recording: Recording) -> Array:
 
 
 def regressor_blocks(
-    regression: AnyRegression, rows: tuple[int, ...], instruments: Instruments, motion: Trajectory
+    regression: Sensed,
+    rows: tuple[int, ...],
+    instruments: Instruments,
+    motion: Trajectory,
 ) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
     for block in regression.blocks(instruments.motion(motion)):

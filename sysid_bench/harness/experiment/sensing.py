@@ -49,16 +49,17 @@ class Sensing:
         wrench = self._wrench(oracle.motion)
         alone = self.task.name in SENSOR_TASKS
         if alone and len(self.task.parameters) > 10 * len(self.task.bodies):
-            wrench[:, :6] += self.task.truth.theta[-6:]
+            wrench += self.task.truth.theta[10 * len(self.task.bodies) :]
         return np.hstack([oracle.tau, wrench])
 
     def _wrench(self, motion: Trajectory) -> Array:
         return sensor_wrench(self.plant, self.task.cuts, motion)
 
 
-def true_offset(spec: ExperimentSpec) -> Array | None:
-    """The constants (6,) of the sensor that is measured; None where none is."""
-    return faults(spec, 1)[0].offset if spec.task in SENSOR_TASKS else None
+def true_offset(spec: ExperimentSpec, count: int) -> Array:
+    """The constants (6 count,) of the sensor that is measured, and of those that end its
+    sub-tree."""
+    return np.concatenate([fault.offset for fault in faults(spec, count)])
 
 
 def faults(spec: ExperimentSpec, count: int) -> list[Fault]:

@@ -213,8 +213,9 @@ def _robot_name(value: Any, info: ValidationInfo) -> str:
 
 def _sensor(value: str | None, info: ValidationInfo) -> str | None:
     names, folder = context(info).names, context(info).folder
-    for source in info.data.get("use", ()) if value is not None else ():
-        proved(partial(names.sensor, source, folder, value))
+    if value is not None:
+        for source in info.data.get("use", ()):
+            proved(partial(names.sensor, source, folder, value))
     return value
 
 
