@@ -16,6 +16,7 @@ from sysid_bench.harness.experiment.motions import designed
 from sysid_bench.harness.experiment.robots import Subject
 from sysid_bench.harness.experiment.sensing import Sensing, true_offset
 from sysid_bench.harness.experiment.spec import (
+    REDRAWN,
     ExperimentSpec,
     held_out_seed,
     motion_seed,
@@ -365,7 +366,9 @@ def _held_out(
 def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
     if spec.prior == "none":
         return None
-    spread = None if isinstance(spec.prior, str) else PriorSpread(**spec.prior)
+    spread = None
+    if not isinstance(spec.prior, str):
+        spread = PriorSpread(**{key: far for key, far in spec.prior.items() if key != REDRAWN})
     return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
 
 

@@ -128,6 +128,7 @@ class Prior(Section):
     com: Length = "15 mm"
     inertia: Share = "30 %"
     terms: Share = "30 %"
+    redrawn: StrictBool | None = None  # true: another draw with each repeat
 
 
 def _filter(value: Any) -> str:
