@@ -103,15 +103,22 @@ def _answer(spec: Mapping[str, Any], ready: Prepared, sensed: _Sensed | None) ->
     settings = {key: value for key, value in spec.items() if key not in ("cell", "label")}
     try:
         estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
-        about = {} if sensed is None else sensed.judged(estimate, ready)
-        return _judged(estimate, ready) | dict(plain(about))
+        return _with_sub_tree(_judged(estimate, ready), estimate, ready, sensed)
     except SysidBenchError as error:
-        missing = "" if sensed is None else sensed.excitation.warning
-        failure = {"reason": " ".join([reason_of(error), missing]).strip()}
+        failure = {"reason": reason_of(error)}
     except (Exception, SystemExit) as error:
         failure = {"reason": reason_of(error), "traceback": traceback.format_exc()}
-    about = {} if sensed is None else sensed.judged(Estimate(status="failed"), ready)
-    return dict(plain({"status": "failed", **failure, **ready.figures, **about}))
+    row = dict(plain({"status": "failed", **failure, **ready.figures}))
+    return _with_sub_tree(row, Estimate(status="failed"), ready, sensed)
+
+
+def _with_sub_tree(row: Row, estimate: Estimate, ready: Prepared, sensed: _Sensed | None) -> Row:
+    """The row with what a sensor's data tell of its sub-tree; a failure names what they miss."""
+    if sensed is None:
+        return row
+    missing = "" if row["status"] == "ok" else sensed.excitation.warning
+    told = {"reason": f"{row['reason']} {missing}".strip(), **sensed.judged(estimate, ready)}
+    return row | dict(plain(told))
 
 
 def _judged(estimate: Estimate, ready: Prepared) -> Row:
