@@ -309,7 +309,10 @@ def _signals_text(signals: Mapping[str, Any]) -> str:
     raw = ", raw torque" if signals.get("torque") == "raw" else ""
     loads = [parse_payload(load).name for load in signals.get("calibration", ())]
     calibrated = f", calibrated with {', '.join(loads)}" if loads else ""
-    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}"
+    contacts = signals.get("contacts", [])
+    periods = contacts if isinstance(contacts, str) else ", ".join(contacts)
+    free = f", contacts {periods}" if periods else ""
+    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}{free}"
 
 
 def _cost(spec: ExperimentSpec, estimators: int) -> float:

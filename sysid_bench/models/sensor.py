@@ -206,6 +206,18 @@ def the_sensor(robot: RobotModel, sensor: str | None) -> str:
     )
 
 
+def last_body(robot: RobotModel, cut: Cut) -> int:
+    """The tool where it is behind the sensor, else the body with the most joints before it."""
+    if robot.tool_body in cut.bodies:
+        return robot.tool_body
+
+    def joints_before(body: int) -> int:
+        link = int(robot.tree.carrier[body])
+        return 0 if link < 0 else len(robot.tree.links[link].dofs)
+
+    return max(cut.bodies, key=joints_before)
+
+
 def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
     """(body, R, p) of a fixed joint, a site or a body."""
     fixed, moving = _urdf_joints(robot)

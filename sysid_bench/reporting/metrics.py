@@ -55,6 +55,7 @@ _ALL: Final = (
     Metric("inertia_error", "Relative error of the inertia", floor=_ROUNDING),
     Metric("structural_rank", "Base parameters of the sub-tree", digits=0),
     Metric("excited_rank", "Excited base parameters of the sub-tree", digits=0),
+    Metric("left_out", "Share of samples taken for contacts"),
     Metric("unpredictable", "Joints whose torque cannot be foretold", digits=0),
     Metric("sensed_torque_ratio", "Torque error with sensor / that of true parameters", digits=4),
     Metric("sensed_wrench_ratio", "Touch error with sensor / that of true parameters", digits=4),

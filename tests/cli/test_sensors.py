@@ -143,3 +143,15 @@ def test_a_payload_behind_a_sensor_is_in_no_model(tmp_path: Path) -> None:
 def test_a_sub_tree_without_joints_or_mass_has_no_torques_to_tell() -> None:
     told = identify("ur5", "wrench", sensor="tool0", noise=NOISE)
     assert any("true: touch" in line for line in summary(told))
+
+
+def test_contacts_are_found_or_declared_by_words(cli: Run) -> None:
+    told = identify(
+        "z1", "wrench", sensor="link02", noise=NOISE | {"touch": "5 N"}, contacts="detect"
+    )
+    assert told["left_out"] == pytest.approx(1 / 3, abs=0.05)
+    assert any("left out as contacts" in line for line in summary(told))
+    for wrong, word in (("detec", "10 s to 25 s"), ("5 s to 4 s", "ends before it begins")):
+        done = cli("identify", "z1", "--simulate", "--task", "wrench", "--contacts", wrong)
+        assert done.returncode == 2
+        assert word in one_sentence(done)

@@ -285,3 +285,33 @@ def test_a_payload_is_found_better_with_both() -> None:
     assert (std[2] < 1.2 * std[0]).all()
     assert (std[2] < 1.2 * std[1]).all()
     assert (std[1][4:] < std[0][4:]).all()
+
+
+TOUCHED = {"robot": "icub", "task": "wrench", "sensor": "l_arm", "rate": 100.0, "excitation":
+           {"use": "wander", "duration": "45 s"}}  # fmt: skip
+TOUCH = {**WHITE, "touch": 5.0}
+
+
+@pytest.mark.parametrize("repeat", range(3))
+def test_contacts_are_left_out_where_they_are_declared_or_found(repeat: int) -> None:
+    """5 N on the hand for the middle third of a recording; without any, nothing is found."""
+    exact = {"filter": "none", "derivatives": "exact"}
+    settings = {
+        "clean": (WHITE, exact),
+        "quiet": (WHITE, exact | {"contacts": "detect"}),
+        "blind": (TOUCH, exact),
+        "declared": (TOUCH, exact | {"contacts": ["15 s to 30 s"]}),
+        "found": (TOUCH, exact | {"contacts": "detect"}),
+    }
+    share, error = {}, {}
+    for name, (noise, signals) in settings.items():
+        made = ready(**TOUCHED, noise=noise, signals=signals, repeat=repeat)
+        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
+        share[name], error[name] = made.left_out, told.torque_error
+    assert share["clean"] == share["blind"] == 0.0
+    assert share["quiet"] < 0.03
+    assert share["declared"] == pytest.approx(1 / 3, abs=1e-3)
+    assert share["found"] == pytest.approx(1 / 3, abs=0.03)
+    assert error["blind"] > 10 * error["declared"]
+    assert error["found"] < 2 * error["declared"]
+    assert error["declared"] < 3 * error["clean"]

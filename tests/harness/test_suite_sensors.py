@@ -3,7 +3,9 @@
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.suite.read import parse_suite
+from sysid_bench.harness.experiment.spec import prior_seed
+from sysid_bench.harness.plan import expand
+from sysid_bench.harness.suite.read import dump_suite, parse_suite
 
 SUITE = """schema = 1
 name = "sensors"
@@ -39,3 +41,32 @@ def test_a_robot_that_is_not_there_is_told_once() -> None:
     with pytest.raises(UsageError) as caught:
         read('"ur55"', "wrist")
     assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("contacts", ['"detect"', '"1 s to 2 s"', '["1 s to 2 s", "3 s to 4 s"]'])
+def test_contacts_are_found_or_declared(contacts: str) -> None:
+    text = SUITE.format(robots='"ur5"', sensor="wrist")
+    made = parse_suite(
+        text.replace("[[robot]]", f"signals = {{ contacts = {contacts} }}\n[[robot]]")
+    )
+    assert parse_suite(dump_suite(made)) == made
+    assert len({cell.labels["signals"] for cell in expand(made).cells}) == 1
+    assert "contacts" in expand(made).cells[0].labels["signals"]
+
+
+def test_a_period_that_is_none_is_told() -> None:
+    text = SUITE.format(robots='"ur5"', sensor="wrist")
+    with pytest.raises(UsageError, match=r"signals.contacts: A period is a text like"):
+        parse_suite(text.replace("[[robot]]", 'signals = { contacts = "often" }\n[[robot]]'))
+
+
+def test_a_prior_that_is_drawn_again_is_another_with_each_repeat() -> None:
+    text = SUITE.format(robots='"ur5"', sensor="wrist")
+    for words, draws in (('{ mass = "10 %" }', 1), ('{ mass = "10 %", redrawn = true }', 3)):
+        made = parse_suite(
+            text.replace(
+                "[[robot]]",
+                f"prior = {words}\nnoise = {{ tau = '1 %' }}\n[run]\nrepeats = 3\n[[robot]]",
+            )  # fmt: skip
+        )
+        assert len({prior_seed(cell.spec) for cell in expand(made).cells}) == draws

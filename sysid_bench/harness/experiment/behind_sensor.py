@@ -11,12 +11,17 @@ from sysid_bench.excitation.point_to_point import PointToPoint
 from sysid_bench.harness.experiment.prepare import Prepared
 from sysid_bench.harness.experiment.spec import ExperimentSpec, noise_seed, seed_of
 from sysid_bench.identifiability.subspaces import Excitation, excitation_of, structural_subspaces
-from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import Cut
+from sysid_bench.models.sensor import last_body
 from sysid_bench.regressors.kernel import newton_euler
 from sysid_bench.regressors.wrench import sub_tree
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.wrench import Touch, sensor_wrench, touch_torque, wrench_noise
+from sysid_bench.simulation.wrench import (
+    Touch,
+    sensor_wrench,
+    swaying,
+    touch_torque,
+    wrench_noise,
+)
 from sysid_bench.types import Array, Estimate, Problem
 
 TOUCH: Final = 5.0
@@ -66,7 +71,7 @@ def trial_of(spec: ExperimentSpec, ready: Prepared) -> Trial | None:
     robot, cut = ready.robot, ready.task.cuts[0]
     rng = np.random.default_rng(seed_of(spec.seed, "touch", spec.robot))
     motion = PointToPoint().design(brief_of(robot, RATE), rng)
-    wrench = np.repeat([0.1, 1.0], 3) * TOUCH * np.sin(2 * motion.t[:, None] + rng.normal(size=6))
+    wrench = swaying(motion, TOUCH, rng)
     wrench[: len(motion) // 2] = 0.0
     touch, plant = Touch(last_body(robot, cut), wrench), plant_of(robot)
     method = reordered(robot, cut, motion, robot.body_names[touch.body])
@@ -96,18 +101,6 @@ def figures(told: Excitation, errors: dict[str, Comparison] | None) -> dict[str,
         "sensed_cad_ratio": _ratio(cad["torque"], found["torque"]),
         "alone_cad_ratio": _ratio(found["torque_alone"], cad["torque_alone"]),
     }
-
-
-def last_body(robot: RobotModel, cut: Cut) -> int:
-    """The tool where it is behind the sensor, else the body with the most joints before it."""
-    if robot.tool_body in cut.bodies:
-        return robot.tool_body
-
-    def joints_before(body: int) -> int:
-        link = int(robot.tree.carrier[body])
-        return 0 if link < 0 else len(robot.tree.links[link].dofs)
-
-    return max(cut.bodies, key=joints_before)
 
 
 def _theta(estimate: Estimate, problem: Problem) -> Array | None:

@@ -24,6 +24,8 @@ from sysid_bench.harness.experiment.spec import (
     prior_seed,
 )
 from sysid_bench.identification.calibration import Calibration, calibrate
+from sysid_bench.identification.contact import free_samples
+from sysid_bench.identification.online import rows_of
 from sysid_bench.models.extents import extents
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
@@ -55,6 +57,7 @@ from sysid_bench.types import (
     Trajectory,
     Truth,
 )
+from sysid_bench.units import interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +72,12 @@ class Prepared:
     held_out: dict[str, Problem]
     truth: Truth
     known: Array  # (N, rows) torque of what the task takes as known, along the measured motion
+    left_out: float = 0.0  # share of the samples that are taken for contacts
 
     @cached_property
     def figures(self) -> dict[str, Any]:
         """Rank and conditioning of the data: one and the same for all estimators."""
-        return data_figures(self.problem, self.held_out)
+        return data_figures(self.problem, self.held_out) | {"left_out": self.left_out}
 
     @cached_property
     def reach(self) -> Mapping[str, Extent]:
@@ -97,6 +101,7 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     if "calibration" in spec.signals and task.cuts:
         calibration = _calibration(spec, subject, task)
         raw, recording = _corrected(raw, calibration), _corrected(recording, calibration)
+    recording, left_out = _free_of_contact(spec.signals.get("contacts"), recording, posing)
     problem = posing.pose(recording.motion, recorded(recording), prior)
     held_out = {
         name: posing.pose(oracle.motion, sensing.exact(oracle))
@@ -110,7 +115,7 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     seal(experiment)
     return Prepared(
         robot, task, problem, experiment, held_out, task.truth,
-        posing.known(recording.motion)[:, posing.places],
+        posing.known(recording.motion)[:, posing.places], left_out,
     )  # fmt: skip
 
 
@@ -328,6 +333,27 @@ def _calibration(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibrat
         readings.append(recording.wrench[:, :6])
         known.append(model[:, robot.nv : robot.nv + 6])
     return calibrate(np.concatenate(readings), np.concatenate(known))
+
+
+def _free_of_contact(
+    contacts: Any, recording: Recording, posing: Posing
+) -> tuple[Recording, float]:
+    """The recording without contact periods, declared or found, and the share that is left out."""
+    if not contacts:
+        return recording, 0.0
+    if contacts == "detect":
+        free = free_samples(*rows_of(posing.pose(recording.motion, recorded(recording))))
+    else:
+        t, free = recording.t, np.ones(len(recording), dtype=bool)
+        for start, end in map(interval, contacts):
+            free &= ~((t >= start) & (t < end))
+    motion = recording.motion
+    kept = replace(
+        recording, t=motion.t[free], q=motion.q[free], v=motion.v[free], a=motion.a[free],
+        tau=recording.tau[free], period=None,
+        wrench=None if recording.wrench is None else recording.wrench[free],
+    )  # fmt: skip
+    return kept, 1.0 - float(free.mean())
 
 
 def _corrected(recording: Recording, calibration: Calibration) -> Recording:

@@ -122,6 +122,7 @@ NOISE_UNITS: Final = {
     "gain": "%",
     "crosstalk": "%",
     "mounting": "rad",
+    "touch": "N",
 }
 """Keys of a [noise] table and their units, but for torque in shares."""
 

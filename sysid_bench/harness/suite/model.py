@@ -48,6 +48,7 @@ from sysid_bench.harness.words import (
     VERDICT,
 )
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
+from sysid_bench.units import interval
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
 RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
@@ -119,6 +120,7 @@ class Noise(Section):
     gain: Annotated[Any, measured("%")] = None
     crosstalk: Annotated[Any, measured("%")] = None
     mounting: Annotated[Any, measured("rad")] = None
+    touch: Annotated[Any, measured("N")] = None  # on the last body, for the middle third
 
 
 class Prior(Section):
@@ -149,10 +151,20 @@ def _payload(value: Any, info: ValidationInfo) -> Any:
 Loads = tuple[Annotated[Any, PlainValidator(_payload)], ...] | None
 
 
+def _contacts(value: Any) -> Any:
+    if value != "detect":
+        texts = [value] if isinstance(value, str) else list(value)
+        proved(lambda: [interval(text) for text in texts])
+        return texts
+    return value
+
+
 class Signals(Section):
     filter: Annotated[str, PlainValidator(_filter)] = "none"
     derivatives: Annotated[str, word("way to differentiate", ("from q", "exact"))] = "exact"
     torque: Annotated[str, word("way to take torque", ("filtered", "raw"))] = "filtered"
+    contacts: Annotated[Any, PlainValidator(_contacts)] = None
+    """Periods that are left out: "10 s to 25 s", a list of such, or "detect"."""
     calibration: Loads = None  # of force/torque sensors, with these payloads, which are known
 
 
