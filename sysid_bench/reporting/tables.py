@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.evaluation.repeats import ENOUGH_REPEATS
 from sysid_bench.reporting.metrics import METRICS, Metric, metric_of
-from sysid_bench.reporting.numbers import Notation, notation
+from sysid_bench.reporting.numbers import ABSENT, Notation, notation
 from sysid_bench.reporting.repeats import figure_of
 from sysid_bench.reporting.statistics import INTERVALS, STATISTICS, interval_of, statistic_of
 
@@ -163,7 +164,7 @@ def make_table(
         rows=_ordered(chosen, rows, (key[0] for key in entries)),
         columns=_ordered(chosen, columns, (key[1] for key in entries)),
         entries=entries,
-        notes=_pooling(chosen, rows + columns),
+        notes=(*_pooling(chosen, rows + columns), *_untold(metric, entries.values())),
     )
     return _with_best(table, spec.get("best", "none"))
 
@@ -313,6 +314,13 @@ def _pooling(cells: "pd.DataFrame", shown: Sequence[str]) -> tuple[str, ...]:
     hidden = [f for f in _SWEEPABLE if f in cells.columns and f not in shown]
     pooled = [f"{cells[f].nunique()} of {f}" for f in hidden if cells[f].nunique() > 1]
     return (f"Each number pools different settings: {', '.join(pooled)}.",) if pooled else ()
+
+
+def _untold(metric: Metric, entries: Iterable[Entry]) -> tuple[str, ...]:
+    if not metric.repeated or not any(e.value is None and e.missing for e in entries):
+        return ()
+    bound = "" if metric.name == "bias" else ", or no noise of the torque and so no bound"
+    return (f"{ABSENT}: fewer than {ENOUGH_REPEATS} repeats, no noise at all{bound}.",)
 
 
 def _with_best(table: Table, best: str) -> Table:

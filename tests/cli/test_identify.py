@@ -326,3 +326,17 @@ def test_what_cannot_be_completed_is_one_sentence(cli: Run) -> None:
     done = cli("identify", "z1", "--simulate", "--noise", "tau=20 %", "--complete", "entropic")
     assert done.returncode == 2
     assert "can exist" in one_sentence(done)
+
+
+@pytest.mark.parametrize(
+    ("estimator", "kind"), [("ols", "residuals"), ("huber", "textbook"), ("bounded", None)]
+)
+def test_deviations_are_told_with_where_they_come_from(estimator: str, kind: str | None) -> None:
+    told = identify("scara", estimator=estimator, noise={"tau": "1 %"})
+    assert told["std_from"] == kind
+    stds = [entry["std"] for entry in told["base"]]
+    stds += [term["std"] for joint in told["joints"].values() for term in joint.values()]
+    assert all(std is None or std > 0 for std in stds)
+    assert all((entry["std"] is None) == (kind is None) for entry in told["base"])
+    lines = "\n".join(describe(told))
+    assert ("±" in lines) == (kind is not None)
