@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.evaluation.repeats import ENOUGH_REPEATS
 from sysid_bench.reporting.metrics import METRICS, Metric, metric_of
-from sysid_bench.reporting.numbers import Notation, notation
+from sysid_bench.reporting.numbers import ABSENT, Notation, notation
 from sysid_bench.reporting.repeats import figure_of
 from sysid_bench.reporting.statistics import INTERVALS, STATISTICS, interval_of, statistic_of
 
@@ -163,7 +164,11 @@ def make_table(
         rows=_ordered(chosen, rows, (key[0] for key in entries)),
         columns=_ordered(chosen, columns, (key[1] for key in entries)),
         entries=entries,
-        notes=_pooling(chosen, rows + columns) + _foretold(chosen, metric.name, rows + columns),
+        notes=(
+            *_pooling(chosen, rows + columns),
+            *_foretold(chosen, metric.name, rows + columns),
+            *_untold(metric, entries.values()),
+        ),
     )
     return _with_best(table, spec.get("best", "none"))
 
@@ -326,6 +331,13 @@ def _foretold(cells: "pd.DataFrame", metric: str, shown: Sequence[str]) -> tuple
     }
     return tuple(f"{label}: the torques of {names} cannot be foretold." for label, names in
                  sorted(told))  # fmt: skip
+
+
+def _untold(metric: Metric, entries: Iterable[Entry]) -> tuple[str, ...]:
+    if not metric.repeated or not any(e.value is None and e.missing for e in entries):
+        return ()
+    bound = "" if metric.name == "bias" else ", or no noise of the torque and so no bound"
+    return (f"{ABSENT}: fewer than {ENOUGH_REPEATS} repeats, no noise at all{bound}.",)
 
 
 def _with_best(table: Table, best: str) -> Table:

@@ -15,6 +15,12 @@ ESTIMATOR: Final = {"terminal": "min-norm", "wrench": "wls", "wrench-payload": "
 """The method of a task where none is named: that of its source; where forces and moments are rows
 of one problem, weights by their noise; elsewhere least squares."""
 
+STD_FROM: Final = {
+    "periods": "from the spread over repeated periods",
+    "residuals": "from residuals and how alike neighbouring ones are",
+    "textbook": "by the method's own formula",
+}
+
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
 IDEAL: Final = {"filter": "none", "derivatives": "exact"}
@@ -151,25 +157,33 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
     if "sensor" in answer:
         lines += sensor_lines(answer["sensor"])
     for name, body in answer["bodies"].items():
-        lines.append(f"  {name}: mass {_number(body['mass'], 'not identifiable')}")
+        mass = _sure(body["mass"], body["std"]["m"], "not identifiable")
+        lines.append(f"  {name}: mass {mass}")
         told = [
-            f"{key} {_number(body['parameters'][key])}"
+            f"{key} {_sure(body['parameters'][key], body['std'][key])}"
             for key, verdict in body["identifiable"].items()
             if verdict == "identifiable"
         ]
         lines.append(f"    {', '.join(told) or 'nothing is identifiable on its own'}")
     for name, terms in answer["joints"].items():
         told = [
-            f"{term} {_number(value['value'])}"
+            f"{term} {_sure(value['value'], value['std'])}"
             if value["identifiable"] == "identifiable"
             else f"{term} not identifiable"
             for term, value in terms.items()
         ]
         lines.append(f"  {name}: {', '.join(told)}")
+    if answer["std_from"] is not None:
+        lines.append(f"  ±: one standard deviation, {STD_FROM[answer['std_from']]}")
     lines += [f"  warning: {warning}" for warning in answer["warnings"]]
     if answer.get("model_out"):
         lines.append(f"  model: {answer['model_out']}")
     return lines
+
+
+def _sure(value: float | None, std: float | None, absent: str = "-") -> str:
+    told = value is not None and std is not None
+    return _number(value, absent) + (f" ± {std:.2g}" if told else "")
 
 
 def _number(value: float | None, absent: str = "-") -> str:
