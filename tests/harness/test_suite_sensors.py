@@ -43,30 +43,29 @@ def test_a_robot_that_is_not_there_is_told_once() -> None:
     assert len(str(caught.value).splitlines()) == 1
 
 
+def changed(more: str) -> str:
+    """The suite of a ur5 with more lines before its robot."""
+    text = SUITE.format(robots='"ur5"', sensor="wrist")
+    return text.replace("[[robot]]", f"{more}\n[[robot]]")
+
+
 @pytest.mark.parametrize("contacts", ['"detect"', '"1 s to 2 s"', '["1 s to 2 s", "3 s to 4 s"]'])
 def test_contacts_are_found_or_declared(contacts: str) -> None:
-    text = SUITE.format(robots='"ur5"', sensor="wrist")
-    made = parse_suite(
-        text.replace("[[robot]]", f"signals = {{ contacts = {contacts} }}\n[[robot]]")
-    )
+    made = parse_suite(changed(f"signals = {{ contacts = {contacts} }}"))
     assert parse_suite(dump_suite(made)) == made
-    assert len({cell.labels["signals"] for cell in expand(made).cells}) == 1
     assert "contacts" in expand(made).cells[0].labels["signals"]
 
 
 def test_a_period_that_is_none_is_told() -> None:
-    text = SUITE.format(robots='"ur5"', sensor="wrist")
     with pytest.raises(UsageError, match=r"signals.contacts: A period is a text like"):
-        parse_suite(text.replace("[[robot]]", 'signals = { contacts = "often" }\n[[robot]]'))
+        parse_suite(changed('signals = { contacts = "often" }'))
 
 
-def test_a_prior_that_is_drawn_again_is_another_with_each_repeat() -> None:
-    text = SUITE.format(robots='"ur5"', sensor="wrist")
-    for words, draws in (('{ mass = "10 %" }', 1), ('{ mass = "10 %", redrawn = true }', 3)):
-        made = parse_suite(
-            text.replace(
-                "[[robot]]",
-                f"prior = {words}\nnoise = {{ tau = '1 %' }}\n[run]\nrepeats = 3\n[[robot]]",
-            )  # fmt: skip
-        )
-        assert len({prior_seed(cell.spec) for cell in expand(made).cells}) == draws
+@pytest.mark.parametrize(
+    ("prior", "draws"), [('{ mass = "10 %" }', 1), ('{ mass = "10 %", redrawn = true }', 3)]
+)
+def test_a_prior_that_is_drawn_again_is_another_with_each_repeat(prior: str, draws: int) -> None:
+    more = f"prior = {prior}\nnoise = {{ tau = '1 %' }}\n[run]\nrepeats = 3"
+    cells = expand(parse_suite(changed(more))).cells
+    assert len(cells) == 3
+    assert len({prior_seed(cell.spec) for cell in cells}) == draws
