@@ -9,7 +9,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Cut, instruments_of
 from sysid_bench.models.states import random_states
 from sysid_bench.models.tree import Tree
-from sysid_bench.regressors.coupled import torque_regression
+from sysid_bench.regressors.ended import sensed_regression
 from sysid_bench.regressors.fold import triangle
 from sysid_bench.types import Array, BaseMap, Trajectory
 
@@ -43,7 +43,7 @@ def structural_factor(
     `beside` gives more columns (N, rows, k) along a motion, which come last: R (m, p + k)."""
     instruments = instruments_of(robot, cuts)
     carried, X = _carried(robot, instruments.tree, parameters)
-    columns = torque_regression(robot, carried, instruments)
+    columns = sensed_regression(robot, carried, instruments, rows)
     own = instruments.measured
     measured = [own.index(row) for row in (own if rows is None else rows)]
     count = 64 + 3 * len(carried) // len(measured)

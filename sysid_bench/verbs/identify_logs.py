@@ -43,6 +43,7 @@ def identify_logs(
     descriptions, files or words that cannot be, and for contradictions in the data that `accept`
     does not name; EstimationError where the method fails.
     """
+    from sysid_bench.evaluation.covariance import spreads
     from sysid_bench.evaluation.recorded import eigenvalues, overall, torque_error
     from sysid_bench.harness.canonical import plain
     from sysid_bench.harness.experiment.recorded.asked import Asked, posed_logs
@@ -53,7 +54,7 @@ def identify_logs(
     from sysid_bench.models.manifest import find_manifest
     from sysid_bench.naming import build
     from sysid_bench.signals.log_description import read_description
-    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, warnings_of
+    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, std_from, warnings_of
     from sysid_bench.verbs.model_out import check_target, write_model
 
     descriptions = [read_description(Path(log)) for log in (*logs, *tests)]
@@ -76,7 +77,8 @@ def identify_logs(
         raise EstimationError(f"{name} on {manifest.name}: {estimate.reason}")
     beta = estimate.beta
     again = {label: replayed(training, test, posed.problem.rows) for label, test in testing.items()}
-    bodies = bodies_of(estimate, posed.problem)
+    sure = spreads(posed.problem, estimate)
+    bodies = bodies_of(estimate, posed.problem, sure)
     answer = {
         "model": manifest.name,
         "file": str(manifest.path),
@@ -96,9 +98,10 @@ def identify_logs(
         "tests": {label: _joint_table(test, beta) for label, test in posed.tests.items()},
         "replayed": again,
         "logs": [_segment(one, one in training) for one in read],
-        "base": base_of(estimate, posed.problem),
+        "std_from": std_from(sure),
+        "base": base_of(estimate, posed.problem, sure),
         "bodies": bodies,
-        "joints": joints_of(estimate, posed.problem),
+        "joints": joints_of(estimate, posed.problem, sure),
         "payload": None
         if task != "payload"
         else asdict(mass_of(method, posed, beta))

@@ -102,12 +102,13 @@ def _beta(entry: "Paper", estimate: "Estimate") -> "Array":
 
 def _base_parameters(run: "RunFolder", entry: "Paper", cell: "Cell") -> Listing:
     """The sums as the robot's manifest orders them, with the values of a cell."""
+    from sysid_bench.evaluation.covariance import spreads
     from sysid_bench.verbs.answer import base_of
     from sysid_bench.verbs.paper_table import paper_table
 
     posed, estimate = _again(run, entry, cell)
     _beta(entry, estimate)
-    values = {"base": base_of(estimate, posed.problem)}
+    values = {"base": base_of(estimate, posed.problem, spreads(posed.problem, estimate))}
     ask = posed.posing.ask
     table = paper_table(cell.spec.robot, ask.terms, None, values, run.suite.robots_dir)
     rows = tuple(
