@@ -260,7 +260,7 @@ def test_verdicts_are_told_by_parameter(metric: str, column: str, good: bool) ->
         f'[[table]]\nname = "t"\ncolumns = ["{column}"]\ncells = {{ metric = "{metric}" }}\n'
     )
     if good:
-        assert read(text).table[0].columns == ("parameter",)
+        assert read(text).table[0].columns == (column,)
         return
     with pytest.raises(UsageError, match="go together"):
         read(text)
