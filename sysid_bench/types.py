@@ -259,10 +259,10 @@ class Estimate:
     beta: Float[Array, " r"] | None = None
     theta: Float[Array, " p"] | None = None
     covariance: Float[Array, "r r"] | None = None
-    sigma: Float[Array, " rows"] | None = None
     status: EstimateStatus = "ok"
     reason: str = ""
     stats: Mapping[str, float] = field(default_factory=dict)
+    sigma: Float[Array, " rows"] | None = None
 
 
 class LinearEstimator(Protocol):

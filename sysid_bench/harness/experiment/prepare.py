@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
-from sysid_bench.evaluation.cramer_rao import torque_bound
+from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.brief import Brief, brief_of
 from sysid_bench.excitation.geometry import scene_of
@@ -333,7 +333,7 @@ class Take:
 
     def run(self, error: Array) -> tuple[Oracle, Controller | None]:
         """What happens where encoders err so much (N, n)."""
-        if isinstance(self.simulation, Inverse):  # which no encoder disturbs
+        if type(self.simulation) is Inverse:  # which no encoder disturbs
             return self._undisturbed, None
         oracle, controller = self.simulation.run(self.plant, self.commanded, error)
         return oracle, controller
@@ -369,8 +369,12 @@ def _bound(
     posing: "Posing", oracle: Oracle, every: int, std: tuple[float, ...], correlation: float
 ) -> Array | None:
     motion, places = kept_motion(oracle.motion, every), posing.places
-    rows = regressor_blocks(posing.regression, places, posing.instruments, motion)
-    found = torque_bound(rows, np.diag(np.array(std)[list(places)] ** 2), correlation)
+    of_rows = np.array(std)[list(places)]
+    if correlation == 0.0:
+        found = white_bound(posing.pose(motion, oracle.tau[::every]), of_rows)
+    else:  # rows that are whitened in time are dense
+        rows = regressor_blocks(posing.regression, places, posing.instruments, motion)
+        found = torque_bound(rows, np.diag(of_rows**2), correlation)
     return None if found is None else np.sqrt(np.diag(found))
 
 
