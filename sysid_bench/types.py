@@ -304,6 +304,14 @@ class Score:
     mass_error: float | None = None  # kg, payload and link tasks
     com_error: float | None = None  # m
     inertia_error: float | None = None  # |I - I*| / |I*| about the centre of mass, Frobenius
+    structural_rank: int | None = None  # task wrench: base parameters of a sub-tree that flies
+    excited_rank: int | None = None  # of them, excited by the training motion
+    left_out: float | None = None  # share of the samples that were taken for contacts
+    unpredictable: int | None = None  # degrees of freedom whose torque the data cannot foretell
+    sensed_torque_ratio: float | None = None  # RMS torque error with sensor, over true parameters'
+    sensed_wrench_ratio: float | None = None  # RMS error of a touch's wrench, the same way
+    sensed_cad_ratio: float | None = None  # RMS torque error with sensor, CAD's over this one's
+    alone_cad_ratio: float | None = None  # RMS torque error without the sensor, over CAD's
     coverage: Mapping[str, float] = field(
         default_factory=dict
     )  # by kind of deviation: share of parameters whose 95 % interval holds the truth

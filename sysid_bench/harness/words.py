@@ -47,6 +47,7 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "noise.gain",
     "noise.crosstalk",
     "noise.mounting",
+    "noise.touch",
     "prior.mass",
     "prior.com",
     "prior.inertia",

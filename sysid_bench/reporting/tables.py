@@ -164,7 +164,11 @@ def make_table(
         rows=_ordered(chosen, rows, (key[0] for key in entries)),
         columns=_ordered(chosen, columns, (key[1] for key in entries)),
         entries=entries,
-        notes=(*_pooling(chosen, rows + columns), *_untold(metric, entries.values())),
+        notes=(
+            *_pooling(chosen, rows + columns),
+            *_foretold(chosen, metric.name, rows + columns),
+            *_untold(metric, entries.values()),
+        ),
     )
     return _with_best(table, spec.get("best", "none"))
 
@@ -314,6 +318,19 @@ def _pooling(cells: "pd.DataFrame", shown: Sequence[str]) -> tuple[str, ...]:
     hidden = [f for f in _SWEEPABLE if f in cells.columns and f not in shown]
     pooled = [f"{cells[f].nunique()} of {f}" for f in hidden if cells[f].nunique() > 1]
     return (f"Each number pools different settings: {', '.join(pooled)}.",) if pooled else ()
+
+
+def _foretold(cells: "pd.DataFrame", metric: str, shown: Sequence[str]) -> tuple[str, ...]:
+    """Which torques data cannot foretell, by the labels of the table that counts them."""
+    if metric != "unpredictable" or "unpredictable_names" not in cells.columns:
+        return ()
+    named = cells[cells["unpredictable_names"].fillna("") != ""]
+    told = {
+        (" / ".join(str(row[field]) for field in shown), row["unpredictable_names"])
+        for _, row in named.iterrows()
+    }
+    return tuple(f"{label}: the torques of {names} cannot be foretold." for label, names in
+                 sorted(told))  # fmt: skip
 
 
 def _untold(metric: Metric, entries: Iterable[Entry]) -> tuple[str, ...]:

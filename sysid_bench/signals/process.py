@@ -12,7 +12,7 @@ from sysid_bench.signals.filters import Filter, FourierSeries, derivative, filte
 from sysid_bench.spatial.rotation import conjugate, product
 from sysid_bench.types import Array, Recording
 
-SETTINGS: Final = ("filter", "derivatives", "torque", "calibration")
+SETTINGS: Final = ("filter", "derivatives", "torque", "calibration", "contacts")
 """Keys of a table of signals; the harness itself sees to the calibration."""
 
 

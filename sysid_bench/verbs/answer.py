@@ -111,6 +111,18 @@ def deviations(sure: Sure, rank: int) -> Array:
     return next((spread.std for spread in sure.values()), np.full(rank, np.nan))
 
 
+def moved_of(estimate: Estimate, problem: Problem) -> list[str]:
+    """What a completion had to change of the base parameters, where it had to."""
+    if "moved" not in estimate.stats:
+        return []
+    return [
+        "no bodies that can exist have exactly these base parameters: the nearest that do are "
+        f"told, {estimate.stats['moved']:.3g} more in the sum of squared residuals over their "
+        f"noise (about {problem.base.rank}, the number of base parameters, is what noise alone "
+        "does)"
+    ]
+
+
 def _std(problem: Problem, sure: Sure) -> Array:
     """Standard deviations (p,) of the parameters that are identifiable, NaN elsewhere."""
     std = np.full(len(problem.parameters), np.nan)

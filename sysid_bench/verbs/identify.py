@@ -41,12 +41,14 @@ def identify(
     sensor: str | None = None,
     json_out: str | Path | None = None,
     free_base: bool | None = None,
+    contacts: Sequence[str] | str | None = None,
 ) -> dict[str, Any]:
     """Identifies a robot from its own simulation; the answer as `identify --json` prints it.
 
     `payload` (a name or a table) and `noise` ({"q": "1e-4 rad", "tau": "0.5 %"}) as in a suite;
     `model_out`: the model file again, with the identified values; `json_out`: the answer as a
-    file; `free_base` overrides what the robot's manifest says. `complete`: whole bodies from what
+    file; `free_base` overrides what the robot's manifest says; `contacts`: periods that are left
+    out ("10 s to 25 s"), or "detect". `complete`: whole bodies from what
     was identified, those that can exist and lie nearest to the prior in a distance ("entropic",
     "euclidean", "pullback"), so that all of them can be written. Raises UsageError for unknown
     words, ModelError for a model that cannot be used or values that must not be written,
@@ -60,7 +62,14 @@ def identify(
     from sysid_bench.identification.complete import completed_estimate
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.naming import build
-    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, std_from, warnings_of
+    from sysid_bench.verbs.answer import (
+        base_of,
+        bodies_of,
+        joints_of,
+        moved_of,
+        std_from,
+        warnings_of,
+    )
     from sysid_bench.verbs.chosen import refuse_ignored_terms
     from sysid_bench.verbs.model_out import check_answer, check_target, write_model
     from sysid_bench.verbs.sensing import compared, excited
@@ -68,7 +77,7 @@ def identify(
     refuse_ignored_terms(task, terms)
     name = estimator or ESTIMATOR.get(task, "ols")
     method = build("estimator", name)
-    spec = _spec(str(model), task, payload, terms, noise or {}, seed, sensor, free_base)
+    spec = _spec(str(model), task, payload, terms, noise or {}, seed, sensor, free_base, contacts)
     folder = None if robots_dir is None else str(robots_dir)
     robot = subject(spec.robot, spec.payload, folder, None, free_base)
     if model_out is not None:
@@ -105,6 +114,7 @@ def identify(
         "rmse_train": figures.rmse_train,
         "rmse_test": figures.rmse_test,
         "torque_error": figures.torque_error,
+        "left_out": ready.left_out,
         "gap": robot.check.gap,
         "std_from": std_from(sure),
         "base": base_of(estimate, ready.problem, sure),
@@ -114,7 +124,12 @@ def identify(
         "completed": complete,
         "feasible": figures.feasible,
         "plausible": figures.plausible,
-        "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem), *missing],
+        "warnings": [
+            *robot.robot.repairs,
+            *warnings_of(estimate, ready.problem),
+            *moved_of(estimate, ready.problem),
+            *missing,
+        ],
     }
     if told is not None:
         answer["sensor"] = told | {"estimation": compared(spec, ready, estimate)}
@@ -137,6 +152,8 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
         f"  RMSE {_number(answer['rmse_train'])} in training, {_number(answer['rmse_test'])} on "
         f"other motions, torque error {_number(answer['torque_error'])}",
     ]
+    if answer["left_out"]:
+        lines.append(f"  {answer['left_out']:.1%} of the samples left out as contacts")
     if "sensor" in answer:
         lines += sensor_lines(answer["sensor"])
     for name, body in answer["bodies"].items():
@@ -182,11 +199,13 @@ def _spec(
     seed: int,
     sensor: str | None,
     free_base: bool | None,
+    contacts: Sequence[str] | str | None,
 ) -> "ExperimentSpec":
     """The experiment as a suite with nothing but defaults would have it."""
     from sysid_bench.harness.experiment.spec import ExperimentSpec, normal_noise, normal_payload
 
     measured = normal_noise(noise)
+    signals = ENCODERS if {"q", "quantum"} & set(measured) else IDEAL
     return ExperimentSpec(
         seed=seed,
         robot=model,
@@ -200,7 +219,7 @@ def _spec(
         simulation={"use": "inverse"},
         rate=200.0,
         noise=measured,
-        signals=ENCODERS if {"q", "quantum"} & set(measured) else IDEAL,
+        signals=signals if contacts is None else signals | {"contacts": contacts},
         repeat=0,
         sensor=sensor,
         free_base=free_base,

@@ -68,5 +68,6 @@ def test_a_damaged_file_is_made_again(solved: list[Optimised], tmp_path: Path) -
     for file in (tmp_path / "designs").iterdir():
         file.write_bytes(file.read_bytes()[:20])
     motions._DESIGNS.clear()
+    prepare._stage.cache_clear()
     ready(robot="ur10", excitation=DESIGN, terms=())
     assert len(solved) == 2

@@ -3,16 +3,20 @@
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
 from sysid_bench.evaluation.covariance import Spread, spreads
 from sysid_bench.evaluation.score import score
 from sysid_bench.harness.canonical import plain
+from sysid_bench.harness.experiment.behind_sensor import Trial, excited, trial_of
+from sysid_bench.harness.experiment.behind_sensor import figures as sub_tree_figures
 from sysid_bench.harness.experiment.prepare import Prepared, prepare
 from sysid_bench.harness.experiment.robots import Subject, subject
 from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.harness.provenance import versions
+from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
@@ -42,9 +46,27 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
         status = "unsupported" if isinstance(error, UnsupportedError) else "failed"
         _emit_all(argument, emit, verdict | {"status": status, "reason": str(error)})
         return
+    sensed = _Sensed.of(spec, ready) if spec.task == "wrench" else None
     verdict["seconds_experiment"] = time.perf_counter() - start
     for estimator in argument["estimators"]:
-        emit(_header(argument, estimator) | verdict | _answer(estimator, ready))
+        emit(_header(argument, estimator) | verdict | _answer(estimator, ready, sensed))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensed:
+    """What estimators behind a sensor are judged by beside their scores."""
+
+    excitation: Excitation
+    trial: Trial | None
+
+    @classmethod
+    def of(cls, spec: ExperimentSpec, ready: Prepared) -> "_Sensed":
+        return cls(excited(ready), trial_of(spec, ready))
+
+    def judged(self, estimate: Estimate, ready: Prepared) -> Row:
+        """The part of a row that is about the sub-tree."""
+        errors = None if self.trial is None else self.trial.errors(ready, estimate)
+        return sub_tree_figures(self.excitation, errors)
 
 
 def _verdict(robot: Subject, rule: Mapping[str, Any]) -> Row:
@@ -75,17 +97,27 @@ def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
     return {**argument["labels"], **own, "versions": versions()}
 
 
-def _answer(spec: Mapping[str, Any], ready: Prepared) -> Row:
+def _answer(spec: Mapping[str, Any], ready: Prepared, sensed: _Sensed | None) -> Row:
     """Status, scores and parameters of one estimator; a stranger's exception is a failed row."""
     settings = {key: value for key, value in spec.items() if key not in ("cell", "label")}
     try:
         estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
-        return _judged(estimate, ready)
+        return _with_sub_tree(_judged(estimate, ready), estimate, ready, sensed)
     except SysidBenchError as error:
         failure = {"reason": reason_of(error)}
     except (Exception, SystemExit) as error:
         failure = {"reason": reason_of(error), "traceback": traceback.format_exc()}
-    return dict(plain({"status": "failed", **failure, **ready.figures}))
+    row = dict(plain({"status": "failed", **failure, **ready.figures}))
+    return _with_sub_tree(row, Estimate(status="failed"), ready, sensed)
+
+
+def _with_sub_tree(row: Row, estimate: Estimate, ready: Prepared, sensed: _Sensed | None) -> Row:
+    """The row with what a sensor's data tell of its sub-tree; a failure names what they miss."""
+    if sensed is None:
+        return row
+    missing = "" if row["status"] == "ok" else sensed.excitation.warning
+    told = {"reason": f"{row['reason']} {missing}".strip(), **sensed.judged(estimate, ready)}
+    return row | dict(plain(told))
 
 
 def _judged(estimate: Estimate, ready: Prepared) -> Row:

@@ -19,6 +19,7 @@ from sysid_bench.harness.experiment.motions import designed
 from sysid_bench.harness.experiment.robots import Subject
 from sysid_bench.harness.experiment.sensing import Sensing, kept_motion, true_offset
 from sysid_bench.harness.experiment.spec import (
+    REDRAWN,
     ExperimentSpec,
     held_out_seed,
     motion_seed,
@@ -26,6 +27,8 @@ from sysid_bench.harness.experiment.spec import (
     prior_seed,
 )
 from sysid_bench.identification.calibration import Calibration, calibrate
+from sysid_bench.identification.contact import free_samples
+from sysid_bench.identification.online import rows_of
 from sysid_bench.models.extents import extents
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
@@ -33,7 +36,7 @@ from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, cut_at, instruments_of
 from sysid_bench.models.task import SENSOR_TASKS, Task, task_of
-from sysid_bench.regressors.coupled import AnyRegression, torque_regression
+from sysid_bench.regressors.ended import Sensed, sensed_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
 from sysid_bench.regressors.regression import TERM, regression
@@ -58,6 +61,7 @@ from sysid_bench.types import (
     Trajectory,
     Truth,
 )
+from sysid_bench.units import interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +78,13 @@ class Prepared:
     known: Array  # (N, rows) torque of what the task takes as known, along the measured motion
     bound: Array | None  # (r,) Cramer-Rao, as standard deviations, where torque alone is noisy
     noisy: bool
+    left_out: float  # share of the samples that are taken for contacts
     stage: "Stage"
 
     @cached_property
     def figures(self) -> dict[str, Any]:
         """Rank and conditioning of the data: one and the same for all estimators."""
-        return data_figures(self.problem, self.held_out)
+        return data_figures(self.problem, self.held_out) | {"left_out": self.left_out}
 
     @property
     def reach(self) -> Mapping[str, Extent]:
@@ -96,6 +101,7 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     if "calibration" in spec.signals and task.cuts:
         calibration = _calibration(spec, subject, task)
         raw, recording = _corrected(raw, calibration), _corrected(recording, calibration)
+    recording, left_out = _free_of_contact(spec.signals.get("contacts"), recording, posing)
     problem = posing.pose(recording.motion, recorded(recording), stage.prior)
     regress = partial(regressor_blocks, posing.regression, posing.places, posing.instruments)
     simulate = _nothing_to_simulate if task.cuts else _Simulate(stage.told, raw)
@@ -105,7 +111,7 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     return Prepared(
         subject.robot, task, problem, experiment, stage.held_out, task.truth,
         posing.known(recording.motion)[:, posing.places], taken.bound(posing), bool(spec.noise),
-        stage,
+        left_out, stage,
     )  # fmt: skip
 
 
@@ -144,17 +150,19 @@ def _noise_free(spec: ExperimentSpec) -> ExperimentSpec:
     the noise, and of what such a task asks for."""
     if spec.task in SENSOR_TASKS:
         return spec
-    return replace(spec, noise={}, signals={}, repeat=0)
+    redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
+    return replace(spec, noise={}, signals={}, repeat=spec.repeat if redrawn else 0)
 
 
 @lru_cache(maxsize=2)
 def _stage(text: str, subject: Subject) -> Stage:
     """The stage of a specification, as canonical JSON."""
     spec, robot = ExperimentSpec.from_json(json.loads(text)), subject.robot
-    task = task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, true_offset(spec))
+    task = task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, partial(true_offset, spec))
     base = subject.base(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
-    posing = Posing(robot, task, base, torque_regression(robot, base.names, instruments))
+    columns = sensed_regression(robot, base.names, instruments, task.rows)
+    posing = Posing(robot, task, base, columns)
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
     prior = _prior(spec, task)
     take = Take(spec, subject, plant, partial(_brief, robot, task, base, prior))
@@ -192,7 +200,7 @@ class Posing:
     robot: RobotModel
     task: Task
     base: BaseMap
-    regression: AnyRegression
+    regression: Sensed
 
     @cached_property
     def instruments(self) -> Instruments:
@@ -247,7 +255,10 @@ def recorded(recording: Recording) -> Array:
 
 
 def regressor_blocks(
-    regression: AnyRegression, rows: tuple[int, ...], instruments: Instruments, motion: Trajectory
+    regression: Sensed,
+    rows: tuple[int, ...],
+    instruments: Instruments,
+    motion: Trajectory,
 ) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
     for block in regression.blocks(instruments.motion(motion)):
@@ -442,6 +453,27 @@ def _calibration(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibrat
     return calibrate(np.concatenate(readings), np.concatenate(known))
 
 
+def _free_of_contact(
+    contacts: Any, recording: Recording, posing: Posing
+) -> tuple[Recording, float]:
+    """The recording without contact periods, declared or found, and the share that is left out."""
+    if not contacts:
+        return recording, 0.0
+    if contacts == "detect":
+        free = free_samples(*rows_of(posing.pose(recording.motion, recorded(recording))))
+    else:
+        t, free = recording.t, np.ones(len(recording), dtype=bool)
+        for start, end in map(interval, contacts):
+            free &= ~((t >= start) & (t < end))
+    motion = recording.motion
+    kept = replace(
+        recording, t=motion.t[free], q=motion.q[free], v=motion.v[free], a=motion.a[free],
+        tau=recording.tau[free], period=None,
+        wrench=None if recording.wrench is None else recording.wrench[free],
+    )  # fmt: skip
+    return kept, 1.0 - float(free.mean())
+
+
 def _corrected(recording: Recording, calibration: Calibration) -> Recording:
     """The recording with the first sensor's reading corrected."""
     assert recording.wrench is not None
@@ -475,7 +507,9 @@ def _held_out(spec: ExperimentSpec, take: Take) -> dict[str, Oracle]:
 def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
     if spec.prior == "none":
         return None
-    spread = None if isinstance(spec.prior, str) else PriorSpread(**spec.prior)
+    spread = None
+    if not isinstance(spec.prior, str):
+        spread = PriorSpread(**{key: far for key, far in spec.prior.items() if key != REDRAWN})
     return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
 
 

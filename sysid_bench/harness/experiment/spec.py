@@ -98,8 +98,16 @@ def sensor_seed(spec: ExperimentSpec) -> int:
 
 
 def prior_seed(spec: ExperimentSpec) -> int:
-    """Of what methods are told beforehand: no new prior with each repeat or noise level."""
-    return seed_of(spec.seed, "prior", spec.robot, spec.payload, spec.task)
+    """Of what methods are told beforehand: no new prior with each noise level, and none with each
+    repeat unless it is `redrawn`."""
+    parts: tuple[Any, ...] = (spec.robot, spec.payload, spec.task)
+    if not isinstance(spec.prior, str) and spec.prior.get(REDRAWN):
+        parts += (spec.repeat,)
+    return seed_of(spec.seed, "prior", *parts)
+
+
+REDRAWN: Final = "redrawn"
+"""Key of a prior that is drawn again with each repeat; the others are how far."""
 
 
 NOISE_UNITS: Final = {
@@ -116,6 +124,7 @@ NOISE_UNITS: Final = {
     "gain": "%",
     "crosstalk": "%",
     "mounting": "rad",
+    "touch": "N",
 }
 """Keys of a [noise] table and their units, but for torque in shares."""
 
@@ -143,7 +152,9 @@ def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, float]:
     """SI numbers of a prior: shares, and metres for com."""
     if isinstance(written, str):
         return written
-    return {key: quantity(value, "mm" if key == "com" else "%") for key, value in written.items()}
+    far = {key: value for key, value in written.items() if key != REDRAWN}
+    normal = {key: quantity(value, "mm" if key == "com" else "%") for key, value in far.items()}
+    return normal | ({REDRAWN: True} if written.get(REDRAWN) else {})
 
 
 def normal_payload(written: str | Mapping[str, Any]) -> str | dict[str, Any]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -50,6 +51,7 @@ from sysid_bench.harness.words import (
     VERDICT,
 )
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
+from sysid_bench.units import interval
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
 RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
@@ -123,6 +125,7 @@ class Noise(Section):
     gain: Annotated[Any, measured("%")] = None
     crosstalk: Annotated[Any, measured("%")] = None
     mounting: Annotated[Any, measured("rad")] = None
+    touch: Annotated[Any, measured("N")] = None  # on the last body, for the middle third
 
 
 class Prior(Section):
@@ -132,6 +135,7 @@ class Prior(Section):
     com: Length = "15 mm"
     inertia: Share = "30 %"
     terms: Share = "30 %"
+    redrawn: StrictBool | None = None  # true: another draw with each repeat
 
 
 def _filter(value: Any) -> str:
@@ -152,10 +156,20 @@ def _payload(value: Any, info: ValidationInfo) -> Any:
 Loads = tuple[Annotated[Any, PlainValidator(_payload)], ...] | None
 
 
+def _contacts(value: Any) -> Any:
+    if value != "detect":
+        texts = [value] if isinstance(value, str) else list(value)
+        proved(lambda: [interval(text) for text in texts])
+        return texts
+    return value
+
+
 class Signals(Section):
     filter: Annotated[str, PlainValidator(_filter)] = "none"
     derivatives: Annotated[str, word("way to differentiate", ("from q", "exact"))] = "exact"
     torque: Annotated[str, word("way to take torque", ("filtered", "raw"))] = "filtered"
+    contacts: Annotated[Any, PlainValidator(_contacts)] = None
+    """Periods that are left out: "10 s to 25 s", a list of such, or "detect"."""
     calibration: Loads = None  # of force/torque sensors, with these payloads, which are known
 
 
@@ -215,11 +229,20 @@ def _robot_name(value: Any, info: ValidationInfo) -> str:
     return value
 
 
+def _sensor(value: str | None, info: ValidationInfo) -> str | None:
+    names, folder = context(info).names, context(info).folder
+    if value is not None:
+        for source in info.data.get("use", ()):
+            proved(partial(names.sensor, source, folder, value))
+    return value
+
+
 class RobotEntry(Section):
     use: Annotated[tuple[Annotated[str, PlainValidator(_robot_name)], ...], Sweep]
     payloads: Annotated[tuple[Annotated[Any, PlainValidator(_payload)], ...], Sweep] = ("none",)
     free_base: StrictBool | None = None  # None: as the robot's manifest has it
-    sensor: StrictStr | None = None  # of the manifest, or a fixed joint, site or body to cut at
+    sensor: Annotated[StrictStr | None, AfterValidator(_sensor)] = None
+    """Of the manifest, or a fixed joint, site or body to cut at; several: "left, right"."""
 
 
 class Exclude(Section):
