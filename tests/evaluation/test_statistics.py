@@ -41,7 +41,7 @@ from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.weights import own_sigmas
 from sysid_bench.spatial.inertia import pseudo_inertia, transport
-from sysid_bench.types import Array, Estimate
+from sysid_bench.types import Array, Estimate, Trajectory
 from tests.identification.test_least_squares import problem_of
 from tests.robots import random_phi, random_rotation
 
@@ -363,3 +363,27 @@ def test_subspaces_are_compared_by_their_angle() -> None:
     b = np.array([[np.cos(0.3)], [np.sin(0.3)], [0.0]])
     assert subspace_distance(a, 5 * b) == pytest.approx(0.3)
     assert subspace_distance(np.hstack([a, b]), np.eye(3)[:, :2]) == pytest.approx(0.0, abs=1e-7)
+
+
+# --- Periods ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("period", "rate", "count", "samples"),
+    [
+        (2.0, 50.0, 1000, 100),
+        (None, 50.0, 1000, 0),
+        (2.001, 50.0, 1000, 100),  # half a sample in ten periods
+        (2.004, 50.0, 1000, 0),
+        (1.0, 140.0, 700, 140),
+    ],
+)
+def test_periods_are_whole_samples(
+    period: float | None, rate: float, count: int, samples: int
+) -> None:
+    t, still = np.arange(count) / rate, np.zeros((count, 1))
+    motion = Trajectory(t, still, still, still, period=period)
+    assert motion.period_samples == samples
+    kept = np.delete(np.arange(count), slice(300, 305))
+    gap = Trajectory(t[kept], still[kept], still[kept], still[kept], period=period)
+    assert gap.period_samples == 0
