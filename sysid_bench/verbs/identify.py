@@ -15,6 +15,12 @@ ESTIMATOR: Final = {"terminal": "min-norm", "wrench": "wls", "wrench-payload": "
 """The method of a task where none is named: that of its source; where forces and moments are rows
 of one problem, weights by their noise; elsewhere least squares."""
 
+STD_FROM: Final = {
+    "periods": "from the spread over repeated periods",
+    "residuals": "from residuals and how alike neighbouring ones are",
+    "textbook": "by the method's own formula",
+}
+
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
 IDEAL: Final = {"filter": "none", "derivatives": "exact"}
@@ -48,6 +54,7 @@ def identify(
     words, ModelError for a model that cannot be used or values that must not be written,
     EstimationError where the method fails.
     """
+    from sysid_bench.evaluation.covariance import spreads
     from sysid_bench.evaluation.score import score
     from sysid_bench.harness.canonical import plain
     from sysid_bench.harness.experiment.prepare import prepare, terms_of
@@ -55,7 +62,14 @@ def identify(
     from sysid_bench.identification.complete import completed_estimate
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.naming import build
-    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, moved_of, warnings_of
+    from sysid_bench.verbs.answer import (
+        base_of,
+        bodies_of,
+        joints_of,
+        moved_of,
+        std_from,
+        warnings_of,
+    )
     from sysid_bench.verbs.chosen import refuse_ignored_terms
     from sysid_bench.verbs.model_out import check_answer, check_target, write_model
     from sysid_bench.verbs.sensing import compared, excited
@@ -83,7 +97,8 @@ def identify(
     if complete is not None:
         estimate = completed_estimate(estimate, ready.problem, complete)
     figures = score(estimate, ready.problem, ready.held_out, ready.truth, ready.reach)
-    bodies = bodies_of(estimate, ready.problem)
+    sure = spreads(ready.problem, estimate)
+    bodies = bodies_of(estimate, ready.problem, sure)
     answer = {
         "model": robot.robot.name,
         "file": str(robot.robot.manifest.path),
@@ -101,9 +116,10 @@ def identify(
         "torque_error": figures.torque_error,
         "left_out": ready.left_out,
         "gap": robot.check.gap,
-        "base": base_of(estimate, ready.problem),
+        "std_from": std_from(sure),
+        "base": base_of(estimate, ready.problem, sure),
         "bodies": bodies,
-        "joints": joints_of(estimate, ready.problem),
+        "joints": joints_of(estimate, ready.problem, sure),
         "payload": next(iter(bodies.values())) if task.endswith("payload") else None,
         "completed": complete,
         "feasible": figures.feasible,
@@ -141,25 +157,33 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
     if "sensor" in answer:
         lines += sensor_lines(answer["sensor"])
     for name, body in answer["bodies"].items():
-        lines.append(f"  {name}: mass {_number(body['mass'], 'not identifiable')}")
+        mass = _sure(body["mass"], body["std"]["m"], "not identifiable")
+        lines.append(f"  {name}: mass {mass}")
         told = [
-            f"{key} {_number(body['parameters'][key])}"
+            f"{key} {_sure(body['parameters'][key], body['std'][key])}"
             for key, verdict in body["identifiable"].items()
             if verdict == "identifiable"
         ]
         lines.append(f"    {', '.join(told) or 'nothing is identifiable on its own'}")
     for name, terms in answer["joints"].items():
         told = [
-            f"{term} {_number(value['value'])}"
+            f"{term} {_sure(value['value'], value['std'])}"
             if value["identifiable"] == "identifiable"
             else f"{term} not identifiable"
             for term, value in terms.items()
         ]
         lines.append(f"  {name}: {', '.join(told)}")
+    if answer["std_from"] is not None:
+        lines.append(f"  ±: one standard deviation, {STD_FROM[answer['std_from']]}")
     lines += [f"  warning: {warning}" for warning in answer["warnings"]]
     if answer.get("model_out"):
         lines.append(f"  model: {answer['model_out']}")
     return lines
+
+
+def _sure(value: float | None, std: float | None, absent: str = "-") -> str:
+    told = value is not None and std is not None
+    return _number(value, absent) + (f" ± {std:.2g}" if told else "")
 
 
 def _number(value: float | None, absent: str = "-") -> str:

@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
+from sysid_bench.evaluation.covariance import Spread, spreads
 from sysid_bench.evaluation.score import score
 from sysid_bench.harness.canonical import plain
 from sysid_bench.harness.experiment.behind_sensor import Trial, excited, trial_of
@@ -21,7 +20,7 @@ from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
-from sysid_bench.types import Estimate, Problem, Row, Truth
+from sysid_bench.types import Estimate, Row
 
 Emit = Callable[[Row], None]
 
@@ -128,33 +127,50 @@ def _judged(estimate: Estimate, ready: Prepared) -> Row:
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
     }
+    problem, truth, sure = ready.problem, ready.truth, spreads(ready.problem, estimate)
+    told = sure if ready.noisy else None
     outcome |= vars(
-        score(estimate, ready.problem, ready.held_out, ready.truth, ready.reach, ready.figures)
+        score(estimate, problem, ready.held_out, truth, ready.reach, ready.figures, told)
     )
     outcome["stats"] = stats
-    outcome["parameters_table"] = list(_parameters(estimate, ready.problem, ready.truth))
+    outcome["parameters_table"] = list(_parameters(estimate, ready, sure))
     return dict(plain(outcome))
 
 
-def _parameters(estimate: Estimate, problem: Problem, truth: Truth) -> Iterator[Row]:
+def _parameters(estimate: Estimate, ready: Prepared, sure: Mapping[str, Spread]) -> Iterator[Row]:
     """True and estimated base parameters, named by their pivots; all parameters where the method
-    claims all of them, with the verdict on each, so that no claim passes for knowledge."""
+    claims all of them, with the verdict on each, so that no claim passes for knowledge.
+
+    `std` is the first of the deviations that there are, and `std_from` says which. Where a
+    parameter is the pivot of a base parameter, `base_error` is what the estimate of that one is off
+    by, and `bound` its deviation by Cramer and Rao."""
     if estimate.status != "ok" or estimate.beta is None:
         return
+    problem, truth = ready.problem, ready.truth
     base, told = problem.base, verdicts(problem.base)
     place = {int(j): i for i, j in enumerate(base.pivots)}
-    std = None if estimate.covariance is None else np.sqrt(np.diag(estimate.covariance))
+    kind = next(iter(sure), None)
+    deviations = {f"std_{name}": spread.std for name, spread in sure.items()}
+    if kind is not None:
+        deviations["std"] = sure[kind].std
+    of_base = {"base_error": estimate.beta - base.K @ truth.theta}
+    if ready.bound is not None:
+        of_base["bound"] = ready.bound
     whole = estimate.theta is not None
     true = truth.theta if whole else base.embed(base.K @ truth.theta)
     found = base.embed(estimate.beta) if estimate.theta is None else estimate.theta
     for j in range(len(told)) if whole else base.pivots.tolist():
         body, _, parameter = problem.parameters[j].rpartition(".")
         single = not whole or told[j] == "identifiable"
+        numbers = of_base if j in place else {}
+        numbers = numbers | (deviations if single else {})
         yield {
             "body": body,
             "name": parameter,
             "true": float(true[j]),
             "estimate": float(found[j]),
-            "std": None if std is None or not single else float(std[place[j]]),
+            "std": None,
+            "std_from": kind if single else None,
             "identifiable": told[j],
+            **{name: float(values[place[j]]) for name, values in numbers.items()},
         }

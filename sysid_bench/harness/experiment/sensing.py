@@ -36,7 +36,7 @@ class Sensing:
             return raw
         white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench", self.run))
         noise = wrench_noise(self.spec.noise)
-        motion = _kept(oracle.motion, every)
+        motion = kept_motion(oracle.motion, every)
         touch = self._touch(motion)
         if touch is not None:
             taken = touch_torque(self.plant, touch, motion)
@@ -96,6 +96,7 @@ def _by_sensor(wrenches: Array) -> list[Array]:
     return np.split(wrenches, wrenches.shape[1] // 6, axis=1)
 
 
-def _kept(motion: Trajectory, every: int) -> Trajectory:
+def kept_motion(motion: Trajectory, every: int) -> Trajectory:
+    """Every `every`-th sample of a motion."""
     part = slice(None, None, every)
     return replace(motion, t=motion.t[part], q=motion.q[part], v=motion.v[part], a=motion.a[part])

@@ -15,8 +15,9 @@ class ExperimentSpec:
     """One simulated recording. JSON values only; plug-ins are {use, settings...} as written.
 
     `noise` holds q, quantum (rad, m), tau (N m, N) or tau_relative (share of the joint's RMS
-    torque), and the errors of force/torque sensors (simulation/wrench.py); `prior` holds mass,
-    inertia, terms (shares) and com (m), or is "truth" or "none".
+    torque) with its tau_correlation from sample to sample, and the errors of force/torque sensors
+    (simulation/wrench.py); `prior` holds mass, inertia, terms (shares) and com (m), or is "truth"
+    or "none".
     """
 
     seed: int  # root of the suite's seed tree
@@ -113,6 +114,7 @@ NOISE_UNITS: Final = {
     "q": "rad|m",
     "tau": "N m|N",
     "quantum": "rad|m",
+    "tau_correlation": "1",
     "force": "N",
     "moment": "N m",
     "force_offset": "N",
@@ -130,7 +132,8 @@ NOISE_UNITS: Final = {
 def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
     """SI numbers of a [noise] table; "0.5 %" of torque becomes tau_relative = 0.005.
 
-    What is zero is left out: {} is exact, however it is written.
+    What is zero is left out, and how alike the samples of no noise are: {} is exact, however it is
+    written.
     """
     noise = {}
     for key, value in written.items():
@@ -139,7 +142,10 @@ def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
             raise unknown_name("kind of noise", key, NOISE_UNITS)
         unit = "%" if relative else NOISE_UNITS[key]
         noise["tau_relative" if relative else key] = quantity(value, unit)
-    return {key: value for key, value in noise.items() if value != 0.0}
+    noise = {key: value for key, value in noise.items() if value != 0.0}
+    if not {"tau", "tau_relative"} & set(noise):
+        noise.pop("tau_correlation", None)
+    return noise
 
 
 def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, float]:

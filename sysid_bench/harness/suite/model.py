@@ -39,11 +39,14 @@ from sysid_bench.harness.suite.checks import (
 from sysid_bench.harness.suite.names import located
 from sysid_bench.harness.words import (
     BESTS,
+    COVERAGE,
     INTERVALS,
     LABELS,
     METRICS,
     PARAMETER,
+    REPEATED,
     STATISTICS,
+    STD_FROM,
     TASKS,
     VERDICT,
 )
@@ -106,11 +109,13 @@ class Plant(Plugin):
 
 
 class Noise(Section):
-    """Standard deviations of white noise; `quantum` is the step of the encoder."""
+    """Standard deviations of noise; `quantum` is the step of the encoder, `tau_correlation` how
+    alike the noise of the torque is from one recorded sample to the next (0: white)."""
 
     q: Annotated[Any, measured("rad|m")] = None
     tau: Annotated[Any, measured("N m|N|%")] = None
     quantum: Annotated[Any, measured("rad|m")] = None
+    tau_correlation: Annotated[Any, measured("1", below=1.0)] = None
     force: Annotated[Any, measured("N")] = None  # and so on: force/torque sensors
     moment: Annotated[Any, measured("N m")] = None
     force_offset: Annotated[Any, measured("N")] = None
@@ -253,7 +258,7 @@ class Crosscheck(Section):
 
 
 class TableCells(Section):
-    metric: Annotated[str, word("metric", (*METRICS, VERDICT))]
+    metric: Annotated[str, word("metric", (*METRICS, VERDICT, COVERAGE, *REPEATED))]
     stat: Annotated[str, word("statistic", STATISTICS)] = "median"
     interval: Annotated[str, word("interval", INTERVALS)] = "none"
 
@@ -262,7 +267,7 @@ Label = Annotated[str, word("label of a cell", (*LABELS, "repeat"))]
 Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
 
 
-Axis = Annotated[str, word("label of a cell", (*LABELS, "repeat", PARAMETER))]
+Axis = Annotated[str, word("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM))]
 
 
 class TableEntry(Section):
@@ -280,6 +285,26 @@ class TableEntry(Section):
             raise ValueError(
                 f"the metric {VERDICT!r} and the label {PARAMETER!r} among rows or columns go "
                 "together: a verdict is told of each parameter, and other metrics of a cell."
+            )
+        return self
+
+    @model_validator(mode="after")
+    def coverage_by_origin(self) -> "TableEntry":
+        if (self.cells.metric == COVERAGE) != (STD_FROM in (*self.rows, *self.columns)):
+            raise ValueError(
+                f"the metric {COVERAGE!r} and the label {STD_FROM!r} among rows or columns go "
+                "together: intervals from periods, residuals and textbook differ."
+            )
+        return self
+
+    @model_validator(mode="after")
+    def repeats_together(self) -> "TableEntry":
+        if self.cells.metric in REPEATED and (
+            "repeat" in (*self.rows, *self.columns) or self.cells.interval not in ("none", "ci95")
+        ):
+            raise ValueError(
+                f"the metric {self.cells.metric!r} is one of all repeats together: it has no value "
+                "by repeat, and no interval but 'ci95'."
             )
         return self
 
