@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, UnsupportedError
+from sysid_bench.errors import EstimationError, UnsupportedError, UsageError
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.brief import Brief, brief_of
@@ -465,6 +465,11 @@ def _free_of_contact(
         t, free = recording.t, np.ones(len(recording), dtype=bool)
         for start, end in map(interval, contacts):
             free &= ~((t >= start) & (t < end))
+        if not free.any():
+            raise UsageError(
+                f"The contact periods {', '.join(contacts)} leave nothing of a recording from "
+                f"{t[0]:g} s to {t[-1]:g} s."
+            )
     motion = recording.motion
     kept = replace(
         recording, t=motion.t[free], q=motion.q[free], v=motion.v[free], a=motion.a[free],
