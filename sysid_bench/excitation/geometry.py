@@ -15,8 +15,8 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.limits import Limit
 from sysid_bench.models.appearance import shapes_of
+from sysid_bench.models.coupling.slopes import Slopes
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.adjoint import Slopes
 from sysid_bench.types import Array, Shape, Trajectory
 
 REACH: Final = 0.08
