@@ -15,15 +15,16 @@ from sysid_bench.models.coupling.slopes import Slopes
 from sysid_bench.models.robot import Joint
 from sysid_bench.types import Array, Trajectory
 
-Split = Literal["together", "by column", "by joint"]
+Split = Literal["together", "by column", "by moment", "by joint"]
 
 
 @dataclass(frozen=True, eq=False)
 class Limit:
     """`use` (motion) gives uses (N, m), each of something called `names[m]`; `value` and `allowed`
     are the same in `units[m]`; `label` names what has no constant name. `slopes` (motion, G (N, m))
-    are those of sum(G * use). In the search all uses are one constraint, or each column is, or each
-    is and moves one joint alone; only one sample of `every` is looked at there."""
+    are those of sum(G * use). In the search all uses are one constraint, or each column is; or each
+    is and can be looked at in any samples, in any order; or each is and moves one joint alone. Only
+    one sample of `every` is looked at there."""
 
     kind: str
     names: tuple[str, ...]
@@ -66,7 +67,7 @@ def joint_limits(brief: Brief, dofs: Array, share: float = 1.0) -> tuple[Limit, 
     limits = _bounded(brief, brief.dofs[dofs], bounds, share, "", "by joint")
     if brief.coupling is not None:
         after = brief.coupling
-        limits += _bounded(brief, after.dependent, after.bounds, share, "follower ", "by column")
+        limits += _bounded(brief, after.dependent, after.bounds, share, "follower ", "by moment")
     return tuple(limits)
 
 
@@ -138,7 +139,7 @@ def torque_limits(brief: Brief, share: float = 1.0) -> tuple[Limit, ...]:
             lambda motion: torque.of(motion)[:, limited],
             lambda values: np.where(values < 0, -reach, reach),
             slopes,
-            split="by column",
+            split="by moment",
         ),
     )
 

@@ -30,6 +30,9 @@ NEAR: Final = 0.6
 """A torque, clearance or box that uses less of its limit is not looked at closer: its slope costs
 as much as that of the criterion."""
 
+FAINT: Final = 1e-7
+"""Of the weights of a smooth maximum: samples below it change nothing."""
+
 RESTORING: Final = 15
 """Newton steps back into the limits; two or three do where the way is short."""
 
@@ -78,15 +81,12 @@ class Space:
         where = {joint.vadr: joint.qadr for joint in self.brief.joints}
         return [where[int(dof)] for dof in self.moving]
 
-    def by_coefficients(
-        self, motion: Trajectory, slopes: Slopes, bases: tuple[Array, Array, Array]
-    ) -> Array:
-        """Slopes by C (m, k), from those by q, v, a (N, nv) of every joint."""
+    def by_profiles(self, motion: Trajectory, slopes: Slopes) -> Slopes:
+        """Slopes by x, dx, ddx (N, k) of what is chosen, from those by q, v, a of every joint."""
         if self.brief.coupling is not None:
             slopes = pulled(self.brief.coupling, motion, slopes)
-        moving = self.moving
-        pairs = zip(bases, slopes, strict=True)
-        return np.asarray(sum(B.T @ slope[:, moving] for B, slope in pairs))
+        x, dx, ddx = (slope[:, self.moving] for slope in slopes)
+        return x, dx, ddx
 
     def bounds(self) -> tuple[Array, Array]:
         """Coefficients (m, k) that no motion within the limits goes beyond: a harmonic of a curve
@@ -284,8 +284,8 @@ class Search:
 
     def _coefficients(self, motion: Trajectory, slopes: Slopes, every: int = 1) -> Array:
         """Slopes by C (m, k) from those by q, v, a (N, nv) of one sample of `every`."""
-        x, dx, ddx = (B[::every] for B in self.bases)
-        return self.space.by_coefficients(motion, slopes, (x, dx, ddx))
+        own = zip(self.bases, self.space.by_profiles(motion, slopes), strict=True)
+        return np.asarray(sum(B[::every].T @ slope for B, slope in own))
 
     def _limits_at(self, C: Array, sharpness: float) -> tuple[Array, Array]:
         """Smooth maxima of the limits, and their slopes (count, m k)."""
@@ -310,6 +310,10 @@ class Search:
                 slope[:, j] = together[:, j]
                 yield float(value[j]), slope
             return
+        if limit.split == "by moment":
+            slopes_at = self._moments(limit, motion, weight * (value >= NEAR))
+            yield from zip(value.tolist(), slopes_at, strict=True)
+            return
         for j in range(len(value)):
             if value[j] < NEAR:
                 yield float(value[j]), np.zeros(self.shape)
@@ -317,6 +321,28 @@ class Search:
             G = weight if limit.split == "together" else weight * (np.arange(len(value)) == j)
             slopes = limit.slopes(motion, G.reshape(use.shape))
             yield float(value[j]), self._coefficients(motion, slopes, limit.every)
+
+    def _moments(self, limit: Limit, motion: Trajectory, weight: Array) -> Array:
+        """Slopes (columns, m, k) of every column, from the samples alone that weigh in it, which
+        are few: all columns are looked at in one go."""
+        out = np.zeros((weight.shape[1], *self.shape))
+        samples, columns = np.nonzero(np.abs(weight) > FAINT)
+        if len(samples) == 0:
+            return out
+        part = _at(motion, samples)
+        G = np.zeros((len(samples), weight.shape[1]))
+        G[np.arange(len(samples)), columns] = weight[samples, columns]
+        by_profiles = self.space.by_profiles(part, limit.slopes(part, G))
+        for column in np.unique(columns):
+            own = columns == column
+            for B, slope in zip(self.bases, by_profiles, strict=True):
+                out[column] += B[:: limit.every][samples[own]].T @ slope[own]
+        return out
+
+
+def _at(motion: Trajectory, samples: Array) -> Trajectory:
+    t, q, v, a = (array[samples] for array in (motion.t, motion.q, motion.v, motion.a))
+    return Trajectory(t, q, v, a)
 
 
 def _thinned(motion: Trajectory, every: int) -> Trajectory:
