@@ -198,12 +198,15 @@ def tamed(search: Search, space: Space, C: Array, rng: np.random.Generator) -> A
     torques, clearances and boxes too; the least violating where none does."""
     best, least = C, search.violation(C)
     low, high = (edge[space.dofs] for edge in (space.brief.low, space.brief.high))
+    # The reference posture is the one that whoever drew the model has looked at.
+    reference = np.clip(space.brief.q0[space.places], 0.9 * low + 0.1 * high, 0.1 * low + 0.9 * high)
     for size in (0.6, 0.35, 0.2, 0.1, 0.05):
         if least <= 1.0:
             break
         small = size * C
         for place in (
             C[0],
+            reference,
             *rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high, (6, len(low))),
         ):
             small[0] = place
