@@ -39,7 +39,7 @@ from sysid_bench.models.task import SENSOR_TASKS, Task, task_of
 from sysid_bench.regressors.ended import Sensed, sensed_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
-from sysid_bench.regressors.regression import TERM, regression
+from sysid_bench.regressors.regression import TERM
 from sysid_bench.regressors.wrench import handed_on
 from sysid_bench.signals.process import processing_of
 from sysid_bench.simulation.candidate import Declared, candidate, declared
@@ -297,8 +297,6 @@ class _Known:
 def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float) -> Brief:
     """What a designer of motions is told: limits, the question, and torques by the prior alone."""
     brief = brief_of(robot, rate)
-    if robot.coupling is not None or task.cuts:  # designs serve the joints of trees
-        return brief
     terms = {  # ball and free joints, whose terms have no columns, are held by designs
         f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
         for term, values in task.known_terms.items()
@@ -306,10 +304,11 @@ def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, ra
         if values[dof]
     }
     torque = None
-    if prior is not None:
-        columns = regression(robot, (*task.parameters, *terms))
-        torque = Torque(columns, np.array([*prior.theta, *terms.values()]), task.known_links)
-    asked = question(robot, base.names, task.rows)
+    if prior is not None and not task.cuts:  # behind a sensor nothing is told of the rest
+        columns = torque_regression(robot, (*task.parameters, *terms))
+        theta = np.array([*prior.theta, *terms.values()])
+        torque = Torque(columns, theta, task.known_links, robot.tree, robot.coupling)
+    asked = question(robot, base.names, task.rows, task.cuts)
     return replace(brief, regress=asked, torque=torque, scene=partial(scene_of, robot))
 
 
