@@ -199,7 +199,9 @@ def tamed(search: Search, space: Space, C: Array, rng: np.random.Generator) -> A
     best, least = C, search.violation(C)
     low, high = (edge[space.dofs] for edge in (space.brief.low, space.brief.high))
     # The reference posture is the one that whoever drew the model has looked at.
-    reference = np.clip(space.brief.q0[space.places], 0.9 * low + 0.1 * high, 0.1 * low + 0.9 * high)
+    reference = np.clip(
+        space.brief.q0[space.places], 0.9 * low + 0.1 * high, 0.1 * low + 0.9 * high
+    )
     for size in (0.6, 0.35, 0.2, 0.1, 0.05):
         if least <= 1.0:
             break
