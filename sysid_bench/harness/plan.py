@@ -12,6 +12,7 @@ from typing import Any
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.harness.canonical import canonical, digest
 from sysid_bench.harness.experiment.spec import (
+    REDRAWN,
     ExperimentSpec,
     normal_noise,
     normal_payload,
@@ -220,7 +221,8 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
 
 
 def _repeats_nothing(spec: ExperimentSpec) -> bool:
-    return not spec.noise and spec.simulation["use"] == "inverse"
+    redrawn = not isinstance(spec.prior, str) and bool(spec.prior.get(REDRAWN))
+    return not spec.noise and not redrawn and spec.simulation["use"] == "inverse"
 
 
 def _cells(suite: Suite, names: Names) -> list[Cell]:
@@ -283,7 +285,7 @@ def _signals(signals: Signals) -> dict[str, Any]:
 
 
 def _written(prior: Prior | str) -> str | dict[str, Any]:
-    return prior if isinstance(prior, str) else prior.model_dump()
+    return prior if isinstance(prior, str) else prior.model_dump(exclude_none=True)
 
 
 def _labelled(
@@ -307,7 +309,10 @@ def _signals_text(signals: Mapping[str, Any]) -> str:
     raw = ", raw torque" if signals.get("torque") == "raw" else ""
     loads = [parse_payload(load).name for load in signals.get("calibration", ())]
     calibrated = f", calibrated with {', '.join(loads)}" if loads else ""
-    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}"
+    contacts = signals.get("contacts", [])
+    periods = contacts if isinstance(contacts, str) else ", ".join(contacts)
+    free = f", contacts {periods}" if periods else ""
+    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}{free}"
 
 
 def _cost(spec: ExperimentSpec, estimators: int) -> float:

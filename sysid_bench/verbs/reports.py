@@ -82,7 +82,7 @@ def recordings(run_folder: "RunFolder") -> dict[str, str]:
 
 def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
     from sysid_bench.harness.suite.expression import Expression
-    from sysid_bench.harness.words import PARAMETER
+    from sysid_bench.harness.words import PARAMETER, STD_FROM
     from sysid_bench.reporting.tables import make_table
 
     def choose(expression: str, cell: Mapping[str, Any]) -> bool:
@@ -95,7 +95,9 @@ def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
     for spec in specs:
         try:
             asked = (*spec["rows"], *spec["columns"])
-            yield make_table(frames.by_parameter if PARAMETER in asked else cells, spec, choose)
+            lines = frames.by_parameter if PARAMETER in asked else cells
+            lines = frames.by_std_from if STD_FROM in asked else lines
+            yield make_table(lines, spec, choose, frames.parameters)
         except UsageError:
             if len(cells) == len(run_folder.plan.cells):
                 raise  # with some cells not run, a table may have nothing to show yet

@@ -1,21 +1,25 @@
 """One experiment made ready: simulated once, its regressor reduced once, for all its estimators."""
 
+import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
+from sysid_bench.evaluation.cramer_rao import torque_bound
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.brief import Brief, brief_of
 from sysid_bench.excitation.geometry import scene_of
 from sysid_bench.excitation.insight import Torque, question
+from sysid_bench.harness.canonical import canonical
 from sysid_bench.harness.experiment.motions import designed
 from sysid_bench.harness.experiment.robots import Subject
-from sysid_bench.harness.experiment.sensing import Sensing, true_offset
+from sysid_bench.harness.experiment.sensing import Sensing, kept_motion, true_offset
 from sysid_bench.harness.experiment.spec import (
+    REDRAWN,
     ExperimentSpec,
     held_out_seed,
     motion_seed,
@@ -23,14 +27,16 @@ from sysid_bench.harness.experiment.spec import (
     prior_seed,
 )
 from sysid_bench.identification.calibration import Calibration, calibrate
+from sysid_bench.identification.contact import free_samples
+from sysid_bench.identification.online import rows_of
 from sysid_bench.models.extents import extents
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, cut_at, instruments_of
-from sysid_bench.models.task import Task, task_of
-from sysid_bench.regressors.coupled import AnyRegression, torque_regression
+from sysid_bench.models.task import SENSOR_TASKS, Task, task_of
+from sysid_bench.regressors.ended import Sensed, sensed_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
 from sysid_bench.regressors.regression import TERM
@@ -45,6 +51,7 @@ from sysid_bench.simulation.wrench import WRENCH_NOISE
 from sysid_bench.types import (
     Array,
     BaseMap,
+    Controller,
     Experiment,
     Extent,
     Oracle,
@@ -54,6 +61,7 @@ from sysid_bench.types import (
     Trajectory,
     Truth,
 )
+from sysid_bench.units import interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,48 +76,97 @@ class Prepared:
     held_out: dict[str, Problem]
     truth: Truth
     known: Array  # (N, rows) torque of what the task takes as known, along the measured motion
+    bound: Array | None  # (r,) Cramer-Rao, as standard deviations, where torque alone is noisy
+    noisy: bool
+    left_out: float  # share of the samples that are taken for contacts
+    stage: "Stage"
 
     @cached_property
     def figures(self) -> dict[str, Any]:
         """Rank and conditioning of the data: one and the same for all estimators."""
-        return data_figures(self.problem, self.held_out)
+        return data_figures(self.problem, self.held_out) | {"left_out": self.left_out}
 
-    @cached_property
+    @property
     def reach(self) -> Mapping[str, Extent]:
         """How far each body reaches."""
-        return extents(self.robot)
+        return self.stage.reach
 
 
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
-    robot = subject.robot
-    task = task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, true_offset(spec))
-    base = subject.base(task.parameters, task.rows, task.cuts)
-    instruments = instruments_of(robot, task.cuts)
-    posing = Posing(robot, task, base, torque_regression(robot, base.names, instruments))
-    plant = plant_of(robot, [subject.build("plant", spec.plant)])
-    sensing = Sensing(spec, plant, task)
-    prior = _prior(spec, task)
-    briefed = partial(_brief, robot, task, base, prior)
-    raw, recording = _record(spec, subject, plant, sensing, briefed)
+    stage = _stage(canonical(_noise_free(spec).to_json()), subject)
+    task, posing, plant = stage.task, stage.posing, stage.take.plant
+    taken = _record(spec, stage.take, Sensing(spec, plant, task))
+    raw, recording = taken.raw, taken.recording
     if "calibration" in spec.signals and task.cuts:
         calibration = _calibration(spec, subject, task)
         raw, recording = _corrected(raw, calibration), _corrected(recording, calibration)
-    problem = posing.pose(recording.motion, recorded(recording), prior)
-    held_out = {
-        name: posing.pose(oracle.motion, sensing.exact(oracle))
-        for name, oracle in _held_out(spec, subject, plant, briefed).items()
-    }
-    regress = partial(regressor_blocks, posing.regression, posing.places, instruments)
-    told = declared(robot, task)
-    simulate = _nothing_to_simulate if task.cuts else _Simulate(told, raw)
-    known = _nothing_to_simulate if task.cuts else _Known(told, posing.places)
+    recording, left_out = _free_of_contact(spec.signals.get("contacts"), recording, posing)
+    problem = posing.pose(recording.motion, recorded(recording), stage.prior)
+    regress = partial(regressor_blocks, posing.regression, posing.places, posing.instruments)
+    simulate = _nothing_to_simulate if task.cuts else _Simulate(stage.told, raw)
+    known = _nothing_to_simulate if task.cuts else _Known(stage.told, posing.places)
     experiment = Experiment(problem, recording, raw, regress, simulate, known)
     seal(experiment)
     return Prepared(
-        robot, task, problem, experiment, held_out, task.truth,
-        posing.known(recording.motion)[:, posing.places],
+        subject.robot, task, problem, experiment, stage.held_out, task.truth,
+        posing.known(recording.motion)[:, posing.places], taken.bound(posing), bool(spec.noise),
+        left_out, stage,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """All of an experiment that its noise does not touch: levels and repeats share it."""
+
+    spec: ExperimentSpec
+    task: Task
+    posing: "Posing"
+    take: "Take"
+    prior: Prior | None
+
+    @cached_property
+    def told(self) -> Declared:
+        """The robot as methods may know it."""
+        return declared(self.posing.robot, self.task)
+
+    @cached_property
+    def reach(self) -> Mapping[str, Extent]:
+        """How far each body reaches."""
+        return extents(self.posing.robot)
+
+    @cached_property
+    def held_out(self) -> dict[str, Problem]:
+        """Other motions, posed with exact signals."""
+        sensing = Sensing(self.spec, self.take.plant, self.task)
+        return {
+            name: self.posing.pose(oracle.motion, sensing.exact(oracle))
+            for name, oracle in _held_out(self.spec, self.take).items()
+        }
+
+
+def _noise_free(spec: ExperimentSpec) -> ExperimentSpec:
+    """What of a specification its stage hangs on. How a force/torque sensor was made is a part of
+    the noise, and of what such a task asks for."""
+    if spec.task in SENSOR_TASKS:
+        return spec
+    redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
+    return replace(spec, noise={}, signals={}, repeat=spec.repeat if redrawn else 0)
+
+
+@lru_cache(maxsize=2)
+def _stage(text: str, subject: Subject) -> Stage:
+    """The stage of a specification, as canonical JSON."""
+    spec, robot = ExperimentSpec.from_json(json.loads(text)), subject.robot
+    task = task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, partial(true_offset, spec))
+    base = subject.base(task.parameters, task.rows, task.cuts)
+    instruments = instruments_of(robot, task.cuts)
+    columns = sensed_regression(robot, base.names, instruments, task.rows)
+    posing = Posing(robot, task, base, columns)
+    plant = plant_of(robot, [subject.build("plant", spec.plant)])
+    prior = _prior(spec, task)
+    take = Take(spec, subject, plant, partial(_brief, robot, task, base, prior))
+    return Stage(spec, task, posing, take, prior)
 
 
 def terms_of(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
@@ -143,7 +200,7 @@ class Posing:
     robot: RobotModel
     task: Task
     base: BaseMap
-    regression: AnyRegression
+    regression: Sensed
 
     @cached_property
     def instruments(self) -> Instruments:
@@ -176,6 +233,7 @@ class Posing:
             prior=prior,
             kinds=tuple(self.instruments.kinds[i] for i in self.places),
             torque=np.sqrt((measured[:, self.places] ** 2).mean(axis=0)),
+            period=motion.period_samples,
         )
 
     def known(self, motion: Trajectory) -> Array:
@@ -197,7 +255,10 @@ def recorded(recording: Recording) -> Array:
 
 
 def regressor_blocks(
-    regression: AnyRegression, rows: tuple[int, ...], instruments: Instruments, motion: Trajectory
+    regression: Sensed,
+    rows: tuple[int, ...],
+    instruments: Instruments,
+    motion: Trajectory,
 ) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
     for block in regression.blocks(instruments.motion(motion)):
@@ -255,38 +316,100 @@ Briefed = Callable[[float], Brief]
 """The brief of an experiment at a rate (Hz)."""
 
 
-def _record(
-    spec: ExperimentSpec, subject: Subject, plant: Plant, sensing: Sensing, briefed: Briefed
-) -> tuple[Recording, Recording]:
-    """The recording as sensed and as filtered."""
-    robot = plant.robot
+@dataclass(frozen=True, eq=False)
+class Take:
+    """A plant that moves as an excitation says."""
+
+    spec: ExperimentSpec
+    subject: Subject
+    plant: Plant
+    briefed: Briefed
+
+    @cached_property
+    def simulation(self) -> Any:
+        """What moves it."""
+        return self.subject.build("simulation", self.spec.simulation)
+
+    @property
+    def every(self) -> int:
+        """Steps of the simulation per sample of the recording."""
+        return round(self.simulation.design_rate(self.spec.rate) / self.spec.rate)
+
+    @cached_property
+    def commanded(self) -> Trajectory:
+        """The motion that is asked for."""
+        brief = self.briefed(self.simulation.design_rate(self.spec.rate))
+        return designed(self.spec.excitation, self.subject, brief, motion_seed(self.spec))
+
+    def run(self, error: Array) -> tuple[Oracle, Controller | None]:
+        """What happens where encoders err so much (N, n)."""
+        if isinstance(self.simulation, Inverse):  # which no encoder disturbs
+            return self._undisturbed, None
+        oracle, controller = self.simulation.run(self.plant, self.commanded, error)
+        return oracle, controller
+
+    @cached_property
+    def _undisturbed(self) -> Oracle:
+        still = np.zeros((len(self.commanded), len(self.plant.robot.torque_dofs)))
+        oracle: Oracle = self.simulation.run(self.plant, self.commanded, still)[0]
+        return oracle
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """The recording as sensed and as filtered, and what only scoring may know of it."""
+
+    raw: Recording
+    recording: Recording
+    oracle: Oracle
+    every: int
+    torque_std: Array  # (n,) of the torque noise
+    correlation: float  # of that noise from sample to sample
+
+    def bound(self, posing: "Posing") -> Array | None:
+        """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
+        a row has no noise of that kind, or the motion does not excite every direction."""
+        if posing.task.cuts or not (self.torque_std[list(posing.places)] > 0).all():
+            return None
+        return _bound(posing, self.oracle, self.every, tuple(self.torque_std), self.correlation)
+
+
+@lru_cache(maxsize=2)
+def _bound(
+    posing: "Posing", oracle: Oracle, every: int, std: tuple[float, ...], correlation: float
+) -> Array | None:
+    motion, places = kept_motion(oracle.motion, every), posing.places
+    rows = regressor_blocks(posing.regression, places, posing.instruments, motion)
+    found = torque_bound(rows, np.diag(np.array(std)[list(places)] ** 2), correlation)
+    return None if found is None else np.sqrt(np.diag(found))
+
+
+def _record(spec: ExperimentSpec, take: Take, sensing: Sensing) -> Taken:
+    """The recording of one repeat."""
+    robot, every, commanded = take.plant.robot, take.every, take.commanded
     noise = Noise(**{k: x for k, x in spec.noise.items() if k not in WRENCH_NOISE})
-    simulation = subject.build("simulation", spec.simulation)
     processing = processing_of(spec.signals)
-    rate = simulation.design_rate(spec.rate)
-    every = round(rate / spec.rate)
-    commanded = designed(spec.excitation, subject, briefed(rate), motion_seed(spec))
     rng = np.random.default_rng(noise_seed(spec))
     moving = robot.torque_dofs
     draws = draw(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
     error = encoder_error(noise, draws)
-    oracle, controller = simulation.run(plant, commanded, error)
+    oracle, controller = take.run(error)
     if noise.quantum > 0:
         # Rounding depends on where the robot is: the positions of a first run tell, the second runs
         # with the loop seeing it.
         scalar = np.flatnonzero(np.isin(moving, robot.scalar_dofs))
         there = _scalar_positions(robot, oracle.motion)[:, moving]
         error = encoder_error(noise, draws, there, scalar)
-        oracle, controller = simulation.run(plant, commanded, error)
+        oracle, controller = take.run(error)
         # Recorded is what is read where the robot was then: it lies on the encoder's grid.
         there = _scalar_positions(robot, oracle.motion)[:, moving]
         error = encoder_error(noise, draws, there, scalar)
+    torque_std = noise.torque_std(oracle.tau[::every])
     raw = sense(
         robot,
         oracle,
         error,
-        noise.torque_std(oracle.tau[::every]),
-        draws,
+        torque_std * noise.in_time(draws.torque),
         every,
         # Without a controller the robot moves exactly as commanded: to tell would be the truth.
         None if controller is None else commanded,
@@ -294,7 +417,8 @@ def _record(
         ideal_rates=not processing.differentiate,
     )
     raw = sensing.felt(raw, oracle, every)
-    return raw, _completed(robot, processing.apply(raw, robot.joints))
+    recording = _completed(robot, processing.apply(raw, robot.joints))
+    return Taken(raw, recording, oracle, every, torque_std, noise.tau_correlation)
 
 
 def _completed(robot: RobotModel, recording: Recording) -> Recording:
@@ -313,8 +437,8 @@ def _calibration(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibrat
         cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
         plant = plant_of(robot, [subject.build("plant", spec.plant)])
         sensing = Sensing(spec, plant, replace(task, cuts=cuts), run)
-        briefed = partial(brief_of, robot)
-        _, recording = _record(spec, replace(subject, robot=robot), plant, sensing, briefed)
+        take = Take(spec, replace(subject, robot=robot), plant, partial(brief_of, robot))
+        recording = _record(spec, take, sensing).recording
         instruments = instruments_of(robot, cuts)
         motion = instruments.motion(recording.motion)
         model = newton_euler(instruments.tree, instruments.tree.lumped(robot.phi), motion)
@@ -322,6 +446,27 @@ def _calibration(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibrat
         readings.append(recording.wrench[:, :6])
         known.append(model[:, robot.nv : robot.nv + 6])
     return calibrate(np.concatenate(readings), np.concatenate(known))
+
+
+def _free_of_contact(
+    contacts: Any, recording: Recording, posing: Posing
+) -> tuple[Recording, float]:
+    """The recording without contact periods, declared or found, and the share that is left out."""
+    if not contacts:
+        return recording, 0.0
+    if contacts == "detect":
+        free = free_samples(*rows_of(posing.pose(recording.motion, recorded(recording))))
+    else:
+        t, free = recording.t, np.ones(len(recording), dtype=bool)
+        for start, end in map(interval, contacts):
+            free &= ~((t >= start) & (t < end))
+    motion = recording.motion
+    kept = replace(
+        recording, t=motion.t[free], q=motion.q[free], v=motion.v[free], a=motion.a[free],
+        tau=recording.tau[free], period=None,
+        wrench=None if recording.wrench is None else recording.wrench[free],
+    )  # fmt: skip
+    return kept, 1.0 - float(free.mean())
 
 
 def _corrected(recording: Recording, calibration: Calibration) -> Recording:
@@ -341,17 +486,14 @@ def _scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
     return out
 
 
-def _held_out(
-    spec: ExperimentSpec, subject: Subject, plant: Plant, briefed: Briefed
-) -> dict[str, Oracle]:
+def _held_out(spec: ExperimentSpec, take: Take) -> dict[str, Oracle]:
     """Other motions of the same plant, exact: what scoring compares with."""
     motions: dict[str, Oracle] = {}
     for place, excitation in enumerate(spec.held_out):
         seed = held_out_seed(spec, place)
-        motion = designed(excitation, subject, briefed(spec.rate), seed)
-        oracle, _ = Inverse().run(
-            plant, motion, np.zeros((len(motion), len(plant.robot.torque_dofs)))
-        )
+        motion = designed(excitation, take.subject, take.briefed(spec.rate), seed)
+        still = np.zeros((len(motion), len(take.plant.robot.torque_dofs)))
+        oracle, _ = Inverse().run(take.plant, motion, still)
         name = excitation["use"]
         motions[name if name not in motions else f"{name}-{place}"] = oracle
     return motions
@@ -360,7 +502,9 @@ def _held_out(
 def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
     if spec.prior == "none":
         return None
-    spread = None if isinstance(spec.prior, str) else PriorSpread(**spec.prior)
+    spread = None
+    if not isinstance(spec.prior, str):
+        spread = PriorSpread(**{key: far for key, far in spec.prior.items() if key != REDRAWN})
     return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
 
 
