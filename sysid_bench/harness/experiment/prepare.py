@@ -36,6 +36,7 @@ from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, cut_at, instruments_of
 from sysid_bench.models.task import SENSOR_TASKS, Task, task_of
+from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.ended import Sensed, sensed_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
