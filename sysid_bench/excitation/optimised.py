@@ -153,7 +153,10 @@ class Optimised:
         values = np.array([search.value(C) for C in draws])
         over = np.array([search.violation(C) for C in draws])
         order = np.lexsort((values, np.maximum(over, 1.0)))
-        search.run([draws[i] for i in order[: self.starts]], self.iterations)
+        best = search.begin([draws[i] for i in order[: self.starts]], self.iterations)
+        # Where a short search does not come back inside, a long one only takes longer.
+        if search.kept and not search.interrupted:
+            search.go_on(best, self.iterations)
         if not search.interrupted and not (search.kept and search.kept[-1][0] <= values.min()):
             # From outside of all limits no way led in, or to nothing good: begin small, inside.
             search.run([tamed(search, space, draws[order[0]], rng)], self.iterations)
@@ -199,9 +202,8 @@ def tamed(search: Search, space: Space, C: Array, rng: np.random.Generator) -> A
     best, least = C, search.violation(C)
     low, high = (edge[space.dofs] for edge in (space.brief.low, space.brief.high))
     # The reference posture is the one that whoever drew the model has looked at.
-    reference = np.clip(
-        space.brief.q0[space.places], 0.9 * low + 0.1 * high, 0.1 * low + 0.9 * high
-    )
+    room = 0.1 * (high - low)
+    reference = np.clip(space.brief.q0[space.places], low + room, high - room)
     for size in (0.6, 0.35, 0.2, 0.1, 0.05):
         if least <= 1.0:
             break

@@ -5,6 +5,7 @@ Deterministic in its draws. An interrupt, or the end of the budget, leaves the b
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -153,11 +154,29 @@ class Search:
 
     def run(self, starts: list[Array], iterations: int) -> None:
         """A short search from every start, a long one from the best of their ends."""
-        try:
-            ends = [self._descend(C, SHARPNESS[0], max(iterations // 5, 1)) for C in starts]
-            best = min(ends, key=lambda end: end[0])[1] if len(ends) > 1 else ends[0][1]
+        best = self.begin(starts, iterations)
+        if not self.interrupted:
+            self.go_on(best, iterations)
+
+    def begin(self, starts: list[Array], iterations: int) -> Array:
+        """The best end (m, k) of short searches, a fifth of the iterations from every start."""
+        ends = [(np.inf, starts[0])]
+        with self._stopped_in_order():
+            for C in starts:
+                ends.append(self._descend(C, SHARPNESS[0], max(iterations // 5, 1)))
+        return min(ends[1:] or ends, key=lambda end: end[0])[1]
+
+    def go_on(self, C: Array, iterations: int) -> None:
+        """A long search from C, stage by stage."""
+        with self._stopped_in_order():
             for sharpness in SHARPNESS:
-                best = self._descend(best, sharpness, iterations)[1]
+                C = self._descend(C, sharpness, iterations)[1]
+
+    @contextmanager
+    def _stopped_in_order(self) -> Iterator[None]:
+        """What was kept stays, whoever ends the search."""
+        try:
+            yield
         except Stopped:
             pass
         except KeyboardInterrupt:
