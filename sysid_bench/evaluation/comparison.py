@@ -54,7 +54,7 @@ def wilcoxon_holm(values: Array) -> Array:
     """
     from scipy.stats import wilcoxon
 
-    ranked = _with_failures_last(values)
+    ranked = with_failures_last(values)
     count = values.shape[1]
     pairs = list(combinations(range(count), 2))
     raw = []
@@ -96,7 +96,8 @@ def performance_profile(values: Array, ratios: Array) -> Array:
     return np.asarray(within.mean(axis=1))
 
 
-def _with_failures_last(values: Array) -> Array:
-    """Values whose failures are ten times the worst of their robot."""
-    worst = np.nanmax(np.where(np.isnan(values).all(axis=1)[:, None], 1.0, values), axis=1)
+def with_failures_last(values: Array) -> Array:
+    """Values (cases, methods) whose failures are ten times the worst of their case."""
+    none = np.isnan(values).all(axis=1, keepdims=True)
+    worst = np.nanmax(np.where(none, 1.0, values), axis=1)
     return np.where(np.isnan(values), 10.0 * worst[:, None], values)

@@ -70,6 +70,21 @@ METRICS: Final = (
 )
 """Columns that hold a number (or yes and no) per cell."""
 
+ERRORS: Final = (
+    "torque_error",
+    "torque_error_sample",
+    "torque_error_worst",
+    "rmse_test",
+    "parameter_error",
+    "beta_error",
+    "payload_error",
+    "mass_error",
+    "com_error",
+    "inertia_error",
+    "seconds",
+)
+"""Metrics of which the smaller is the better, and their ratio says how much."""
+
 PARAMETER: Final = "parameter"
 VERDICT: Final = "verdict"
 """A table by parameter (m, hx, ..., fc) tells in words what each is worth."""

@@ -38,6 +38,7 @@ from sysid_bench.harness.suite.checks import (
 from sysid_bench.harness.suite.names import located
 from sysid_bench.harness.words import (
     BESTS,
+    ERRORS,
     INTERVALS,
     LABELS,
     METRICS,
@@ -261,6 +262,16 @@ class TableEntry(Section):
         return self
 
 
+class RankingEntry(Section):
+    """Methods against each other over robots; one ranking for each value of the labels `apart`."""
+
+    name: Folder
+    title: StrictStr | None = None
+    metric: Annotated[str, word("metric to rank by", ERRORS)] = "torque_error"
+    apart: tuple[Label, ...] = ()
+    select: RowCondition | None = None
+
+
 class Worst(Section):
     metric: Annotated[str, word("metric", METRICS)]
     count: StrictInt = Field(default=1, ge=1)
@@ -302,6 +313,7 @@ class Suite(Section):
     exclude: tuple[Exclude, ...] = ()
     crosscheck: Crosscheck = Crosscheck()
     table: tuple[TableEntry, ...] = ()
+    ranking: tuple[RankingEntry, ...] = ()
     record: Record | None = None
 
     @property
