@@ -94,7 +94,7 @@ def _noise_texts(noise: Noise) -> tuple[Any, str, str]:
 
 
 def _prior_texts(prior: Prior | str) -> tuple[Any, str, str]:
-    written = prior if isinstance(prior, str) else prior.model_dump()
+    written = prior if isinstance(prior, str) else prior.model_dump(exclude_none=True)
     text = table_text(written, "none")
     return normal_prior(written), text, text
 

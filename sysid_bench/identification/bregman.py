@@ -23,7 +23,7 @@ DECREMENT: Final = 1e-10
 """Newton's decrement, relative to the weight of the divergence, at which the fit is at rest."""
 
 FIRST: Final = 1e-6
-"""The first products J Z, as a share of the mean square: small ones lead at once, large ones far."""
+"""The first products J Z over the mean square: small ones are quick, large ones lead far."""
 
 CENTRAL: Final = 1.01
 """Times the weight: products J Z that are as they shall be."""

@@ -12,8 +12,8 @@ from sysid_bench.signals.filters import Filter, filter_of
 from sysid_bench.spatial.rotation import conjugate, product
 from sysid_bench.types import Array, Recording
 
-SETTINGS: Final = ("filter", "derivatives", "torque", "calibration")
-"""Keys of a table of signals; the harness itself sees to the calibration."""
+SETTINGS: Final = ("filter", "derivatives", "torque", "calibration", "runs")
+"""Keys of a table of signals; the harness itself sees to calibrations and runs."""
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,14 @@ from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 class Noise:
     """Standard deviations of white noise: encoders `q` (rad, m), torque `tau` (N m, N) or
     `tau_relative` (share of the joint's RMS torque in the noise-free training motion), and the
-    `quantum` that encoders round to (rad, m)."""
+    `quantum` that encoders round to (rad, m). Torques drift by `tau_drift` (N m/s, N/s, standard
+    deviation of a joint's)."""
 
     q: float = 0.0
     tau: float = 0.0
     tau_relative: float = 0.0
     quantum: float = 0.0
+    tau_drift: float = 0.0
 
     def torque_std(self, tau: Array) -> Array:
         """Standard deviation (n,) of the torque noise for noise-free torques (N, n)."""

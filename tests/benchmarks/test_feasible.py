@@ -41,7 +41,8 @@ def _chain(links: int, rng: np.random.Generator) -> str:
         inertia = 0.02 + 0.01 * rng.uniform(size=3)
         numbers = [" ".join(map(repr, x.tolist())) for x in (place, axis, com, inertia)]
         opened += (
-            f'<body pos="{numbers[0]}"><joint axis="{numbers[1]}" damping="0.3" frictionloss="0.2"/>'
+            f'<body pos="{numbers[0]}">'
+            f'<joint axis="{numbers[1]}" damping="0.3" frictionloss="0.2"/>'
             f'<inertial pos="{numbers[2]}" mass="{rng.uniform(1, 4)!r}" '
             f'diaginertia="{numbers[3]}"/>'
         )

@@ -17,16 +17,19 @@ from sysid_bench.harness.experiment.robots import Subject
 from sysid_bench.harness.experiment.sensing import Sensing, true_offset
 from sysid_bench.harness.experiment.spec import (
     ExperimentSpec,
+    drift_seed,
     held_out_seed,
+    known_seed,
     motion_seed,
     noise_seed,
     prior_seed,
+    run_seed,
 )
 from sysid_bench.identification.calibration import Calibration, calibrate
 from sysid_bench.models.extents import extents
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
-from sysid_bench.models.prior import PriorSpread, prior_of
+from sysid_bench.models.prior import PriorSpread, misknown, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, cut_at, instruments_of
 from sysid_bench.models.task import Task, task_of
@@ -51,6 +54,7 @@ from sysid_bench.types import (
     Prior,
     Problem,
     Recording,
+    Run,
     Trajectory,
     Truth,
 )
@@ -83,7 +87,9 @@ class Prepared:
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
     robot = subject.robot
-    task = task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, true_offset(spec))
+    task = told(
+        spec, task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, true_offset(spec))
+    )
     base = subject.base(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
     posing = Posing(robot, task, base, torque_regression(robot, base.names, instruments))
@@ -91,7 +97,10 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     sensing = Sensing(spec, plant, task)
     prior = _prior(spec, task)
     briefed = partial(_brief, robot, task, base, prior)
-    raw, recording = _record(spec, subject, plant, sensing, briefed)
+    takes = takes_of(spec, task)
+    main = next(take for take in takes if take.loaded)
+    raw, recording = _record(spec, subject, plant, sensing, briefed, main)
+    runs = _runs(spec, subject, sensing, briefed, takes, Run(True, recording))
     if "calibration" in spec.signals and task.cuts:
         calibration = _calibration(spec, subject, task)
         raw, recording = _corrected(raw, calibration), _corrected(recording, calibration)
@@ -101,10 +110,10 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
         for name, oracle in _held_out(spec, subject, plant, briefed).items()
     }
     regress = partial(regressor_blocks, posing.regression, posing.places, instruments)
-    told = declared(robot, task)
-    simulate = _nothing_to_simulate if task.cuts else _Simulate(told, raw)
-    known = _nothing_to_simulate if task.cuts else _Known(told, posing.places)
-    experiment = Experiment(problem, recording, raw, regress, simulate, known)
+    model = declared(robot, task)
+    simulate = _nothing_to_simulate if task.cuts else _Simulate(model, raw)
+    known = _nothing_to_simulate if task.cuts else _Known(model, posing.places)
+    experiment = Experiment(problem, recording, raw, regress, simulate, known, runs)
     seal(experiment)
     return Prepared(
         robot, task, problem, experiment, held_out, task.truth,
@@ -117,6 +126,14 @@ def terms_of(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
     if spec.terms is not None:
         return spec.terms
     return robot.manifest.terms if spec.task == "robot" else ()
+
+
+def told(spec: ExperimentSpec, task: Task) -> Task:
+    """The task as methods are told it: its known parts with errors where the prior says so."""
+    share = 0.0 if isinstance(spec.prior, str) else spec.prior.get("known", 0.0)
+    if share == 0.0:
+        return task
+    return misknown(task, share, np.random.default_rng(known_seed(spec)))
 
 
 def seal(value: Any) -> None:
@@ -256,10 +273,74 @@ Briefed = Callable[[float], Brief]
 """The brief of an experiment at a rate (Hz)."""
 
 
+@dataclass(frozen=True)
+class Take:
+    """One recording of the commanded motion: the how manieth, and whether the payload is on."""
+
+    place: int
+    loaded: bool
+    seed: int  # of its noise
+
+
+def takes_of(spec: ExperimentSpec, task: Task) -> tuple[Take, ...]:
+    """The recordings that an experiment makes, in order. The first loaded one has the noise that it
+    has without the others: comparisons are paired."""
+    order = spec.signals.get("runs", "B")
+    if "A" in order and (task.name != "payload" or task.cuts):
+        raise UnsupportedError(
+            f"Runs without the payload tell of the payload, from joint torques alone; the task is "
+            f"{task.name!r}{' with sensors' if task.cuts else ''}."
+        )
+    first = order.index("B")
+    return tuple(
+        Take(i, letter == "B", noise_seed(spec) if i == first else run_seed(spec, i))
+        for i, letter in enumerate(order)
+    )
+
+
+def _runs(
+    spec: ExperimentSpec,
+    subject: Subject,
+    sensing: Sensing,
+    briefed: Briefed,
+    takes: tuple[Take, ...],
+    main: Run,
+) -> tuple[Run, ...]:
+    """All recordings of the commanded motion, `main` among them; none where it is the only one."""
+    if len(takes) == 1:
+        return ()
+    robot = load_robot(subject.robot.manifest, parse_payload("none"), spec.free_base)
+    bare = plant_of(robot, [subject.build("plant", spec.plant)])
+    plants = {True: sensing.plant, False: bare}
+    runs = []
+    for take in takes:
+        if take.seed == noise_seed(spec):
+            runs.append(main)
+            continue
+        _, recording = _record(spec, subject, plants[take.loaded], sensing, briefed, take)
+        runs.append(Run(take.loaded, recording))
+    return tuple(runs)
+
+
+def _drifted(spec: ExperimentSpec, recording: Recording, take: Take, level: float) -> Recording:
+    """The recording with torques that drift from the first run on; runs follow at once."""
+    if level == 0.0:
+        return recording
+    slope = level * np.random.default_rng(drift_seed(spec)).normal(size=recording.tau.shape[1])
+    start = take.place * len(recording) / recording.rate
+    return replace(recording, tau=recording.tau + (recording.t + start)[:, None] * slope)
+
+
 def _record(
-    spec: ExperimentSpec, subject: Subject, plant: Plant, sensing: Sensing, briefed: Briefed
+    spec: ExperimentSpec,
+    subject: Subject,
+    plant: Plant,
+    sensing: Sensing,
+    briefed: Briefed,
+    take: Take | None = None,
 ) -> tuple[Recording, Recording]:
     """The recording as sensed and as filtered."""
+    take = Take(0, True, noise_seed(spec)) if take is None else take
     robot = plant.robot
     noise = Noise(**{k: x for k, x in spec.noise.items() if k not in WRENCH_NOISE})
     simulation = subject.build("simulation", spec.simulation)
@@ -267,7 +348,7 @@ def _record(
     rate = simulation.design_rate(spec.rate)
     every = round(rate / spec.rate)
     commanded = designed(spec.excitation, subject, briefed(rate), motion_seed(spec))
-    rng = np.random.default_rng(noise_seed(spec))
+    rng = np.random.default_rng(take.seed)
     moving = robot.torque_dofs
     draws = draw(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
     error = encoder_error(noise, draws)
@@ -294,7 +375,7 @@ def _record(
         controller,
         ideal_rates=not processing.differentiate,
     )
-    raw = sensing.felt(raw, oracle, every)
+    raw = sensing.felt(_drifted(spec, raw, take, noise.tau_drift), oracle, every)
     return raw, _completed(robot, processing.apply(raw, robot.joints))
 
 
@@ -361,7 +442,9 @@ def _held_out(
 def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
     if spec.prior == "none":
         return None
-    spread = None if isinstance(spec.prior, str) else PriorSpread(**spec.prior)
+    unknowns = {} if isinstance(spec.prior, str) else {**spec.prior}
+    unknowns.pop("known", None)
+    spread = PriorSpread(**unknowns) if unknowns else None
     return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
 
 

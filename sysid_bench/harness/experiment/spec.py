@@ -96,6 +96,21 @@ def sensor_seed(spec: ExperimentSpec) -> int:
     return seed_of(spec.seed, "sensor", spec.robot, spec.sensor, spec.repeat)
 
 
+def run_seed(spec: ExperimentSpec, run: int) -> int:
+    """Of the noise of a further recording of the same motion."""
+    return seed_of(noise_seed(spec), "run", run)
+
+
+def drift_seed(spec: ExperimentSpec) -> int:
+    """Of how the torques of a robot drift: alike in all recordings of an experiment."""
+    return seed_of(noise_seed(spec), "drift")
+
+
+def known_seed(spec: ExperimentSpec) -> int:
+    """Of what methods are told of the parts that are known, whatever the payload."""
+    return seed_of(spec.seed, "known", spec.robot, spec.task)
+
+
 def prior_seed(spec: ExperimentSpec) -> int:
     """Of what methods are told beforehand: no new prior with each repeat or noise level."""
     return seed_of(spec.seed, "prior", spec.robot, spec.payload, spec.task)
@@ -105,6 +120,7 @@ NOISE_UNITS: Final = {
     "q": "rad|m",
     "tau": "N m|N",
     "quantum": "rad|m",
+    "tau_drift": "N m|N",  # per second
     "force": "N",
     "moment": "N m",
     "force_offset": "N",
@@ -137,7 +153,13 @@ def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, float]:
     """SI numbers of a prior: shares, and metres for com."""
     if isinstance(written, str):
         return written
-    return {key: quantity(value, "mm" if key == "com" else "%") for key, value in written.items()}
+    numbers = {
+        key: quantity(value, "mm" if key == "com" else "%")
+        for key, value in written.items()
+        if value is not None
+    }
+    # What is known exactly is not written: ids are older than the key.
+    return {key: value for key, value in numbers.items() if key != "known" or value}
 
 
 def normal_payload(written: str | Mapping[str, Any]) -> str | dict[str, Any]:

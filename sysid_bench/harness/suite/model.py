@@ -110,6 +110,7 @@ class Noise(Section):
     q: Annotated[Any, measured("rad|m")] = None
     tau: Annotated[Any, measured("N m|N|%")] = None
     quantum: Annotated[Any, measured("rad|m")] = None
+    tau_drift: Annotated[Any, measured("N m|N")] = None  # per second
     force: Annotated[Any, measured("N")] = None  # and so on: force/torque sensors
     moment: Annotated[Any, measured("N m")] = None
     force_offset: Annotated[Any, measured("N")] = None
@@ -122,12 +123,14 @@ class Noise(Section):
 
 
 class Prior(Section):
-    """How far the declared parameters are drawn around the truth (standard deviations)."""
+    """How far the declared parameters are drawn around the truth (standard deviations); `known`
+    those of the parts that the task takes as known, which are told exactly without it."""
 
     mass: Share = "20 %"
     com: Length = "15 mm"
     inertia: Share = "30 %"
     terms: Share = "30 %"
+    known: Share = None
 
 
 def _filter(value: Any) -> str:
@@ -148,10 +151,20 @@ def _payload(value: Any, info: ValidationInfo) -> Any:
 Loads = tuple[Annotated[Any, PlainValidator(_payload)], ...] | None
 
 
+def _runs(value: Any) -> Any:
+    if not isinstance(value, str) or not value or set(value) - {"A", "B"} or "B" not in value:
+        raise ValueError(
+            "runs are recordings of the same motion in the order taken, A without and B with the "
+            f"payload, one B at least: 'B', 'AB', 'ABBA'; got {value!r}."
+        )
+    return value
+
+
 class Signals(Section):
     filter: Annotated[str, PlainValidator(_filter)] = "none"
     derivatives: Annotated[str, word("way to differentiate", ("from q", "exact"))] = "exact"
     torque: Annotated[str, word("way to take torque", ("filtered", "raw"))] = "filtered"
+    runs: Annotated[str, BeforeValidator(_runs)] = "B"  # A without, B with the payload
     calibration: Loads = None  # of force/torque sensors, with these payloads, which are known
 
 
