@@ -4,7 +4,7 @@ Robots and motions are what a claim about methods is drawn over; noise seeds of 
 that robot alone. Values are errors, smaller is better; NaN is a failure, and loses to any number.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from typing import Final
 
@@ -52,19 +52,31 @@ def wilcoxon_holm(values: Array) -> Array:
 
     Signed ranks of the logarithm of the ratio: robots of different size count alike.
     """
-    from scipy.stats import wilcoxon
-
-    ranked = with_failures_last(values)
-    count = values.shape[1]
+    count, p = values.shape[1], np.eye(values.shape[1])
     pairs = list(combinations(range(count), 2))
-    raw = []
-    for i, j in pairs:
-        difference = np.log(ranked[:, i]) - np.log(ranked[:, j])
-        raw.append(float(wilcoxon(difference).pvalue) if difference.any() else 1.0)
-    p = np.eye(count)
-    for (i, j), corrected in zip(pairs, holm(np.array(raw)), strict=True):
+    for (i, j), corrected in zip(pairs, _tested(values, pairs), strict=True):
         p[i, j] = p[j, i] = corrected
     return p
+
+
+def wilcoxon_holm_against(values: Array, reference: int) -> Array:
+    """p (methods,) of the same test against one method that was named beforehand, Holm's correction
+    over these comparisons alone: fewer questions need fewer robots. That method's own is one."""
+    others = [i for i in range(values.shape[1]) if i != reference]
+    p = np.ones(values.shape[1])
+    p[others] = _tested(values, [(i, reference) for i in others])
+    return p
+
+
+def _tested(values: Array, pairs: Sequence[tuple[int, int]]) -> Array:
+    from scipy.stats import wilcoxon
+
+    # Equal ratios are ties, whatever rounding makes of them.
+    logs, raw = np.round(np.log(with_failures_last(values)), 9), []
+    for i, j in pairs:
+        difference = logs[:, i] - logs[:, j]
+        raw.append(float(wilcoxon(difference).pvalue) if difference.any() else 1.0)
+    return holm(np.array(raw))
 
 
 def holm(p: Array) -> Array:

@@ -17,6 +17,7 @@ from sysid_bench.evaluation.comparison import (
     performance_profile,
     robot_bootstrap,
     wilcoxon_holm,
+    wilcoxon_holm_against,
     win_rates,
     with_failures_last,
 )
@@ -57,6 +58,8 @@ class Ranking:
     high: Array
     wins: Array
     p: Array
+    p_against: Array
+    against: str = ""  # the method that the order's p compare with; the first where empty
 
     @property
     def profile(self) -> Array:
@@ -73,7 +76,8 @@ class Ranking:
         """The methods from best to worst."""
         others = 1 - np.eye(len(self.methods))
         won = (self.wins * others).sum(axis=1) / max(len(self.methods) - 1, 1)
-        first = self.p[0] if len(self.methods) > 1 else np.array([1.0])
+        reference = self.methods.index(self.against or self.methods[0])
+        p = self.p_against if self.against else self.p[reference]
         columns: dict[str, Sequence[Entry]] = {
             "times the best": [
                 _number(v, *ends) for v, *ends in zip(self.mean, self.low, self.high, strict=True)
@@ -81,7 +85,10 @@ class Ranking:
             f"within {NEAR:g}": [_number(v) for v in self._share(self.ratios <= NEAR)],
             "wins": [_number(v) for v in won],
             "failed": [_number(v) for v in self._share(np.isnan(self.ratios))],
-            "p": [Entry(None, None, None, 0, {}), *(_number(v) for v in first[1:])],
+            "p": [
+                _number(v) if i != reference else Entry(None, None, None, 0, {})
+                for i, v in enumerate(p)
+            ],
         }
         entries: dict[tuple[Key, Key], Entry] = {
             ((method,), (column,)): cell
@@ -90,11 +97,11 @@ class Ranking:
         }
         caption = (
             f"{self.metric.title} over the smallest of the case: interquartile mean over "
-            f"{self.robots} robots and {self.motions} motions of each, with its 95 % interval "
-            "(robots and their motions drawn again); share of the cases within "
+            f"{self._drawn}, with its 95 % interval (drawn again); share of the cases within "
             f"{NEAR:g} of the best; share of won comparisons with the others; share of cases "
             "without an answer, which count as ten times the worst of their case; p of the "
-            "signed-rank test against the first over robots, Holm's correction over all pairs."
+            f"signed-rank test over robots against {self.methods[reference]}, Holm's correction "
+            f"over {'these comparisons' if self.against else 'all pairs'}."
         )
         return self._table(self.name, self.title, ("figure",), tuple(columns), entries, caption)
 
@@ -138,6 +145,11 @@ class Ranking:
             own_caption=caption,
         )
 
+    @property
+    def _drawn(self) -> str:
+        robots = f"{self.robots} robots"
+        return robots if self.motions == 1 else f"{robots} and {self.motions} motions of each"
+
     def _notes(self) -> tuple[str, ...]:
         if not self.left_out:
             return ()
@@ -176,7 +188,11 @@ def _ranking(cells: "pd.DataFrame", spec: Mapping[str, Any], values: Sequence[st
     mean = interquartile_mean(np.exp(logs).reshape(-1, logs.shape[-1]))
     low, high = robot_bootstrap(np.exp(logs))
     order = np.argsort(mean, kind="stable")
-    pairs = np.ix_(order, order)
+    pairs, by_robot = np.ix_(order, order), np.exp(logs.mean(axis=1))
+    against = str(spec.get("against", ""))
+    if against and against not in cases.methods:
+        raise unknown_name("method of this ranking", against, cases.methods)
+    reference = cases.methods.index(against) if against else int(order[0])
     return Ranking(
         name="-".join([str(spec["name"]), *values]),
         title=f"{title}: {', '.join(values)}" if values else title,
@@ -190,7 +206,9 @@ def _ranking(cells: "pd.DataFrame", spec: Mapping[str, Any], values: Sequence[st
         low=low[order],
         high=high[order],
         wins=win_rates(cases.errors)[pairs],
-        p=wilcoxon_holm(np.exp(logs.mean(axis=1)))[pairs],
+        p=wilcoxon_holm(by_robot)[pairs],
+        p_against=wilcoxon_holm_against(by_robot, reference)[order],
+        against=against,
     )
 
 

@@ -282,6 +282,7 @@ class RankingEntry(Section):
     title: StrictStr | None = None
     metric: Annotated[str, word("metric to rank by", ERRORS)] = "torque_error"
     apart: tuple[Label, ...] = ()
+    against: StrictStr | None = None  # the method that the others are tested against
     select: RowCondition | None = None
 
 
