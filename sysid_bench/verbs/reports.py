@@ -71,7 +71,9 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     if form not in FORMATS:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
-    tables = {made.name: made for made in (*_tables(run_folder), *_orders(run_folder))}
+    tables = {made.name: made for made in _tables(run_folder)}
+    if name not in tables:  # rankings are drawn again and again: made where one is asked for
+        tables |= {made.name: made for made in _orders(run_folder)}
     if name not in tables:
         raise unknown_name("table", name, tables)
     return _text(tables[name], form, _origin(run_folder))
