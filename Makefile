@@ -13,7 +13,8 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 install: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt .cmake/CMakeLists.txt sysid_bench/regressors/kernel.c
+$(STAMP): pyproject.toml constraints.txt .cmake/CMakeLists.txt sysid_bench/regressors/kernel.c \
+		sysid_bench/simulation/steps.c
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -c constraints.txt -e ".[dev]"
 	touch $@
@@ -36,6 +37,6 @@ bench: $(STAMP)
 
 clean:
 	find .cmake -mindepth 1 ! -name CMakeLists.txt ! -name .gitignore -delete
-	rm -f sysid_bench/regressors/libregressor.*
+	rm -f sysid_bench/regressors/libregressor.* sysid_bench/simulation/libsteps.*
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks $(STAMP)
 	find sysid_bench tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -65,6 +65,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "optimised": "sysid_bench.excitation.optimised:Optimised",
             "ptp": "sysid_bench.excitation.point_to_point:PointToPoint",
             "static": "sysid_bench.excitation.point_to_point:Static",
+            "wander": "sysid_bench.excitation.wander:Wander",
         },
         "simulation": {
             "inverse": "sysid_bench.simulation.inverse:Inverse",

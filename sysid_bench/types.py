@@ -32,6 +32,20 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.t)
 
+    @property
+    def period_samples(self) -> int:
+        """Samples after which the motion repeats; 0 where it does not, where samples are left out,
+        or where at the end it would be off by half a sample."""
+        if self.period is None or len(self.t) < 2:
+            return 0
+        steps = np.diff(self.t)
+        step = float(steps.mean())
+        if steps.max() > 1.5 * step:
+            return 0
+        samples = round(self.period / step)
+        off = abs(self.period / step - samples) * len(self.t)
+        return samples if off < 0.5 * samples else 0
+
 
 @dataclass(frozen=True, eq=False)
 class Controller:
@@ -194,6 +208,7 @@ class Problem:
     prior: Prior | None = None
     kinds: tuple[str, ...] = ()  # of each row: what may be compared, "joint N m", "base N", ...
     torque: Float[Array, " rows"] | None = None  # RMS of each row's whole torque; None: that of b
+    period: int = 0  # samples after which the motion repeats; 0: it does not
 
     @cached_property
     def stacked(self) -> tuple[Float[Array, "M r"], Float[Array, " M"]]:
@@ -251,7 +266,9 @@ EstimateStatus = Literal["ok", "failed", "unsupported"]
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """What a method answers. `beta` (r,) are base parameters; `theta` (p,) only where the method
-    claims all of them, and then beta = K theta."""
+    claims all of them, and then beta = K theta. `covariance` is the method's own formula; `sigma`
+    is given by least squares on rows divided by it, whose residuals tell how sure it is, too.
+    """
 
     beta: Float[Array, " r"] | None = None
     theta: Float[Array, " p"] | None = None
@@ -259,6 +276,7 @@ class Estimate:
     status: EstimateStatus = "ok"
     reason: str = ""
     stats: Mapping[str, float] = field(default_factory=dict)
+    sigma: Float[Array, " rows"] | None = None
 
 
 class LinearEstimator(Protocol):
@@ -300,6 +318,17 @@ class Score:
     mass_error: float | None = None  # kg, payload and link tasks
     com_error: float | None = None  # m
     inertia_error: float | None = None  # |I - I*| / |I*| about the centre of mass, Frobenius
+    structural_rank: int | None = None  # task wrench: base parameters of a sub-tree that flies
+    excited_rank: int | None = None  # of them, excited by the training motion
+    left_out: float | None = None  # share of the samples that were taken for contacts
+    unpredictable: int | None = None  # degrees of freedom whose torque the data cannot foretell
+    sensed_torque_ratio: float | None = None  # RMS torque error with sensor, over true parameters'
+    sensed_wrench_ratio: float | None = None  # RMS error of a touch's wrench, the same way
+    sensed_cad_ratio: float | None = None  # RMS torque error with sensor, CAD's over this one's
+    alone_cad_ratio: float | None = None  # RMS torque error without the sensor, over CAD's
+    coverage: Mapping[str, float] = field(
+        default_factory=dict
+    )  # by kind of deviation: share of parameters whose 95 % interval holds the truth
     feasible: bool | None = None
     min_eigenvalue: float | None = None  # smallest of any body's pseudo-inertia
     plausible: bool | None = None

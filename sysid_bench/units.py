@@ -46,6 +46,17 @@ def quantity(value: object, unit: str) -> float:
     raise UsageError(f"{value!r} has the unit {written!r}; expected one of {', '.join(there)}.")
 
 
+def interval(text: object) -> tuple[float, float]:
+    """(start, end) in seconds of "10 s to 25 s"; raises UsageError for anything else."""
+    start, to, end = text.partition(" to ") if isinstance(text, str) else ("", "", "")
+    if not to:
+        raise UsageError(f"A period is a text like '10 s to 25 s'; got {text!r}.")
+    told = quantity(start.strip(), "s"), quantity(end.strip(), "s")
+    if not told[0] < told[1]:
+        raise UsageError(f"The period {text!r} ends before it begins.")
+    return told
+
+
 def _dimension(unit: str) -> dict[str, float]:
     for table in _DIMENSIONS:
         if unit in table:

@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).parents[1] / "sysid_bench"
 PACKAGE = "sysid_bench"
 
-BASE = frozenset({"types", "spatial", "naming", "places", "errors", "units"})
+BASE = frozenset({"types", "spatial", "naming", "places", "errors", "units", "c_library"})
 TOP = frozenset({"__init__", "__main__", "cli", "verbs", "pytest_plugin"})
 BELOW_EVALUATION = frozenset(
     {"models", "regressors", "identifiability"}

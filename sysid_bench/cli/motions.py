@@ -15,6 +15,7 @@ from sysid_bench.cli.frame import (
     robots_option,
     verb,
 )
+from sysid_bench.cli.robots import SENSOR
 
 
 @click.command()
@@ -33,7 +34,13 @@ from sysid_bench.cli.frame import (
     "Default: fourier, and fourier-polynomial for ros2, damiao and can.",
 )  # fmt: skip
 @click.option("--joints", metavar="A,B,...", help="Joints that move; default: all.")
-@click.option("--task", default="robot", show_default=True, help="robot, payload, link, terminal.")
+@click.option(
+    "--task",
+    default="robot",
+    show_default=True,
+    help="robot, payload, link, terminal, wrench, wrench-payload.",
+)
+@click.option("--sensor", metavar="NAME|PLACE", help=SENSOR)
 @click.option("--payload", default="none", show_default=True, help="What is mounted at the tool.")
 @click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
 @click.option(
@@ -73,6 +80,7 @@ def excite(
     boxes: tuple[str, ...],
     task: str,
     payload: str,
+    sensor: str | None,
     terms: str | None,
     after: tuple[Path, ...],
     export: str | None,
@@ -107,6 +115,7 @@ def excite(
             export=export,
             task=task,
             payload=payload,
+            sensor=sensor,
             terms=chosen_terms(terms),
             settings=designing.chosen_settings(settings, boxes),
             limits=designing.chosen_limits(limits),

@@ -216,6 +216,11 @@ def basis(
 )
 @click.option("--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none.")
 @click.option(
+    "--contacts",
+    metavar="detect|'10 s to 25 s'",
+    help="Samples left out: found behind a sensor, or in these periods.",
+)
+@click.option(
     "--model-out", type=click.Path(path_type=Path), help="The model again, with identified values."
 )
 @click.option(
@@ -247,6 +252,7 @@ def identify(
     free_base: bool | None,
     estimator: str | None,
     noise: str | None,
+    contacts: str | None,
     model_out: Path | None,
     complete: str | None,
     json_out: Path | None,
@@ -258,7 +264,12 @@ def identify(
     from sysid_bench.errors import UsageError
     from sysid_bench.verbs import identify as identification
     from sysid_bench.verbs import identify_logs as recordings
-    from sysid_bench.verbs.chosen import chosen_noise, chosen_payload, chosen_terms
+    from sysid_bench.verbs.chosen import (
+        chosen_contacts,
+        chosen_noise,
+        chosen_payload,
+        chosen_terms,
+    )
 
     if simulate == bool(logs):
         raise UsageError(
@@ -267,6 +278,11 @@ def identify(
         )
     if logs and (noise is not None or payload != "none"):
         raise UsageError("--noise and --payload belong to --simulate; a log states its payload.")
+    if logs and any(word is not None for word in (sensor, complete, contacts)):
+        raise UsageError(
+            "--sensor, --contacts and --complete belong to --simulate: logs hold positions and "
+            "torques, and no force/torque sensor."
+        )
     of_logs = (tests, figure, accept, candidates, position_given, filter_text, derivatives, moving)
     if simulate and any(of_logs):
         raise UsageError(
@@ -291,6 +307,7 @@ def identify(
         answer = identification.identify(
             model, task, chosen_payload(payload), chosen_terms(terms), estimator,
             chosen_noise(noise), model_out, seed, robots_dir, complete, sensor, json_out, free_base,
+            chosen_contacts(contacts),
         )  # fmt: skip
     if as_json:
         print_json(answer)

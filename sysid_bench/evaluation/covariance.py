@@ -13,11 +13,15 @@ from scipy.special import stdtrit
 
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.compressed import compress
-from sysid_bench.identification.rows import beside, residuals
-from sysid_bench.types import Array, Problem
+from sysid_bench.types import Array, Estimate, Problem
 
+LEVEL: Final = 0.95
 LEAST_PERIODS: Final = 2
 """A spread needs two."""
+
+ENOUGH_PERIODS: Final = 5
+"""From here on the spread over periods is the one that is told: with fewer, the deviation itself is
+unsure by more than a third, and its interval wider than half as much again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +36,7 @@ class Spread:
         """Standard deviations (r,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def interval(self, beta: Array, level: float = 0.95) -> tuple[Array, Array]:
+    def interval(self, beta: Array, level: float = LEVEL) -> tuple[Array, Array]:
         """(low, high), each (r,), by Student's distribution."""
         reach = quantile(level, self.freedom) * self.std
         return beta - reach, beta + reach
@@ -41,6 +45,21 @@ class Spread:
 def quantile(level: float, freedom: float) -> float:
     """Half the width of the interval of a level, in standard deviations."""
     return float(stdtrit(min(freedom, 1e9), 0.5 + 0.5 * level))
+
+
+def spreads(problem: Problem, estimate: Estimate) -> dict[str, Spread]:
+    """How sure an estimate is, in each way that its problem and method allow; the first is the one
+    to be told: "periods" where the recording holds ENOUGH_PERIODS, then "residuals" (both for least
+    squares on rows with weights), then "textbook", the method's own formula."""
+    found = {}
+    if estimate.beta is not None and estimate.sigma is not None:
+        inverse, scores = _scores(problem, estimate.beta, estimate.sigma)
+        if problem.period > 0 and problem.samples // problem.period >= ENOUGH_PERIODS:
+            found["periods"] = _over_periods(inverse, scores, problem.period)
+        found["residuals"] = _over_lags(inverse, scores, bandwidth(scores))
+    if estimate.covariance is not None:
+        found["textbook"] = Spread(estimate.covariance)
+    return found
 
 
 def period_spread(problem: Problem, beta: Array, sigma: Array, samples: int) -> Spread:
@@ -58,13 +77,17 @@ def period_spread(problem: Problem, beta: Array, sigma: Array, samples: int) -> 
             f"{problem.samples} samples hold {periods} full periods of {samples}; two at least are "
             "needed to see a spread. Record more cycles, or take the sandwich."
         )
-    inverse, scores = _scores(problem, beta, sigma)
+    return _over_periods(*_scores(problem, beta, sigma), samples)
+
+
+def _over_periods(inverse: Array, scores: Array, samples: int) -> Spread:
+    periods = len(scores) // samples
     sums = scores[: periods * samples].reshape(periods, samples, -1).sum(axis=1)
     sums = sums - sums.mean(axis=0)
     # Full periods alone carry the spread; the fit rests on all samples.
-    share = problem.samples / (periods * samples)
-    middle = share * periods / (periods - 1) * sums.T @ sums
-    return Spread(inverse @ middle @ inverse.T, periods - 1)
+    share = len(scores) / (periods * samples)
+    parts = np.sqrt(share * periods / (periods - 1)) * sums @ inverse.T
+    return Spread(parts.T @ parts, periods - 1)
 
 
 def sandwich_spread(problem: Problem, beta: Array, sigma: Array, lags: int | None = None) -> Spread:
@@ -75,13 +98,15 @@ def sandwich_spread(problem: Problem, beta: Array, sigma: Array, lags: int | Non
     the scores. Samples are in the order of time, and W is exact.
     """
     inverse, scores = _scores(problem, beta, sigma)
-    if lags is None:
-        lags = bandwidth(scores)
-    middle = scores.T @ scores
-    for k in range(1, min(lags, len(scores) - 1) + 1):
-        shifted = scores[k:].T @ scores[:-k]
-        middle += (1 - k / (lags + 1)) * (shifted + shifted.T)
-    return Spread(inverse @ middle @ inverse.T)
+    return _over_lags(inverse, scores, bandwidth(scores) if lags is None else lags)
+
+
+def _over_lags(inverse: Array, scores: Array, lags: int) -> Spread:
+    """Bartlett's weights are those of sums over all windows of `lags` + 1 samples, squared."""
+    lags = min(lags, len(scores) - 1)
+    total = np.cumsum(np.pad(scores, ((lags + 1, lags), (0, 0))), axis=0)
+    windows = (total[lags + 1 :] - total[: -lags - 1]) @ inverse.T / np.sqrt(lags + 1)
+    return Spread(windows.T @ windows)
 
 
 def bandwidth(scores: Array) -> int:
@@ -99,8 +124,6 @@ def _scores(problem: Problem, beta: Array, sigma: Array) -> tuple[Array, Array]:
     """R^-1 (r, r) of the weighted rows, and the scores (N, r) in its coordinates: H^-1 W' S^-1 r is
     R^-1 times their sum."""
     R = compress(problem, (1 / sigma).tolist())[:-1, :-1]
-    parts = []
-    for Y, residual in beside(problem, residuals(problem, beta)):
-        force = np.einsum("nir,ni->nr", Y, residual / sigma**2)
-        parts.append(solve_triangular(R, force.T, trans="T").T)
-    return solve_triangular(R, np.eye(len(R))), np.concatenate(parts)
+    inverse = solve_triangular(R, np.eye(len(R)))
+    forces = [np.einsum("nir,ni->nr", Y, (b - Y @ beta) / sigma**2) for Y, b in problem.blocks()]
+    return inverse, np.concatenate(forces) @ inverse

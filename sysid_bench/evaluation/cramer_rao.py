@@ -1,20 +1,60 @@
 """The Cramer-Rao bound: how sure any unbiased method could be, and how near one comes to it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from sysid_bench.types import Array
+from sysid_bench.identification.compressed import compress, excited_rank
+from sysid_bench.regressors.fold import triangle
+from sysid_bench.types import Array, Problem
 
 
-def torque_bound(rows: Iterable[Array], covariance: Array) -> Array:
-    """The bound (r, r) where torque alone is noisy: (sum W_k' C^-1 W_k)^-1 along the true motion.
+def white_bound(exact: Problem, std: Array) -> Array | None:
+    """The bound (r, r) where torque alone is noisy, white and apart on every row with deviations
+    (rows,); None where the motion does not excite every direction. `exact`: of the true motion."""
+    return _inverse(compress(exact, (1 / std).tolist())[:-1, :-1])
+
+
+def torque_bound(
+    rows: Iterable[Array], covariance: Array, correlation: float = 0.0
+) -> Array | None:
+    """The bound (r, r) where torque alone is noisy: (sum W_k' C^-1 W_k)^-1 along the true motion,
+    by QR; None where the motion does not excite every direction.
 
     `rows`: blocks of the base regressor (n, rows, r) of the exact motion; `covariance` (rows, rows)
-    of the torque noise, white in time.
+    of the torque noise, which is white in time or has a `correlation` from sample to sample.
     """
-    inverse = np.linalg.inv(covariance)
-    return np.linalg.inv(sum(np.einsum("nir,ij,njs->rs", W, inverse, W) for W in rows))
+    half = np.linalg.cholesky(covariance)
+    blocks = rows if correlation == 0.0 else _without_memory(rows, correlation)
+    R = np.zeros((0, 0))
+    for block in blocks:
+        # Columns of L^-1 W: unit noise on every row.
+        white = np.linalg.solve(half, block).reshape(-1, block.shape[2])
+        R = triangle([R.reshape(-1, block.shape[2]), white])
+    return _inverse(R)
+
+
+def _inverse(R: Array) -> Array | None:
+    """(R'R)^-1, where R has an inverse."""
+    if len(R) == 0 or excited_rank(R) < R.shape[1]:
+        return None
+    inverse = solve_triangular(R, np.eye(len(R)))
+    return np.asarray(inverse @ inverse.T)
+
+
+def _without_memory(rows: Iterable[Array], correlation: float) -> Iterator[Array]:
+    """Rows whose noise is new in every sample: the first as it is, then (W_t - c W_(t-1)) / sqrt(1
+    - c^2)."""
+    before = None
+    for block in rows:
+        last = block[:1] if before is None else before
+        fresh = block - correlation * np.concatenate([last, block[:-1]])
+        fresh /= np.sqrt(1 - correlation**2)
+        if before is None:
+            fresh[0] = block[0]
+        before = block[-1:]
+        yield fresh
 
 
 def trajectory_bound(
@@ -32,26 +72,6 @@ def trajectory_bound(
         noise = torque + G @ motion @ G.swapaxes(1, 2)
         total = total + np.einsum("nir,nis->rs", W, np.linalg.solve(noise, W))
     return np.linalg.inv(total)
-
-
-def efficiency(
-    estimates: Array, bound: Array, level: float = 0.95, draws: int = 2000, seed: int = 0
-) -> tuple[float, float, float]:
-    """(efficiency, low, high) of repeated estimates (n, r): the mean over parameters of the bound's
-    variance over the variance of the estimates; the interval by resampling the repeats.
-
-    One: as sure as any unbiased method can be. A biased method may seem to exceed it.
-    """
-    rng = np.random.default_rng(seed)
-    best, n = np.diag(bound), len(estimates)
-    told = float((best / estimates.var(axis=0, ddof=1)).mean())
-    again = [
-        float((best / estimates[rng.integers(n, size=n)].var(axis=0, ddof=1)).mean())
-        for _ in range(draws)
-    ]
-    # A resample holds n distinct repeats no more: its variance is short by (n - 1) / n.
-    low, high = np.quantile(again, [0.5 - 0.5 * level, 0.5 + 0.5 * level]) * (n - 1) / n
-    return told, float(low), float(high)
 
 
 def coverage(low: Array, high: Array, truth: Array) -> tuple[float, float]:

@@ -35,6 +35,11 @@ class Reordered:
     M: Array | None  # (N, k, 6)
 
     @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the parameters (p,) behind the sensor."""
+        return self.tree.columns
+
+    @property
     def rows(self) -> tuple[str, ...]:
         """Names of the degrees of freedom (k,) behind the sensor."""
         return self.tree.rows

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from sysid_bench.evaluation.covariance import Spread
 from sysid_bench.evaluation.plausible import oddities
 from sysid_bench.identification.compressed import compress, excited_rank, residual_norms
 from sysid_bench.regressors.fold import triangle
@@ -29,10 +30,11 @@ def score(
     truth: Truth,
     extents: Mapping[str, Extent] | None = None,
     about_data: Mapping[str, Any] | None = None,
+    told: Mapping[str, Spread] | None = None,
 ) -> Score:
     """The figures of one estimate; `held_out` are problems posed with exact signals (the Oracle),
     `extents` tell of bodies by name where they can be (None: whether they are plausible is left
-    open).
+    open), `told` how sure the estimate is, by kind (None: whether that holds is left open).
 
     What does not depend on the estimate (rank, condition) is there even where it failed; whoever
     scores many estimates of a problem hands it over, as `data_figures` gives it.
@@ -50,6 +52,7 @@ def score(
         **figures,
         rmse_train=train.rmse,
         beta_error=_relative(beta - beta_true, beta_true),
+        coverage={kind: _held(spread, beta, beta_true) for kind, spread in (told or {}).items()},
         joints=tuple(_joint_figures(problem.rows, train, test)),
         **_body_figures(estimate, problem, truth, extents),
     )
@@ -208,6 +211,12 @@ def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> 
     r = len(beta)
     R = np.concatenate([compress(problem)[:, :r] for problem in problems])
     return _relative(R @ (beta - beta_true), R @ beta_true)
+
+
+def _held(spread: Spread, beta: Array, beta_true: Array) -> float:
+    """The share of parameters whose interval holds the truth."""
+    low, high = spread.interval(beta)
+    return float(((low <= beta_true) & (beta_true <= high)).mean())
 
 
 def _relative(difference: Array, reference: Array) -> float | None:

@@ -37,7 +37,7 @@ class Brief:
     Of coupled joints the profiles, and the arrays, are those of the independent ones alone.
 
     What only some designers need is None where nobody has told it: `regress`, the rows that are to
-    tell the parameters; `torque`, by what is known of the robot so far, and its limits `tau`;
+    tell the parameters; `torque`, by what is known of the robot so far, and its limits `tau` (nv,);
     `scene`, the robot's shapes beside a floor of some height (m; None: no floor)."""
 
     joints: tuple[Joint, ...]
@@ -57,6 +57,23 @@ class Brief:
     def nv(self) -> int:
         """Number of profiles."""
         return len(self.low)
+
+    @property
+    def dofs(self) -> Array:
+        """Degree of freedom of the tree (nv,) that each profile moves."""
+        return np.arange(self.nv) if self.coupling is None else self.coupling.independent
+
+    def completed(self, motion: Trajectory, near: Trajectory | None = None) -> Trajectory:
+        """The motion with the joints that follow where the independent ones put them; a motion
+        `near` it on the same grid saves time.
+
+        Raises ModelError where the closure is lost.
+        """
+        if self.coupling is None:
+            return motion
+        beside = None if near is None else near.q
+        q, v, a = self.coupling.completed(motion.q, motion.v, motion.a, beside)
+        return replace(motion, q=q, v=v, a=a)
 
     def at(self, rate: float) -> "Brief":
         """The same brief sampled at another rate (Hz)."""
@@ -126,4 +143,5 @@ def brief_of(robot: RobotModel, rate: float) -> Brief:
     low = np.where(scalar, robot.coupling.low, low[moving])
     high = np.where(scalar, robot.coupling.high, high[moving])
     v, a = slower * v[moving], slower * a[moving]
-    return Brief(robot.joints, low, high, v, a, q0, rate, robot.coupling, tau)
+    q0 = robot.coupling.reference(q0)
+    return Brief(robot.joints, low, high, v, a, q0, rate, robot.coupling, tau[moving])

@@ -15,8 +15,8 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.limits import Limit
 from sysid_bench.models.appearance import shapes_of
+from sysid_bench.models.coupling.slopes import Slopes
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.adjoint import Slopes
 from sysid_bench.types import Array, Shape, Trajectory
 
 REACH: Final = 0.08
@@ -59,10 +59,13 @@ class Scene:
         """Sets the distance at which shapes are watched, and looks at the reference."""
         self.mj.geom_margin[:] = REACH
         self.data = mujoco.MjData(self.mj)
-        self._ignored = frozenset(_neighbours(self.mj))
+        self._watched = np.ones((self.mj.nbody, self.mj.nbody), dtype=bool)
+        for a, b in _neighbours(self.mj):
+            self._watched[a, b] = False
         self.data.qpos[:] = self.mj.qpos0
-        touching = {_pair(self.mj, c) for c in self._contacts() if c.dist < CLOSE}
-        self._ignored |= touching
+        touching = {_pair(self.mj, c) for c in self._contacts(CLOSE)}
+        for a, b in touching:
+            self._watched[a, b] = False
         name = self.mj.body
         self.ignored = tuple((name(a).name or "world", name(b).name) for a, b in sorted(touching))
 
@@ -70,7 +73,7 @@ class Scene:
         """The closest pairs of shapes at a configuration: (distance, "body - body", slope by v's
         degrees of freedom (nv,)), the closest first, none farther than REACH."""
         self.data.qpos[:] = q
-        close = sorted(self._contacts(), key=lambda c: float(c.dist))[:WATCHED]
+        close = self._contacts(REACH)[:WATCHED]
         return [(float(c.dist), self._names(c), self._slope(c)) for c in close]
 
     def positions(self, q: Array, bodies: Sequence[int]) -> tuple[Array, Array]:
@@ -83,12 +86,15 @@ class Scene:
             mujoco.mj_jacBody(self.mj, self.data, J[place], None, body)
         return self.data.xpos[list(bodies)].copy(), J
 
-    def _contacts(self) -> list[Any]:
+    def _contacts(self, nearer: float) -> list[Any]:
+        """The watched pairs that are nearer, the closest first."""
         mujoco.mj_kinematics(self.mj, self.data)
         mujoco.mj_comPos(self.mj, self.data)
         mujoco.mj_collision(self.mj, self.data)
-        found = [self.data.contact[i] for i in range(self.data.ncon)]
-        return [c for c in found if c.dist < REACH and _pair(self.mj, c) not in self._ignored]
+        contact = self.data.contact
+        a, b = np.sort(self.mj.geom_bodyid[contact.geom], axis=1).reshape(-1, 2).T
+        found = np.flatnonzero((contact.dist < nearer) & self._watched[a, b])
+        return [contact[int(i)] for i in found[np.argsort(contact.dist[found], kind="stable")]]
 
     def _names(self, contact: Any) -> str:
         a, b = _pair(self.mj, contact)

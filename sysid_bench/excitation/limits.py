@@ -5,24 +5,26 @@ them below one; the report takes the true maxima on a finer grid.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from sysid_bench.excitation.brief import Brief
-from sysid_bench.regressors.adjoint import Slopes
+from sysid_bench.models.coupling.slopes import Slopes
+from sysid_bench.models.robot import Joint
 from sysid_bench.types import Array, Trajectory
 
-Split = Literal["together", "by column", "by joint"]
+Split = Literal["together", "by column", "by moment", "by joint"]
 
 
 @dataclass(frozen=True, eq=False)
 class Limit:
     """`use` (motion) gives uses (N, m), each of something called `names[m]`; `value` and `allowed`
     are the same in `units[m]`; `label` names what has no constant name. `slopes` (motion, G (N, m))
-    are those of sum(G * use). In the search all uses are one constraint, or each column is, or each
-    is and moves one joint alone; only one sample of `every` is looked at there."""
+    are those of sum(G * use). In the search all uses are one constraint, or each column is; or each
+    is and can be looked at in any samples, in any order; or each is and moves one joint alone. Only
+    one sample of `every` is looked at there."""
 
     kind: str
     names: tuple[str, ...]
@@ -58,66 +60,86 @@ class Used:
 
 
 def joint_limits(brief: Brief, dofs: Array, share: float = 1.0) -> tuple[Limit, ...]:
-    """Position, velocity and acceleration of the degrees of freedom `dofs`, of which a motion may
-    use a share."""
+    """Position, velocity and acceleration of the profiles `dofs`, and of the joints that follow
+    where somebody states them; a motion may use a share."""
+    v, a = brief.v[dofs], brief.a[dofs]
+    bounds = np.array([brief.low[dofs], brief.high[dofs], v, a])
+    limits = _bounded(brief, brief.dofs[dofs], bounds, share, "", "by joint")
+    if brief.coupling is not None:
+        after = brief.coupling
+        limits += _bounded(brief, after.dependent, after.bounds, share, "follower ", "by moment")
+    return tuple(limits)
+
+
+def _bounded(
+    brief: Brief, dofs: Array, bounds: Array, share: float, whose: str, split: Split
+) -> list[Limit]:
+    """Limits of degrees of freedom of the tree; bounds (4, k): lowest, highest, v, a."""
     scalar = {j.vadr: j for j in brief.joints if j.kind in ("hinge", "slide")}
-    places = np.array([scalar[d].qadr for d in dofs])
-    names = tuple(scalar[d].name for d in dofs)
-    lengths = ["rad" if scalar[d].kind == "hinge" else "m" for d in dofs]
-    middle, half = 0.5 * (brief.high + brief.low)[dofs], 0.5 * (brief.high - brief.low)[dofs]
+    joints = [scalar[int(dof)] for dof in dofs]
+    low, high, v, a = bounds
+    ranges = {"position": (low, high), "velocity": (-v, v), "acceleration": (-a, a)}
+    limits = []
+    for kind, (lowest, highest) in ranges.items():
+        stated = np.flatnonzero(np.isfinite(highest - lowest))
+        if len(stated):
+            own = [joints[k] for k in stated]
+            limit = _between(kind, own, lowest[stated], highest[stated], share)
+            limits.append(replace(limit, kind=whose + kind, split=split))
+    return limits
 
-    def bounded(
-        kind: str, per: str, order: int, centre: Array, reach: Array, take: Callable[..., Array]
-    ) -> Limit:
-        def slopes(motion: Trajectory, G: Array) -> Slopes:
-            out = [np.zeros_like(motion.v) for _ in range(3)]
-            out[order][:, dofs] = G / (share * reach)
-            return out[0], out[1], out[2]
 
-        return Limit(
-            kind,
-            names,
-            tuple(unit + per for unit in lengths),
-            lambda motion: (take(motion) - centre) / (share * reach),
-            take,
-            lambda values: centre + np.where(values < centre, -reach, reach),
-            slopes,
-            split="by joint",
-        )
+def _between(kind: str, joints: list[Joint], low: Array, high: Array, share: float) -> Limit:
+    order = ("position", "velocity", "acceleration").index(kind)
+    per = ("", "/s", "/s^2")[order]
+    qadr, dofs = [joint.qadr for joint in joints], [joint.vadr for joint in joints]
+    centre, reach = 0.5 * (high + low), 0.5 * (high - low)
 
-    zero = np.zeros(len(dofs))
-    return (
-        bounded("position", "", 0, middle, half, lambda m: m.q[:, places]),
-        bounded("velocity", "/s", 1, zero, brief.v[dofs], lambda m: m.v[:, dofs]),
-        bounded("acceleration", "/s^2", 2, zero, brief.a[dofs], lambda m: m.a[:, dofs]),
+    def take(motion: Trajectory) -> Array:
+        return (motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs])[order]
+
+    def slopes(motion: Trajectory, G: Array) -> Slopes:
+        out = [np.zeros_like(motion.v) for _ in range(3)]
+        out[order][:, dofs] = G / (share * reach)
+        return out[0], out[1], out[2]
+
+    return Limit(
+        kind,
+        tuple(joint.name for joint in joints),
+        tuple(("rad" if joint.kind == "hinge" else "m") + per for joint in joints),
+        lambda motion: (take(motion) - centre) / (share * reach),
+        take,
+        lambda values: centre + np.where(values < centre, -reach, reach),
+        slopes,
     )
 
 
 def torque_limits(brief: Brief, share: float = 1.0) -> tuple[Limit, ...]:
-    """Torques of every degree of freedom that has a limit; none where nothing is known of them."""
+    """Torques of every joint that moves and has a limit; none where nothing is known of them."""
     limited = np.flatnonzero(np.isfinite(brief.tau))
     torque = brief.torque
     if torque is None or len(limited) == 0:
         return ()
     reach = brief.tau[limited]
     rows = [row for joint in brief.joints for row in joint.dofs]
-    slide = {dof for j in brief.joints if j.kind == "slide" for dof in [j.vadr]}
+    slides = {joint.vadr for joint in brief.joints if joint.kind == "slide"}
+    moving = brief.dofs[limited]
 
     def slopes(motion: Trajectory, G: Array) -> Slopes:
-        U = np.zeros_like(motion.v)
+        U = np.zeros((len(motion), brief.nv))
         U[:, limited] = G / (share * reach)
         return torque.slopes(motion, U)
 
     return (
         Limit(
             "torque",
-            tuple(rows[d] for d in limited),
-            tuple("N" if d in slide else "N m" for d in limited),
+            tuple(rows[dof] for dof in moving),
+            tuple("N" if dof in slides else "N m" for dof in moving),
             lambda motion: torque.of(motion)[:, limited] / (share * reach),
             lambda motion: torque.of(motion)[:, limited],
             lambda values: np.where(values < 0, -reach, reach),
             slopes,
-            split="by column",
+            split="by moment",
         ),
     )
 

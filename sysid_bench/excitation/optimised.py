@@ -86,14 +86,16 @@ class Optimised:
         return replace(own, t=t, name="optimised", period=self.period)
 
     def space(self, brief: Brief) -> Space:
-        """The motions to choose from; raises UsageError for a joint that is not there."""
-        if brief.coupling is not None:
-            raise UnsupportedError(
-                "Designs serve trees: the joints of this robot are coupled. Take a random motion "
-                "(fourier), or model the joints as independent."
-            )
-        scalar = {j.name: j.vadr for j in brief.joints if j.kind in ("hinge", "slide")}
+        """The motions to choose from; raises UsageError for a joint that is not there, or that
+        follows others."""
+        place = {int(dof): k for k, dof in enumerate(brief.dofs)}
+        joints = {j.name: j for j in brief.joints if j.kind in ("hinge", "slide")}
+        scalar = {name: place[j.vadr] for name, j in joints.items() if j.vadr in place}
         for name in self.joints:
+            if name in joints and name not in scalar and brief.coupling is not None:
+                drivers = brief.coupling.drivers(joints[name].vadr)
+                told = ", ".join(brief.coupling.names[dof] for dof in drivers) or "constraints"
+                raise UsageError(f"The joint {name!r} follows {told}; name that in its place.")
             if name not in scalar:
                 raise unknown_name("hinge or slide", name, scalar)
         if not scalar:
@@ -196,12 +198,17 @@ def tamed(search: Search, space: Space, C: Array, rng: np.random.Generator) -> A
     torques, clearances and boxes too; the least violating where none does."""
     best, least = C, search.violation(C)
     low, high = (edge[space.dofs] for edge in (space.brief.low, space.brief.high))
+    # The reference posture is the one that whoever drew the model has looked at.
+    reference = np.clip(
+        space.brief.q0[space.places], 0.9 * low + 0.1 * high, 0.1 * low + 0.9 * high
+    )
     for size in (0.6, 0.35, 0.2, 0.1, 0.05):
         if least <= 1.0:
             break
         small = size * C
         for place in (
             C[0],
+            reference,
             *rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high, (6, len(low))),
         ):
             small[0] = place

@@ -11,11 +11,13 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
+from sysid_bench.errors import ModelError
 from sysid_bench.excitation.brief import Brief
 from sysid_bench.excitation.criteria import Criterion
 from sysid_bench.excitation.curves import Curves
 from sysid_bench.excitation.insight import Question
 from sysid_bench.excitation.limits import Limit, smooth_max
+from sysid_bench.models.coupling.slopes import Slopes, pulled
 from sysid_bench.types import Array, Trajectory
 
 Tell = Callable[[int, float], None]
@@ -28,6 +30,9 @@ NEAR: Final = 0.6
 """A torque, clearance or box that uses less of its limit is not looked at closer: its slope costs
 as much as that of the criterion."""
 
+FAINT: Final = 1e-7
+"""Of the weights of a smooth maximum: samples below it change nothing."""
+
 RESTORING: Final = 15
 """Newton steps back into the limits; two or three do where the way is short."""
 
@@ -38,7 +43,8 @@ STEP: Final = 0.2
 @dataclass(frozen=True, eq=False)
 class Space:
     """Motions of some degrees of freedom along curves: coefficients C (m, k) of the k `dofs`; the
-    others are held at the reference configuration."""
+    others are held at the reference configuration, or follow. `dofs` are places among the profiles
+    of the brief."""
 
     brief: Brief
     curves: Curves
@@ -46,21 +52,41 @@ class Space:
 
     def motion(self, C: Array, t: Array) -> Trajectory:
         """The motion of coefficients C at times t (N,)."""
-        return self._played(C, t, self.curves.at(t))
+        return self.played(C, t, self.curves.at(t))
 
-    def _played(self, C: Array, t: Array, bases: tuple[Array, Array, Array]) -> Trajectory:
+    def played(
+        self,
+        C: Array,
+        t: Array,
+        bases: tuple[Array, Array, Array],
+        near: Trajectory | None = None,
+    ) -> Trajectory:
+        """The same with the bases at hand, and maybe a motion near it."""
         x, dx, ddx = (B @ C for B in bases)
         q = np.tile(self.brief.q0, (len(t), 1))
-        v, a = np.zeros((2, len(t), self.brief.nv))
-        q[:, self.places], v[:, self.dofs], a[:, self.dofs] = x, dx, ddx
+        v, a = np.zeros((2, len(t), sum(len(joint.dofs) for joint in self.brief.joints)))
+        moving = self.moving
+        q[:, self.places], v[:, moving], a[:, moving] = x, dx, ddx
         period = self.curves.duration if self.curves.periodic else None
-        return Trajectory(t, q, v, a, self.curves.kind, period)
+        return self.brief.completed(Trajectory(t, q, v, a, self.curves.kind, period), near)
+
+    @property
+    def moving(self) -> Array:
+        """Places of the moving degrees of freedom in v."""
+        return self.brief.dofs[self.dofs]
 
     @property
     def places(self) -> list[int]:
         """Places of the moving degrees of freedom in q."""
         where = {joint.vadr: joint.qadr for joint in self.brief.joints}
-        return [where[int(dof)] for dof in self.dofs]
+        return [where[int(dof)] for dof in self.moving]
+
+    def by_profiles(self, motion: Trajectory, slopes: Slopes) -> Slopes:
+        """Slopes by x, dx, ddx (N, k) of what is chosen, from those by q, v, a of every joint."""
+        if self.brief.coupling is not None:
+            slopes = pulled(self.brief.coupling, motion, slopes)
+        x, dx, ddx = (slope[:, self.moving] for slope in slopes)
+        return x, dx, ddx
 
     def bounds(self) -> tuple[Array, Array]:
         """Coefficients (m, k) that no motion within the limits goes beyond: a harmonic of a curve
@@ -123,6 +149,7 @@ class Search:
         self.bases = self.space.curves.at(self.t)
         self.shape = (self.space.curves.size, len(self.space.dofs))
         self._at: Array | None = None
+        self._near: Trajectory | None = None
 
     def run(self, starts: list[Array], iterations: int) -> None:
         """A short search from every start, a long one from the best of their ends."""
@@ -138,12 +165,14 @@ class Search:
 
     def value(self, C: Array) -> float:
         """The criterion alone, for ranking starts."""
-        motion = self._motion(C)
-        return self.criterion.value(self._rows(motion))
+        motion = self._motion_or_none(C)
+        return np.inf if motion is None else self.criterion.value(self._rows(motion))
 
     def violation(self, C: Array) -> float:
         """The largest use of any limit on the grid of the search."""
-        motion = self._motion(C)
+        motion = self._motion_or_none(C)
+        if motion is None:
+            return np.inf
         return max(
             float(np.abs(limit.use(_thinned(motion, limit.every))).max()) for limit in self.limits
         )
@@ -202,7 +231,13 @@ class Search:
         return self.space.brief.v[self.space.dofs]
 
     def _motion(self, C: Array) -> Trajectory:
-        return self.space._played(C, self.t, self.bases)
+        return self.space.played(C, self.t, self.bases, self._near)
+
+    def _motion_or_none(self, C: Array) -> Trajectory | None:
+        try:
+            return self._motion(C)
+        except ModelError:
+            return None
 
     def _rows(self, motion: Trajectory) -> Array:
         Y = self.question.rows(motion)
@@ -215,8 +250,13 @@ class Search:
         if self.evaluations >= self.most:
             raise Stopped
         self.evaluations += 1
+        motion = self._motion_or_none(C)
+        if motion is None and self._at is not None:
+            # The closure is lost there, or singular: a step too far. The rest stays as it was.
+            self._at, self._f = C.copy(), np.inf
+            return
         self._at = C.copy()
-        self._here = self._motion(C)
+        self._here = self._near = self._motion(C) if motion is None else motion
         self._W = self._rows(self._here)
         self._f = self.criterion.value(self._W)
         self._thin = [_thinned(self._here, limit.every) for limit in self.limits]
@@ -240,12 +280,12 @@ class Search:
         self._visit(C)
         by_W = self.criterion.slope(self._W)
         G = by_W.reshape(len(self.t), -1, by_W.shape[1])
-        return self._coefficients(self.question.slopes(self._here, G))
+        return self._coefficients(self._here, self.question.slopes(self._here, G))
 
-    def _coefficients(self, slopes: tuple[Array, Array, Array], every: int = 1) -> Array:
+    def _coefficients(self, motion: Trajectory, slopes: Slopes, every: int = 1) -> Array:
         """Slopes by C (m, k) from those by q, v, a (N, nv) of one sample of `every`."""
-        own = (slope[:, self.space.dofs] for slope in slopes)
-        return np.asarray(sum(B[::every].T @ s for B, s in zip(self.bases, own, strict=True)))
+        own = zip(self.bases, self.space.by_profiles(motion, slopes), strict=True)
+        return np.asarray(sum(B[::every].T @ slope for B, slope in own))
 
     def _limits_at(self, C: Array, sharpness: float) -> tuple[Array, Array]:
         """Smooth maxima of the limits, and their slopes (count, m k)."""
@@ -264,11 +304,15 @@ class Search:
         value, weight = smooth_max(columns, sharpness)
         if limit.split == "by joint":
             # No coefficient is shared, so that one pull serves all columns.
-            together = self._coefficients(limit.slopes(motion, weight), limit.every)
+            together = self._coefficients(motion, limit.slopes(motion, weight), limit.every)
             for j in range(len(value)):
                 slope = np.zeros(self.shape)
                 slope[:, j] = together[:, j]
                 yield float(value[j]), slope
+            return
+        if limit.split == "by moment":
+            slopes_at = self._moments(limit, motion, weight * (value >= NEAR))
+            yield from zip(value.tolist(), slopes_at, strict=True)
             return
         for j in range(len(value)):
             if value[j] < NEAR:
@@ -276,7 +320,29 @@ class Search:
                 continue
             G = weight if limit.split == "together" else weight * (np.arange(len(value)) == j)
             slopes = limit.slopes(motion, G.reshape(use.shape))
-            yield float(value[j]), self._coefficients(slopes, limit.every)
+            yield float(value[j]), self._coefficients(motion, slopes, limit.every)
+
+    def _moments(self, limit: Limit, motion: Trajectory, weight: Array) -> Array:
+        """Slopes (columns, m, k) of every column, from the samples alone that weigh in it, which
+        are few: all columns are looked at in one go."""
+        out = np.zeros((weight.shape[1], *self.shape))
+        samples, columns = np.nonzero(np.abs(weight) > FAINT)
+        if len(samples) == 0:
+            return out
+        part = _at(motion, samples)
+        G = np.zeros((len(samples), weight.shape[1]))
+        G[np.arange(len(samples)), columns] = weight[samples, columns]
+        by_profiles = self.space.by_profiles(part, limit.slopes(part, G))
+        for column in np.unique(columns):
+            own = columns == column
+            for B, slope in zip(self.bases, by_profiles, strict=True):
+                out[column] += B[:: limit.every][samples[own]].T @ slope[own]
+        return out
+
+
+def _at(motion: Trajectory, samples: Array) -> Trajectory:
+    t, q, v, a = (array[samples] for array in (motion.t, motion.q, motion.v, motion.a))
+    return Trajectory(t, q, v, a)
 
 
 def _thinned(motion: Trajectory, every: int) -> Trajectory:

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.harness.words import LABELS, PARAMETER, VERDICT
+from sysid_bench.harness.words import COVERAGE, LABELS, PARAMETER, STD_FROM, VERDICT
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 FIRST_COLUMNS: Final = ("id", "experiment", *LABELS, "repeat", "status", "reason")
 _LONG: Final[Mapping[str, tuple[str, ...]]] = {
     "joints": ("id", "name"),
-    "parameters_table": ("id", "body", "name", "true", "estimate", "std", "identifiable"),
+    "parameters_table": (
+        *("id", "body", "name", "true", "estimate", "std", "std_from", "identifiable"),
+        *("base_error", "bound"),
+    ),
 }
 
 
@@ -44,6 +47,29 @@ class Frames:
         both = [lines.merge(told, on="id"), silent.merge(every, how="cross")]
         whole = pd.concat([part for part in both if len(part)] or both)
         return whole.sort_values("place", kind="stable", ignore_index=True).drop(columns="place")
+
+    @cached_property
+    def by_std_from(self) -> "pd.DataFrame":
+        """`cells` with a line per way to tell how sure an estimate is, and its coverage; a cell
+        that is not ok has a line for each that its estimator tells of elsewhere, or any does.
+        Where no cell tells of any (exact data), all have one line."""
+        import pandas as pd
+
+        prefix = f"{COVERAGE}."
+        kinds = [str(name) for name in self.cells.columns if str(name).startswith(prefix)]
+        plain = self.cells.drop(columns=kinds)
+        if not kinds:
+            plain[STD_FROM], plain[COVERAGE] = "none", None
+            return plain
+        failed, who = self.cells["status"] != "ok", self.cells["estimator"]
+        mute = ~who.isin(who[self.cells[kinds].notna().any(axis=1)])
+        lines = []
+        for kind in kinds:
+            told = self.cells[kind]
+            line = plain[told.notna() | failed & (mute | who.isin(who[told.notna()]))].copy()
+            line[STD_FROM], line[COVERAGE] = kind.removeprefix(prefix), told
+            lines.append(line)
+        return pd.concat(lines).sort_index(kind="stable", ignore_index=True)
 
     def write(self, folder: Path) -> None:
         """cells.parquet, parameters.parquet and joints.parquet, each whole or not at all."""

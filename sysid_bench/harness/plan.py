@@ -12,6 +12,7 @@ from typing import Any
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.harness.canonical import canonical, digest
 from sysid_bench.harness.experiment.spec import (
+    REDRAWN,
     ExperimentSpec,
     normal_noise,
     normal_payload,
@@ -220,7 +221,8 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
 
 
 def _repeats_nothing(spec: ExperimentSpec) -> bool:
-    return not spec.noise and spec.simulation["use"] == "inverse"
+    redrawn = not isinstance(spec.prior, str) and bool(spec.prior.get(REDRAWN))
+    return not spec.noise and not redrawn and spec.simulation["use"] == "inverse"
 
 
 def _cells(suite: Suite, names: Names) -> list[Cell]:
@@ -310,7 +312,10 @@ def _signals_text(signals: Mapping[str, Any]) -> str:
     loads = [parse_payload(load).name for load in signals.get("calibration", ())]
     calibrated = f", calibrated with {', '.join(loads)}" if loads else ""
     runs = f", runs {signals['runs']}" if "runs" in signals else ""
-    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}{runs}"
+    contacts = signals.get("contacts", [])
+    periods = contacts if isinstance(contacts, str) else ", ".join(contacts)
+    free = f", contacts {periods}" if periods else ""
+    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}{free}{runs}"
 
 
 def _cost(spec: ExperimentSpec, estimators: int) -> float:

@@ -38,6 +38,7 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "noise.tau",
     "noise.quantum",
     "noise.tau_drift",
+    "noise.tau_correlation",
     "noise.force",
     "noise.moment",
     "noise.force_offset",
@@ -47,6 +48,7 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "noise.gain",
     "noise.crosstalk",
     "noise.mounting",
+    "noise.touch",
     "prior.mass",
     "prior.com",
     "prior.inertia",
@@ -63,7 +65,7 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
 }
 """What an expression may ask of a planned cell, beside the written settings of its plug-ins."""
 
-_NO_NUMBERS = ("joints", "torque_error_by_motion")
+_NO_NUMBERS = ("joints", "torque_error_by_motion", "coverage")
 METRICS: Final = (
     *(field.name for field in fields(Score) if field.name not in _NO_NUMBERS),
     "seconds",
@@ -91,6 +93,14 @@ ERRORS: Final = (
 PARAMETER: Final = "parameter"
 VERDICT: Final = "verdict"
 """A table by parameter (m, hx, ..., fc) tells in words what each is worth."""
+
+COVERAGE: Final = "coverage"
+STD_FROM: Final = "std_from"
+"""A table by where deviations come from (periods, residuals, textbook) tells how often the truth
+lies in their 95 % intervals."""
+
+REPEATED: Final = ("bias", "spread", "efficiency", "bound_ratio")
+"""Metrics of all repeats together (evaluation/repeats.py); no cell has one of its own."""
 
 ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *METRICS}
 """What an expression may ask of a finished cell."""

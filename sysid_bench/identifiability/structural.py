@@ -7,7 +7,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Cut, instruments_of
 from sysid_bench.models.states import random_states
 from sysid_bench.models.tree import Tree
-from sysid_bench.regressors.coupled import torque_regression
+from sysid_bench.regressors.ended import sensed_regression
 from sysid_bench.regressors.fold import triangle
 from sysid_bench.types import Array, BaseMap
 
@@ -39,7 +39,7 @@ def structural_factor(
     """R (m, p) of the regressor over random states, whose column space is that of all motions."""
     instruments = instruments_of(robot, cuts)
     carried, X = _carried(robot, instruments.tree, parameters)
-    columns = torque_regression(robot, carried, instruments)
+    columns = sensed_regression(robot, carried, instruments, rows)
     own = instruments.measured
     measured = [own.index(row) for row in (own if rows is None else rows)]
     count = 64 + 3 * len(carried) // len(measured)

@@ -8,9 +8,9 @@ import numpy as np
 from sysid_bench.errors import EstimationError, unknown_name
 from sysid_bench.identification.base_coordinates import BaseCoordinates, unseen
 from sysid_bench.identification.bregman import Divergence, divergence, newton
-from sysid_bench.identification.feasible import nearest
+from sysid_bench.identification.feasible import Limits, fit, nearest
 from sysid_bench.identification.physical import Physical, physical_of
-from sysid_bench.identification.prior import existing, required_prior, spread_of
+from sysid_bench.identification.prior import existing, required_prior, spread_of, start_of
 from sysid_bench.types import Array, BaseMap, Estimate, Prior, Problem
 
 DISTANCES: Final = ("entropic", "euclidean", "pullback")
@@ -42,13 +42,36 @@ def completed(
 
 
 def completed_estimate(estimate: Estimate, problem: Problem, distance: str) -> Estimate:
-    """The estimate with a theta that can exist and has the same base parameters; raises
-    EstimationError without a prior, or where none does."""
+    """The estimate with a theta that can exist.
+
+    It has the same base parameters; where noise has carried those out of all that can exist, the
+    nearest that do, as the data weigh them, and `stats` tells in `moved` how much that adds to the
+    squares of the residuals (noise has the variance one). Raises EstimationError without a prior,
+    or where no such fit is found.
+    """
     if estimate.beta is None:
         raise EstimationError("There are no base parameters to complete: the method gave none.")
     of, prior = physical_of(problem), required_prior(problem)
-    theta = completed(of, problem.base, estimate.beta, prior, distance)
+    try:
+        theta = completed(of, problem.base, estimate.beta, prior, distance)
+    except EstimationError:
+        return _moved(estimate, problem)
     return replace(estimate, theta=theta)
+
+
+def _moved(estimate: Estimate, problem: Problem) -> Estimate:
+    """The nearest to the base parameters of an estimate that can exist, as the data weigh them: on
+    the border, where no distance has a choice left. A method's own that exist stay."""
+    of, prior = physical_of(problem), required_prior(problem)
+    if estimate.theta is not None and _exists(of, estimate.theta):
+        return estimate
+    found = fit(of, problem, Limits(), start_of(of, prior))
+    theta, stats = of.scale * found.x, {**estimate.stats, "moved": found.excess}
+    return replace(estimate, beta=problem.base.K @ theta, theta=theta, stats=stats)
+
+
+def _exists(of: Physical, theta: Array) -> bool:
+    return bool(of.roundness(theta / of.scale).min(initial=0.25) > 0)
 
 
 def _entropic(near: Divergence, start: Array, N: Array) -> Array:

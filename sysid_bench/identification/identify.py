@@ -52,7 +52,8 @@ def _checked(estimate: Any, problem: Problem) -> Estimate:
         )
     if estimate.status != "ok":
         return estimate
-    r, theta, beta, covariance = problem.base.rank, estimate.theta, estimate.beta, None
+    r, theta, beta = problem.base.rank, estimate.theta, estimate.beta
+    covariance = sigma = None
     if theta is not None:
         theta = _numbers("theta", theta, (len(problem.parameters),))
         beta = problem.base.K @ theta
@@ -63,7 +64,11 @@ def _checked(estimate: Any, problem: Problem) -> Estimate:
         covariance = _numbers("covariance", estimate.covariance, (r, r))
         if (np.diag(covariance) < 0).any():
             raise EstimationError("The method's covariance has a negative variance.")
-    return replace(estimate, theta=theta, beta=beta, covariance=covariance)
+    if estimate.sigma is not None:
+        sigma = _numbers("sigma", estimate.sigma, (len(problem.rows),))
+        if (sigma <= 0).any():
+            raise EstimationError("The method's sigma holds a number that is not positive.")
+    return replace(estimate, theta=theta, beta=beta, covariance=covariance, sigma=sigma)
 
 
 def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Array:

@@ -1,16 +1,19 @@
 """Parameters on-line: recursive least squares and a Kalman filter, sample after sample.
 
 Both work on whitened rows G_k = W_k / sigma, g_k = f_k / sigma of one sample each, several rows at
-a time, in covariance form, which starts from a prior: without one the estimate runs wild before the
-motion excites (measured on the iCub's arm: 7 N m of torque error where the CAD model has 0.03).
+a time, by the square-root updates of `recursion`, and start from a prior: without one the estimate
+runs wild before the motion excites (measured on the iCub's arm: 7 N m of torque error where the CAD
+model has 0.03).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import EstimationError, UsageError
+from sysid_bench.identification.compressed import inverse_of, triangular
+from sysid_bench.identification.recursion import upper
 from sysid_bench.types import Array, Problem
 
 
@@ -67,48 +70,45 @@ class Recursion:
         contact; the others are left out. Raises UsageError for settings that make no filter."""
         self._check()
         G, g = W / sigma[:, None], f / sigma
-        P = np.diag(std**2) if std.ndim == 1 else std.copy()
-        start, beta = P.copy(), prior.astype(float).copy()
+        start, r, m = _factor_of(prior, std), len(prior), f.shape[1]
         used = np.ones(len(f), dtype=bool) if free is None else np.asarray(free, dtype=bool).copy()
         gap = np.empty(len(f))
         places, betas, stds, last = [], [], [], len(f) - 1
-        held = self.gate and len(beta) > f.shape[1]
-        m, root = g.shape[1], np.linalg.cholesky(start)
+        held, R, beta = self.gate and r > m, start, prior
         for k in range(len(f)):
             if self.walk > 0 or self.forgetting < 1:
-                P = self._aged(P, root)
-            PG = P @ G[k].T
-            S = G[k] @ PG + np.eye(m)
+                R = self._aged(R, start, beta)
+            V = solve_triangular(R[:r, :r], G[k].T, trans="T", check_finite=False)
             e = g[k] - G[k] @ beta
-            factor = cho_factor(S, lower=True, check_finite=False)
-            gap[k] = e @ cho_solve(factor, e, check_finite=False) / m
+            gap[k] = e @ np.linalg.solve(np.eye(m) + V.T @ V, e) / m
             if self.reject is not None and k >= self.settled and not gap[k] <= self.reject:
                 used[k] = False
             if used[k]:
-                L = cho_solve(factor, PG.T, check_finite=False).T
-                beta = beta + L @ e
-                # Joseph's form: stays positive definite where the short one drifts.
-                keep = np.eye(len(beta)) - L @ G[k]
-                P = keep @ P @ keep.T + L @ L.T
+                R = upper(np.vstack([R, np.column_stack([G[k], g[k]])]))
+                beta = triangular(R)
             if k % self.every == 0 or k == last:
-                held = held and _told(P, start) <= f.shape[1]
+                held = held and _told(R, start) <= m
                 places.append(k)
                 betas.append(prior if held else beta)
-                stds.append(np.sqrt(np.diag(P)))
+                stds.append(np.linalg.norm(inverse_of(R), axis=1))
         if not betas:
             raise EstimationError("There are no samples to estimate from.")
-        return Track(np.array(places), np.array(betas), np.array(stds), P, used, gap)
+        inverse = inverse_of(R)
+        return Track(
+            np.array(places), np.array(betas), np.array(stds), inverse @ inverse.T, used, gap
+        )
 
-    def _aged(self, P: Array, root: Array) -> Array:
-        """The covariance before the next sample; root root' is the prior's. In the directions in
-        which both are diagonal, shares of the prior's variance grow: with the gate, to one."""
-        inverse = solve_triangular(root, np.eye(len(root)), lower=True)
-        shares, V = np.linalg.eigh(inverse @ P @ inverse.T)
-        shares = shares / self.forgetting + self.walk**2
+    def _aged(self, R: Array, start: Array, beta: Array) -> Array:
+        """[R | z] before the next sample. In the directions in which it and the prior's are both
+        diagonal, shares of the prior's variance grow: with the gate, to one."""
+        r = len(beta)
+        root = inverse_of(start)
+        _, singular, Vt = np.linalg.svd(R[:r, :r] @ root)
+        shares = singular**-2 / self.forgetting + self.walk**2
         if self.gate:
             shares = np.minimum(shares, 1.0)
-        axes = root @ V
-        return np.asarray(axes * shares @ axes.T)
+        older = (Vt / np.sqrt(shares)[:, None]) @ start[:r, :r]
+        return upper(np.vstack([np.column_stack([older, older @ beta]), np.zeros((1, r + 1))]))
 
     def _check(self) -> None:
         if not 0 < self.forgetting <= 1:
@@ -117,10 +117,19 @@ class Recursion:
             raise UsageError(f"{self} is no filter: walk is 0 or more, every at least 1.")
 
 
-def _told(P: Array, start: Array) -> int:
+def _factor_of(prior: Array, std: Array) -> Array:
+    """[R | z] (r + 1, r + 1) of a prior with standard deviations (r,) or a covariance (r, r)."""
+    r = len(prior)
+    root = np.diag(std) if std.ndim == 1 else np.linalg.cholesky(std)
+    whitened = solve_triangular(root, np.column_stack([np.eye(r), prior]), lower=True)
+    return upper(np.vstack([whitened, np.zeros((1, r + 1))]))
+
+
+def _told(R: Array, start: Array) -> int:
     """How many directions have less than half of the deviation they started with."""
-    shares = np.linalg.eigvals(np.linalg.solve(start, P)).real
-    return int((shares < 0.25).sum())
+    r = len(R) - 1
+    singular = np.linalg.svd(R[:r, :r] @ inverse_of(start), compute_uv=False)
+    return int((singular > 2.0).sum())
 
 
 def rows_of(problem: Problem) -> tuple[Array, Array]:

@@ -54,10 +54,10 @@ def stated_limits(
     joints: tuple[Joint, ...],
     manifest: Manifest,
     velocities: dict[str, float],
-) -> tuple[Array, Array, Array]:
-    """(lowest q, highest q, v) (nv,) where the manifest, for that joint, or the model states them;
-    infinite elsewhere: what is usual binds no joint that follows another one."""
-    low, high, v = np.full(mj.nv, -np.inf), np.full(mj.nv, np.inf), np.full(mj.nv, np.inf)
+) -> tuple[Array, Array, Array, Array]:
+    """(lowest q, highest q, v, a) (nv,) where the manifest, for that joint, or the model states
+    them; infinite elsewhere: what is usual binds no joint that follows another one."""
+    low, (high, v, a) = np.full(mj.nv, -np.inf), np.full((3, mj.nv), np.inf)
     for j, joint in enumerate(joints):
         if joint.kind not in USUAL:
             continue
@@ -68,7 +68,8 @@ def stated_limits(
             low[dof], high[dof] = mj.jnt_range[j]
         written = velocities.get(joint.name, np.inf)
         v[dof] = told.v or (written if written <= PLACEHOLDER[joint.kind] else np.inf)
-    return low, high, v
+        a[dof] = told.a or np.inf
+    return low, high, v, a
 
 
 def _told(manifest: Manifest, joint: str) -> Limits:

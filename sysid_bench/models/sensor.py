@@ -181,9 +181,19 @@ def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) 
     return Cut(sensor, at, body, R, p, bodies, tuple(stops))
 
 
+def sensor_names(text: str) -> list[str]:
+    """The sensors of a text: "left, right"."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
 def the_sensor(robot: RobotModel, sensor: str | None) -> str:
     """The name asked for, or the only sensor of the robot's manifest; UnsupportedError with what
     there is."""
+    if sensor is not None and len(sensor_names(sensor)) > 1:
+        raise UnsupportedError(
+            f"{robot.name}: the sensors {sensor} each have a sub-tree of their own; take one at a "
+            "time, or the task 'robot', which takes several beside all joint torques."
+        )
     if sensor is not None:
         return sensor
     names = [entry.name for entry in robot.manifest.sensors]
@@ -194,6 +204,18 @@ def the_sensor(robot: RobotModel, sensor: str | None) -> str:
         f"{robot.name} {there}: say which one to use with --sensor (in a suite: sensor = ...), or "
         "name a fixed joint, site or body to cut at."
     )
+
+
+def last_body(robot: RobotModel, cut: Cut) -> int:
+    """The tool where it is behind the sensor, else the body with the most joints before it."""
+    if robot.tool_body in cut.bodies:
+        return robot.tool_body
+
+    def joints_before(body: int) -> int:
+        link = int(robot.tree.carrier[body])
+        return 0 if link < 0 else len(robot.tree.links[link].dofs)
+
+    return max(cut.bodies, key=joints_before)
 
 
 def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:

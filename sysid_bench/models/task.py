@@ -1,6 +1,6 @@
 """What is unknown: the parameters of a task, their true values, and what methods take as known."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import Cut, cut_at, instruments_of, the_sensor
+from sysid_bench.models.sensor import Cut, cut_at, instruments_of, sensor_names, the_sensor
 from sysid_bench.spatial.inertia import transport
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Body, Truth
@@ -62,14 +62,15 @@ def task_of(
     name: str,
     terms: tuple[str, ...],
     sensor: str | None = None,
-    offset: Array | None = None,
+    offset: Callable[[int], Array] | None = None,
 ) -> Task:
     """The task `robot` (links and `terms`), `payload` or `link` (ten numbers, the rest known), or
     `terminal` (the last joint's torque alone: ten numbers of its link, and its `terms`).
 
     `wrench`: what is behind a force/torque `sensor`, from that sensor alone; `wrench-payload`: the
-    payload's ten numbers from it, the rest known. With the term "offset" the sensor's constants are
-    unknown as well; `offset` (6,) are the true ones.
+    payload's ten numbers from it, the rest known. With the term "offset" the constants of the
+    sensor and of those that end its sub-tree are unknown as well; `offset` of their number gives
+    the true ones (6 count,).
 
     With a `sensor` (several: "left, right") the tasks `robot` and `payload` look at it beside all
     joint torques. Joint terms that are not identified are known. Raises UnsupportedError where the
@@ -87,7 +88,7 @@ def _task_of(
     name: str,
     terms: tuple[str, ...],
     sensor: str | None,
-    offset: Array | None,
+    offset: Callable[[int], Array] | None,
 ) -> Task:
     match name:
         case "robot":
@@ -100,7 +101,7 @@ def _task_of(
             return _terminal(robot, terms)
         case "wrench" | "wrench-payload":
             behind = _behind_sensor(robot, the_sensor(robot, sensor), name == "wrench")
-            return _with_offset(behind, terms, np.zeros(6) if offset is None else offset)
+            return _with_offset(behind, terms, offset)
     raise unknown_name("task", name, TASKS)
 
 
@@ -146,8 +147,7 @@ def _beside_sensors(robot: RobotModel, task: Task, sensor: str | None) -> Task:
     """The task with the rows of sensors after those of all joints."""
     if sensor is None:
         return task
-    names = [name.strip() for name in sensor.split(",")]
-    cuts = tuple(cut_at(robot, name, ()) for name in names)
+    cuts = tuple(cut_at(robot, name, ()) for name in sensor_names(sensor))
     asked = {body.name for body in task.bodies}
     known = robot.phi if task.name == "payload" else _with_payload(robot)
     known = known * [[float(name not in asked)] for name in robot.body_names]
@@ -158,8 +158,8 @@ def _beside_sensors(robot: RobotModel, task: Task, sensor: str | None) -> Task:
     return replace(task, rows=rows, cuts=cuts, known_links=lumped)
 
 
-def _with_offset(task: Task, terms: tuple[str, ...], offset: Array) -> Task:
-    """The task with the constants of its sensor unknown as well, where that is asked for."""
+def _with_offset(task: Task, terms: tuple[str, ...], offset: Callable[[int], Array] | None) -> Task:
+    """The task with the constants of its sensors unknown as well, where that is asked for."""
     if not terms:
         return task
     if terms != ("offset",):
@@ -167,8 +167,9 @@ def _with_offset(task: Task, terms: tuple[str, ...], offset: Array) -> Task:
             f"A force/torque sensor feels no joint term: {', '.join(terms)} cannot be identified "
             f"with the task {task.name!r}; 'offset' alone can, the sensor's own constants."
         )
-    columns = tuple(f"{row}.{SUFFIX['offset']}" for row in task.rows or ())
-    truth = Truth(task.parameters + columns, np.concatenate([task.truth.theta, offset]))
+    columns = tuple(f"{row}.{SUFFIX['offset']}" for cut in task.cuts for row in cut.rows)
+    true = np.zeros(len(columns)) if offset is None else offset(len(task.cuts))
+    truth = Truth(task.parameters + columns, np.concatenate([task.truth.theta, true]))
     return replace(task, truth=truth)
 
 

@@ -11,13 +11,11 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.models.coupling.slopes import Slopes
 from sysid_bench.models.tree import BALL, FREE, HINGE, Link, Tree, TreeJoint
 from sysid_bench.regressors.regression import SMOOTH_RATE, Regression
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Trajectory
-
-Slopes = tuple[Array, Array, Array]
-"""Derivatives of a number by q, v, a (N, nv) of a motion."""
 
 # Slope of each joint term by (q, v, a) of its joint; see TERM.
 _SLOPE: Final[dict[str, Callable[[Array], Slopes]]] = {
@@ -49,8 +47,8 @@ def pull_back(regression: Regression, motion: Trajectory, G: Array) -> Slopes:
         weights[columns.link] = raw
     slopes = pull_back_links(regression.tree, motion, weights)
     for term in regression.terms:
-        for slope, own in zip(slopes, _SLOPE[term.kind](motion.v[:, term.row]), strict=True):
-            slope[:, term.row] += G[:, term.row, term.place] * own
+        for slope, own in zip(slopes, _SLOPE[term.kind](motion.v[:, term.rate]), strict=True):
+            slope[:, term.rate] += G[:, term.row, term.place] * own
     return slopes
 
 
@@ -70,6 +68,8 @@ def pull_back_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array]
     degrees of freedom that move the link."""
     q, v, a = motion.q.T, motion.v.T, motion.a.T
     gq, gv, ga = np.zeros((3, tree.nv, len(motion)))
+    if not weights:  # joint terms alone: nothing to sweep for
+        return gq.T, gv.T, ga.T
     slopes = gq, gv, ga
     tapes: list[list[_Back]] = []
     done: list[Array] = []

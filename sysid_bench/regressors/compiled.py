@@ -6,7 +6,6 @@ kernel serves: same values, same contract.
 """
 
 import ctypes
-import hashlib
 import os
 import threading
 import weakref
@@ -14,16 +13,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.c_library import c_library
 from sysid_bench.errors import UsageError
-from sysid_bench.regressors.program import Program, regression_program
+from sysid_bench.regressors.columns import Columns
+from sysid_bench.regressors.program import Program, columns_program
 from sysid_bench.types import Array, Trajectory
-
-if TYPE_CHECKING:
-    from sysid_bench.regressors.regression import Regression
 
 VARIABLE: Final = "SYSID_BENCH_KERNEL"
 """`numpy`, `compiled`, or one of `LEVELS`: which kernel this process takes; unset, the best."""
@@ -32,8 +30,7 @@ LEVELS: Final = {"x86-64-v4": "v4", "x86-64-v3": "v3", "baseline": "base"}
 """Instruction sets, best first, and what the functions compiled for them end in: AVX-512, AVX2
 with FMA, and what every processor of the kind has."""
 
-FOLDER: Final = Path(__file__).parent
-SOURCE: Final = FOLDER / "kernel.c"
+SOURCE: Final = Path(__file__).with_name("kernel.c")
 
 
 @dataclass(frozen=True)
@@ -66,17 +63,7 @@ def chosen() -> Choice:
 
 def _load(wanted: str) -> "Library":
     """The library and the wanted instruction set, or the best; OSError with the reason."""
-    files = [FOLDER / f"libregressor{suffix}" for suffix in (".so", ".dylib", ".dll")]
-    file = next((file for file in files if file.is_file()), None)
-    if file is None:
-        raise OSError(
-            "no kernel was compiled when the package was installed; with a C compiler, gcc or "
-            "clang, installing it again compiles one"
-        )
-    dll = ctypes.CDLL(str(file))
-    dll.kernel_source.restype = ctypes.c_char_p
-    if dll.kernel_source().decode() != hashlib.sha256(SOURCE.read_bytes()).hexdigest():
-        raise OSError(f"{file.name} was compiled from another kernel.c; install the package again")
+    dll = c_library(SOURCE, "libregressor", "kernel_source")
     usable = [level for level in LEVELS if _usable(dll, level)]
     if wanted in LEVELS and wanted not in usable:
         raise OSError(f"{wanted} is not among what this machine has: {', '.join(usable)}")
@@ -167,10 +154,10 @@ _PROGRAMS: Final[weakref.WeakKeyDictionary[Any, dict[tuple[int, ...], Program]]]
 )
 
 
-def program_of(regression: "Regression", rows: Sequence[int] | None = None) -> Program:
-    """The program of some rows of a regression (None: all), made once."""
-    wanted = tuple(range(len(regression.rows)) if rows is None else rows)
-    made = _PROGRAMS.setdefault(regression, {})
+def program_of(columns: Columns, rows: Sequence[int] | None = None) -> Program:
+    """The program of some rows of the columns (None: all), made once."""
+    wanted = tuple(range(len(columns.rows)) if rows is None else rows)
+    made = _PROGRAMS.setdefault(columns, {})
     if wanted not in made:
-        made[wanted] = regression_program(regression, wanted)
+        made[wanted] = columns_program(columns, wanted)
     return made[wanted]

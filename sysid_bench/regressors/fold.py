@@ -10,20 +10,20 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sysid_bench.regressors.compiled import program_of
-from sysid_bench.regressors.coupled import AnyRegression
+from sysid_bench.regressors.ended import Sensed
 from sysid_bench.regressors.regression import Regression
 from sysid_bench.types import Array, Factor, Trajectory
 
 
 def fold(
-    regression: AnyRegression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
+    regression: Sensed, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> tuple[Factor, ...]:
     """One Factor per row for the right-hand side b (N, n); `rows`: only these (None: all)."""
     return fold_all(regression, [(motion, b)], rows)
 
 
 def fold_all(
-    regression: AnyRegression,
+    regression: Sensed,
     parts: Iterable[tuple[Trajectory, Array]],
     rows: Sequence[int] | None = None,
 ) -> tuple[Factor, ...]:
@@ -56,7 +56,7 @@ def _square(R: Array) -> Array:
 
 
 def _folded(
-    regression: AnyRegression,
+    regression: Sensed,
     motion: Trajectory,
     b: Array,
     rows: Sequence[int],
@@ -103,7 +103,7 @@ def _triangle(stack: Array) -> Array:
 
 
 def dense_blocks(
-    regression: AnyRegression, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
+    regression: Sensed, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> Iterator[tuple[Array, Array]]:
     """The rows themselves again: (Y (n, rows, p), b (n, rows)) block by block; as for `fold`."""
     chosen = slice(None) if rows is None else list(rows)

@@ -3,15 +3,13 @@
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.models.tree import BALL, FREE, SLIDE, Tree
+from sysid_bench.regressors.columns import Columns, LinkColumns
 from sysid_bench.types import Array
-
-if TYPE_CHECKING:
-    from sysid_bench.regressors.regression import LinkColumns, Regression
 
 ABOUT, ALONG, ABOUT_X, WORLD_X = 0, 1, 2, 5
 """What a degree of freedom of a joint does: it turns about the joint's axis or moves along it,
@@ -56,24 +54,24 @@ class Program:
     runs: Any  # struct of how dense rows are put together
 
 
-def regression_program(regression: "Regression", rows: Sequence[int]) -> Program:
-    """The program of a regression's rows, given as places in v."""
+def columns_program(wanted: Columns, rows: Sequence[int]) -> Program:
+    """The program of the rows of some columns, given as places in v."""
     chosen = np.array(rows, dtype=np.int64)
-    count = np.array([len(regression.touched[i]) for i in rows], dtype=np.int64)
+    count = np.array([len(wanted.touched[i]) for i in rows], dtype=np.int64)
     ends = np.cumsum(count + 1)
     start = {int(i): int(end - n - 1) for i, end, n in zip(chosen, ends, count, strict=True)}
-    plan = _Plan(regression.tree, start)
-    for columns in regression.links:
+    plan = _Plan(wanted.tree, start)
+    for columns in wanted.links:
         plan.add(columns)
-    for term in regression.terms:
+    for term in wanted.terms:
         if term.row in plan.next:
             dest = plan.take(term.row, 1)
             code = TERM_CODES[term.kind]
             plan.terms.append((code, dest, term.rate, term.qadr, term.reference))
     size = int(ends[-1]) if len(ends) else 0
     at = ends - count - 1
-    places = [regression.touched[i] for i in rows]
-    return _program(plan, size, chosen, at, count, _runs(places, at, len(regression.columns)))
+    places = [wanted.touched[i] for i in rows]
+    return _program(plan, size, chosen, at, count, _runs(places, at, len(wanted.columns)))
 
 
 def torque_program(tree: Tree, links: Sequence[int]) -> Program:
@@ -101,7 +99,7 @@ class _Plan:
         self.mixes: list[float] = []
         self.terms: list[tuple[int, int, int, int, float]] = []
 
-    def add(self, columns: "LinkColumns") -> None:
+    def add(self, columns: LinkColumns) -> None:
         """The columns of one link, for those of its rows that are wanted."""
         dofs = self.tree.links[columns.link].dofs
         wide = np.zeros((len(columns.places), 10))

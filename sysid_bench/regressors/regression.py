@@ -1,8 +1,4 @@
-"""Y of tau = Y theta for chosen parameters, block by block and row by row: never stacked.
-
-A column is a weighting of the ten raw columns of one link (its own parameter: a unit vector; a
-welded body's: a column of its transport X), or a joint term of one row.
-"""
+"""Y of tau = Y theta for chosen parameters, block by block and row by row: never stacked."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,7 +11,7 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Measured
-from sysid_bench.models.tree import Tree
+from sysid_bench.regressors.columns import Columns, LinkColumns, TermColumn
 from sysid_bench.regressors.compiled import Library, chosen, program_of
 from sysid_bench.regressors.kernel import blocks, body_columns, sweep
 from sysid_bench.regressors.program import TERM_CODES
@@ -39,62 +35,14 @@ TERM: Final[dict[str, TermFunction]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class LinkColumns:
-    """Columns carried by one link: `raw` of its ten are computed, `mix` (k, m) combines them
-    (None: taken as they are), `places` are their columns in Y."""
-
-    link: int
-    raw: tuple[int, ...]
-    mix: Array | None
-    places: Array
-
-
-@dataclass(frozen=True)
-class TermColumn:
-    """One joint term: its column in Y, its row, what it is, the joint's place in q, the reference
-    that is taken from q, and the place in v of the rate that it depends on."""
-
-    place: int
-    row: int
-    kind: str
-    qadr: int
-    reference: float
-    rate: int
-
-
-@dataclass(frozen=True, eq=False)
-class Regression:
-    """Y (N, nv, p) along any motion. `touched[i]`: the columns that row i can be non-zero in."""
-
-    tree: Tree
-    rows: tuple[str, ...]
-    columns: tuple[str, ...]
-    links: tuple[LinkColumns, ...]
-    terms: tuple[TermColumn, ...]
+class Regression(Columns):
+    """Y (N, nv, p) along any motion."""
 
     @cached_property
     def library(self) -> Library | None:
         """The compiled kernel, where this process has one and it knows all of these columns."""
         known = all(term.kind in TERM_CODES for term in self.terms)
         return chosen().library if known else None
-
-    @cached_property
-    def touched(self) -> tuple[Array, ...]:
-        """For each row the places (k,) in Y, in the order of `Block.row`."""
-        places: list[list[int]] = [[] for _ in self.rows]
-        for columns in self.links:
-            for row in self.tree.links[columns.link].dofs:
-                places[row] += columns.places.tolist()
-        for term in self.terms:
-            places[term.row].append(term.place)
-        return tuple(np.array(place, dtype=int) for place in places)
-
-    @cached_property
-    def starts(self) -> tuple[int, ...]:
-        """Where each row's columns start among the values of a block; one value is free after
-        them, for the right-hand side that a fold puts there."""
-        sizes = [len(places) + 1 for places in self.touched]
-        return tuple(int(end - size) for end, size in zip(np.cumsum(sizes), sizes, strict=True))
 
     def blocks(self, motion: Trajectory) -> Iterator["Block"]:
         """Y of consecutive samples, a cacheful at a time, by the kernel of this process."""

@@ -142,17 +142,23 @@ def handed_on(
     instruments: Instruments, motion: Trajectory, cut: Cut, stop: Cut, wrench: Array
 ) -> Array:
     """What a wrench (N, 6) at the sensor `stop` is at the sensor `cut` before it (N, 6)."""
+    X = moved_along(instruments, instruments.motion(motion), cut, stop)
+    return np.asarray(np.einsum("nij,nj->ni", X, wrench))
+
+
+def moved_along(instruments: Instruments, motion: Trajectory, cut: Cut, stop: Cut) -> Array:
+    """X (N, 6, 6) of wrenches at the sensor `stop`, moved to the sensor `cut` before it; along a
+    motion with the places of all sensors."""
     link = int(instruments.tree.carrier[stop.body])
     own = instruments.tree.links[link].dofs.tolist()
-    out = np.empty_like(wrench)
-    for part, state in _states(instruments.tree, instruments.motion(motion), link):
+    X = np.empty((len(motion), 6, 6))
+    for part, state in _states(instruments.tree, motion, link):
         T_cut, T_stop = (
             _columns(state, [own.index(dof) for dof in instruments.root(at)]).transpose(0, 2, 1)
             for at in (cut, stop)
         )
-        at_link = np.linalg.solve(T_stop, wrench[part, :, None])
-        out[part] = (T_cut @ at_link)[..., 0]
-    return out
+        X[part] = T_cut @ np.linalg.inv(T_stop)
+    return X
 
 
 def columns_of(robot: RobotModel, cut: Cut) -> tuple[str, ...]:

@@ -35,6 +35,7 @@ METADATA: Final[Mapping[str, dict[str, None]]] = {
     "svg": {"Date": None, "Creator": None},
 }
 _DECADES_FOR_LOG = 1.5
+LONGEST: Final = 40  # letters of a label
 
 
 def figure(table: Table, path: Path) -> Path:
@@ -97,7 +98,7 @@ def _dots(table: Table) -> "Figure":
     for lane, column in enumerate(table.columns):
         offset = ((lane + 0.5) / lanes - 0.5) * 0.72
         _one_series(axes, table, column, lane, offset, logarithmic)
-    axes.set_yticks(range(len(table.rows)), [plain(" · ".join(row)) for row in table.rows])
+    axes.set_yticks(range(len(table.rows)), [_label(" · ".join(row)) for row in table.rows])
     axes.set_ylim(len(table.rows) - 0.5, -0.5)
     axes.set_xlabel(plain(table.metric.heading))
     axes.grid(axis="x", which="major", color="#dddddd", linewidth=0.4)
@@ -168,8 +169,8 @@ def _heat_map(table: Table) -> "Figure":
             text = plain(_cell_text(table, row, column))
             axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5,
                       color="white" if dark else _INK)  # fmt: skip
-    axes.set_xticks(np.arange(len(table.columns)) + 0.5, [plain(c[0]) for c in table.columns])
-    axes.set_yticks(np.arange(len(table.rows)) + 0.5, [plain(r[0]) for r in table.rows])
+    axes.set_xticks(np.arange(len(table.columns)) + 0.5, [_label(c[0]) for c in table.columns])
+    axes.set_yticks(np.arange(len(table.rows)) + 0.5, [_label(r[0]) for r in table.rows])
     axes.set_xlabel(plain(table.column_fields[0]))
     axes.set_title(plain(table.metric.heading), fontsize=8)
     axes.tick_params(length=0)
@@ -200,6 +201,12 @@ def _spans_decades(table: Table) -> bool:
     if not positive or any(value < 0 for value in values):
         return False
     return math.log10(max(positive)) - math.log10(min(positive)) > _DECADES_FOR_LOG
+
+
+def _label(text: str) -> str:
+    """A name that leaves room for what it names: of a long one its two ends."""
+    half = LONGEST // 2
+    return plain(text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}")
 
 
 def plain(text: str) -> str:

@@ -18,6 +18,7 @@ class Metric:
     digits: int = 3
     floor: float = 0.0
     words: bool = False  # texts, of which there is no statistic
+    repeated: bool = False  # of all repeats together: a statistic itself
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -33,6 +34,7 @@ class Metric:
 
 _TORQUE = "N m|N"
 _ROUNDING: Final = 1e-12
+_BOUND: Final = "Cramér-Rao bound of torque noise alone"
 _ALL: Final = (
     Metric("rmse_train", "Training RMSE", _TORQUE),
     Metric("rmse_test", "Held-out RMSE", _TORQUE),
@@ -53,9 +55,22 @@ _ALL: Final = (
     Metric("mass_error", "Mass error", "kg", floor=_ROUNDING),
     Metric("com_error", "Error of the centre of mass", "m", floor=_ROUNDING),
     Metric("inertia_error", "Relative error of the inertia", floor=_ROUNDING),
+    Metric("structural_rank", "Base parameters of the sub-tree", digits=0),
+    Metric("excited_rank", "Excited base parameters of the sub-tree", digits=0),
+    Metric("left_out", "Share of samples taken for contacts"),
+    Metric("unpredictable", "Joints whose torque cannot be foretold", digits=0),
+    Metric("sensed_torque_ratio", "Torque error with sensor / that of true parameters", digits=4),
+    Metric("sensed_wrench_ratio", "Touch error with sensor / that of true parameters", digits=4),
+    Metric("sensed_cad_ratio", "Torque error with sensor, CAD / identified"),
+    Metric("alone_cad_ratio", "Torque error of parameters alone, identified / CAD"),
     Metric("feasible", "Share of feasible estimates"),
     Metric("plausible", "Share of plausible estimates"),
     Metric("min_eigenvalue", "Smallest pseudo-inertia eigenvalue"),
+    Metric("coverage", "Share of 95 % intervals that hold the truth"),
+    Metric("bias", "Mean error in standard deviations of an estimate", repeated=True),
+    Metric("spread", f"Scatter over the {_BOUND}", repeated=True),
+    Metric("efficiency", f"Efficiency against the {_BOUND}", repeated=True),
+    Metric("bound_ratio", f"RMS error over the {_BOUND}", repeated=True),
     Metric("verdict", "Verdict on each parameter", words=True),
     Metric("seconds", "Time", "s"),
     Metric("gap", "Regressor gap to Pinocchio"),

@@ -3,15 +3,17 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.evaluation.repeats import ENOUGH_REPEATS
 from sysid_bench.reporting.metrics import METRICS, Metric, metric_of
-from sysid_bench.reporting.numbers import Notation, notation
+from sysid_bench.reporting.numbers import ABSENT, Notation, notation
+from sysid_bench.reporting.repeats import figure_of
 from sysid_bench.reporting.statistics import INTERVALS, STATISTICS, interval_of, statistic_of
 
 if TYPE_CHECKING:
@@ -94,6 +96,9 @@ class Table:
             return self.own_caption
         if self.metric.words:
             return f"{self.metric.heading}."
+        if self.metric.repeated:
+            ends = ", with 95 % bootstrap interval" if self.interval != "none" else ""
+            return f"{self.metric.heading}: over all repeats and parameters{ends}."
         spread = f" with {INTERVALS[self.interval]}" if self.interval != "none" else ""
         return f"{self.metric.heading}: {STATISTICS[self.stat]}{spread}."
 
@@ -129,10 +134,14 @@ class Table:
 
 
 def make_table(
-    cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose | None = None
+    cells: "pd.DataFrame",
+    spec: Mapping[str, Any],
+    choose: Choose | None = None,
+    parameters: "pd.DataFrame | None" = None,
 ) -> Table:
     """The table of a [[table]] entry of a suite. `spec["select"]` is a mapping of field to value
-    (or list of values), or an expression that `choose(expression, cell)` decides.
+    (or list of values), or an expression that `choose(expression, cell)` decides. `parameters` of
+    all cells, by `id`, are for metrics of all repeats together.
 
     Best entries are sought among estimators where these are rows or columns, else within a row.
     Raises UsageError for unknown keys, fields, metrics and statistics, and where no cell is left.
@@ -143,7 +152,10 @@ def make_table(
     interval = wanted.get("interval", "none")
     chosen = labelled(selected(cells, spec, choose))
     rows, columns = tuple(spec.get("rows", ())), tuple(spec.get("columns", ()))
-    entries = _entries(chosen, rows, columns, metric.name, stat, interval)
+    judge = partial(_entry, metric=metric.name, stat=stat, interval=interval)
+    if metric.repeated:
+        judge = partial(_repeated, metric=metric.name, interval=interval, parameters=parameters)
+    entries = _entries(chosen, rows, columns, judge)
     table = Table(
         name=str(spec.get("name", metric.name)),
         title=str(spec.get("title") or metric.title),
@@ -155,7 +167,11 @@ def make_table(
         rows=_ordered(chosen, rows, (key[0] for key in entries)),
         columns=_ordered(chosen, columns, (key[1] for key in entries)),
         entries=entries,
-        notes=_pooling(chosen, rows + columns),
+        notes=(
+            *_pooling(chosen, rows + columns),
+            *_foretold(chosen, metric.name, rows + columns),
+            *_untold(metric, entries.values()),
+        ),
     )
     return _with_best(table, spec.get("best", "none"))
 
@@ -232,12 +248,12 @@ def selected(
 
 
 def _entries(
-    cells: "pd.DataFrame", rows: Key, columns: Key, metric: str, stat: str, interval: str
+    cells: "pd.DataFrame", rows: Key, columns: Key, judge: Callable[["pd.DataFrame"], Entry]
 ) -> dict[tuple[Key, Key], Entry]:
     fields, entries = [*rows, *columns], {}
     for key, group in cells.groupby(fields, sort=False, dropna=False):
         labels = tuple(label(part) for part in (key if isinstance(key, tuple) else (key,)))
-        entries[labels[: len(rows)], labels[len(rows) :]] = _entry(group, metric, stat, interval)
+        entries[labels[: len(rows)], labels[len(rows) :]] = judge(group)
     return entries
 
 
@@ -246,8 +262,7 @@ def _entry(group: "pd.DataFrame", metric: str, stat: str, interval: str) -> Entr
     # Parquet and JSON hand whole numbers, booleans and None in one column of objects.
     # Where every cell failed, no row has the metric at all.
     told = ok[metric] if metric in ok else [None] * len(ok)
-    failures = group.loc[group["status"] != "ok", "status"].value_counts(sort=False)
-    counts = {str(kind): int(number) for kind, number in failures.items()}
+    counts = _failures(group)
     if metric_of(metric).words:
         return _worded([value for value in told if isinstance(value, str)], len(ok), counts)
     values = np.array([_number(value) for value in told], dtype=float)
@@ -257,6 +272,25 @@ def _entry(group: "pd.DataFrame", metric: str, stat: str, interval: str) -> Entr
     low, high = interval_of(interval, stat, values, repeats)
     value = statistic_of(stat, values) if len(values) else None
     return Entry(value, low, high, len(values), counts, int((~finite).sum()))
+
+
+def _failures(group: "pd.DataFrame") -> dict[str, int]:
+    failures = group.loc[group["status"] != "ok", "status"].value_counts(sort=False)
+    return {str(kind): int(number) for kind, number in failures.items()}
+
+
+def _repeated(
+    group: "pd.DataFrame", metric: str, interval: str, parameters: "pd.DataFrame | None"
+) -> Entry:
+    """The figure of all repeats of a group, its cells each one repeat of one setting."""
+    ok = group[group["status"] == "ok"]
+    figure = None if parameters is None else figure_of(metric, ok, parameters)
+    if figure is None:
+        return Entry(None, None, None, 0, _failures(group), len(ok))
+    value, low, high = figure
+    if interval == "none":
+        return Entry(value, None, None, len(ok), _failures(group))
+    return Entry(value, low, high, len(ok), _failures(group))
 
 
 def _worded(texts: Sequence[str], cells: int, failures: Mapping[str, int]) -> Entry:
@@ -288,6 +322,26 @@ def _pooling(cells: "pd.DataFrame", shown: Sequence[str]) -> tuple[str, ...]:
     hidden = [f for f in _SWEEPABLE if f in cells.columns and f not in shown]
     pooled = [f"{cells[f].nunique()} of {f}" for f in hidden if cells[f].nunique() > 1]
     return (f"Each number pools different settings: {', '.join(pooled)}.",) if pooled else ()
+
+
+def _foretold(cells: "pd.DataFrame", metric: str, shown: Sequence[str]) -> tuple[str, ...]:
+    """Which torques data cannot foretell, by the labels of the table that counts them."""
+    if metric != "unpredictable" or "unpredictable_names" not in cells.columns:
+        return ()
+    named = cells[cells["unpredictable_names"].fillna("") != ""]
+    told = {
+        (" / ".join(str(row[field]) for field in shown), row["unpredictable_names"])
+        for _, row in named.iterrows()
+    }
+    return tuple(f"{label}: the torques of {names} cannot be foretold." for label, names in
+                 sorted(told))  # fmt: skip
+
+
+def _untold(metric: Metric, entries: Iterable[Entry]) -> tuple[str, ...]:
+    if not metric.repeated or not any(e.value is None and e.missing for e in entries):
+        return ()
+    bound = "" if metric.name == "bias" else ", or no noise of the torque and so no bound"
+    return (f"{ABSENT}: fewer than {ENOUGH_REPEATS} repeats, no noise at all{bound}.",)
 
 
 def _with_best(table: Table, best: str) -> Table:

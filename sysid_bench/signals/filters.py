@@ -1,4 +1,5 @@
-"""Zero-phase filters as a suite writes them: "butter 4 20 Hz zero-phase", "average 21", "none"."""
+"""Zero-phase filters as a suite writes them: "butter 4 20 Hz zero-phase", "average 21", "none",
+and "fourier 2 Hz" of motions that repeat."""
 
 from dataclasses import dataclass
 
@@ -64,7 +65,40 @@ class MovingAverage:
         return self.window // 2
 
 
-Filter = NoFilter | Butterworth | MovingAverage
+@dataclass(frozen=True)
+class FourierSeries:
+    """What is not faster than `cutoff` (Hz) in the series of a recording of whole periods: it
+    neither rounds nor delays a motion of slower harmonics, and its derivatives are exact (Swevers,
+    Ganseman, Tukel, De Schutter, Van Brussel 1997)."""
+
+    cutoff: float
+
+    def smooth(self, x: Array, rate: float) -> Array:
+        """x (N, k) without what is faster."""
+        return self._series(x, rate, 0)
+
+    def derivative(self, x: Array, rate: float) -> Array:
+        """dx/dt (N, k) of what is not faster."""
+        return self._series(x, rate, 1)
+
+    def _series(self, x: Array, rate: float, order: int) -> Array:
+        f = np.fft.rfftfreq(len(x), 1 / rate)
+        factor = np.where(f <= self.cutoff, (2j * np.pi * f) ** order, 0.0)
+        return np.fft.irfft(factor[:, None] * np.fft.rfft(x, axis=0), len(x), axis=0)
+
+    def edge(self, rate: float) -> int:
+        """None: the end goes on at the start."""
+        return 0
+
+
+Filter = NoFilter | Butterworth | MovingAverage | FourierSeries
+
+
+def derivative(filter: Filter, x: Array, rate: float) -> Array:
+    """dx/dt (N, k) of what a filter has smoothed: of its series, or else central differences."""
+    if isinstance(filter, FourierSeries):
+        return filter.derivative(x, rate)
+    return np.asarray(np.gradient(x, 1.0 / rate, axis=0))
 
 
 def filter_of(text: str) -> Filter:
@@ -77,11 +111,13 @@ def filter_of(text: str) -> Filter:
             return NoFilter()
         case ["butter", order, *cutoff] if order.isdecimal() and cutoff and int(order) > 0:
             return Butterworth(int(order), _positive(quantity(" ".join(cutoff), "Hz"), text))
+        case ["fourier", *cutoff] if cutoff:
+            return FourierSeries(_positive(quantity(" ".join(cutoff), "Hz"), text))
         case ["average", window] if window.isdecimal() and int(window) % 2 == 1:
             return MovingAverage(int(window))
     raise UsageError(
-        f"{text!r} is no filter; write 'none', 'butter ORDER CUTOFF Hz zero-phase' or 'average N', "
-        "N odd."
+        f"{text!r} is no filter; write 'none', 'butter ORDER CUTOFF Hz zero-phase', 'average N' (N "
+        "odd) or 'fourier CUTOFF Hz'."
     )
 
 

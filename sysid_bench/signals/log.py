@@ -1,7 +1,7 @@
 """A recording of a real robot: from its description to a Recording, with what is wrong with it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -88,6 +88,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         findings += told
     findings += _ranges(robot, joints, q, v, tau)
     recording = _of_robot(robot, joints, grid - grid[0], rate, q, v, tau)
+    recording = replace(recording, period=description.period)
     return Log(description, recording, joints, tuple(findings), measured, samples)
 
 

@@ -81,6 +81,7 @@ class _Text(_Table):
     file: str | None = None
     rate: str | float | None = None
     time: Annotated[Time | None, BeforeValidator(_time)] = None
+    period: str | float | None = None
     joints: Annotated[tuple[str, ...], Several]
     q: Signal
     v: Signal | None = None
@@ -94,9 +95,10 @@ class _Text(_Table):
 @dataclass(frozen=True, eq=False)
 class LogDescription:
     """A log's description; paths are absolute. `rate` (Hz) or `time` is there, or both: then the
-    stamps are checked against the rate. `transmission` G (k, k): q = G q_motor, tau_motor =
-    G' tau. `rows`: the first and last sample used, from 1. `locked`: where joints that are not
-    recorded stand (rad, m); the others stand at the model's reference."""
+    stamps are checked against the rate. The motion repeats after `period` (s). `transmission` G
+    (k, k): q = G q_motor, tau_motor = G' tau. `rows`: the first and last sample used, from 1.
+    `locked`: where joints that are not recorded stand (rad, m); the others stand at the model's
+    reference."""
 
     source: Path
     joints: tuple[str, ...]
@@ -110,6 +112,7 @@ class LogDescription:
     payload: str | Mapping[str, Any] | None = None
     rows: tuple[int, int] | None = None
     locked: Mapping[str, float] | None = None
+    period: float | None = None
 
     def file_of(self, part: Signal | Time) -> Path:
         """The file that a signal is read from."""
@@ -161,25 +164,26 @@ def read_description(source: Path) -> LogDescription:
         v=written.v,
         tau=written.tau,
         file=None if written.file is None else source.parent / written.file,
-        rate=None if written.rate is None else _rate(written.rate, source),
+        rate=None if written.rate is None else _positive("rate", written.rate, "Hz", source),
         time=written.time,
         transmission=_transmission(written, source),
         payload=written.payload,
         rows=_rows(written.rows, source),
         locked=written.locked,
+        period=None if written.period is None else _positive("period", written.period, "s", source),
     )
     _check_joints(description)
     return description
 
 
-def _rate(written: str | float, source: Path) -> float:
+def _positive(key: str, written: str | float, unit: str, source: Path) -> float:
     try:
-        rate = quantity(written, "Hz")
+        value = quantity(written, unit)
     except UsageError as error:
-        raise UsageError(f"{source}: rate: {error}") from error
-    if rate <= 0:
-        raise UsageError(f"{source}: rate must be positive; got {written!r}.")
-    return rate
+        raise UsageError(f"{source}: {key}: {error}") from error
+    if value <= 0:
+        raise UsageError(f"{source}: {key} must be positive; got {written!r}.")
+    return value
 
 
 def _rows(rows: tuple[int, int] | None, source: Path) -> tuple[int, int] | None:

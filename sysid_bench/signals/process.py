@@ -8,12 +8,12 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import Joint
-from sysid_bench.signals.filters import Filter, filter_of
+from sysid_bench.signals.filters import Filter, FourierSeries, derivative, filter_of
 from sysid_bench.spatial.rotation import conjugate, product
 from sysid_bench.types import Array, Recording
 
-SETTINGS: Final = ("filter", "derivatives", "torque", "calibration", "runs")
-"""Keys of a table of signals; the harness itself sees to calibrations and runs."""
+SETTINGS: Final = ("filter", "derivatives", "torque", "calibration", "contacts", "runs")
+"""Keys of a table of signals; the harness itself sees to calibrations, contacts and runs."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,11 @@ class Processing:
     def apply(self, recording: Recording, joints: tuple[Joint, ...]) -> Recording:
         """A recording with v and a; UsageError where it is too short, or v and a are absent."""
         smooth, rate = self.filter.smooth, recording.rate
-        edge = self.filter.edge(rate) + (2 if self.differentiate or self.from_rates else 0)
+        differences = self.differentiate or self.from_rates
+        if isinstance(self.filter, FourierSeries):
+            _require_periods(recording, self.filter)
+            differences = False
+        edge = self.filter.edge(rate) + (2 if differences else 0)
         if len(recording) <= 2 * edge + 10:
             raise UsageError(
                 f"{len(recording)} samples are too few for {self.filter}: it spoils {edge} at each "
@@ -40,11 +44,11 @@ class Processing:
             )
         q = _smooth_positions(recording.q, joints, self.filter, rate)
         if self.differentiate:
-            v = _rates(q, joints, rate)
-            a = np.gradient(v, 1.0 / rate, axis=0)
+            v = _rates(q, joints, self.filter, rate)
+            a = derivative(self.filter, v, rate)
         elif self.from_rates and recording.v is not None:
             v = smooth(recording.v, rate)
-            a = np.gradient(v, 1.0 / rate, axis=0)
+            a = derivative(self.filter, v, rate)
         elif self.from_rates:
             raise UsageError("derivatives = 'from v' needs a recording with v; use 'from q'.")
         elif recording.v is None or recording.a is None:
@@ -90,9 +94,20 @@ def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate:
     return q
 
 
-def _rates(q: Array, joints: tuple[Joint, ...], rate: float) -> Array:
-    """Central differences (N, nv); for quaternions the body's angular velocity 2 conj(q) dq/dt."""
-    dq = np.gradient(q, 1.0 / rate, axis=0)
+def _require_periods(recording: Recording, filter: Filter) -> None:
+    """A series takes the end of a recording for its start."""
+    samples = 0.0 if recording.period is None else recording.period * recording.rate
+    if samples == 0.0 or abs(len(recording) / samples - round(len(recording) / samples)) > 1e-9:
+        period = "no period" if recording.period is None else f"periods of {recording.period:g} s"
+        raise UsageError(
+            f"{filter} needs whole periods; {len(recording)} samples at {recording.rate:g} Hz have "
+            f"{period}. Take an excitation that repeats, or the filter 'butter'."
+        )
+
+
+def _rates(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> Array:
+    """dq/dt (N, nv); for quaternions the body's angular velocity 2 conj(q) dq/dt."""
+    dq = derivative(filter, q, rate)
     v = np.empty((len(q), sum(len(joint.dofs) for joint in joints)))
     for joint in joints:
         at, dof = joint.qadr, joint.vadr

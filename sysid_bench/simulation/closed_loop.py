@@ -14,6 +14,7 @@ from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.simulation.gravity import measured_gravity_rms
 from sysid_bench.simulation.plant import Plant, check_finite
+from sysid_bench.simulation.stepped import stepped
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 STIFF_FRICTION: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])
@@ -336,18 +337,7 @@ def _steps_with_laws(
     """The same, step by step, since the force laws of effects look at each state."""
     data = mujoco.MjData(mj)
     data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
-    steps = _steps_per_sample(mj, commanded)
-    out = tuple(np.empty((len(control), size)) for size in (mj.nq, mj.nv, mj.nv, mj.nv))
-    for k, t in enumerate(commanded.t):
-        data.ctrl[:] = control[k]
-        out[0][k], out[1][k] = data.qpos, data.qvel
-        for step in range(steps):
-            extra = plant.extra(t, data.qpos, data.qvel)
-            data.qfrc_applied[:] = -plant.terms.offset - extra
-            mujoco.mj_step(mj, data)
-            if step == 0:
-                out[2][k], out[3][k] = data.qacc, data.qfrc_actuator
-    return out  # type: ignore[return-value]
+    return stepped(plant, mj, data, commanded.t, control, _steps_per_sample(mj, commanded))
 
 
 def _check_saturation(robot: RobotModel, dof: int, name: str, tau: Array) -> None:

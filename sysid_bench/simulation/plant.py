@@ -21,6 +21,7 @@ class Effect(Protocol):
     `prepare(robot)` settles what the effect is on this robot (random draws come from its own seed);
     it returns a force law `(t, q, v) -> torque`, t (), q (..., nq), v (..., nv), torque (..., nv):
     what the motors must supply on top. A law sees single samples (closed loop) or whole motions.
+    One that carries a `kind` and `numbers` that steps.c knows is compiled.
     """
 
     def prepare(self, robot: RobotModel) -> Any: ...
@@ -72,9 +73,19 @@ def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
 def coupling_laws(terms: JointTerms) -> tuple[Any, ...]:
     """The law of viscous friction between joints, where there is any: no passive element of MuJoCo
     has an unsymmetric one."""
-    if not terms.viscous_coupling.any():
-        return ()
-    return (lambda t, q, v: v @ terms.viscous_coupling.T,)
+    return (Coupled(terms.viscous_coupling),) if terms.viscous_coupling.any() else ()
+
+
+@dataclass(frozen=True, eq=False)
+class Coupled:
+    """Torque `numbers` (nv, nv) times v."""
+
+    numbers: Array
+    kind: str = "coupled"
+
+    def __call__(self, t: Array, q: Array, v: Array) -> Array:
+        """Torque (..., nv)."""
+        return v @ self.numbers.T
 
 
 def bench_flags(mj: mujoco.MjModel) -> mujoco.MjModel:

@@ -70,6 +70,12 @@ def touch_torque(plant: Plant, touch: Touch, motion: Trajectory) -> Array:
     return out
 
 
+def swaying(motion: Trajectory, force: float, rng: np.random.Generator) -> Array:
+    """A wrench (N, 6) with forces of up to `force` (N) and moments of a tenth of it (N m)."""
+    phase = rng.normal(size=6)
+    return np.repeat([0.1, 1.0], 3) * force * np.sin(2 * motion.t[:, None] + phase)
+
+
 def _add_sensor(spec: mujoco.MjSpec, body: str, cut: Cut, name: str) -> None:
     spec.body(body).add_site(name=name, pos=cut.p, quat=quaternion_of_matrix(cut.R))
     for kind in (mujoco.mjtSensor.mjSENS_TORQUE, mujoco.mjtSensor.mjSENS_FORCE):
@@ -101,7 +107,8 @@ class WrenchNoise:
     (`..._offset`) and of slopes in time (`..._drift`, per second), and of `gain` (share, each of
     the six axes) and `crosstalk` (share, each of the thirty other entries; between force and moment
     in the ratio `LEVER`). `mounting`: the sensor is turned by this
-    angle (rad) about an axis drawn at random."""
+    angle (rad) about an axis drawn at random. `touch` (N, and a tenth of it in N m): what acts on
+    the last body behind the sensor during the middle third of the recording."""
 
     force: float = 0.0
     moment: float = 0.0
@@ -112,6 +119,7 @@ class WrenchNoise:
     gain: float = 0.0
     crosstalk: float = 0.0
     mounting: float = 0.0
+    touch: float = 0.0
 
     def white(self) -> Array:
         """Standard deviation (6,) of the white noise."""

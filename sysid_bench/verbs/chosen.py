@@ -65,3 +65,15 @@ def chosen_noise(text: str | None) -> dict[str, str]:
             raise unknown_name("noise", key.strip(), NOISE_UNITS, "Write q=1e-4 rad,tau=0.5 %.")
         table[key.strip()] = value.strip()
     return table
+
+
+def chosen_contacts(text: str | None) -> list[str] | str | None:
+    """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raises UsageError for others."""
+    from sysid_bench.units import interval
+
+    if text is None or text == "detect":
+        return text
+    periods = [part.strip() for part in text.split(",") if part.strip()]
+    for period in periods or [text]:
+        interval(period)
+    return periods

@@ -11,7 +11,7 @@ def doctor() -> dict[str, Any]:
     """`ok`, the environment, and a list of checks {name, ok, needed, detail}."""
     from sysid_bench.harness.provenance import environment
 
-    checks = [_packages(), _example_robots(), _robots(), _viewer(), _latex(), _kernel()]
+    checks = [_packages(), _example_robots(), _robots(), _viewer(), _latex(), _kernel(), _steps()]
     return {
         "ok": all(check["ok"] for check in checks if check["needed"]),
         "environment": environment(),
@@ -82,3 +82,11 @@ def _kernel() -> dict[str, Any]:
 
     choice = chosen()
     return _check("regressor kernel", choice.library is not None, str(choice), needed=False)
+
+
+def _steps() -> dict[str, Any]:
+    from sysid_bench.simulation.stepped import steps_library
+
+    found = steps_library()
+    told = f"Python: {found}" if isinstance(found, str) else "compiled"
+    return _check("simulation steps", not isinstance(found, str), told, needed=False)

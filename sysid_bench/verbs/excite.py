@@ -29,6 +29,7 @@ def excite(
     export: str | None = None,
     task: str = "robot",
     payload: str = "none",
+    sensor: str | None = None,
     terms: Sequence[str] | None = None,
     settings: Mapping[str, Any] | None = None,
     limits: Mapping[str, Sequence[float]] | None = None,
@@ -63,15 +64,15 @@ def excite(
     start = time.perf_counter()
     model = load_robot(robot, parse_payload(payload), robots_dir=robots_dir)
     chosen = model.manifest.terms if terms is None and task == "robot" else tuple(terms or ())
-    asked = task_of(model, task, chosen)
-    base = structural_base(model, asked.parameters, asked.rows)
+    asked = task_of(model, task, chosen, sensor)
+    base = structural_base(model, asked.parameters, asked.rows, asked.cuts)
     scenes: dict[float | None, Any] = {}
     brief = replace(
         brief_of(model, rate),
-        regress=question(model, base.names, asked.rows),
+        regress=question(model, base.names, asked.rows, asked.cuts),
         torque=torque_of(model),
         scene=lambda floor: scenes.setdefault(floor, scene_of(model, floor)),
-        **_limits(model, limits or {}),
+        **_limits(model.torque_rows, limits or {}),
     )
     options: dict[str, Any] = {"clearance": 0.01, **(settings or {})}
     if kind in ("ros2", "damiao", "can"):
@@ -171,10 +172,10 @@ def _export(export: str | None, out: str | Path | None) -> str:
 
 def _names(brief: "Brief", dofs: "Array") -> tuple[str, ...]:
     names = {joint.vadr: joint.name for joint in brief.joints}
-    return tuple(names[int(dof)] for dof in dofs)
+    return tuple(names[int(dof)] for dof in brief.dofs[dofs])
 
 
-def _limits(model: "RobotModel", told: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+def _limits(rows: tuple[str, ...], told: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     import numpy as np
 
     limits = {}
@@ -182,12 +183,12 @@ def _limits(model: "RobotModel", told: Mapping[str, Sequence[float]]) -> dict[st
         if key not in ("v", "a", "tau"):
             raise unknown_name("limit", key, ("v", "a", "tau"), "Positions come from the robot.")
         numbers = np.array(values, dtype=float)
-        if len(numbers) not in (1, model.nv) or not (numbers > 0).all():
+        if len(numbers) not in (1, len(rows)) or not (numbers > 0).all():
             raise UsageError(
-                f"The limit {key} needs one positive number, or {model.nv}, one for each of "
-                f"{', '.join(model.rows)}; got {len(numbers)}."
+                f"The limit {key} needs one positive number, or {len(rows)}, one for each of "
+                f"{', '.join(rows)}; got {', '.join(map(str, values))}."
             )
-        limits[key] = np.broadcast_to(numbers, model.nv).copy()
+        limits[key] = np.broadcast_to(numbers, len(rows)).copy()
     return limits
 
 
@@ -247,11 +248,12 @@ def _recorded(
         )
     space = made.space(brief)
     q = np.tile(brief.q0, (len(table), 1))
-    v, a = np.zeros((2, len(table), brief.nv))
-    for array, places, key in ((q, space.places, "q"), (v, space.dofs, "v"), (a, space.dofs, "a")):
+    v, a = np.zeros((2, len(table), sum(len(joint.dofs) for joint in brief.joints)))
+    moving = space.moving
+    for array, places, key in ((q, space.places, "q"), (v, moving, "v"), (a, moving, "a")):
         array[:, places] = table[[f"{joint}.{key}" for joint in joints]].to_numpy()
     t = table["t"].to_numpy() if "t" in table else np.arange(len(table)) / brief.rate
-    return Trajectory(t, q, v, a, file.name)
+    return brief.completed(Trajectory(t, q, v, a, file.name))
 
 
 def _write(
@@ -272,7 +274,7 @@ def _write(
     where = {joint.name: joint for joint in model.joints}
     commands: Commands = commands_of(
         motion,
-        torque_of(model).of(motion),
+        torque_of(model).of(motion)[:, [model.torque_rows.index(name) for name in joints]],
         joints,
         [where[name].qadr for name in joints],
         [where[name].vadr for name in joints],

@@ -15,6 +15,12 @@ ESTIMATOR: Final = {"terminal": "min-norm", "wrench": "wls", "wrench-payload": "
 """The method of a task where none is named: that of its source; where forces and moments are rows
 of one problem, weights by their noise; elsewhere least squares."""
 
+STD_FROM: Final = {
+    "periods": "from the spread over repeated periods",
+    "residuals": "from residuals and how alike neighbouring ones are",
+    "textbook": "by the method's own formula",
+}
+
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
 IDEAL: Final = {"filter": "none", "derivatives": "exact"}
@@ -35,17 +41,20 @@ def identify(
     sensor: str | None = None,
     json_out: str | Path | None = None,
     free_base: bool | None = None,
+    contacts: Sequence[str] | str | None = None,
 ) -> dict[str, Any]:
     """Identifies a robot from its own simulation; the answer as `identify --json` prints it.
 
     `payload` (a name or a table) and `noise` ({"q": "1e-4 rad", "tau": "0.5 %"}) as in a suite;
     `model_out`: the model file again, with the identified values; `json_out`: the answer as a
-    file; `free_base` overrides what the robot's manifest says. `complete`: whole bodies from what
+    file; `free_base` overrides what the robot's manifest says; `contacts`: periods that are left
+    out ("10 s to 25 s"), or "detect". `complete`: whole bodies from what
     was identified, those that can exist and lie nearest to the prior in a distance ("entropic",
     "euclidean", "pullback"), so that all of them can be written. Raises UsageError for unknown
     words, ModelError for a model that cannot be used or values that must not be written,
     EstimationError where the method fails.
     """
+    from sysid_bench.evaluation.covariance import spreads
     from sysid_bench.evaluation.score import score
     from sysid_bench.harness.canonical import plain
     from sysid_bench.harness.experiment.prepare import prepare, terms_of
@@ -53,7 +62,14 @@ def identify(
     from sysid_bench.identification.complete import completed_estimate
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.naming import build
-    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, warnings_of
+    from sysid_bench.verbs.answer import (
+        base_of,
+        bodies_of,
+        joints_of,
+        moved_of,
+        std_from,
+        warnings_of,
+    )
     from sysid_bench.verbs.chosen import refuse_ignored_terms
     from sysid_bench.verbs.model_out import check_answer, check_target, write_model
     from sysid_bench.verbs.sensing import compared, excited
@@ -61,7 +77,7 @@ def identify(
     refuse_ignored_terms(task, terms)
     name = estimator or ESTIMATOR.get(task, "ols")
     method = build("estimator", name)
-    spec = _spec(str(model), task, payload, terms, noise or {}, seed, sensor, free_base)
+    spec = _spec(str(model), task, payload, terms, noise or {}, seed, sensor, free_base, contacts)
     folder = None if robots_dir is None else str(robots_dir)
     robot = subject(spec.robot, spec.payload, folder, None, free_base)
     if model_out is not None:
@@ -81,7 +97,8 @@ def identify(
     if complete is not None:
         estimate = completed_estimate(estimate, ready.problem, complete)
     figures = score(estimate, ready.problem, ready.held_out, ready.truth, ready.reach)
-    bodies = bodies_of(estimate, ready.problem)
+    sure = spreads(ready.problem, estimate)
+    bodies = bodies_of(estimate, ready.problem, sure)
     answer = {
         "model": robot.robot.name,
         "file": str(robot.robot.manifest.path),
@@ -97,15 +114,22 @@ def identify(
         "rmse_train": figures.rmse_train,
         "rmse_test": figures.rmse_test,
         "torque_error": figures.torque_error,
+        "left_out": ready.left_out,
         "gap": robot.check.gap,
-        "base": base_of(estimate, ready.problem),
+        "std_from": std_from(sure),
+        "base": base_of(estimate, ready.problem, sure),
         "bodies": bodies,
-        "joints": joints_of(estimate, ready.problem),
+        "joints": joints_of(estimate, ready.problem, sure),
         "payload": next(iter(bodies.values())) if task.endswith("payload") else None,
         "completed": complete,
         "feasible": figures.feasible,
         "plausible": figures.plausible,
-        "warnings": [*robot.robot.repairs, *warnings_of(estimate, ready.problem), *missing],
+        "warnings": [
+            *robot.robot.repairs,
+            *warnings_of(estimate, ready.problem),
+            *moved_of(estimate, ready.problem),
+            *missing,
+        ],
     }
     if told is not None:
         answer["sensor"] = told | {"estimation": compared(spec, ready, estimate)}
@@ -128,28 +152,38 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
         f"  RMSE {_number(answer['rmse_train'])} in training, {_number(answer['rmse_test'])} on "
         f"other motions, torque error {_number(answer['torque_error'])}",
     ]
+    if answer["left_out"]:
+        lines.append(f"  {answer['left_out']:.1%} of the samples left out as contacts")
     if "sensor" in answer:
         lines += sensor_lines(answer["sensor"])
     for name, body in answer["bodies"].items():
-        lines.append(f"  {name}: mass {_number(body['mass'], 'not identifiable')}")
+        mass = _sure(body["mass"], body["std"]["m"], "not identifiable")
+        lines.append(f"  {name}: mass {mass}")
         told = [
-            f"{key} {_number(body['parameters'][key])}"
+            f"{key} {_sure(body['parameters'][key], body['std'][key])}"
             for key, verdict in body["identifiable"].items()
             if verdict == "identifiable"
         ]
         lines.append(f"    {', '.join(told) or 'nothing is identifiable on its own'}")
     for name, terms in answer["joints"].items():
         told = [
-            f"{term} {_number(value['value'])}"
+            f"{term} {_sure(value['value'], value['std'])}"
             if value["identifiable"] == "identifiable"
             else f"{term} not identifiable"
             for term, value in terms.items()
         ]
         lines.append(f"  {name}: {', '.join(told)}")
+    if answer["std_from"] is not None:
+        lines.append(f"  ±: one standard deviation, {STD_FROM[answer['std_from']]}")
     lines += [f"  warning: {warning}" for warning in answer["warnings"]]
     if answer.get("model_out"):
         lines.append(f"  model: {answer['model_out']}")
     return lines
+
+
+def _sure(value: float | None, std: float | None, absent: str = "-") -> str:
+    told = value is not None and std is not None
+    return _number(value, absent) + (f" ± {std:.2g}" if told else "")
 
 
 def _number(value: float | None, absent: str = "-") -> str:
@@ -165,11 +199,13 @@ def _spec(
     seed: int,
     sensor: str | None,
     free_base: bool | None,
+    contacts: Sequence[str] | str | None,
 ) -> "ExperimentSpec":
     """The experiment as a suite with nothing but defaults would have it."""
     from sysid_bench.harness.experiment.spec import ExperimentSpec, normal_noise, normal_payload
 
     measured = normal_noise(noise)
+    signals = ENCODERS if {"q", "quantum"} & set(measured) else IDEAL
     return ExperimentSpec(
         seed=seed,
         robot=model,
@@ -183,7 +219,7 @@ def _spec(
         simulation={"use": "inverse"},
         rate=200.0,
         noise=measured,
-        signals=ENCODERS if {"q", "quantum"} & set(measured) else IDEAL,
+        signals=signals if contacts is None else signals | {"contacts": contacts},
         repeat=0,
         sensor=sensor,
         free_base=free_base,

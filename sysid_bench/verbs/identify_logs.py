@@ -55,6 +55,7 @@ def identify_logs(
     descriptions, files or words that cannot be, and for contradictions in the data that `accept`
     does not name; EstimationError where the method fails.
     """
+    from sysid_bench.evaluation.covariance import spreads
     from sysid_bench.evaluation.recorded import overall, torque_error
     from sysid_bench.harness.canonical import plain
     from sysid_bench.harness.experiment.recorded import locked_manifest, pose_logs, processed
@@ -64,7 +65,7 @@ def identify_logs(
     from sysid_bench.naming import build
     from sysid_bench.signals.log_checks import refuse
     from sysid_bench.signals.log_description import read_description
-    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, warnings_of
+    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, std_from, warnings_of
     from sysid_bench.verbs.model_out import check_target, write_model
 
     descriptions = [read_description(Path(log)) for log in (*logs, *tests)]
@@ -90,7 +91,8 @@ def identify_logs(
     if estimate.status != "ok" or estimate.beta is None:
         raise EstimationError(f"{name} on {manifest.name}: {estimate.reason}")
     beta = estimate.beta
-    bodies = bodies_of(estimate, posed.problem)
+    sure = spreads(posed.problem, estimate)
+    bodies = bodies_of(estimate, posed.problem, sure)
     answer = {
         "model": manifest.name,
         "file": str(manifest.path),
@@ -109,9 +111,10 @@ def identify_logs(
         "training": _joint_table(posed.problem, beta),
         "tests": {label: _joint_table(test, beta) for label, test in posed.tests.items()},
         "logs": [_segment(one, one in training) for one in read],
-        "base": base_of(estimate, posed.problem),
+        "std_from": std_from(sure),
+        "base": base_of(estimate, posed.problem, sure),
         "bodies": bodies,
-        "joints": joints_of(estimate, posed.problem),
+        "joints": joints_of(estimate, posed.problem, sure),
         "payload": None
         if task != "payload"
         else _mass(method, posed, beta)

@@ -9,6 +9,7 @@ from typing import Final
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.task import SENSOR_TASKS
 from sysid_bench.models.writing.mjcf import updated_mjcf
 from sysid_bench.models.writing.urdf import updated_urdf
 from sysid_bench.types import Array, Estimate, Problem
@@ -17,6 +18,12 @@ from sysid_bench.verbs.answer import values_of
 SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
 KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
 """Joint terms that files call otherwise."""
+
+LOADS: Final = ("payload", "wrench-payload")
+"""Tasks that ask for nothing of the robot itself."""
+
+COMPOSITES: Final = ("link", "terminal")
+"""Tasks whose body stands for all that is welded to it."""
 
 
 def check_target(robot: RobotModel, task: str, target: Path) -> None:
@@ -29,9 +36,9 @@ def check_target(robot: RobotModel, task: str, target: Path) -> None:
             f"name it *{wanted[0]}."
         )
     _check_place(robot, target)
-    if task == "payload":
+    if task in LOADS:
         raise UnsupportedError(
-            "The task 'payload' changes nothing of the robot's model; for a model that carries its "
+            f"The task {task!r} changes nothing of the robot's model; for a model that carries its "
             "load take the task 'link'."
         )
 
@@ -71,10 +78,11 @@ def write_model(
     bodies = {}
     for body in problem.bodies:
         phi = [theta.pop(column) for column in body.columns]
-        bodies[body.name] = phi if task == "robot" else phi - _riders(robot, body.name)
+        bodies[body.name] = phi - _riders(robot, body.name) if task in COMPOSITES else phi
     joints: dict[str, dict[str, float]] = {}
     term_of = {suffix: term for term, suffix in SUFFIX.items()}
-    for name, value in theta.items():
+    # Behind a sensor what is left are its constants, and no model holds those.
+    for name, value in theta.items() if task not in SENSOR_TASKS else ():
         joint, _, suffix = name.rpartition(".")
         term = term_of[suffix]
         joints.setdefault(joint, {})[KEYS.get(term, term)] = float(value)

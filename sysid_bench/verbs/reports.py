@@ -93,7 +93,7 @@ def recordings(run_folder: "RunFolder") -> dict[str, str]:
 
 
 def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
-    from sysid_bench.harness.words import PARAMETER
+    from sysid_bench.harness.words import PARAMETER, STD_FROM
     from sysid_bench.reporting.tables import make_table
 
     frames = run_folder.frames()
@@ -103,7 +103,9 @@ def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
     for spec in specs:
         try:
             asked = (*spec["rows"], *spec["columns"])
-            yield make_table(frames.by_parameter if PARAMETER in asked else cells, spec, _choose)
+            lines = frames.by_parameter if PARAMETER in asked else cells
+            lines = frames.by_std_from if STD_FROM in asked else lines
+            yield make_table(lines, spec, _choose, frames.parameters)
         except UsageError:
             if len(cells) == len(run_folder.plan.cells):
                 raise  # with some cells not run, a table may have nothing to show yet

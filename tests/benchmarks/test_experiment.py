@@ -25,6 +25,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.task import task_of
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.closed_loop import ClosedLoop, commands, controlled_model
+from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array
 
@@ -175,6 +176,35 @@ def test_an_experiment_against_a_bare_rollout(bench: Bench, compare: Compare, li
     must, aim = (2.2, 1.8) if bench.terms else (1.8, 1.5)
     what = "with friction" if bench.terms else "rigid"
     line(f"experiment / bare rollout, {what}", seconds["whole"] / seconds["bare"], must, aim)
+
+
+def test_force_laws_and_company_against_a_bare_rollout(
+    bench: Bench, compare: Compare, line: Line
+) -> None:
+    """Friction that MuJoCo has not, and eight simulations side by side in one batch."""
+    effect = plant_of(bench.robot, [Stribeck()])
+    eight = Batch(bench.mj, 8, nthread=1)
+
+    def side_by_side() -> None:
+        eight.bind("qpos")[:], eight.bind("qvel")[:] = bench.motion.q[0], bench.motion.v[0]
+        control = np.repeat(bench.control, 8, axis=0)
+        record = ["qpos", "qvel", "qacc", "qfrc_actuator"]
+        eight.rollout(len(bench.motion), control, record=record)
+
+    seconds = compare(
+        {
+            "laws": lambda: bench.loop.run(effect, bench.motion, bench.silence),
+            "none": lambda: bench.loop.run(bench.plant, bench.motion, bench.silence),
+            "bare": bench.rollout,
+            "eight": side_by_side,
+        },
+        7,
+    )
+    what = "with friction" if bench.terms else "rigid"
+    line(f"simulation with Stribeck friction / without, {what}", seconds["laws"] / seconds["none"])
+    line(
+        f"eight rollouts side by side / one by one, {what}", seconds["eight"] / 8 / seconds["bare"]
+    )
 
 
 def test_an_experiment_against_pipelines(bench: Bench, compare: Compare, line: Line) -> None:

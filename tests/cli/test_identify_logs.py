@@ -309,3 +309,37 @@ def test_a_hundred_grams_on_a_real_arm(arm: dict[str, Path]) -> None:
     )["payload"]
     assert told["interval"][0] < 0.105 < told["interval"][1]
     assert told["mass"] == pytest.approx(0.105, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("cycles", "period", "logs", "kind"),
+    [
+        (6, "1 s", 1, "periods"),
+        (6, None, 1, "residuals"),
+        (3, "1 s", 1, "residuals"),
+        (6, "1.013 s", 1, "residuals"),
+        (6, "1 s", 2, "residuals"),
+    ],
+)
+def test_a_log_that_repeats_tells_its_deviations_by_its_periods(
+    tmp_path: Path, cycles: int, period: str | None, logs: int, kind: str
+) -> None:
+    once = recorded(named_robot("ur5"), 0, period=1.0)
+    rng = np.random.default_rng(0)
+    paths = []
+    for place in range(logs):
+        q, v, tau = (np.tile(x, (cycles, 1)) for x in (once.q, once.v, once.tau))
+        t = np.arange(len(q)) * (once.t[1] - once.t[0])
+        noisy = Recorded(once.joints, t, q, v, tau + 0.1 * rng.normal(size=tau.shape))
+        paths.append(write(tmp_path, noisy, name=f"run{place}", period=period))
+    told = identify_logs("ur5", paths, **{**CLEAN, "estimator": "wls"})
+    assert told["std_from"] == kind
+    assert all(entry["std"] > 0 for entry in told["base"])
+
+
+def test_a_period_is_a_time(tmp_path: Path) -> None:
+    once = recorded(named_robot("ur5"), 0, period=1.0)
+    for wrong, why in (("-1 s", "must be positive"), ("1 Hz", "expected one of")):
+        path = write(tmp_path, once, period=wrong)
+        with pytest.raises(UsageError, match=f"period.*{why}"):
+            identify_logs("ur5", [path])

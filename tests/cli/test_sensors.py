@@ -1,12 +1,15 @@
 """The verbs basis and identify behind a force/torque sensor, and its recording."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.harness.experiment.evidence import evidence
+from sysid_bench.models.load import load_robot
+from sysid_bench.spatial.inertia import smallest_eigenvalue
 from sysid_bench.verbs import basis as bases
 from sysid_bench.verbs.basis import basis
 from sysid_bench.verbs.identify import identify, summary
@@ -35,6 +38,12 @@ def test_a_wrong_sensor_is_one_sentence(cli: Run) -> None:
     done = cli("basis", "ur5", "--task", "wrench", "--sensor", "wirst")
     assert done.returncode == 2
     assert "'wrist'" in one_sentence(done)
+
+
+def test_identify_refuses_what_it_would_ignore(cli: Run) -> None:
+    done = cli("identify", "ur5", "--log", "run.toml", "--sensor", "wrist")
+    assert done.returncode == 2
+    assert "belong to --simulate" in one_sentence(done)
 
 
 def test_identify_compares_parameters_and_names_what_is_missing() -> None:
@@ -82,3 +91,71 @@ def test_a_recording_shows_torques_and_convergence_on_line() -> None:
     wrong = {k: np.linalg.norm(torque[k][late] - torque["true"][late]) for k in torque}
     assert wrong["on-line"] < 0.5 * wrong["CAD"]
     assert error["on-line"][-1] < 0.1 * error["CAD"][-1]
+
+
+@pytest.mark.parametrize(
+    ("robot", "task", "sensor", "payload"),
+    [
+        ("icub", "wrench", "l_arm", "none"),  # noise carries the light wrist out of what can exist
+        ("icub", "wrench", "l_leg", "none"),  # ends at another sensor
+        ("ur5", "wrench", "forearm_link", "sphere-1kg"),
+        ("z1", "wrench-payload", "wrist", "box-2kg"),
+    ],
+)
+@pytest.mark.parametrize("estimator", ["wls", "lmi"])
+def test_whole_bodies_are_completed_behind_a_sensor(
+    robot: str, task: str, sensor: str, payload: str, estimator: str
+) -> None:
+    told = identify(
+        robot, task, payload, ("offset",), estimator, NOISE, sensor=sensor, complete="entropic"
+    )
+    for name, body in told["bodies"].items():
+        phi = np.array(list(body["parameters"].values()))
+        assert smallest_eigenvalue(phi[None])[0] > -1e-12, name
+    assert told["feasible"]
+    assert told["torque_error"] < 0.05
+
+
+def test_a_model_with_its_sub_tree_identified_is_written_back(tmp_path: Path) -> None:
+    """Every body behind the sensor is one of the unknowns, welded ones too; those before it keep
+    their numbers, and the sensor's constants belong to no model."""
+    file = tmp_path / "icub.urdf"
+    told = identify(
+        "icub", "wrench", terms=("offset",), noise=NOISE, sensor="l_arm", complete="entropic",
+        model_out=file,
+    )  # fmt: skip
+    old, new = load_robot("icub"), load_robot(str(file))
+    for name in old.body_names:
+        before, after = (r.phi[r.body_names.index(name)] for r in (old, new))
+        if name in told["bodies"]:
+            wanted = list(told["bodies"][name]["parameters"].values())
+            np.testing.assert_allclose(after, wanted, rtol=1e-6, atol=1e-9)
+        else:
+            np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-9)
+    assert new.phi[new.body_names.index("l_hand"), 0] != old.phi[old.body_names.index("l_hand"), 0]
+
+
+def test_a_payload_behind_a_sensor_is_in_no_model(tmp_path: Path) -> None:
+    with pytest.raises(UnsupportedError, match="'wrench-payload' changes nothing"):
+        identify("ur5", "wrench-payload", "box-2kg", model_out=tmp_path / "ur5.urdf")
+
+
+def test_a_sub_tree_without_joints_or_mass_has_no_torques_to_tell() -> None:
+    told = identify("ur5", "wrench", sensor="tool0", noise=NOISE)
+    assert any("true: touch" in line for line in summary(told))
+
+
+def test_contacts_are_found_or_declared_by_words(cli: Run) -> None:
+    told = identify(
+        "z1", "wrench", sensor="link02", noise=NOISE | {"touch": "5 N"}, contacts="detect"
+    )
+    assert told["left_out"] == pytest.approx(1 / 3, abs=0.05)
+    assert any("left out as contacts" in line for line in summary(told))
+    for wrong, word in (
+        ("detec", "10 s to 25 s"),
+        ("5 s to 4 s", "ends before it begins"),
+        ("0 s to 100 s", "leave nothing"),
+    ):
+        done = cli("identify", "z1", "--simulate", "--task", "robot", "--contacts", wrong)
+        assert done.returncode == 2
+        assert word in one_sentence(done)

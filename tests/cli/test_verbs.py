@@ -1,5 +1,7 @@
 """Each verb, with its output and exit code as the contract has them."""
 
+import csv
+import io
 import json
 import subprocess
 import sys
@@ -163,3 +165,56 @@ def test_the_rows_carry_versions_and_a_fingerprint(cli: Run, tmp_path: Path) -> 
     again = cli("run", "s.toml", "-o", "out", "--limit", "1", "--rerun", "stale")
     assert again.returncode == 0
     assert len(rows_of(tmp_path / "out")) == 1
+
+
+COVERAGE = """
+schema = 1
+name = "covered"
+seed = 5
+[run]
+repeats = 24
+[defaults]
+prior = "none"
+terms = [["viscous"]]
+excitation = { use = "fourier", harmonics = 2, period = "2 s", cycles = 6 }
+held_out = [["ptp"]]
+rate = "50 Hz"
+noise = { tau = "1 %", tau_correlation = 0.95 }
+[[robot]]
+use = "scara"
+[[estimator]]
+use = "wls"
+[[estimator]]
+use = "ar-gls"
+order = 1
+[[table]]
+name = "coverage"
+rows = ["noise"]
+columns = ["estimator", "std_from"]
+cells = { metric = "coverage", stat = "mean", interval = "ci95" }
+[[table]]
+name = "efficiency"
+rows = ["noise"]
+columns = ["estimator"]
+cells = { metric = "efficiency", interval = "ci95" }
+"""
+
+
+def test_a_suite_measures_coverage_and_efficiency(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "covered.toml").write_text(COVERAGE)
+    done = cli("run", "covered.toml", "-o", "out", "-j", "1")
+    assert done.returncode == 0, done.stderr
+    lines = (cli("table", "out", name, "--format", "csv") for name in ("coverage", "efficiency"))
+    coverage, efficiency = (list(csv.DictReader(io.StringIO(told.stdout))) for told in lines)
+    found = {(line["estimator"], line["std_from"]): line for line in coverage}
+    kinds = [("wls", kind) for kind in ("periods", "residuals", "textbook")]
+    assert set(found) == {*kinds, ("ar-gls", "textbook")}
+    for line in found.values():
+        assert line["n"] == "24"
+        assert 0 <= float(line["low"]) <= float(line["value"]) <= float(line["high"]) <= 1
+    textbook, periods = (float(found["wls", kind]["value"]) for kind in ("textbook", "periods"))
+    assert textbook < 0.8 < periods
+    of = {line["estimator"]: line for line in efficiency}
+    assert float(of["wls"]["value"]) < float(of["ar-gls"]["value"])  # of the same noise
+    assert 0.6 < float(of["ar-gls"]["value"]) < 1.2
+    assert "coverage.svg" in {path.name for path in (tmp_path / "out" / "figures").iterdir()}

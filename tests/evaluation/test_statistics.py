@@ -1,5 +1,6 @@
 """Statistics against simulation and against their definitions: does a 95 % interval hold 95 %?"""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -22,23 +23,25 @@ from sysid_bench.evaluation.covariance import (
     period_spread,
     quantile,
     sandwich_spread,
+    spreads,
 )
 from sysid_bench.evaluation.cramer_rao import (
     coverage,
-    efficiency,
     torque_bound,
     trajectory_bound,
+    white_bound,
 )
 from sysid_bench.evaluation.distances import (
     entropic_distance,
     geodesic_distance,
     subspace_distance,
 )
+from sysid_bench.evaluation.repeats import bias, bound_ratio, efficiency, spread
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.weights import own_sigmas
 from sysid_bench.spatial.inertia import pseudo_inertia, transport
-from sysid_bench.types import Array
+from sysid_bench.types import Array, Estimate, Trajectory
 from tests.identification.test_least_squares import problem_of
 from tests.robots import random_phi, random_rotation
 
@@ -73,12 +76,12 @@ def covered(kind: str) -> dict[str, float]:
         estimate, sigma = WLS().solve(problem), own_sigmas(problem)
         assert estimate.beta is not None
         assert estimate.covariance is not None
-        for name, spread in (
+        for name, made in (
             ("textbook", Spread(estimate.covariance)),
             ("sandwich", sandwich_spread(problem, estimate.beta, sigma)),
             ("periods", period_spread(problem, estimate.beta, sigma, PERIOD)),
         ):
-            ends[name].append(spread.interval(estimate.beta))
+            ends[name].append(made.interval(estimate.beta))
     found = {}
     for name, pairs in ends.items():
         low, high = (np.array(side) for side in zip(*pairs, strict=True))
@@ -113,11 +116,59 @@ def test_two_periods_are_needed_to_see_a_spread() -> None:
 def test_a_spread_of_exact_data_is_nothing() -> None:
     W = regressor()
     problem = problem_of(W, W @ TRUTH)
-    for spread in (
+    for made in (
         period_spread(problem, TRUTH, np.ones(2), PERIOD),
         sandwich_spread(problem, TRUTH, np.ones(2)),
     ):
-        assert np.abs(spread.std).max() < 1e-12
+        assert np.abs(made.std).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("period", "kinds"),
+    [
+        (PERIOD, ["periods", "residuals", "textbook"]),
+        (PERIOD * PERIODS // 5, ["periods", "residuals", "textbook"]),
+        (PERIOD * PERIODS // 4, ["residuals", "textbook"]),
+        (0, ["residuals", "textbook"]),
+    ],
+)
+def test_periods_are_told_first_where_there_are_enough(period: int, kinds: list[str]) -> None:
+    W = regressor()
+    problem = replace(
+        problem_of(W, W @ TRUTH + noise("slow", np.random.default_rng(1))), period=period
+    )
+    estimate = WLS().solve(problem)
+    assert list(spreads(problem, estimate)) == kinds
+    assert list(spreads(problem, replace(estimate, sigma=None))) == ["textbook"]
+    assert spreads(problem, Estimate(estimate.beta)) == {}
+
+
+@pytest.mark.parametrize("method", [OLS(), WLS()])
+def test_deviations_have_the_units_of_torque_over_those_of_columns(method: OLS | WLS) -> None:
+    W, factor = regressor(), np.array([1e-3, 1.0, 20.0, 1e3])
+    tau = W @ TRUTH + noise("slow", np.random.default_rng(2))
+    plain, scaled = (
+        replace(problem_of(w, t), period=PERIOD) for w, t in ((W, tau), (W * factor, 7.0 * tau))
+    )
+    told, other = (spreads(one, method.solve(one)) for one in (plain, scaled))
+    for kind in told:
+        np.testing.assert_allclose(other[kind].std, 7.0 * told[kind].std / factor, rtol=1e-6)
+
+
+def test_windows_are_bartlett_weights() -> None:
+    W = regressor()[:200]
+    tau = W @ TRUTH + noise("slow", np.random.default_rng(3))[:200]
+    problem, sigma, lags = problem_of(W, tau), np.array([0.3, 0.1]), 7
+    beta = TRUTH + 0.01
+    forces = np.einsum("nir,ni->nr", W, (tau - W @ beta) / sigma**2)
+    middle = forces.T @ forces
+    for k in range(1, lags + 1):
+        shifted = forces[k:].T @ forces[:-k]
+        middle += (1 - k / (lags + 1)) * (shifted + shifted.T)
+    inverse = np.linalg.inv(np.einsum("nir,nis->rs", W / sigma[:, None] ** 2, W))
+    np.testing.assert_allclose(
+        sandwich_spread(problem, beta, sigma, lags).covariance, inverse @ middle @ inverse
+    )
 
 
 def test_the_bandwidth_grows_with_how_slow_noise_is() -> None:
@@ -135,23 +186,78 @@ def test_quantiles_are_students() -> None:
 # --- The bound ----------------------------------------------------------------------------------
 
 
-def estimates(method: OLS | WLS, repeats: int) -> Array:
+@cache
+def errors_of(method: OLS | WLS, repeats: int) -> Array:
     rng, found = np.random.default_rng(5), []
     for _ in range(repeats):
         W = regressor()[:300]
         beta = method.solve(problem_of(W, W @ TRUTH + noise("white", rng)[:300])).beta
         assert beta is not None
-        found.append(beta)
+        found.append(beta - TRUTH)
     return np.array(found)
 
 
-def test_weighted_least_squares_reaches_the_bound_and_plain_does_not() -> None:
+def bound_of_white() -> Array:
     bound = torque_bound([regressor()[:300]], np.diag([0.3, 0.1]) ** 2)
-    told, low, high = efficiency(estimates(WLS(), 400), bound)
-    assert low < told < high
-    assert low < 1.0 < high
-    told, low, high = efficiency(estimates(OLS(), 400), bound)
+    assert bound is not None
+    return np.sqrt(np.diag(bound))
+
+
+def test_factors_give_the_bound_of_the_rows() -> None:
+    W, std = regressor()[:300], np.array([0.3, 0.1])
+    by_factors = white_bound(problem_of(W, W @ TRUTH), std)
+    by_rows = torque_bound([W], np.diag(std**2))
+    assert by_factors is not None
+    assert by_rows is not None
+    np.testing.assert_allclose(by_factors, by_rows, rtol=1e-9, atol=1e-15)
+    assert white_bound(problem_of(W[:1], W[:1] @ TRUTH), std) is None
+
+
+def test_weighted_least_squares_reaches_the_bound_and_plain_does_not() -> None:
+    errors, bound = errors_of(WLS(), 400), bound_of_white()
+    for figure in (efficiency, spread, bound_ratio):
+        told, low, high = figure(errors, bound)
+        assert low < told < high
+        assert low < 1.0 < high
+    _, _, high = efficiency(errors_of(OLS(), 400), bound)
     assert high < 0.9
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, 3.0])
+def test_bias_is_told_apart_from_scatter(share: float) -> None:
+    bound = bound_of_white()
+    straight = errors_of(WLS(), 400)
+    errors = straight + share * bound
+    np.testing.assert_allclose(spread(errors, bound), spread(straight, bound))
+    told, low, high = bias(errors)
+    assert low <= told <= high
+    assert low <= share <= high + 0.05
+    assert high - low < 0.3
+    assert bound_ratio(errors, bound)[0] == pytest.approx(np.hypot(1, share), rel=0.05)
+
+
+def test_intervals_of_figures_narrow_with_repeats() -> None:
+    bound = bound_of_white()
+    few, many = (efficiency(errors_of(WLS(), 400)[:n], bound) for n in (40, 400))
+    assert (many[2] - many[1]) < 0.5 * (few[2] - few[1])
+
+
+@pytest.mark.parametrize("correlation", [0.5, 0.98])
+def test_noise_with_memory_is_bounded_by_the_inverse_of_its_covariance(correlation: float) -> None:
+    W, std = regressor()[:80], np.array([0.3, 0.1])
+    lags = np.abs(np.subtract.outer(np.arange(80), np.arange(80)))
+    inverse = np.linalg.inv(correlation**lags)
+    by_definition = sum(W[:, i].T @ inverse @ W[:, i] / std[i] ** 2 for i in range(2))
+    bound = torque_bound([W[:1], W[1:30], W[30:]], np.diag(std**2), correlation)
+    assert bound is not None
+    np.testing.assert_allclose(np.linalg.inv(bound), by_definition, rtol=1e-9)
+
+
+def test_what_the_motion_does_not_excite_has_no_bound() -> None:
+    W = regressor()[:50].copy()
+    W[..., 2] = W[..., 1]
+    assert torque_bound([W], np.eye(2)) is None
+    assert torque_bound([], np.eye(2)) is None
 
 
 def test_a_motion_that_is_unknown_makes_the_bound_wider() -> None:
@@ -159,6 +265,7 @@ def test_a_motion_that_is_unknown_makes_the_bound_wider() -> None:
     W, G = regressor(), rng.normal(size=(PERIOD * PERIODS, 2, 6))
     torque = np.diag([0.09, 0.01])
     known = torque_bound([W[:100], W[100:]], torque)
+    assert known is not None
     np.testing.assert_allclose(
         known, trajectory_bound([W], [G], torque, np.zeros((6, 6))), atol=1e-15
     )
@@ -256,3 +363,27 @@ def test_subspaces_are_compared_by_their_angle() -> None:
     b = np.array([[np.cos(0.3)], [np.sin(0.3)], [0.0]])
     assert subspace_distance(a, 5 * b) == pytest.approx(0.3)
     assert subspace_distance(np.hstack([a, b]), np.eye(3)[:, :2]) == pytest.approx(0.0, abs=1e-7)
+
+
+# --- Periods ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("period", "rate", "count", "samples"),
+    [
+        (2.0, 50.0, 1000, 100),
+        (None, 50.0, 1000, 0),
+        (2.001, 50.0, 1000, 100),  # half a sample in ten periods
+        (2.004, 50.0, 1000, 0),
+        (1.0, 140.0, 700, 140),
+    ],
+)
+def test_periods_are_whole_samples(
+    period: float | None, rate: float, count: int, samples: int
+) -> None:
+    t, still = np.arange(count) / rate, np.zeros((count, 1))
+    motion = Trajectory(t, still, still, still, period=period)
+    assert motion.period_samples == samples
+    kept = np.delete(np.arange(count), slice(300, 305))
+    gap = Trajectory(t[kept], still[kept], still[kept], still[kept], period=period)
+    assert gap.period_samples == 0

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.harness.experiment import robots
+from sysid_bench.harness.experiment import prepare, robots
 from sysid_bench.harness.experiment.execute import execute
 from sysid_bench.harness.experiment.robots import KEPT, subject
 from sysid_bench.harness.experiment.spec import ExperimentSpec
@@ -16,6 +16,7 @@ from sysid_bench.types import Row
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,
     LOADS,
+    RICH,
     SMOOTH,
     argument,
     executed,
@@ -274,3 +275,64 @@ def test_a_worker_keeps_its_robots() -> None:
     assert subject("ur5", {"mass": 2.0}, None, None) is not one
     assert subject("ur5", {"mass": 2}, None, None).robot.payload.mass == 2.0
     assert robots._subject.cache_info().maxsize == KEPT
+
+
+PERIODIC = {"use": "fourier", "harmonics": 2, "period": "2 s", "cycles": 6}
+
+
+def test_deviations_say_where_they_come_from() -> None:
+    noise = {"tau_relative": 0.01}
+    periodic, short = (
+        executed(spec(noise=noise, excitation=excitation, robot=RICH), "ols", "wls", "huber")
+        for excitation in (PERIODIC, {**PERIODIC, "cycles": 4})
+    )
+    for rows, first in ((periodic, "periods"), (short, "residuals")):
+        for row, kinds in zip(rows, (first, first, "textbook"), strict=True):
+            for told in row["parameters_table"]:
+                assert told["std_from"] == kinds
+                assert told["std"] == told[f"std_{kinds}"] > 0
+                assert ("std_residuals" in told) == (kinds != "textbook")
+                assert told["bound"] > 0
+                assert abs(told["base_error"] - told["estimate"] + told["true"]) < 1e-9
+            assert first == "residuals" or set(row["coverage"]) >= {kinds, "textbook"}
+            assert all(0 <= share <= 1 for share in row["coverage"].values())
+
+
+def test_deviations_and_bound_grow_with_the_noise() -> None:
+    """The same draw twice as loud: errors, deviations and the bound are twice as large."""
+    one, two = (
+        executed(
+            spec(noise={"tau": tau, "tau_correlation": 0.9}, excitation=PERIODIC, robot=RICH), "ols"
+        )[0]["parameters_table"]
+        for tau in (0.1, 0.2)
+    )
+    for single, double in zip(one, two, strict=True):
+        for key in ("bound", "base_error", "std_periods", "std_residuals", "std_textbook"):
+            assert double[key] == pytest.approx(2 * single[key], rel=1e-6), key
+
+
+@pytest.mark.parametrize(
+    ("changes", "bounded"),
+    [
+        ({"noise": {"tau": 0.1}}, True),
+        ({"noise": {"tau": 0.1, "q": 1e-4}}, True),
+        ({"noise": {"q": 1e-4}}, False),
+        ({"noise": {}}, False),
+    ],
+)
+def test_the_bound_is_one_of_torque_noise(changes: dict[str, Any], bounded: bool) -> None:
+    (row,) = executed(spec(robot=RICH, **changes), "ols")
+    assert all(("bound" in told) == bounded for told in row["parameters_table"])
+    assert bool(row["coverage"]) == bool(changes["noise"])
+
+
+def test_an_experiment_is_the_same_alone_and_after_others() -> None:
+    """What noise does not touch is made once and shared: no repeat may tell of another."""
+    made = spec(noise={"tau": 0.1, "q": 1e-5}, robot=RICH, repeat=2)
+    prepare._stage.cache_clear()
+    (alone,) = executed(made, "wls")
+    for other in (replace(made, repeat=1), replace(made, noise={"tau": 0.3})):
+        executed(other, "wls", f"{STRANGERS}:Vandal")
+    (after,) = executed(made, "wls")
+    same = [key for key in alone if not key.startswith("seconds")]
+    assert {key: after[key] for key in same} == {key: alone[key] for key in same}

@@ -1,19 +1,26 @@
 """The tasks `wrench` and `wrench-payload`: what is behind a force/torque sensor, from it alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.harness.experiment.evidence import evidence
+from sysid_bench.harness.experiment.prepare import Posing
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.identification.estimators.rls import RLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
-from sysid_bench.models.manifest import find_manifest
+from sysid_bench.identification.online import Recursion, rows_of
+from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.models.manifest import Sensor, find_manifest
 from sysid_bench.models.random_robot import random_robot
-from sysid_bench.models.sensor import cut_at
+from sysid_bench.models.sensor import cut_at, instruments_of
 from sysid_bench.models.task import task_of
+from sysid_bench.regressors.ended import sensed_regression
 from sysid_bench.regressors.wrench import sub_tree
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.wrench import Touch, WrenchNoise, fault_of, sensor_wrench, touch_torque
@@ -77,7 +84,7 @@ WRISTED = [name for name in NAMED if "wrist" in {s.name for s in find_manifest(n
 @pytest.mark.parametrize("name", WRISTED)
 def test_a_wrist_tells_all_ten_numbers_of_a_payload(name: str) -> None:
     robot = named_robot(name, "box-2kg")
-    task = task_of(robot, "wrench-payload", ("offset",), "wrist", np.arange(6.0))
+    task = task_of(robot, "wrench-payload", ("offset",), "wrist", lambda n: np.arange(6.0 * n))
     base = structural_base(robot, task.parameters, task.rows, task.cuts)
     assert base.rank == 16
     assert set(verdicts(base)) == {"identifiable"}
@@ -103,6 +110,79 @@ def test_a_sensors_constants_are_found_or_spoil_the_rest() -> None:
     assert told.rmse_test is not None
     assert worse.rmse_test is not None
     assert worse.rmse_test > 10 * told.rmse_test
+
+
+@pytest.mark.parametrize("sensor", ["l_leg", "r_leg"])
+def test_constants_of_the_sensor_that_ends_a_sub_tree_are_found_too(sensor: str) -> None:
+    """The leg's reading less the foot's: both sensors have constants, and both are found."""
+    noise = {**WHITE, "force_offset": 2.0, "moment_offset": 0.1}
+    leg = {**ARM, "sensor": sensor, "noise": noise, "rate": 100.0}
+    made = ready(**leg, terms=("offset",))
+    foot = sensor.replace("leg", "foot")
+    assert made.problem.parameters[-1] == f"{foot}.fz.offset"
+    assert len(made.problem.parameters) == 10 * len(made.task.bodies) + 12
+    assert made.problem.base.rank == 50
+    found = identify(WLS(), made.problem)
+    told = score(found, made.problem, made.held_out, made.truth)
+    assert found.beta is not None
+    true = made.problem.base.K @ made.truth.theta
+    places = [name.endswith("offset") for name in made.problem.base.names]
+    forces = [".f" in name for name in made.problem.base.names]
+    error = np.abs(found.beta - true)
+    assert sum(places) == 12
+    assert error[np.array(places) & np.array(forces)].max() < 0.2
+    assert error[np.array(places) & ~np.array(forces)].max() < 0.1
+    assert np.abs(true[places]).max() > 0.5
+    assert told.torque_error is not None
+    assert told.torque_error < 0.02
+    spoiled = ready(**leg)
+    worse = score(
+        identify(WLS(), spoiled.problem), spoiled.problem, spoiled.held_out, spoiled.truth
+    )
+    assert worse.torque_error is not None
+    assert worse.torque_error > 10 * told.torque_error
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_exact_data_give_the_constants_of_every_sensor_of_a_tree(seed: int) -> None:
+    """Sub-trees of random robots that end at other sensors: W theta is what remains of the
+    readings, constants and all."""
+    robot, rng = robot_of(random_robot(seed)), np.random.default_rng(seed)
+    first = max(robot.body_names, key=lambda name: len(cut_at(robot, name).bodies))
+    behind = [robot.body_names[b] for b in cut_at(robot, first).bodies[1:]]
+    ends = [str(name) for name in rng.permutation(behind)[:2]]
+    sensors = tuple(Sensor(name=f"s{k}", at=at) for k, at in enumerate([first, *ends]))
+    robot = replace(robot, manifest=replace(robot.manifest, sensors=sensors))
+    true = rng.normal(size=18)
+    task = task_of(robot, "wrench", ("offset",), "s0", lambda n: true[: 6 * n])
+    base = structural_base(robot, task.parameters, task.rows, task.cuts)
+    instruments = instruments_of(robot, task.cuts)
+    columns = sensed_regression(robot, base.names, instruments, task.rows)
+    motion = states(robot, 20, seed)
+    wrench = sensor_wrench(plant_of(robot), task.cuts, motion) + true[: 6 * len(task.cuts)]
+    measured = np.hstack([np.zeros((20, len(robot.torque_rows))), wrench])
+    problem = Posing(robot, task, base, columns).pose(motion, measured)
+    W, b = (np.concatenate(parts) for parts in zip(*problem.blocks(), strict=True))
+    beta = base.K @ task.truth.theta
+    assert relative_gap(W @ beta, b) < 1e-11
+    for factor in problem.factors:
+        rest = np.linalg.norm(factor.R @ np.append(beta[factor.columns], -1.0))
+        assert rest < 1e-10 * max(float(np.linalg.norm(factor.R[:, -1])), 1.0)
+
+
+@pytest.mark.parametrize("forgetting", [1.0, 0.998])
+def test_rls_is_the_on_line_recursion_from_a_prior_that_says_nothing(forgetting: float) -> None:
+    problem = ready(**WRIST, noise=WHITE, rate=50.0, terms=("offset",)).problem
+    W, f = rows_of(problem)
+    start = np.zeros(16), np.full(16, 1e5)
+    recursion = Recursion(forgetting=forgetting, gate=False, every=10**6)
+    track = recursion.run(W, f, own_sigmas(problem), *start)
+    told = RLS(forgetting).solve(problem)
+    assert told.beta is not None
+    assert told.covariance is not None
+    np.testing.assert_allclose(track.last, told.beta, rtol=1e-6, atol=1e-8)
+    if forgetting == 1.0:
+        np.testing.assert_allclose(track.covariance, told.covariance, rtol=1e-5, atol=1e-14)
 
 
 def test_noise_is_drawn_alike_for_all_levels_and_only_where_it_is_asked_for() -> None:
@@ -207,3 +287,34 @@ def test_a_payload_is_found_better_with_both() -> None:
     assert (std[2] < 1.2 * std[0]).all()
     assert (std[2] < 1.2 * std[1]).all()
     assert (std[1][4:] < std[0][4:]).all()
+
+
+TOUCHED = {"robot": "icub", "task": "wrench", "sensor": "l_arm", "rate": 100.0, "excitation":
+           {"use": "wander", "duration": "45 s"}}  # fmt: skip
+TOUCH = {**WHITE, "touch": 5.0}
+
+
+@pytest.mark.parametrize("repeat", range(3))
+def test_contacts_are_left_out_where_they_are_declared_or_found(repeat: int) -> None:
+    """5 N on the hand for the middle third of a recording; without any, nothing is found."""
+    exact = {"filter": "none", "derivatives": "exact"}
+    settings = {
+        "clean": (WHITE, exact),
+        "quiet": (WHITE, exact | {"contacts": "detect"}),
+        "blind": (TOUCH, exact),
+        "declared": (TOUCH, exact | {"contacts": ["15 s to 30 s"]}),
+        "found": (TOUCH, exact | {"contacts": "detect"}),
+    }
+    share: dict[str, float] = {}
+    error: dict[str, float] = {}
+    for name, (noise, signals) in settings.items():
+        made = ready(**TOUCHED, noise=noise, signals=signals, repeat=repeat)
+        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
+        share[name], error[name] = made.left_out, float(told.torque_error or np.nan)
+    assert share["clean"] == share["blind"] == 0.0
+    assert share["quiet"] < 0.03
+    assert share["declared"] == pytest.approx(1 / 3, abs=1e-3)
+    assert share["found"] == pytest.approx(1 / 3, abs=0.03)
+    assert error["blind"] > 10 * error["declared"]
+    assert error["found"] < 2 * error["declared"]
+    assert error["declared"] < 3 * error["clean"]

@@ -220,13 +220,17 @@ def test_settings_reach_everything_and_nothing_else() -> None:
 
 
 def test_words_are_those_of_the_other_rooms() -> None:
+    from sysid_bench.evaluation.repeats import WITH_BOUND
     from sysid_bench.models.manifest import TERMS
     from sysid_bench.reporting.metrics import METRICS
     from sysid_bench.reporting.statistics import INTERVALS, STATISTICS
     from sysid_bench.reporting.tables import BESTS
 
     assert set(words.TERMS) == set(TERMS)
-    assert {*words.METRICS, words.VERDICT} == set(METRICS)
+    of_tables = {words.VERDICT, words.COVERAGE, *words.REPEATED}
+    assert {*words.METRICS, *of_tables} == set(METRICS)
+    assert set(words.REPEATED) == {name for name, told in METRICS.items() if told.repeated}
+    assert set(words.REPEATED) == {"bias", *WITH_BOUND}
     assert set(words.STATISTICS) == set(STATISTICS)
     assert set(words.INTERVALS) == set(INTERVALS)
     assert set(words.BESTS) == set(BESTS)
@@ -251,3 +255,48 @@ def test_verdicts_are_told_by_parameter(metric: str, column: str, good: bool) ->
         return
     with pytest.raises(UsageError, match="go together"):
         read(text)
+
+
+@pytest.mark.parametrize(
+    ("metric", "column", "interval", "wrong"),
+    [
+        ("coverage", "std_from", "ci95", ""),
+        ("coverage", "estimator", "ci95", "go together"),
+        ("rank", "std_from", "none", "go together"),
+        ("bias", "estimator", "ci95", ""),
+        ("efficiency", "repeat", "ci95", "of all repeats together"),
+        ("bound_ratio", "estimator", "iqr", "no interval but 'ci95'"),
+    ],
+)
+def test_statistics_over_repeats_are_tables_of_their_own(
+    metric: str, column: str, interval: str, wrong: str
+) -> None:
+    text = small() + (
+        f'[[table]]\nname = "t"\ncolumns = ["{column}"]\n'
+        f'cells = {{ metric = "{metric}", interval = "{interval}" }}\n'
+    )
+    if not wrong:
+        assert read(text).table[0].cells.metric == metric
+        return
+    with pytest.raises(UsageError, match=wrong):
+        read(text)
+
+
+@pytest.mark.parametrize(
+    ("memory", "right"), [(0.98, True), ("50 %", True), (1, False), (2, False)]
+)
+def test_noise_may_have_a_memory_below_one(memory: Any, right: bool) -> None:
+    written = f'"{memory}"' if isinstance(memory, str) else memory
+    text = small(f'[defaults]\nnoise = {{ tau = "1 N m", tau_correlation = {written} }}')
+    if not right:
+        with pytest.raises(UsageError, match=f"must be below 1; got {memory}"):
+            read(text)
+        return
+    (cell, *_) = expand(read(text), NAMES).cells
+    assert cell.spec.noise == {"tau": 1.0, "tau_correlation": 0.98 if memory == 0.98 else 0.5}
+
+
+def test_a_memory_of_no_noise_is_none() -> None:
+    (cell, *_) = expand(read(small("[defaults]\nnoise = { tau_correlation = 0.9 }")), NAMES).cells
+    assert cell.spec.noise == {}
+    assert cell.labels["noise"] == "exact"

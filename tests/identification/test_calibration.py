@@ -5,6 +5,7 @@ import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.calibration import calibrate
+from sysid_bench.identification.contact import free_samples
 from sysid_bench.identification.online import Recursion, batch
 
 SIZE = np.repeat([1.0, 10.0], 3)
@@ -65,6 +66,29 @@ def test_a_recursion_is_the_batch_for_any_rows(seed: int) -> None:
     np.testing.assert_allclose(track.last, batch(W, f, sigma, prior, P, free), atol=1e-10)
     assert track.places[-1] == 199
     np.testing.assert_array_equal(track.used, free)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.4])
+def test_contacts_stand_out_of_the_quietest_half(seed: int, share: float) -> None:
+    """Whatever their shape and place, and rows of any size; without one hardly anything does."""
+    rng = np.random.default_rng(seed)
+    W, sigma = rng.normal(size=(6000, 6, 12)), np.repeat([0.01, 0.2], 3)
+    f = W @ rng.normal(size=12) + sigma * rng.normal(size=(6000, 6))
+    start, length = rng.integers(0, 3000), int(6000 * share)
+    touched = np.zeros(6000, dtype=bool)
+    touched[start : start + length] = True
+    f[touched] += 20 * sigma * np.sin(0.1 * np.arange(length))[:, None]
+    free = free_samples(W, f)
+    assert free[~touched].mean() > 0.95
+    assert (~free[touched]).all()
+
+
+def test_too_little_to_find_contacts_in_says_so() -> None:
+    with pytest.raises(EstimationError, match="too few"):
+        free_samples(np.ones((20, 6, 3)), np.ones((20, 6)))
+    with pytest.raises(EstimationError, match="declare their intervals"):
+        free_samples(np.ones((2000, 6, 3)), np.random.default_rng(0).normal(size=(2000, 6)))
 
 
 @pytest.mark.parametrize("wrong", [{"forgetting": 0.0}, {"forgetting": 1.1}, {"walk": -1.0}])

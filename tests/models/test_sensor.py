@@ -90,6 +90,8 @@ def test_no_sensor_or_several_ask_which() -> None:
     two = _with_sensors(robot_of(ARM), Sensor(name="s", at="tip"), Sensor(name="t", at="lower"))
     with pytest.raises(UnsupportedError, match="sensors s, t"):
         the_sensor(two, None)
+    with pytest.raises(UnsupportedError, match="take one at a time"):
+        the_sensor(two, "s, t")
     with pytest.raises(UnsupportedError, match="measure the same"):
         instruments_of(two, (cut_at(two, "tip"), cut_at(two, "plate")))
 

@@ -1,6 +1,7 @@
 """The compiled kernel is the NumPy kernel, on any tree, for any columns, any number of samples."""
 
 import re
+import shutil
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -247,7 +248,7 @@ def test_a_kernel_that_is_none_is_refused_with_those_that_are(choose: Choose) ->
 def test_numpy_serves_where_nothing_was_compiled(
     choose: Choose, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(compiled, "FOLDER", tmp_path)
+    monkeypatch.setattr(compiled, "SOURCE", tmp_path / "kernel.c")
     for name in ("", "compiled", "x86-64-v3"):
         choice = choose(name)
         assert choice.library is None
@@ -261,6 +262,8 @@ def test_a_library_of_another_source_is_not_used(
         pytest.skip(chosen().reason)
     other = tmp_path / "kernel.c"
     other.write_bytes(SOURCE.read_bytes() + b"\n")
+    for library in SOURCE.parent.glob("libregressor.*"):
+        shutil.copy(library, tmp_path)
     monkeypatch.setattr(compiled, "SOURCE", other)
     choice = choose("compiled")
     assert choice.library is None
@@ -271,5 +274,5 @@ def test_a_file_that_is_no_library_is_a_reason(
     choose: Choose, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     (tmp_path / "libregressor.so").write_text("no library")
-    monkeypatch.setattr(compiled, "FOLDER", tmp_path)
+    monkeypatch.setattr(compiled, "SOURCE", tmp_path / "kernel.c")
     assert choose("").library is None

@@ -43,7 +43,8 @@ def test_failures_stand_in_the_figure(
 
 
 def test_any_name_can_be_drawn(cells: pd.DataFrame, spec: Mapping[str, Any]) -> None:
-    names = {"ur5": "$x_", "panda": "机器人 \U0001f916 \n", "anymal_c": "<script>--&"}
+    long = "robot_descriptions:a_very_long_name_description/urdf/" * 3
+    names = {"ur5": "$x_" + long, "panda": "机器人 \U0001f916 \n", "anymal_c": "<script>--&"}
     renamed = cells.assign(robot=cells["robot"].map(names))
     for wanted in (spec, MAP):
         ElementTree.fromstring(figure_svg(make_table(renamed, wanted)))

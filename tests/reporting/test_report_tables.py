@@ -263,3 +263,72 @@ def test_words_stand_as_they_are_and_what_differs_is_counted(cells: pd.DataFrame
     for text in (to_markdown(table), to_csv(table)):
         assert "combination" in text
         assert "median" not in text.partition("\n")[0]
+
+
+def repeated(
+    repeats: int, failed: int = 0, scale: float = 1.0
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Cells of two methods and their parameters: "fair" scatters as the bound, "off" is two
+    deviations off as well; the first `failed` repeats of "fair" are lost."""
+    rng = np.random.default_rng(1)
+    cells, parameters = [], []
+    for estimator, offset in (("fair", 0.0), ("off", 2.0)):
+        for repeat in range(repeats):
+            lost = estimator == "fair" and repeat < failed
+            cell = {"id": f"{estimator}{repeat}", "robot": "arm", "estimator": estimator}
+            cells.append({**cell, "repeat": repeat, "status": "failed" if lost else "ok"})
+            for place, bound in enumerate((1e-3, 5.0, 100.0)):
+                error = scale * bound * (offset + rng.normal())
+                told = {"body": "link", "name": f"p{place}", "base_error": error, "bound": bound}
+                parameters += [] if lost else [{"id": cell["id"], **told}]
+    return pd.DataFrame(cells), pd.DataFrame(parameters)
+
+
+def figures(metric: str, frames: tuple[pd.DataFrame, pd.DataFrame]) -> dict[str, Any]:
+    wanted = {"metric": metric, "interval": "ci95"}
+    spec = {"rows": ["robot"], "columns": ["estimator"], "cells": wanted}
+    table = make_table(frames[0], spec, parameters=frames[1])
+    return {column[0]: entry for (_, column), entry in table.entries.items()}
+
+
+@pytest.mark.parametrize(
+    ("metric", "fair", "off"),
+    [
+        ("bias", 0.0, 2.0),
+        ("spread", 1.0, 1.0),
+        ("efficiency", 1.0, 1.0),
+        ("bound_ratio", 1.0, np.sqrt(5)),
+    ],
+)
+def test_repeats_tell_bias_from_scatter(metric: str, fair: float, off: float) -> None:
+    found = figures(metric, repeated(300))
+    for estimator, true in (("fair", fair), ("off", off)):
+        entry = found[estimator]
+        assert entry.n == 300
+        assert entry.value == pytest.approx(true, abs=0.15)
+        assert entry.low - 0.05 <= true <= entry.high + 0.05
+        assert entry.low <= entry.value <= entry.high
+
+
+def test_lost_repeats_are_counted_and_the_rest_is_told() -> None:
+    found = figures("spread", repeated(60, failed=25))
+    assert found["fair"].n == 35
+    assert found["fair"].failures == {"failed": 25}
+    assert "25 failed" in found["fair"].note
+
+
+@pytest.mark.parametrize("metric", ["bias", "spread", "efficiency", "bound_ratio"])
+def test_figures_of_repeats_need_repeats_a_bound_and_noise(metric: str) -> None:
+    cells, parameters = repeated(30)
+    few = cells["repeat"] < 19
+    for frames in (
+        (cells[few], parameters),
+        (cells, parameters.iloc[:0]),
+        repeated(30, scale=0.0),
+        (cells[:0].reindex(range(30)).assign(status="failed", robot="arm"), parameters),
+    ):
+        for entry in figures(metric, frames).values():
+            assert entry.value is entry.low is entry.high is None
+            assert entry.n == 0
+    without = figures(metric, (cells, parameters.assign(bound=np.nan)))
+    assert all((entry.value is None) == (metric != "bias") for entry in without.values())

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.filters import filter_of
 from sysid_bench.signals.process import processing_of
 from sysid_bench.types import Recording, Trajectory
 from tests.experiments.experiment_world import motion_of, robot_of
@@ -170,3 +171,38 @@ def test_a_cut_off_above_half_the_rate_is_refused() -> None:
     recording = recording_of(robot, slow(robot, 100.0), rates=True)
     with pytest.raises(UsageError, match="rate"):
         processing_of({"filter": "butter 4 60 Hz"}).apply(recording, robot.joints)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_series_of_a_motion_that_repeats_has_its_exact_derivatives(name: str) -> None:
+    robot = robot_of(name)
+    motion = slow(robot, 50.0)
+    recording = replace(recording_of(robot, motion), period=motion.period)
+    spec = {"filter": "fourier 8.1 Hz", "derivatives": "from q", "torque": "raw"}
+    made = processing_of(spec).apply(recording, robot.joints)
+    assert made.v is not None
+    assert made.a is not None
+    np.testing.assert_array_equal(made.t, motion.t)
+    # Quaternions of a free base have harmonics above any cut-off; hinges have their own alone.
+    turns = any(joint.kind in ("free", "ball") for joint in robot.joints)
+    scale = 1e-3 if turns else 1e-9
+    np.testing.assert_allclose(made.q, motion.q, atol=scale)
+    np.testing.assert_allclose(made.v, motion.v, atol=scale * 10)
+    np.testing.assert_allclose(made.a, motion.a, atol=scale * 100)
+    np.testing.assert_array_equal(made.tau, recording.tau)
+
+
+def test_a_series_keeps_what_is_slower_than_its_cutoff_and_nothing_else() -> None:
+    t = np.arange(400) / 100.0
+    waves = [np.sin(2 * np.pi * f * t) for f in (0.25, 2.0, 2.25, 30.0)]
+    filter = filter_of("fourier 2.1 Hz")
+    kept = filter.smooth(np.stack([sum(waves)], axis=1), 100.0)[:, 0]
+    np.testing.assert_allclose(kept, waves[0] + waves[1], atol=1e-12)
+
+
+@pytest.mark.parametrize("period", [None, 3.0, 0.333])
+def test_a_series_needs_whole_periods(period: float | None) -> None:
+    robot = robot_of("ur5")
+    recording = replace(recording_of(robot, slow(robot, 50.0)), period=period)
+    with pytest.raises(UsageError, match="needs whole periods; 400 samples"):
+        processing_of({"filter": "fourier 2 Hz"}).apply(recording, robot.joints)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sysid_bench.errors import UsageError
 from sysid_bench.simulation.sensors import Noise, displaced, draw, encoder_error
 from sysid_bench.types import Array
 from tests.experiments.experiment_world import CLOSED_LOOP, SMOOTH, ready, robot_of
@@ -122,3 +123,33 @@ def test_displaced_orientations_stay_orientations(seed: int, size: float) -> Non
     turned = norm(error[:, 3:6])
     expected = np.minimum(turned, 2 * np.pi - turned)
     np.testing.assert_allclose(angle, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.98])
+def test_torque_noise_has_the_memory_that_was_asked_for(correlation: float) -> None:
+    white = np.random.default_rng(0).normal(size=(400, 3000))  # 3000 series of 400 samples
+    noise = Noise(tau=1.0, tau_correlation=correlation).in_time(white)
+    error = 5 / np.sqrt(white.shape[1])
+    assert np.abs(noise.std(axis=1) - 1.0).max() < error  # from the first sample on
+    for lag in (1, 10, 100):
+        alike = (noise[lag:] * noise[:-lag]).mean(axis=1)
+        assert np.abs(alike - correlation**lag).max() < 2 * error
+    np.testing.assert_allclose(noise[0], white[0], atol=1e-14)
+
+
+@pytest.mark.parametrize("correlation", [1.0, 1.5, -0.1])
+def test_noise_that_never_changes_is_refused(correlation: float) -> None:
+    with pytest.raises(UsageError, match="tau_correlation"):
+        Noise(tau=1.0, tau_correlation=correlation)
+
+
+def test_memory_changes_the_order_of_noise_and_not_its_size() -> None:
+    exact, white, slow = (
+        ready(robot="ur5", noise=noise, rate=200.0).experiment.raw.tau
+        for noise in ({}, {"tau": 0.1}, {"tau": 0.1, "tau_correlation": 0.5})
+    )
+    white, slow = white - exact, slow - exact
+    np.testing.assert_allclose(slow[0], white[0], atol=1e-12)
+    assert slow.std() == pytest.approx(white.std(), rel=0.1)
+    step = np.sqrt(1 - 0.5**2)
+    np.testing.assert_allclose(slow[1:], 0.5 * slow[:-1] + step * white[1:], atol=1e-12)

@@ -30,10 +30,8 @@ class Commands:
 def commands_of(
     motion: Trajectory, tau: Array, joints: tuple[str, ...], qadr: list[int], dofs: list[int]
 ) -> Commands:
-    """The commands of some joints, at `qadr` in q and `dofs` in v."""
-    return Commands(
-        joints, motion.t, motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs], tau[:, dofs]
-    )
+    """The commands of joints at `qadr` in q and `dofs` in v, with their torques tau (N, k)."""
+    return Commands(joints, motion.t, motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs], tau)
 
 
 def csv_text(commands: Commands) -> str:

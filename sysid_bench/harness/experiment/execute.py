@@ -3,21 +3,24 @@
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
+from sysid_bench.evaluation.covariance import Spread, spreads
 from sysid_bench.evaluation.score import score
 from sysid_bench.harness.canonical import plain
+from sysid_bench.harness.experiment.behind_sensor import Trial, excited, trial_of
+from sysid_bench.harness.experiment.behind_sensor import figures as sub_tree_figures
 from sysid_bench.harness.experiment.prepare import Prepared, prepare
 from sysid_bench.harness.experiment.robots import Subject, subject
 from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.harness.provenance import versions
+from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
-from sysid_bench.types import Estimate, Problem, Row, Truth
+from sysid_bench.types import Estimate, Row
 
 Emit = Callable[[Row], None]
 
@@ -43,9 +46,27 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
         status = "unsupported" if isinstance(error, UnsupportedError) else "failed"
         _emit_all(argument, emit, verdict | {"status": status, "reason": str(error)})
         return
+    sensed = _Sensed.of(spec, ready) if spec.task == "wrench" else None
     verdict["seconds_experiment"] = time.perf_counter() - start
     for estimator in argument["estimators"]:
-        emit(_header(argument, estimator) | verdict | _answer(estimator, ready))
+        emit(_header(argument, estimator) | verdict | _answer(estimator, ready, sensed))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensed:
+    """What estimators behind a sensor are judged by beside their scores."""
+
+    excitation: Excitation
+    trial: Trial | None
+
+    @classmethod
+    def of(cls, spec: ExperimentSpec, ready: Prepared) -> "_Sensed":
+        return cls(excited(ready), trial_of(spec, ready))
+
+    def judged(self, estimate: Estimate, ready: Prepared) -> Row:
+        """The part of a row that is about the sub-tree."""
+        errors = None if self.trial is None else self.trial.errors(ready, estimate)
+        return sub_tree_figures(self.excitation, errors)
 
 
 def _verdict(robot: Subject, rule: Mapping[str, Any]) -> Row:
@@ -76,17 +97,27 @@ def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
     return {**argument["labels"], **own, "versions": versions()}
 
 
-def _answer(spec: Mapping[str, Any], ready: Prepared) -> Row:
+def _answer(spec: Mapping[str, Any], ready: Prepared, sensed: _Sensed | None) -> Row:
     """Status, scores and parameters of one estimator; a stranger's exception is a failed row."""
     settings = {key: value for key, value in spec.items() if key not in ("cell", "label")}
     try:
         estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
-        return _judged(estimate, ready)
+        return _with_sub_tree(_judged(estimate, ready), estimate, ready, sensed)
     except SysidBenchError as error:
         failure = {"reason": reason_of(error)}
     except (Exception, SystemExit) as error:
         failure = {"reason": reason_of(error), "traceback": traceback.format_exc()}
-    return dict(plain({"status": "failed", **failure, **ready.figures}))
+    row = dict(plain({"status": "failed", **failure, **ready.figures}))
+    return _with_sub_tree(row, Estimate(status="failed"), ready, sensed)
+
+
+def _with_sub_tree(row: Row, estimate: Estimate, ready: Prepared, sensed: _Sensed | None) -> Row:
+    """The row with what a sensor's data tell of its sub-tree; a failure names what they miss."""
+    if sensed is None:
+        return row
+    missing = "" if row["status"] == "ok" else sensed.excitation.warning
+    told = {"reason": f"{row['reason']} {missing}".strip(), **sensed.judged(estimate, ready)}
+    return row | dict(plain(told))
 
 
 def _judged(estimate: Estimate, ready: Prepared) -> Row:
@@ -96,33 +127,50 @@ def _judged(estimate: Estimate, ready: Prepared) -> Row:
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
     }
+    problem, truth, sure = ready.problem, ready.truth, spreads(ready.problem, estimate)
+    told = sure if ready.noisy else None
     outcome |= vars(
-        score(estimate, ready.problem, ready.held_out, ready.truth, ready.reach, ready.figures)
+        score(estimate, problem, ready.held_out, truth, ready.reach, ready.figures, told)
     )
     outcome["stats"] = stats
-    outcome["parameters_table"] = list(_parameters(estimate, ready.problem, ready.truth))
+    outcome["parameters_table"] = list(_parameters(estimate, ready, sure))
     return dict(plain(outcome))
 
 
-def _parameters(estimate: Estimate, problem: Problem, truth: Truth) -> Iterator[Row]:
+def _parameters(estimate: Estimate, ready: Prepared, sure: Mapping[str, Spread]) -> Iterator[Row]:
     """True and estimated base parameters, named by their pivots; all parameters where the method
-    claims all of them, with the verdict on each, so that no claim passes for knowledge."""
+    claims all of them, with the verdict on each, so that no claim passes for knowledge.
+
+    `std` is the first of the deviations that there are, and `std_from` says which. Where a
+    parameter is the pivot of a base parameter, `base_error` is what the estimate of that one is off
+    by, and `bound` its deviation by Cramer and Rao."""
     if estimate.status != "ok" or estimate.beta is None:
         return
+    problem, truth = ready.problem, ready.truth
     base, told = problem.base, verdicts(problem.base)
     place = {int(j): i for i, j in enumerate(base.pivots)}
-    std = None if estimate.covariance is None else np.sqrt(np.diag(estimate.covariance))
+    kind = next(iter(sure), None)
+    deviations = {f"std_{name}": spread.std for name, spread in sure.items()}
+    if kind is not None:
+        deviations["std"] = sure[kind].std
+    of_base = {"base_error": estimate.beta - base.K @ truth.theta}
+    if ready.bound is not None:
+        of_base["bound"] = ready.bound
     whole = estimate.theta is not None
     true = truth.theta if whole else base.embed(base.K @ truth.theta)
     found = base.embed(estimate.beta) if estimate.theta is None else estimate.theta
     for j in range(len(told)) if whole else base.pivots.tolist():
         body, _, parameter = problem.parameters[j].rpartition(".")
         single = not whole or told[j] == "identifiable"
+        numbers = of_base if j in place else {}
+        numbers = numbers | (deviations if single else {})
         yield {
             "body": body,
             "name": parameter,
             "true": float(true[j]),
             "estimate": float(found[j]),
-            "std": None if std is None or not single else float(std[place[j]]),
+            "std": None,
+            "std_from": kind if single else None,
             "identifiable": told[j],
+            **{name: float(values[place[j]]) for name, values in numbers.items()},
         }

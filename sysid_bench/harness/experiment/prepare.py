@@ -1,21 +1,25 @@
 """One experiment made ready: simulated once, its regressor reduced once, for all its estimators."""
 
+import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, UnsupportedError
+from sysid_bench.errors import EstimationError, UnsupportedError, UsageError
+from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.brief import Brief, brief_of
 from sysid_bench.excitation.geometry import scene_of
 from sysid_bench.excitation.insight import Torque, question
+from sysid_bench.harness.canonical import canonical
 from sysid_bench.harness.experiment.motions import designed
 from sysid_bench.harness.experiment.robots import Subject
-from sysid_bench.harness.experiment.sensing import Sensing, true_offset
+from sysid_bench.harness.experiment.sensing import Sensing, kept_motion, true_offset
 from sysid_bench.harness.experiment.spec import (
+    REDRAWN,
     ExperimentSpec,
     drift_seed,
     held_out_seed,
@@ -26,17 +30,20 @@ from sysid_bench.harness.experiment.spec import (
     run_seed,
 )
 from sysid_bench.identification.calibration import Calibration, calibrate
+from sysid_bench.identification.contact import free_samples
+from sysid_bench.identification.online import rows_of
 from sysid_bench.models.extents import extents
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.prior import PriorSpread, misknown, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, cut_at, instruments_of
-from sysid_bench.models.task import Task, task_of
-from sysid_bench.regressors.coupled import AnyRegression, torque_regression
+from sysid_bench.models.task import SENSOR_TASKS, Task, task_of
+from sysid_bench.regressors.coupled import torque_regression
+from sysid_bench.regressors.ended import Sensed, sensed_regression
 from sysid_bench.regressors.fold import dense_blocks, fold
 from sysid_bench.regressors.kernel import newton_euler
-from sysid_bench.regressors.regression import TERM, regression
+from sysid_bench.regressors.regression import TERM
 from sysid_bench.regressors.wrench import handed_on
 from sysid_bench.signals.process import processing_of
 from sysid_bench.simulation.candidate import Declared, candidate, declared
@@ -48,6 +55,7 @@ from sysid_bench.simulation.wrench import WRENCH_NOISE
 from sysid_bench.types import (
     Array,
     BaseMap,
+    Controller,
     Experiment,
     Extent,
     Oracle,
@@ -58,6 +66,7 @@ from sysid_bench.types import (
     Trajectory,
     Truth,
 )
+from sysid_bench.units import interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,53 +81,101 @@ class Prepared:
     held_out: dict[str, Problem]
     truth: Truth
     known: Array  # (N, rows) torque of what the task takes as known, along the measured motion
+    bound: Array | None  # (r,) Cramer-Rao, as standard deviations, where torque alone is noisy
+    noisy: bool
+    left_out: float  # share of the samples that are taken for contacts
+    stage: "Stage"
 
     @cached_property
     def figures(self) -> dict[str, Any]:
         """Rank and conditioning of the data: one and the same for all estimators."""
-        return data_figures(self.problem, self.held_out)
+        return data_figures(self.problem, self.held_out) | {"left_out": self.left_out}
 
-    @cached_property
+    @property
     def reach(self) -> Mapping[str, Extent]:
         """How far each body reaches."""
-        return extents(self.robot)
+        return self.stage.reach
 
 
 def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
-    robot = subject.robot
-    task = told(
-        spec, task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, true_offset(spec))
-    )
-    base = subject.base(task.parameters, task.rows, task.cuts)
-    instruments = instruments_of(robot, task.cuts)
-    posing = Posing(robot, task, base, torque_regression(robot, base.names, instruments))
-    plant = plant_of(robot, [subject.build("plant", spec.plant)])
-    sensing = Sensing(spec, plant, task)
-    prior = _prior(spec, task)
-    briefed = partial(_brief, robot, task, base, prior)
-    takes = takes_of(spec, task)
-    main = next(take for take in takes if take.loaded)
-    raw, recording = _record(spec, subject, plant, sensing, briefed, main)
-    runs = _runs(spec, subject, sensing, briefed, takes, Run(True, recording))
+    stage = _stage(canonical(_noise_free(spec).to_json()), subject)
+    task, posing, plant = stage.task, stage.posing, stage.take.plant
+    turns = turns_of(spec, task)
+    main = next(turn for turn in turns if turn.loaded)
+    taken = _record(spec, stage.take, Sensing(spec, plant, task), main)
+    raw, recording = taken.raw, taken.recording
     if "calibration" in spec.signals and task.cuts:
         calibration = _calibration(spec, subject, task)
         raw, recording = _corrected(raw, calibration), _corrected(recording, calibration)
-    problem = posing.pose(recording.motion, recorded(recording), prior)
-    held_out = {
-        name: posing.pose(oracle.motion, sensing.exact(oracle))
-        for name, oracle in _held_out(spec, subject, plant, briefed).items()
-    }
-    regress = partial(regressor_blocks, posing.regression, posing.places, instruments)
-    model = declared(robot, task)
-    simulate = _nothing_to_simulate if task.cuts else _Simulate(model, raw)
-    known = _nothing_to_simulate if task.cuts else _Known(model, posing.places)
+    recording, left_out = _free_of_contact(spec.signals.get("contacts"), recording, posing)
+    problem = posing.pose(recording.motion, recorded(recording), stage.prior)
+    regress = partial(regressor_blocks, posing.regression, posing.places, posing.instruments)
+    simulate = _nothing_to_simulate if task.cuts else _Simulate(stage.told, raw)
+    known = _nothing_to_simulate if task.cuts else _Known(stage.told, posing.places)
+    runs = _runs(spec, stage, turns, Run(True, recording))
     experiment = Experiment(problem, recording, raw, regress, simulate, known, runs)
     seal(experiment)
     return Prepared(
-        robot, task, problem, experiment, held_out, task.truth,
-        posing.known(recording.motion)[:, posing.places],
+        subject.robot, task, problem, experiment, stage.held_out, task.truth,
+        posing.known(recording.motion)[:, posing.places], taken.bound(posing), bool(spec.noise),
+        left_out, stage,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """All of an experiment that its noise does not touch: levels and repeats share it."""
+
+    spec: ExperimentSpec
+    task: Task
+    posing: "Posing"
+    take: "Take"
+    prior: Prior | None
+
+    @cached_property
+    def told(self) -> Declared:
+        """The robot as methods may know it."""
+        return declared(self.posing.robot, self.task)
+
+    @cached_property
+    def reach(self) -> Mapping[str, Extent]:
+        """How far each body reaches."""
+        return extents(self.posing.robot)
+
+    @cached_property
+    def held_out(self) -> dict[str, Problem]:
+        """Other motions, posed with exact signals."""
+        sensing = Sensing(self.spec, self.take.plant, self.task)
+        return {
+            name: self.posing.pose(oracle.motion, sensing.exact(oracle))
+            for name, oracle in _held_out(self.spec, self.take).items()
+        }
+
+
+def _noise_free(spec: ExperimentSpec) -> ExperimentSpec:
+    """What of a specification its stage hangs on. How a force/torque sensor was made is a part of
+    the noise, and of what such a task asks for."""
+    if spec.task in SENSOR_TASKS:
+        return spec
+    redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
+    return replace(spec, noise={}, signals={}, repeat=spec.repeat if redrawn else 0)
+
+
+@lru_cache(maxsize=2)
+def _stage(text: str, subject: Subject) -> Stage:
+    """The stage of a specification, as canonical JSON."""
+    spec, robot = ExperimentSpec.from_json(json.loads(text)), subject.robot
+    terms = terms_of(spec, robot)
+    task = told(spec, task_of(robot, spec.task, terms, spec.sensor, partial(true_offset, spec)))
+    base = subject.base(task.parameters, task.rows, task.cuts)
+    instruments = instruments_of(robot, task.cuts)
+    columns = sensed_regression(robot, base.names, instruments, task.rows)
+    posing = Posing(robot, task, base, columns)
+    plant = plant_of(robot, [subject.build("plant", spec.plant)])
+    prior = _prior(spec, task)
+    take = Take(spec, subject, plant, partial(_brief, robot, task, base, prior))
+    return Stage(spec, task, posing, take, prior)
 
 
 def terms_of(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
@@ -160,7 +217,7 @@ class Posing:
     robot: RobotModel
     task: Task
     base: BaseMap
-    regression: AnyRegression
+    regression: Sensed
 
     @cached_property
     def instruments(self) -> Instruments:
@@ -193,6 +250,7 @@ class Posing:
             prior=prior,
             kinds=tuple(self.instruments.kinds[i] for i in self.places),
             torque=np.sqrt((measured[:, self.places] ** 2).mean(axis=0)),
+            period=motion.period_samples,
         )
 
     def known(self, motion: Trajectory) -> Array:
@@ -214,7 +272,10 @@ def recorded(recording: Recording) -> Array:
 
 
 def regressor_blocks(
-    regression: AnyRegression, rows: tuple[int, ...], instruments: Instruments, motion: Trajectory
+    regression: Sensed,
+    rows: tuple[int, ...],
+    instruments: Instruments,
+    motion: Trajectory,
 ) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion."""
     for block in regression.blocks(instruments.motion(motion)):
@@ -253,8 +314,6 @@ class _Known:
 def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float) -> Brief:
     """What a designer of motions is told: limits, the question, and torques by the prior alone."""
     brief = brief_of(robot, rate)
-    if robot.coupling is not None or task.cuts:  # designs serve the joints of trees
-        return brief
     terms = {  # ball and free joints, whose terms have no columns, are held by designs
         f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
         for term, values in task.known_terms.items()
@@ -262,10 +321,11 @@ def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, ra
         if values[dof]
     }
     torque = None
-    if prior is not None:
-        columns = regression(robot, (*task.parameters, *terms))
-        torque = Torque(columns, np.array([*prior.theta, *terms.values()]), task.known_links)
-    asked = question(robot, base.names, task.rows)
+    if prior is not None and not task.cuts:  # behind a sensor nothing is told of the rest
+        columns = torque_regression(robot, (*task.parameters, *terms))
+        theta = np.array([*prior.theta, *terms.values()])
+        torque = Torque(columns, theta, task.known_links, robot.tree, robot.coupling)
+    asked = question(robot, base.names, task.rows, task.cuts)
     return replace(brief, regress=asked, torque=torque, scene=partial(scene_of, robot))
 
 
@@ -273,8 +333,47 @@ Briefed = Callable[[float], Brief]
 """The brief of an experiment at a rate (Hz)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Take:
+    """A plant that moves as an excitation says."""
+
+    spec: ExperimentSpec
+    subject: Subject
+    plant: Plant
+    briefed: Briefed
+
+    @cached_property
+    def simulation(self) -> Any:
+        """What moves it."""
+        return self.subject.build("simulation", self.spec.simulation)
+
+    @property
+    def every(self) -> int:
+        """Steps of the simulation per sample of the recording."""
+        return round(self.simulation.design_rate(self.spec.rate) / self.spec.rate)
+
+    @cached_property
+    def commanded(self) -> Trajectory:
+        """The motion that is asked for."""
+        brief = self.briefed(self.simulation.design_rate(self.spec.rate))
+        return designed(self.spec.excitation, self.subject, brief, motion_seed(self.spec))
+
+    def run(self, error: Array) -> tuple[Oracle, Controller | None]:
+        """What happens where encoders err so much (N, n)."""
+        if type(self.simulation) is Inverse:  # which no encoder disturbs
+            return self._undisturbed, None
+        oracle, controller = self.simulation.run(self.plant, self.commanded, error)
+        return oracle, controller
+
+    @cached_property
+    def _undisturbed(self) -> Oracle:
+        still = np.zeros((len(self.commanded), len(self.plant.robot.torque_dofs)))
+        oracle: Oracle = self.simulation.run(self.plant, self.commanded, still)[0]
+        return oracle
+
+
+@dataclass(frozen=True)
+class Turn:
     """One recording of the commanded motion: the how manieth, and whether the payload is on."""
 
     place: int
@@ -282,101 +381,125 @@ class Take:
     seed: int  # of its noise
 
 
-def takes_of(spec: ExperimentSpec, task: Task) -> tuple[Take, ...]:
+def turns_of(spec: ExperimentSpec, task: Task) -> tuple[Turn, ...]:
     """The recordings that an experiment makes, in order. The first loaded one has the noise that it
     has without the others: comparisons are paired."""
     order = spec.signals.get("runs", "B")
     if "A" in order and (task.name != "payload" or task.cuts):
         raise UnsupportedError(
-            f"Runs without the payload tell of the payload, from joint torques alone; the task is "
+            "Runs without the payload tell of the payload, from joint torques alone; the task is "
             f"{task.name!r}{' with sensors' if task.cuts else ''}."
+        )
+    if len(order) > 1 and spec.signals.get("contacts"):
+        raise UnsupportedError(
+            "Contact periods leave different samples of each run: take runs or contacts."
         )
     first = order.index("B")
     return tuple(
-        Take(i, letter == "B", noise_seed(spec) if i == first else run_seed(spec, i))
+        Turn(i, letter == "B", noise_seed(spec) if i == first else run_seed(spec, i))
         for i, letter in enumerate(order)
     )
 
 
 def _runs(
-    spec: ExperimentSpec,
-    subject: Subject,
-    sensing: Sensing,
-    briefed: Briefed,
-    takes: tuple[Take, ...],
-    main: Run,
+    spec: ExperimentSpec, stage: Stage, turns: tuple[Turn, ...], main: Run
 ) -> tuple[Run, ...]:
     """All recordings of the commanded motion, `main` among them; none where it is the only one."""
-    if len(takes) == 1:
+    if len(turns) == 1:
         return ()
-    robot = load_robot(subject.robot.manifest, parse_payload("none"), spec.free_base)
-    bare = plant_of(robot, [subject.build("plant", spec.plant)])
-    plants = {True: sensing.plant, False: bare}
+    loaded = stage.take
+    robot = load_robot(loaded.subject.robot.manifest, parse_payload("none"), spec.free_base)
+    plant = plant_of(robot, [loaded.subject.build("plant", spec.plant)])
+    takes = {True: loaded, False: replace(loaded, plant=plant)}
     runs = []
-    for take in takes:
-        if take.seed == noise_seed(spec):
+    for turn in turns:
+        if turn.seed == noise_seed(spec):
             runs.append(main)
             continue
-        _, recording = _record(spec, subject, plants[take.loaded], sensing, briefed, take)
-        runs.append(Run(take.loaded, recording))
+        take = takes[turn.loaded]
+        taken = _record(spec, take, Sensing(spec, take.plant, stage.task), turn)
+        runs.append(Run(turn.loaded, taken.recording))
     return tuple(runs)
 
 
-def _drifted(spec: ExperimentSpec, recording: Recording, take: Take, level: float) -> Recording:
+def _drifted(spec: ExperimentSpec, recording: Recording, place: int, level: float) -> Recording:
     """The recording with torques that drift from the first run on; runs follow at once."""
     if level == 0.0:
         return recording
     slope = level * np.random.default_rng(drift_seed(spec)).normal(size=recording.tau.shape[1])
-    start = take.place * len(recording) / recording.rate
+    start = place * len(recording) / recording.rate
     return replace(recording, tau=recording.tau + (recording.t + start)[:, None] * slope)
 
 
-def _record(
-    spec: ExperimentSpec,
-    subject: Subject,
-    plant: Plant,
-    sensing: Sensing,
-    briefed: Briefed,
-    take: Take | None = None,
-) -> tuple[Recording, Recording]:
-    """The recording as sensed and as filtered."""
-    take = Take(0, True, noise_seed(spec)) if take is None else take
-    robot = plant.robot
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """The recording as sensed and as filtered, and what only scoring may know of it."""
+
+    raw: Recording
+    recording: Recording
+    oracle: Oracle
+    every: int
+    torque_std: Array  # (n,) of the torque noise
+    correlation: float  # of that noise from sample to sample
+
+    def bound(self, posing: "Posing") -> Array | None:
+        """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
+        a row has no noise of that kind, or the motion does not excite every direction."""
+        if posing.task.cuts or not (self.torque_std[list(posing.places)] > 0).all():
+            return None
+        return _bound(posing, self.oracle, self.every, tuple(self.torque_std), self.correlation)
+
+
+@lru_cache(maxsize=2)
+def _bound(
+    posing: "Posing", oracle: Oracle, every: int, std: tuple[float, ...], correlation: float
+) -> Array | None:
+    motion, places = kept_motion(oracle.motion, every), posing.places
+    of_rows = np.array(std)[list(places)]
+    if correlation == 0.0:
+        found = white_bound(posing.pose(motion, oracle.tau[::every]), of_rows)
+    else:  # rows that are whitened in time are dense
+        rows = regressor_blocks(posing.regression, places, posing.instruments, motion)
+        found = torque_bound(rows, np.diag(of_rows**2), correlation)
+    return None if found is None else np.sqrt(np.diag(found))
+
+
+def _record(spec: ExperimentSpec, take: Take, sensing: Sensing, turn: Turn | None = None) -> Taken:
+    """The recording of one repeat, and of one of its runs where there are several."""
+    place, seed = (0, noise_seed(spec)) if turn is None else (turn.place, turn.seed)
+    robot, every, commanded = take.plant.robot, take.every, take.commanded
     noise = Noise(**{k: x for k, x in spec.noise.items() if k not in WRENCH_NOISE})
-    simulation = subject.build("simulation", spec.simulation)
     processing = processing_of(spec.signals)
-    rate = simulation.design_rate(spec.rate)
-    every = round(rate / spec.rate)
-    commanded = designed(spec.excitation, subject, briefed(rate), motion_seed(spec))
-    rng = np.random.default_rng(take.seed)
+    rng = np.random.default_rng(seed)
     moving = robot.torque_dofs
     draws = draw(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
     error = encoder_error(noise, draws)
-    oracle, controller = simulation.run(plant, commanded, error)
+    oracle, controller = take.run(error)
     if noise.quantum > 0:
         # Rounding depends on where the robot is: the positions of a first run tell, the second runs
         # with the loop seeing it.
         scalar = np.flatnonzero(np.isin(moving, robot.scalar_dofs))
         there = _scalar_positions(robot, oracle.motion)[:, moving]
         error = encoder_error(noise, draws, there, scalar)
-        oracle, controller = simulation.run(plant, commanded, error)
+        oracle, controller = take.run(error)
         # Recorded is what is read where the robot was then: it lies on the encoder's grid.
         there = _scalar_positions(robot, oracle.motion)[:, moving]
         error = encoder_error(noise, draws, there, scalar)
+    torque_std = noise.torque_std(oracle.tau[::every])
     raw = sense(
         robot,
         oracle,
         error,
-        noise.torque_std(oracle.tau[::every]),
-        draws,
+        torque_std * noise.in_time(draws.torque),
         every,
         # Without a controller the robot moves exactly as commanded: to tell would be the truth.
         None if controller is None else commanded,
         controller,
         ideal_rates=not processing.differentiate,
     )
-    raw = sensing.felt(_drifted(spec, raw, take, noise.tau_drift), oracle, every)
-    return raw, _completed(robot, processing.apply(raw, robot.joints))
+    raw = sensing.felt(_drifted(spec, raw, place, noise.tau_drift), oracle, every)
+    recording = _completed(robot, processing.apply(raw, robot.joints))
+    return Taken(raw, recording, oracle, every, torque_std, noise.tau_correlation)
 
 
 def _completed(robot: RobotModel, recording: Recording) -> Recording:
@@ -395,8 +518,8 @@ def _calibration(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibrat
         cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
         plant = plant_of(robot, [subject.build("plant", spec.plant)])
         sensing = Sensing(spec, plant, replace(task, cuts=cuts), run)
-        briefed = partial(brief_of, robot)
-        _, recording = _record(spec, replace(subject, robot=robot), plant, sensing, briefed)
+        take = Take(spec, replace(subject, robot=robot), plant, partial(brief_of, robot))
+        recording = _record(spec, take, sensing).recording
         instruments = instruments_of(robot, cuts)
         motion = instruments.motion(recording.motion)
         model = newton_euler(instruments.tree, instruments.tree.lumped(robot.phi), motion)
@@ -404,6 +527,32 @@ def _calibration(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibrat
         readings.append(recording.wrench[:, :6])
         known.append(model[:, robot.nv : robot.nv + 6])
     return calibrate(np.concatenate(readings), np.concatenate(known))
+
+
+def _free_of_contact(
+    contacts: Any, recording: Recording, posing: Posing
+) -> tuple[Recording, float]:
+    """The recording without contact periods, declared or found, and the share that is left out."""
+    if not contacts:
+        return recording, 0.0
+    if contacts == "detect":
+        free = free_samples(*rows_of(posing.pose(recording.motion, recorded(recording))))
+    else:
+        t, free = recording.t, np.ones(len(recording), dtype=bool)
+        for start, end in map(interval, contacts):
+            free &= ~((t >= start) & (t < end))
+        if not free.any():
+            raise UsageError(
+                f"The contact periods {', '.join(contacts)} leave nothing of a recording from "
+                f"{t[0]:g} s to {t[-1]:g} s."
+            )
+    motion = recording.motion
+    kept = replace(
+        recording, t=motion.t[free], q=motion.q[free], v=motion.v[free], a=motion.a[free],
+        tau=recording.tau[free], period=None,
+        wrench=None if recording.wrench is None else recording.wrench[free],
+    )  # fmt: skip
+    return kept, 1.0 - float(free.mean())
 
 
 def _corrected(recording: Recording, calibration: Calibration) -> Recording:
@@ -423,17 +572,14 @@ def _scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
     return out
 
 
-def _held_out(
-    spec: ExperimentSpec, subject: Subject, plant: Plant, briefed: Briefed
-) -> dict[str, Oracle]:
+def _held_out(spec: ExperimentSpec, take: Take) -> dict[str, Oracle]:
     """Other motions of the same plant, exact: what scoring compares with."""
     motions: dict[str, Oracle] = {}
     for place, excitation in enumerate(spec.held_out):
         seed = held_out_seed(spec, place)
-        motion = designed(excitation, subject, briefed(spec.rate), seed)
-        oracle, _ = Inverse().run(
-            plant, motion, np.zeros((len(motion), len(plant.robot.torque_dofs)))
-        )
+        motion = designed(excitation, take.subject, take.briefed(spec.rate), seed)
+        still = np.zeros((len(motion), len(take.plant.robot.torque_dofs)))
+        oracle, _ = Inverse().run(take.plant, motion, still)
         name = excitation["use"]
         motions[name if name not in motions else f"{name}-{place}"] = oracle
     return motions
@@ -442,9 +588,10 @@ def _held_out(
 def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
     if spec.prior == "none":
         return None
-    unknowns = {} if isinstance(spec.prior, str) else {**spec.prior}
-    unknowns.pop("known", None)
-    spread = PriorSpread(**unknowns) if unknowns else None
+    spread = None
+    if not isinstance(spec.prior, str):
+        unknown = {k: far for k, far in spec.prior.items() if k not in (REDRAWN, "known")}
+        spread = PriorSpread(**unknown)
     return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
 
 

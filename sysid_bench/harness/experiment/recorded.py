@@ -330,6 +330,8 @@ class _Posing:
             blocks=partial(_blocks, self, tuple(logs)),
             samples=sum(len(log.recording) for log in logs),
             kinds=kinds,
+            # Motions of several logs differ: their spread is more than that of the noise.
+            period=logs[0].recording.motion.period_samples if len(logs) == 1 else 0,
         )
 
     def regression(self, log: Processed) -> tuple[AnyRegression, Array]:

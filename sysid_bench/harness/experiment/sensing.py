@@ -4,13 +4,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sysid_bench.errors import UnsupportedError
 from sysid_bench.harness.experiment.spec import ExperimentSpec, noise_seed, seed_of, sensor_seed
+from sysid_bench.models.sensor import last_body
 from sysid_bench.models.task import SENSOR_TASKS, Task
 from sysid_bench.simulation.plant import Plant
 from sysid_bench.simulation.wrench import (
     Fault,
+    Touch,
     fault_of,
     sensor_wrench,
+    swaying,
+    touch_torque,
     wrench_noise,
 )
 from sysid_bench.types import Array, Oracle, Recording, Trajectory
@@ -31,7 +36,12 @@ class Sensing:
             return raw
         white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench", self.run))
         noise = wrench_noise(self.spec.noise)
-        exact = self._wrench(_kept(oracle.motion, every))
+        motion = kept_motion(oracle.motion, every)
+        touch = self._touch(motion)
+        if touch is not None:
+            taken = touch_torque(self.plant, touch, motion)
+            raw = replace(raw, tau=raw.tau - self.plant.robot.reduced(motion.q, taken))
+        exact = self._wrench(motion, touch)
         parts = [
             fault.reads(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
             for fault, wrench in zip(
@@ -49,16 +59,31 @@ class Sensing:
         wrench = self._wrench(oracle.motion)
         alone = self.task.name in SENSOR_TASKS
         if alone and len(self.task.parameters) > 10 * len(self.task.bodies):
-            wrench[:, :6] += self.task.truth.theta[-6:]
+            wrench += self.task.truth.theta[10 * len(self.task.bodies) :]
         return np.hstack([oracle.tau, wrench])
 
-    def _wrench(self, motion: Trajectory) -> Array:
-        return sensor_wrench(self.plant, self.task.cuts, motion)
+    def _wrench(self, motion: Trajectory, touch: Touch | None = None) -> Array:
+        return sensor_wrench(self.plant, self.task.cuts, motion, touch)
+
+    def _touch(self, motion: Trajectory) -> Touch | None:
+        """What touches the last body during the middle third of a motion."""
+        force = wrench_noise(self.spec.noise).touch
+        if force == 0.0:
+            return None
+        if self.spec.simulation["use"] != "inverse":
+            raise UnsupportedError(
+                "A touch (noise.touch) moves no robot: take the simulation 'inverse'."
+            )
+        rng = np.random.default_rng(seed_of(noise_seed(self.spec), "touched", self.run))
+        wrench, part = swaying(motion, force, rng), len(motion) // 3
+        wrench[:part] = wrench[2 * part :] = 0.0
+        return Touch(last_body(self.plant.robot, self.task.cuts[0]), wrench)
 
 
-def true_offset(spec: ExperimentSpec) -> Array | None:
-    """The constants (6,) of the sensor that is measured; None where none is."""
-    return faults(spec, 1)[0].offset if spec.task in SENSOR_TASKS else None
+def true_offset(spec: ExperimentSpec, count: int) -> Array:
+    """The constants (6 count,) of the sensor that is measured, and of those that end its
+    sub-tree."""
+    return np.concatenate([fault.offset for fault in faults(spec, count)])
 
 
 def faults(spec: ExperimentSpec, count: int) -> list[Fault]:
@@ -71,6 +96,7 @@ def _by_sensor(wrenches: Array) -> list[Array]:
     return np.split(wrenches, wrenches.shape[1] // 6, axis=1)
 
 
-def _kept(motion: Trajectory, every: int) -> Trajectory:
+def kept_motion(motion: Trajectory, every: int) -> Trajectory:
+    """Every `every`-th sample of a motion."""
     part = slice(None, None, every)
     return replace(motion, t=motion.t[part], q=motion.q[part], v=motion.v[part], a=motion.a[part])

@@ -15,8 +15,9 @@ class ExperimentSpec:
     """One simulated recording. JSON values only; plug-ins are {use, settings...} as written.
 
     `noise` holds q, quantum (rad, m), tau (N m, N) or tau_relative (share of the joint's RMS
-    torque), and the errors of force/torque sensors (simulation/wrench.py); `prior` holds mass,
-    inertia, terms (shares) and com (m), or is "truth" or "none".
+    torque) with its tau_correlation from sample to sample, and the errors of force/torque sensors
+    (simulation/wrench.py); `prior` holds mass, inertia, terms (shares) and com (m), or is "truth"
+    or "none".
     """
 
     seed: int  # root of the suite's seed tree
@@ -112,8 +113,16 @@ def known_seed(spec: ExperimentSpec) -> int:
 
 
 def prior_seed(spec: ExperimentSpec) -> int:
-    """Of what methods are told beforehand: no new prior with each repeat or noise level."""
-    return seed_of(spec.seed, "prior", spec.robot, spec.payload, spec.task)
+    """Of what methods are told beforehand: no new prior with each noise level, and none with each
+    repeat unless it is `redrawn`."""
+    parts: tuple[Any, ...] = (spec.robot, spec.payload, spec.task)
+    if not isinstance(spec.prior, str) and spec.prior.get(REDRAWN):
+        parts += (spec.repeat,)
+    return seed_of(spec.seed, "prior", *parts)
+
+
+REDRAWN: Final = "redrawn"
+"""Key of a prior that is drawn again with each repeat; the others are how far."""
 
 
 NOISE_UNITS: Final = {
@@ -121,6 +130,7 @@ NOISE_UNITS: Final = {
     "tau": "N m|N",
     "quantum": "rad|m",
     "tau_drift": "N m|N",  # per second
+    "tau_correlation": "1",
     "force": "N",
     "moment": "N m",
     "force_offset": "N",
@@ -130,6 +140,7 @@ NOISE_UNITS: Final = {
     "gain": "%",
     "crosstalk": "%",
     "mounting": "rad",
+    "touch": "N",
 }
 """Keys of a [noise] table and their units, but for torque in shares."""
 
@@ -137,7 +148,8 @@ NOISE_UNITS: Final = {
 def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
     """SI numbers of a [noise] table; "0.5 %" of torque becomes tau_relative = 0.005.
 
-    What is zero is left out: {} is exact, however it is written.
+    What is zero is left out, and how alike the samples of no noise are: {} is exact, however it is
+    written.
     """
     noise = {}
     for key, value in written.items():
@@ -146,20 +158,21 @@ def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
             raise unknown_name("kind of noise", key, NOISE_UNITS)
         unit = "%" if relative else NOISE_UNITS[key]
         noise["tau_relative" if relative else key] = quantity(value, unit)
-    return {key: value for key, value in noise.items() if value != 0.0}
+    noise = {key: value for key, value in noise.items() if value != 0.0}
+    if not {"tau", "tau_relative"} & set(noise):
+        noise.pop("tau_correlation", None)
+    return noise
 
 
 def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, float]:
     """SI numbers of a prior: shares, and metres for com."""
     if isinstance(written, str):
         return written
-    numbers = {
-        key: quantity(value, "mm" if key == "com" else "%")
-        for key, value in written.items()
-        if value is not None
-    }
+    far = {key: value for key, value in written.items() if key != REDRAWN and value is not None}
+    normal = {key: quantity(value, "mm" if key == "com" else "%") for key, value in far.items()}
     # What is known exactly is not written: ids are older than the key.
-    return {key: value for key, value in numbers.items() if key != "known" or value}
+    normal = {key: value for key, value in normal.items() if key != "known" or value}
+    return normal | ({REDRAWN: True} if written.get(REDRAWN) else {})
 
 
 def normal_payload(written: str | Mapping[str, Any]) -> str | dict[str, Any]:

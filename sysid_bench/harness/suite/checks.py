@@ -1,5 +1,6 @@
 """How the values of a suite file are checked: units, words, names, conditions, sweeps."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -34,7 +35,7 @@ def proved(check: Callable[[], object]) -> None:
         raise ValueError(complaint(error)) from error
 
 
-def measured(unit: str, positive: bool = False) -> PlainValidator:
+def measured(unit: str, positive: bool = False, below: float = math.inf) -> PlainValidator:
     def check(value: Any) -> Any:
         def sound() -> None:
             number = quantity(value, unit)
@@ -42,6 +43,8 @@ def measured(unit: str, positive: bool = False) -> PlainValidator:
                 raise UsageError(
                     f"must be {'positive' if positive else '0 or more'}; got {value!r}."
                 )
+            if not number < below:
+                raise UsageError(f"must be below {below:g}; got {value!r}.")
 
         proved(sound)
         return value

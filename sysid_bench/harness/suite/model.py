@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -38,16 +39,20 @@ from sysid_bench.harness.suite.checks import (
 from sysid_bench.harness.suite.names import located
 from sysid_bench.harness.words import (
     BESTS,
+    COVERAGE,
     ERRORS,
     INTERVALS,
     LABELS,
     METRICS,
     PARAMETER,
+    REPEATED,
     STATISTICS,
+    STD_FROM,
     TASKS,
     VERDICT,
 )
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
+from sysid_bench.units import interval
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
 RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
@@ -105,12 +110,14 @@ class Plant(Plugin):
 
 
 class Noise(Section):
-    """Standard deviations of white noise; `quantum` is the step of the encoder."""
+    """Standard deviations of noise; `quantum` is the step of the encoder, `tau_correlation` how
+    alike the noise of the torque is from one recorded sample to the next (0: white)."""
 
     q: Annotated[Any, measured("rad|m")] = None
     tau: Annotated[Any, measured("N m|N|%")] = None
     quantum: Annotated[Any, measured("rad|m")] = None
     tau_drift: Annotated[Any, measured("N m|N")] = None  # per second
+    tau_correlation: Annotated[Any, measured("1", below=1.0)] = None
     force: Annotated[Any, measured("N")] = None  # and so on: force/torque sensors
     moment: Annotated[Any, measured("N m")] = None
     force_offset: Annotated[Any, measured("N")] = None
@@ -120,6 +127,7 @@ class Noise(Section):
     gain: Annotated[Any, measured("%")] = None
     crosstalk: Annotated[Any, measured("%")] = None
     mounting: Annotated[Any, measured("rad")] = None
+    touch: Annotated[Any, measured("N")] = None  # on the last body, for the middle third
 
 
 class Prior(Section):
@@ -131,6 +139,7 @@ class Prior(Section):
     inertia: Share = "30 %"
     terms: Share = "30 %"
     known: Share = None
+    redrawn: StrictBool | None = None  # true: another draw with each repeat
 
 
 def _filter(value: Any) -> str:
@@ -160,11 +169,21 @@ def _runs(value: Any) -> Any:
     return value
 
 
+def _contacts(value: Any) -> Any:
+    if value != "detect":
+        texts = [value] if isinstance(value, str) else list(value)
+        proved(lambda: [interval(text) for text in texts])
+        return texts
+    return value
+
+
 class Signals(Section):
     filter: Annotated[str, PlainValidator(_filter)] = "none"
     derivatives: Annotated[str, word("way to differentiate", ("from q", "exact"))] = "exact"
     torque: Annotated[str, word("way to take torque", ("filtered", "raw"))] = "filtered"
     runs: Annotated[str, BeforeValidator(_runs)] = "B"  # A without, B with the payload
+    contacts: Annotated[Any, PlainValidator(_contacts)] = None
+    """Periods that are left out: "10 s to 25 s", a list of such, or "detect"."""
     calibration: Loads = None  # of force/torque sensors, with these payloads, which are known
 
 
@@ -224,11 +243,20 @@ def _robot_name(value: Any, info: ValidationInfo) -> str:
     return value
 
 
+def _sensor(value: str | None, info: ValidationInfo) -> str | None:
+    names, folder = context(info).names, context(info).folder
+    if value is not None:
+        for source in info.data.get("use", ()):
+            proved(partial(names.sensor, source, folder, value))
+    return value
+
+
 class RobotEntry(Section):
     use: Annotated[tuple[Annotated[str, PlainValidator(_robot_name)], ...], Sweep]
     payloads: Annotated[tuple[Annotated[Any, PlainValidator(_payload)], ...], Sweep] = ("none",)
     free_base: StrictBool | None = None  # None: as the robot's manifest has it
-    sensor: StrictStr | None = None  # of the manifest, or a fixed joint, site or body to cut at
+    sensor: Annotated[StrictStr | None, AfterValidator(_sensor)] = None
+    """Of the manifest, or a fixed joint, site or body to cut at; several: "left, right"."""
 
 
 class Exclude(Section):
@@ -244,7 +272,7 @@ class Crosscheck(Section):
 
 
 class TableCells(Section):
-    metric: Annotated[str, word("metric", (*METRICS, VERDICT))]
+    metric: Annotated[str, word("metric", (*METRICS, VERDICT, COVERAGE, *REPEATED))]
     stat: Annotated[str, word("statistic", STATISTICS)] = "median"
     interval: Annotated[str, word("interval", INTERVALS)] = "none"
 
@@ -253,7 +281,7 @@ Label = Annotated[str, word("label of a cell", (*LABELS, "repeat"))]
 Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
 
 
-Axis = Annotated[str, word("label of a cell", (*LABELS, "repeat", PARAMETER))]
+Axis = Annotated[str, word("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM))]
 
 
 class TableEntry(Section):
@@ -271,6 +299,26 @@ class TableEntry(Section):
             raise ValueError(
                 f"the metric {VERDICT!r} and the label {PARAMETER!r} among rows or columns go "
                 "together: a verdict is told of each parameter, and other metrics of a cell."
+            )
+        return self
+
+    @model_validator(mode="after")
+    def coverage_by_origin(self) -> "TableEntry":
+        if (self.cells.metric == COVERAGE) != (STD_FROM in (*self.rows, *self.columns)):
+            raise ValueError(
+                f"the metric {COVERAGE!r} and the label {STD_FROM!r} among rows or columns go "
+                "together: intervals from periods, residuals and textbook differ."
+            )
+        return self
+
+    @model_validator(mode="after")
+    def repeats_together(self) -> "TableEntry":
+        if self.cells.metric in REPEATED and (
+            "repeat" in (*self.rows, *self.columns) or self.cells.interval not in ("none", "ci95")
+        ):
+            raise ValueError(
+                f"the metric {self.cells.metric!r} is one of all repeats together: it has no value "
+                "by repeat, and no interval but 'ci95'."
             )
         return self
 

@@ -30,20 +30,22 @@ class Load(Protocol):
 
 @dataclass(frozen=True)
 class Names:
-    """Three functions; each raises an error of sysid_bench.errors for what it does not know.
+    """Functions that raise an error of sysid_bench.errors for what they do not know.
 
-    `robot(source, folder)`, `payload(name or table)`, and `plugin(kind, {use, settings})`, which
-    builds the thing and so proves its name and its settings.
+    `robot(source, folder)`, `payload(name or table)`, `plugin(kind, {use, settings})`, which builds
+    the thing and so proves its name and its settings, and `sensor(source, folder, text)`, which
+    cuts the robot at each of the places that are named.
     """
 
     robot: Callable[[str, Path | None], Robot]
     payload: Callable[[str | Mapping[str, Any]], Load]
     plugin: Callable[[str, Mapping[str, Any]], object]
+    sensor: Callable[[str, Path | None, str], object] = lambda source, folder, text: None
 
 
 def installed_names(robots_dir: Path | None = None) -> Names:
     """Everything this installation knows, with robots of `robots_dir` first."""
-    return Names(partial(_robot, robots_dir), _payload, naming.build)
+    return Names(partial(_robot, robots_dir), _payload, naming.build, partial(_sensor, robots_dir))
 
 
 def no_names() -> Names:
@@ -97,6 +99,18 @@ def _robot(robots_dir: Path | None, source: str, folder: Path | None) -> Robot:
     from sysid_bench.models.manifest import find_manifest
 
     return find_manifest(source, robots_dir, folder)
+
+
+def _sensor(robots_dir: Path | None, source: str, folder: Path | None, text: str) -> object:
+    from sysid_bench.models.load import load_robot
+    from sysid_bench.models.manifest import find_manifest
+    from sysid_bench.models.sensor import cut_at, sensor_names
+
+    manifest, names = find_manifest(source, robots_dir, folder), sensor_names(text)
+    if set(names) <= {sensor.name for sensor in manifest.sensors}:
+        return names  # loading the model costs more than it would tell of them
+    robot = load_robot(manifest)
+    return [cut_at(robot, name, ()) for name in names]
 
 
 def _payload(spec: str | Mapping[str, Any]) -> Load:

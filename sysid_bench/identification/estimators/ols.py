@@ -26,4 +26,5 @@ class OLS:
         squares = float((residual_norms(problem, beta) ** 2).sum())
         inverse = solve_triangular(R[:r, :r], np.eye(r))
         variance = squares / max(freedom, 1)
-        return Estimate(beta, covariance=variance * inverse @ inverse.T)
+        sigma = np.ones(len(problem.rows))
+        return Estimate(beta, covariance=variance * inverse @ inverse.T, sigma=sigma)

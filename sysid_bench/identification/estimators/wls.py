@@ -30,5 +30,6 @@ class WLS:
         return Estimate(
             beta,
             covariance=inverse @ inverse.T,
+            sigma=sigma,
             stats={"sigma_ratio": float(sigma.max() / sigma.min())},
         )

@@ -18,7 +18,7 @@ from sysid_bench.types import Array
 class Dofs:
     """What is known of the degrees of freedom (nv,): names, place in q and reference of hinges and
     slides (-1, 0 elsewhere), which are slides, and limits: `low`, `high`, `v` as motions use them,
-    `stated` the same where somebody states them, infinite elsewhere."""
+    `stated` the same and `a` where somebody states them, infinite elsewhere."""
 
     names: tuple[str, ...]
     qadr: Array
@@ -27,7 +27,7 @@ class Dofs:
     low: Array
     high: Array
     v: Array
-    stated: tuple[Array, Array, Array]
+    stated: tuple[Array, Array, Array, Array]
 
 
 def coupling_of(
@@ -59,11 +59,14 @@ def coupling_of(
             "couplings = false in a robot.toml to let every joint move on its own."
         )
     low, high, slower = dofs.low.copy(), dofs.high.copy(), np.ones(len(dofs.names))
+    bounds = np.array(dofs.stated)
     repairs = []
     for group in groups:
         own = group.dofs[group.independent]
         low[own], high[own], slower[own], told = _room(group, dofs)
         repairs += [told] if told else []
+        after = group.dofs[group.dependent]
+        bounds[:2, after] = _kept(group, dofs, ignored=bool(told))
     return Coupling(
         nv=len(dofs.names),
         names=dofs.names,
@@ -75,6 +78,7 @@ def coupling_of(
         low=low[moving],
         high=high[moving],
         slower=slower[moving],
+        bounds=bounds[:, following],
         repairs=tuple(repairs),
     )
 
@@ -113,6 +117,16 @@ def _room(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
     share = np.where(fastest > 0, share, 1.0)
     slower = np.where(slope > 0, share[:, None], 1.0).min(axis=0, initial=1.0)
     return low + dofs.q0[moving], high + dofs.q0[moving], slower, told
+
+
+def _kept(group: Group, dofs: Dofs, ignored: bool) -> tuple[Array, Array]:
+    """The range (low, high) of the joints of a group that follow; a reference beyond it is where
+    motions start all the same."""
+    after = group.dofs[group.dependent]
+    if ignored:
+        return np.full(len(after), -np.inf), np.full(len(after), np.inf)
+    here = group.reference[group.dependent] + dofs.q0[after]
+    return np.minimum(dofs.stated[0][after], here), np.maximum(dofs.stated[1][after], here)
 
 
 def _roomy(group: Group, low: Array, high: Array) -> bool:

@@ -16,7 +16,8 @@ class Coupling:
     """The couplings of a robot with `nv` degrees of freedom: `independent` (n,) ones move, the
     `dependent` (m,) ones follow. Arrays (n,): `low`, `high` bound positions that all close;
     `slower` is the share of its limits that an independent joint may use so that its followers keep
-    theirs. `repairs` tells what had to be ignored.
+    theirs; `bounds` (4, m): lowest and highest position, velocity and acceleration stated for those
+    that follow, infinite where none is. `repairs` tells what had to be ignored.
     `qadr` and `q0` (nv,): place in q and reference of hinges and slides (-1, 0 elsewhere)."""
 
     nv: int
@@ -29,6 +30,7 @@ class Coupling:
     low: Array
     high: Array
     slower: Array
+    bounds: Array
     repairs: tuple[str, ...] = ()
 
     @cached_property
@@ -42,6 +44,11 @@ class Coupling:
             )
             for group in self.groups
         )
+
+    @property
+    def constant(self) -> bool:
+        """Whether G is the same everywhere."""
+        return all(group.linear for group in self.groups)
 
     @cached_property
     def touches(self) -> Array:
@@ -78,9 +85,11 @@ class Coupling:
         followed = np.einsum("nij,ni->nj", self.follow(q), tau[:, self.dependent])
         return tau[:, self.independent] + followed
 
-    def completed(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+    def completed(
+        self, q: Array, v: Array, a: Array, near: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """q (N, nq), v, a (N, nv) of the whole tree: dependent joints follow the independent ones,
-        whatever came in their places.
+        whatever came in their places. `near` (N, nq), closed postures not far away, saves time.
 
         Raises ModelError where the closure cannot be met or is singular, naming the configuration.
         """
@@ -88,7 +97,8 @@ class Coupling:
         for group in self.groups:
             moving, following = group.dofs[group.independent], group.dofs[group.dependent]
             given = self._displacement(group, q)[:, group.independent]
-            x, good = group.closed(given)
+            beside = None if near is None else self._displacement(group, near)
+            x, good = group.closed(given, beside)
             if not good.all():
                 raise self._lost(group, given[int(np.argmin(good))])
             q[:, self.qadr[group.dofs]] = x + self.q0[group.dofs]

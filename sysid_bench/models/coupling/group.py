@@ -106,11 +106,23 @@ class Group:
             x -= moves[:, :, 0] * self.units
         return x
 
-    def closed(self, independent: Array) -> tuple[Array, Array]:
+    def beside(self, x: Array, moves: Array) -> Array:
+        """Closed postures a small way from closed x (N, k), moves (N, k - r) of the independent
+        joints away."""
+        x = x.copy()
+        x[:, self.dependent] += _times(self.follow(x), moves)
+        x[:, self.independent] += moves
+        return self._newton(x, 2)[0]
+
+    def closed(self, independent: Array, near: Array | None = None) -> tuple[Array, Array]:
         """Closed x (N, k) with these independent joints (N, k - r), on the branch of the reference,
-        and which of them (N,) are closed and regular."""
+        and which of them (N,) are closed and regular; `near` (N, k): closed postures of the same
+        branch from where the way is shorter."""
         if self.linear:
             return self._closed_at_once(independent), np.ones(len(independent), dtype=bool)
+        if near is not None:
+            x, share = self.walked(independent, start=near)
+            return x, share == 1.0
         stride = self._stride(independent)
         start, share = self.walked(independent[::stride])
         regular = share == 1.0
@@ -126,14 +138,19 @@ class Group:
         return x, regular
 
     def walked(
-        self, targets: Array, keep: Keep | None = None, least: int = 1
+        self,
+        targets: Array,
+        keep: Keep | None = None,
+        least: int = 1,
+        start: Array | None = None,
     ) -> tuple[Array, Array]:
         """`closed` for targets (N, k - r) that may lie far apart: each is walked to from the
-        reference, in `least` steps or more. x (N, k) of the last place where the closure holds, and
-        `keep` is kept, and its share (N,) of the way: 1 at the target."""
-        x = np.tile(self.reference, (len(targets), 1))
-        J = self._jacobian(x)
-        stretch = targets - x[:, self.independent]
+        reference, or from closed postures `start` (N, k), in `least` steps or more. x (N, k) of the
+        last place where the closure holds, and `keep` is kept, and its share (N,) of the way: 1 at
+        the target."""
+        x = np.tile(self.reference, (len(targets), 1)) if start is None else start
+        J, begin = self._jacobian(x), x[:, self.independent]
+        stretch = targets - begin
         far = np.abs(stretch / self.units[self.independent]).max(initial=0.0)
         count = max(least, int(np.ceil(far / STEP)))
         share, good = np.zeros(len(targets)), np.ones(len(targets), dtype=bool)
@@ -141,7 +158,7 @@ class Group:
             ahead = x.copy()
             ahead[:, self.dependent] += _times(self._followed(J), stretch) / count
             part = (k + 1) / count
-            ahead[:, self.independent] = self.reference[self.independent] + part * stretch
+            ahead[:, self.independent] = begin + part * stretch
             before = J
             ahead, J, found = self._newton(ahead, ITERATIONS if k == count - 1 else 2)
             jump = np.abs((ahead - x) / self.units).max(axis=1, initial=0.0)

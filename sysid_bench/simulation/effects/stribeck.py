@@ -1,6 +1,5 @@
 """Stribeck friction: more Coulomb friction near standstill than in motion."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,14 +21,23 @@ class Stribeck:
     vs: float = field(default=0.1, metadata={"unit": "rad|m"})  # per second
     v0: float = field(default=0.005, metadata={"unit": "rad|m"})  # per second
 
-    def prepare(self, robot: RobotModel) -> Callable[[Array, Array, Array], Array]:
+    def prepare(self, robot: RobotModel) -> "Law":
         """The force law of this robot."""
         gravity = gravity_rms(robot, robot.mj)
         gravity = np.maximum(gravity, 1e-3 * gravity.max())
         scale = np.zeros(robot.nv)
         scale[robot.scalar_dofs] = self.share * gravity[robot.scalar_dofs]
+        return Law(np.concatenate([scale, [self.vs, self.v0]]))
 
-        def law(t: Array, q: Array, v: Array) -> Array:
-            return scale * np.exp(-((v / self.vs) ** 2)) * np.tanh(v / self.v0)
 
-        return law
+@dataclass(frozen=True, eq=False)
+class Law:
+    """`numbers`: F (nv,), vs, v0."""
+
+    numbers: Array
+    kind: str = "stribeck"
+
+    def __call__(self, t: Array, q: Array, v: Array) -> Array:
+        """Torque (..., nv)."""
+        scale, (vs, v0) = self.numbers[:-2], self.numbers[-2:]
+        return scale * np.exp(-((v / vs) ** 2)) * np.tanh(v / v0)

@@ -1,0 +1,47 @@
+"""Cells that repeat one experiment become the errors of each parameter in each repeat."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid_bench.evaluation.repeats import ENOUGH_REPEATS, WITH_BOUND, Figure, bias
+from sysid_bench.types import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SETTING = (
+    *("robot", "payload", "task", "terms", "plant", "prior", "excitation", "held_out"),
+    *("simulation", "rate", "noise", "signals", "estimator"),
+)
+
+
+def figure_of(metric: str, cells: "pd.DataFrame", parameters: "pd.DataFrame") -> Figure | None:
+    """A figure of all repeats of some cells; of several settings together where there are several.
+
+    None where fewer than ENOUGH_REPEATS gave numbers, where all of them gave the same, or, for what
+    is measured by the bound, where a parameter has none.
+    """
+    errors, bound = errors_of(cells, parameters)
+    if len(errors) < ENOUGH_REPEATS or errors.shape[1] == 0 or (np.ptp(errors, axis=0) == 0).any():
+        return None
+    if metric == "bias":
+        return bias(errors)
+    return WITH_BOUND[metric](errors, bound) if np.isfinite(bound).all() else None
+
+
+def errors_of(cells: "pd.DataFrame", parameters: "pd.DataFrame") -> tuple[Array, Array]:
+    """Errors (n, r) of each base parameter of each setting (r) in the repeats (n) that all of them
+    have, and the bound (r,), NaN where there is none: the root mean square of those of single
+    repeats, which differ where noise disturbs the motion."""
+    settings = [name for name in _SETTING if name in cells.columns]
+    lines = parameters[parameters["id"].isin(cells["id"]) & parameters["base_error"].notna()]
+    lines = lines.merge(cells[["id", "repeat", *settings]], on="id")
+    if len(lines) == 0:
+        return np.zeros((0, 0)), np.zeros(0)
+    lines = lines.assign(square=lines["bound"].astype(float) ** 2)
+    where = [*settings, "body", "name"]
+    errors = lines.pivot(index="repeat", columns=where, values="base_error").dropna()
+    squares = lines.pivot(index="repeat", columns=where, values="square")
+    bound = np.sqrt(squares[errors.columns].loc[errors.index].mean(axis=0, skipna=False))
+    return errors.to_numpy(dtype=float), bound.to_numpy(dtype=float)

@@ -1,0 +1,147 @@
+"""Laws of designs for coupled joints and closed chains: the joints that follow are known to all."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from sysid_bench.errors import UsageError
+from sysid_bench.excitation.brief import Brief, brief_of
+from sysid_bench.excitation.geometry import scene_of
+from sysid_bench.excitation.insight import question, torque_of
+from sysid_bench.excitation.optimised import Optimised, criterion_of, figures, told_by
+from sysid_bench.excitation.search import Search
+from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.task import task_of
+from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.plant import plant_of
+from sysid_bench.types import Trajectory
+from tests.coupling.mechanisms import KINDS, mechanism
+from tests.robots import named_robot
+
+QUICK = {"harmonics": 2, "period": 5.0, "iterations": 6}
+SHIPPED = ("dvrk_psm", "dvrk_mtm")
+
+
+def robot_called(name: str) -> RobotModel:
+    return named_robot(name) if name in SHIPPED else mechanism(name, 7)
+
+
+def briefed(
+    robot: RobotModel, terms: tuple[str, ...] = (), room: float = 1.1
+) -> tuple[Brief, Trajectory]:
+    """A brief in which torques are limited, and all that followers do: to what a random motion
+    does, times `room`; and that motion."""
+    base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
+    told = replace(
+        brief_of(robot, 100.0),
+        regress=question(robot, base.names),
+        torque=torque_of(robot),
+        scene=partial(scene_of, robot),
+    )
+    made = Optimised(**QUICK)  # type: ignore[arg-type]
+    space = made.space(told)
+    motion = space.motion(space.random(np.random.default_rng(9), 0.9), space.curves.grid())
+    assert told.torque is not None
+    assert told.coupling is not None
+    after = told.coupling.dependent
+    q = motion.q[:, told.coupling.qadr[after]]
+    bounds = [q.min(axis=0) - 0.1, q.max(axis=0) + 0.1]
+    bounds += [room * np.abs(x[:, after]).max(axis=0) + 1e-3 for x in (motion.v, motion.a)]
+    narrow = replace(
+        told,
+        tau=room * np.abs(told.torque.of(motion)).max(axis=0) + 1e-3,
+        coupling=replace(told.coupling, bounds=np.array(bounds)),
+    )
+    return narrow, motion
+
+
+@pytest.mark.parametrize("name", [*KINDS, *SHIPPED])
+def test_slopes_pass_through_the_joints_that_follow(name: str) -> None:
+    robot = robot_called(name)
+    told, _ = briefed(robot, ("viscous", "coulomb", "spring", "armature"))
+    made = Optimised({"D": 1.0, "cond": 0.3}, **QUICK)  # type: ignore[arg-type]
+    space, rng = made.space(told), np.random.default_rng(1)
+    draws = [space.random(rng, 0.8) for _ in range(8)]
+    assert told.regress is not None
+    asked = told_by(space, told.regress, draws).smooth
+    limits = made.limits(told)
+    assert {"follower position", "follower acceleration", "torque"} <= {x.kind for x in limits}
+    search = Search(space, asked, criterion_of(made.objective, asked, space, draws), limits)
+    C, step = draws[0], 1e-6
+    slope = search._slope_at(C)
+    values, by_C = search._limits_at(C, 60.0)
+    near = values > 0.6  # farther ones are not looked at closer
+    for i, j in [(0, 0), (1, 0), (3, -1), (4, -1)]:
+        up, down = C.copy(), C.copy()
+        up[i, j] += step
+        down[i, j] -= step
+        difference = (search._value_at(up) - search._value_at(down)) / (2 * step)
+        assert abs(slope[i, j] - difference) <= 1e-5 * np.abs(slope).max() + 1e-6
+        differences = (search._limits_at(up, 60.0)[0] - search._limits_at(down, 60.0)[0]) / 2e-6
+        pulled = by_C.reshape(-1, *C.shape)[:, i, j]
+        atol = 1e-6 * np.abs(by_C).max()
+        np.testing.assert_allclose(pulled[near], differences[near], atol=atol)
+
+
+@pytest.mark.parametrize("name", [*KINDS, "dvrk_psm"])
+def test_a_design_closes_and_keeps_the_limits_of_all_joints(name: str) -> None:
+    robot = robot_called(name)
+    told, known = briefed(robot, room=1.5)
+    made = Optimised("D", harmonics=2, period=5.0, iterations=8)
+    design = made.solve(told, np.random.default_rng(0))
+    space = made.space(told)
+    assert told.regress is not None
+    asked = told_by(space, told.regress, made.draws(space, np.random.default_rng(0)))
+    best = space.motion(design.C, space.curves.grid())
+    assert figures(asked, best)["log_det"] > figures(asked, known)["log_det"]
+    assert all(used.use <= 1.0 for used in made.report(design.C, told).values())
+    fine = made.motion(design.C, told.at(500.0))
+    assert told.coupling is not None
+    closed = robot.completed(fine)
+    for ours, theirs in ((fine.q, closed.q), (fine.v, closed.v), (fine.a, closed.a)):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
+    after = told.coupling.dependent
+    low, high, v, a = told.coupling.bounds
+    q = fine.q[:, told.coupling.qadr[after]]
+    assert (q >= low).all()
+    assert (q <= high).all()
+    assert (np.abs(fine.v[:, after]) <= v).all()
+    assert (np.abs(fine.a[:, after]) <= a).all()
+    oracle, _ = Inverse().run(plant_of(robot, []), fine, np.zeros((len(fine), told.nv)))
+    # What MuJoCo says it takes, on the joints that move, is what the limits looked at.
+    assert (np.abs(oracle.tau) <= told.tau).all()
+
+
+def test_a_joint_that_follows_is_not_designed() -> None:
+    told, _ = briefed(mechanism("geared-pair", 7))
+    with pytest.raises(UsageError, match="'driven' follows drive"):
+        Optimised(joints=("driven",)).space(told)
+
+
+@pytest.mark.parametrize(("name", "sensor"), [("ur5", "wrist_1_link"), ("dvrk_psm", "link3")])
+def test_a_design_is_for_what_a_sensor_sees_too(name: str, sensor: str) -> None:
+    robot = named_robot(name)
+    asked = task_of(robot, "wrench", (), sensor)
+    base = structural_base(robot, asked.parameters, asked.rows, asked.cuts)
+    told = replace(
+        brief_of(robot, 100.0), regress=question(robot, base.names, asked.rows, asked.cuts)
+    )
+    made = Optimised("D", harmonics=2, period=5.0, iterations=10)
+    space, rng = made.space(told), np.random.default_rng(1)
+    draws = [space.random(rng, 0.8) for _ in range(3)]
+    assert told.regress is not None
+    seen = told_by(space, told.regress, draws).smooth
+    search = Search(space, seen, criterion_of("D", seen, space, draws), made.limits(told))
+    C, step = draws[0], 1e-6
+    slope = search._slope_at(C)
+    for i, j in [(1, 0), (3, -1)]:
+        up, down = C.copy(), C.copy()
+        up[i, j] += step
+        down[i, j] -= step
+        difference = (search.value(up) - search.value(down)) / (2 * step)
+        assert abs(slope[i, j] - difference) <= 1e-5 * np.abs(slope).max() + 1e-6
+    design = made.solve(told, np.random.default_rng(0))
+    assert design.value < design.start

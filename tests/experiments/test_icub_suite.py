@@ -1,0 +1,80 @@
+"""The shipped suite icub-ft, its left arm: what the report has to show of seed 002's experiment."""
+
+from functools import cache
+from typing import Any
+
+import pytest
+
+from sysid_bench.harness.experiment.execute import execute
+from sysid_bench.harness.experiment.spec import prior_seed
+from sysid_bench.harness.plan import Cell, Plan, expand
+from sysid_bench.harness.suite.read import load_suite
+from sysid_bench.places import suite
+from tests.experiments.experiment_world import argument
+
+
+@cache
+def planned() -> Plan:
+    return expand(load_suite(suite("icub-ft")))
+
+
+@cache
+def row(excitation: str, estimator: str, terms: str, noise: str, repeat: int) -> dict[str, Any]:
+    wanted = {"robot": "icub @ l_arm", "excitation": excitation, "estimator": estimator,
+              "terms": terms, "noise": noise}  # fmt: skip
+    (cell,) = (
+        c for c in planned().cells
+        if c.spec.repeat == repeat and all(c.labels[k] == v for k, v in wanted.items())
+    )  # fmt: skip
+    rows: list[dict[str, Any]] = []
+    execute(argument(cell.spec, estimator), rows.append)
+    return rows[0]
+
+
+WHITE = "force 0.15 N, moment 0.008 N m"
+ENCODERS = f"q 1e-4 rad, {WHITE}"
+
+
+def draws() -> list[Cell]:
+    return [
+        cell for cell in planned().cells
+        if cell.labels["robot"] == "icub @ l_arm" and cell.labels["noise"] == WHITE
+        and cell.labels["estimator"] == "wls" and cell.labels["terms"] == "none"
+    ]  # fmt: skip
+
+
+def test_every_draw_has_noise_and_a_cad_model_of_its_own() -> None:
+    assert len(draws()) == 30
+    assert len({prior_seed(cell.spec) for cell in draws()}) == 30
+
+
+@pytest.mark.parametrize("repeat", [0, 7])
+def test_identified_parameters_serve_as_well_as_true_ones(repeat: int) -> None:
+    told = row("all joints", "wls", "none", WHITE, repeat)
+    assert (told["structural_rank"], told["excited_rank"], told["unpredictable"]) == (38, 38, 0)
+    assert told["sensed_torque_ratio"] < 1.02
+    assert told["sensed_wrench_ratio"] < 1.02
+    assert told["sensed_cad_ratio"] > 1.1
+    assert told["alone_cad_ratio"] < 0.05
+    assert told["beta_error"] < 2e-3
+    noisy = row("all joints", "wls", "none", ENCODERS, repeat)
+    assert noisy["beta_error"] < 4e-3
+
+
+def test_a_locked_wrist_names_the_torques_that_its_data_cannot_foretell() -> None:
+    told = row("locked wrist", "lmi", "none", WHITE, 0)
+    assert (told["rank"], told["excited_rank"], told["structural_rank"]) == (38, 17, 38)
+    assert told["status"] == "ok"
+    wrist = {"l_wrist_prosup", "l_wrist_pitch", "l_wrist_yaw"}
+    assert wrist <= set(told["unpredictable_names"].split(", "))
+    free = row("all joints", "lmi", "none", WHITE, 0)
+    assert told["alone_cad_ratio"] > 5 * free["alone_cad_ratio"]
+
+
+def test_a_method_that_cannot_says_which_torques_are_missing() -> None:
+    locked = next(c for c in planned().cells if c.labels["excitation"] == "locked wrist")
+    rows: list[dict[str, Any]] = []
+    execute(argument(locked.spec, "wls"), rows.append)
+    assert rows[0]["status"] == "failed"
+    assert rows[0]["excited_rank"] == 17
+    assert "l_wrist_yaw cannot be foretold" in rows[0]["reason"]
