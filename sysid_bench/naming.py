@@ -44,6 +44,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "min-norm": "sysid_bench.identification.estimators.min_norm:MinNorm",
             "ml": "sysid_bench.identification.estimators.ml:ML",
             "ols": "sysid_bench.identification.estimators.ols:OLS",
+            "payload-difference": "sysid_bench.identification.estimators.difference:Difference",
             "reconstruction": "sysid_bench.identification.estimators.reconstruction:Reconstruction",
             "ridge": "sysid_bench.identification.estimators.ridge:Ridge",
             "rls": "sysid_bench.identification.estimators.rls:RLS",

@@ -231,6 +231,14 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
+class Run:
+    """One recording of several of the same commanded motion, with the payload or without it."""
+
+    loaded: bool
+    recording: Recording  # filtered as the suite says
+
+
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """What an estimator that simulates or knows the noise is given beside its `problem`.
 
@@ -238,7 +246,9 @@ class Experiment:
     `simulate(theta)` runs the method's own noise-free model with these parameters (p,) under the
     declared controller along the commanded motion and returns a Recording with exact v and a. It
     raises UnsupportedError where no controller is declared. `known(motion)` is the torque (n, rows)
-    of what the task takes as known along any motion.
+    of what the task takes as known along any motion. `runs` are all recordings of the commanded
+    motion in the order taken, where the suite asks for some without the payload; `recording` is
+    then the first loaded one.
     """
 
     problem: Problem
@@ -247,6 +257,7 @@ class Experiment:
     regress: Callable[[Trajectory], Iterator[Float[Array, "n rows r"]]] = field(repr=False)
     simulate: Callable[[Float[Array, " p"]], Recording] = field(repr=False)
     known: Callable[[Trajectory], Float[Array, "n rows"]] = field(repr=False)
+    runs: tuple[Run, ...] = ()
 
 
 EstimateStatus = Literal["ok", "failed", "unsupported"]

@@ -297,6 +297,8 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
 def _signals(signals: Signals) -> dict[str, Any]:
     """A table of signals; calibrations are not written where there are none: ids are older."""
     written = signals.model_dump(exclude_none=True)
+    if signals.runs == "B":
+        del written["runs"]
     if signals.calibration is not None:
         written["calibration"] = [normal_payload(load) for load in signals.calibration]
     return written
@@ -327,10 +329,11 @@ def _signals_text(signals: Mapping[str, Any]) -> str:
     raw = ", raw torque" if signals.get("torque") == "raw" else ""
     loads = [parse_payload(load).name for load in signals.get("calibration", ())]
     calibrated = f", calibrated with {', '.join(loads)}" if loads else ""
+    runs = f", runs {signals['runs']}" if "runs" in signals else ""
     contacts = signals.get("contacts", [])
     periods = contacts if isinstance(contacts, str) else ", ".join(contacts)
     free = f", contacts {periods}" if periods else ""
-    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}{free}"
+    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}{free}{runs}"
 
 
 def _cost(spec: ExperimentSpec, estimators: int) -> float:

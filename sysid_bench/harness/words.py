@@ -41,6 +41,7 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "noise.q",
     "noise.tau",
     "noise.quantum",
+    "noise.tau_drift",
     "noise.tau_correlation",
     "noise.force",
     "noise.moment",
@@ -56,9 +57,11 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "prior.com",
     "prior.inertia",
     "prior.terms",
+    "prior.known",
     "signals.filter",
     "signals.derivatives",
     "signals.torque",
+    "signals.runs",
     "plant.use",
     "excitation.use",
     "simulation.use",
@@ -76,6 +79,21 @@ METRICS: Final = (
     "native_gap",
 )
 """Columns that hold a number (or yes and no) per cell."""
+
+ERRORS: Final = (
+    "torque_error",
+    "torque_error_sample",
+    "torque_error_worst",
+    "rmse_test",
+    "parameter_error",
+    "beta_error",
+    "payload_error",
+    "mass_error",
+    "com_error",
+    "inertia_error",
+    "seconds",
+)
+"""Metrics of which the smaller is the better, and their ratio says how much."""
 
 PARAMETER: Final = "parameter"
 VERDICT: Final = "verdict"

@@ -1,4 +1,4 @@
-"""Entropic fits: the log-det divergence from the prior, by Newton's method.
+"""Entropic fits: the log-det divergence from the prior, by a primal-dual interior-point method.
 
 d(J, J0) = -log det J + tr(J0^-1 J) + log det J0 - 4, the Bregman divergence of -log det (Lee,
 Wensing, Park 2020): it does not depend on frames or units, and keeps every body inside of what can
@@ -6,7 +6,9 @@ exist. Joint terms that are not negative have the same in one dimension, -log f 
 are drawn quadratically.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -20,17 +22,20 @@ from sysid_bench.types import Array
 DECREMENT: Final = 1e-10
 """Newton's decrement, relative to the weight of the divergence, at which the fit is at rest."""
 
-ON_THE_WAY: Final = 0.1
-"""The same where the fit is only led somewhere."""
+FIRST: Final = 1e-6
+"""The first products J Z over the mean square: small ones are quick, large ones lead far."""
 
-DIRECT: Final = 20
-"""Iterations that most fits need fewer than."""
+CENTRAL: Final = 1.01
+"""Times the weight: products J Z that are as they shall be."""
 
-LED: Final = 100
-"""Iterations for each weight on the way, at most."""
+ROUNDED: Final = 1e-3
+"""The same where it no longer sinks: what is left is rounding."""
 
-STAGE: Final = 10.0
-"""By how much the leading weight sinks at a time."""
+MOST: Final = 150
+"""Iterations; whole humanoids with exact data need about 40."""
+
+WITHIN: Final = 0.95
+"""The share of the way to the edge of what can exist that a step takes at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,34 +61,21 @@ class Divergence:
         away = x[self.free] - self.x0[self.free]
         return float(self.linear @ x - logs + 0.5 * self.pull @ away**2)
 
-    def room(self, x: Array, move: Array) -> float:
-        """The share of a move (p,) that leaves every body and joint term a hundredth of itself: on
-        the edge of what can exist curvature is all there is, and Newton's steps are small."""
-        roots = np.linalg.inv(np.linalg.cholesky(self.of.pseudo_inertias(x)))
-        turned = roots @ self.of.pseudo_inertias(move) @ roots.swapaxes(1, 2)
-        terms = self.of.not_negative
-        most = max(
-            -float(np.linalg.eigvalsh(turned).min(initial=0.0)),
-            -float((move[terms] / x[terms]).min(initial=0.0)),
-        )
-        return 0.99 / most if most > 0 else np.inf
+    @property
+    def metric(self) -> Array:
+        """The Hessian (p, p) at x0."""
+        of, out = self.of, np.zeros((len(self.x0), len(self.x0)))
+        inverse = np.linalg.inv(of.pseudo_inertias(self.x0))
+        out[of.places[:, :, None], of.places[:, None, :]] = turned(inverse)
+        out[of.not_negative, of.not_negative] = 1 / self.x0[of.not_negative] ** 2
+        out[self.free, self.free] = self.pull
+        return out
 
-    def derivatives(self, x: Array) -> tuple[Array, Array]:
-        """Gradient (p,) and Hessian (p, p)."""
-        of, p = self.of, len(x)
-        gradient, hessian = self.linear.copy(), np.zeros((p, p))
-        # tr(J^-1 E_k), and tr(J^-1 E_k J^-1 E_l).
-        inner = np.einsum("bij,kjl->bkil", np.linalg.inv(of.pseudo_inertias(x)), BASIS)
-        gradient[of.places] -= np.einsum("bkii->bk", inner)
-        nb = len(of.places)
-        flat, turned = inner.reshape(nb, 10, 16), inner.swapaxes(2, 3).reshape(nb, 10, 16)
-        hessian[of.places[:, :, None], of.places[:, None, :]] = flat @ turned.swapaxes(1, 2)
-        at = of.not_negative
-        gradient[at] -= 1 / x[at]
-        hessian[at, at] = 1 / x[at] ** 2
-        gradient[self.free] += self.pull * (x[self.free] - self.x0[self.free])
-        hessian[self.free, self.free] = self.pull
-        return gradient, hessian
+
+def turned(S: Array) -> Array:
+    """tr(S E_k S E_l) (nb, 10, 10) of symmetric S (nb, 4, 4), E_k = dJ / dx_k."""
+    left, right = S[:, None] @ BASIS, BASIS @ S[:, None]
+    return left.reshape(-1, 10, 16) @ right.reshape(-1, 10, 16).swapaxes(1, 2)
 
 
 def divergence(of: Physical, x0: Array, std: Array) -> Divergence:
@@ -102,77 +94,175 @@ def newton(
 ) -> tuple[Array, int, float]:
     """(x, iterations, decrement) of min |y[:rank]|^2 / 2 + weight d(x(y), x0), started at y.
 
-    Convex, so that damped Newton ends at its only minimum. Squares that are large beside the weight
-    may drive it to the edge of what can exist, where it creeps: then larger weights lead it.
-    Raises EstimationError where it does not come to rest.
+    Newton's method on the divergence alone creeps along the edge of what can exist. Beside J stands
+    its dual Z, until J Z = weight 1: directions of Nesterov and Todd, and Mehrotra's choice of how
+    much nearer to that a step goes. Convex, so that it ends at the only minimum. Raises
+    EstimationError where it does not come to rest.
     """
-    count = 0
-    try:
-        found, count, decrement = _newton(
-            from_prior, at, weight, y, DIRECT, DECREMENT, inside=False
-        )
-        if count < DIRECT:
-            return at.x(found), count, decrement
-    except np.linalg.LinAlgError:
-        pass  # on the edge, where the curvature is beyond numbers
-    leading = max(weight, float(np.sum(y[: at.rank] ** 2)) / len(y))
-    while True:
-        rest = DECREMENT if leading == weight else ON_THE_WAY
-        y, more, decrement = _newton(from_prior, at, leading, y, LED, rest, inside=True)
-        count += more
-        if leading == weight:
+    squares = float(np.sum(y[: at.rank] ** 2)) / len(y)
+    here, before = _start(from_prior, at, weight, y, max(weight, FIRST * squares)), np.inf
+    for iteration in range(1, MOST + 1):
+        try:
+            last = here.move(weight)
+            if last.decrement <= DECREMENT * weight or (
+                here.mu <= CENTRAL * weight and ROUNDED * weight >= last.decrement > 0.5 * before
+            ):
+                return at.x(here.y), iteration, last.decrement
+            here, before = here.after(here.led(last)), last.decrement
+        except np.linalg.LinAlgError:  # on the edge, where numbers end
             break
-        leading = max(weight, leading / STAGE)
-    if more == LED:
-        raise EstimationError(
-            f"Newton's method did not come to rest in {count} iterations: the prior and the data "
-            "are too far apart; check the units of both."
-        )
-    return at.x(y), count, decrement
+    raise EstimationError(
+        f"The fit did not come to rest in {iteration} iterations: the prior and the data are too "
+        "far apart; check the units of both."
+    )
 
 
-def _newton(
-    d: Divergence,
-    at: BaseCoordinates,
-    weight: float,
-    y: Array,
-    most: int,
-    rest: float,
-    inside: bool,
-) -> tuple[Array, int, float]:
-    """(y, iterations, decrement) after `most` iterations, or where the decrement over the weight is
-    `rest` or nothing goes down any more; `inside`: no step comes near the edge."""
-    squares = np.append(np.ones(at.rank), np.zeros(at.T.shape[1] - at.rank))
+@dataclass(frozen=True, eq=False)
+class _Move:
+    """A direction from a place, and how far it goes before something cannot exist."""
 
-    def value(y: Array) -> float:
-        return 0.5 * float(squares @ y**2) + weight * d.value(at.x(y))
-
-    now = value(y)
-    for iteration in range(1, most + 1):
-        gradient, hessian = d.derivatives(at.x(y))
-        gradient = squares * y + weight * (at.T.T @ gradient)
-        move = _newton_step(gradient, np.diag(squares) + weight * (at.T.T @ (hessian @ at.T)))
-        decrement = float(-gradient @ move)
-        if decrement <= rest * weight:
-            return y, iteration, decrement
-        share = min(1.0, d.room(at.x(y), at.T @ move)) if inside else 1.0
-        while not (new := value(y + share * move)) <= now - 1e-4 * share * decrement:
-            share *= 0.5
-            if share < 1e-12:  # what is left is rounding error
-                return y, iteration, decrement
-        y, now = y + share * move, new
-    return y, most, decrement
+    y: Array
+    Z: Array
+    z: Array
+    decrement: float
+    room: float
 
 
-def _newton_step(gradient: Array, hessian: Array) -> Array:
-    """-H^-1 g, with coordinates scaled to a diagonal of ones; where rounding has made H indefinite,
-    with as much more on the diagonal as it takes."""
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """y with its duals Z (nb, 4, 4) and z (k,), those of the joint terms."""
+
+    d: Divergence
+    at: BaseCoordinates
+    weight: float
+    y: Array
+    Z: Array
+    z: Array
+
+    @cached_property
+    def x(self) -> Array:
+        """x (p,)."""
+        return self.at.x(self.y)
+
+    @cached_property
+    def terms(self) -> Array:
+        """Of x those that are not negative (k,)."""
+        return self.x[self.d.of.not_negative]
+
+    @cached_property
+    def J(self) -> Array:
+        """Pseudo-inertias (nb, 4, 4)."""
+        return self.d.of.pseudo_inertias(self.x)
+
+    @cached_property
+    def roots(self) -> Array:
+        """Inverse Cholesky factors of J."""
+        return np.linalg.inv(np.linalg.cholesky(self.J))
+
+    @cached_property
+    def inverse(self) -> Array:
+        """J^-1."""
+        return self.roots.swapaxes(1, 2) @ self.roots
+
+    @cached_property
+    def scaling(self) -> Array:
+        """S (nb, 4, 4) with S J S = Z (Nesterov, Todd 1997)."""
+        L = np.linalg.cholesky(self.J)
+        values, V = np.linalg.eigh(L.swapaxes(1, 2) @ self.Z @ L)
+        half = V.swapaxes(1, 2) @ self.roots
+        return half.swapaxes(1, 2) @ (np.sqrt(np.maximum(values, 0.0))[:, :, None] * half)
+
+    @cached_property
+    def mu(self) -> float:
+        """The mean of the eigenvalues of all J Z."""
+        return self.mu_of(self.J, self.Z, self.terms, self.z)
+
+    def mu_of(self, J: Array, Z: Array, terms: Array, z: Array) -> float:
+        return float((np.sum(J * Z) + terms @ z) / (4 * len(J) + len(z)))
+
+    @cached_property
+    def solve(self) -> Callable[[Array], Array]:
+        """Newton's matrix, factored: a gradient (m,) becomes a direction."""
+        d, of, T = self.d, self.d.of, self.at.T
+        curved = np.empty_like(T)  # the Hessian by x, body by body, times T
+        places, blocks = of.places.ravel(), turned(self.scaling)
+        curved[places] = (blocks @ T[of.places]).reshape(-1, T.shape[1])
+        curved[of.not_negative] = (self.z / self.terms)[:, None] * T[of.not_negative]
+        curved[d.free] = self.weight * d.pull[:, None] * T[d.free]
+        hessian = T.T @ curved
+        inner = np.arange(self.at.rank)
+        hessian[inner, inner] += 1.0
+        return _factored(hessian)
+
+    def move(self, target: float) -> _Move:
+        """The direction to where J Z = target 1; its decrement counts for target = weight."""
+        d, of, at = self.d, self.d.of, self.at
+        slope = self.weight * d.linear
+        slope[of.places] -= target * np.einsum("bij,kji->bk", self.inverse, BASIS)
+        slope[of.not_negative] -= target / self.terms
+        slope[d.free] += self.weight * d.pull * (self.x[d.free] - d.x0[d.free])
+        gradient = at.T.T @ slope
+        gradient[: at.rank] += self.y[: at.rank]
+        y = self.solve(gradient)
+        x = at.T @ y
+        J, terms = of.pseudo_inertias(x), x[of.not_negative]
+        Z = target * self.inverse - self.Z - self.scaling @ J @ self.scaling
+        z = (target - self.z * terms) / self.terms - self.z
+        dual_roots = np.linalg.inv(np.linalg.cholesky(self.Z))
+        room = min(_room(self.roots, J, self.terms, terms), _room(dual_roots, Z, self.z, z))
+        return _Move(y, Z, z, float(-gradient @ y), room)
+
+    def led(self, last: _Move) -> _Move:
+        """The move to take where `last` leads to the weight at once: a nearer goal where that one
+        is out of reach, the nearer the less of the way is free."""
+        share = min(1.0, WITHIN * last.room)
+        if self.mu <= CENTRAL * self.weight or share > 0.9:
+            return last
+        x = self.x + share * (self.at.T @ last.y)
+        left = self.mu_of(
+            self.d.of.pseudo_inertias(x), self.Z + share * last.Z,
+            x[self.d.of.not_negative], self.z + share * last.z,
+        ) / self.mu  # fmt: skip
+        target = self.mu * min(max(left, 0.0), 1.0) ** 3
+        return self.move(target) if target > self.weight else last
+
+    def after(self, move: _Move) -> "_Place":
+        """The place after as much of a move as there is room for: one share for all, as squares
+        tie the duals to where they belong."""
+        share = min(1.0, WITHIN * move.room)
+        return replace(
+            self,
+            y=self.y + share * move.y, Z=self.Z + share * move.Z, z=self.z + share * move.z,
+        )  # fmt: skip
+
+
+def _start(d: Divergence, at: BaseCoordinates, weight: float, y: Array, mu: float) -> _Place:
+    x = at.x(y)
+    Z = mu * np.linalg.inv(d.of.pseudo_inertias(x))
+    return _Place(d, at, weight, y, Z, mu / x[d.of.not_negative])
+
+
+def _room(roots: Array, move: Array, terms: Array, more: Array) -> float:
+    """The share of a move (nb, 4, 4), and of `more` (k,), that leaves nothing of some body whose
+    inverse Cholesky factors are `roots`, or of some of the terms (k,)."""
+    turned = roots @ move @ roots.swapaxes(1, 2)
+    most = max(
+        -float(np.linalg.eigvalsh(turned).min(initial=0.0)),
+        -float((more / terms).min(initial=0.0)),
+    )
+    return 1.0 / most if most > 0 else np.inf
+
+
+def _factored(hessian: Array) -> Callable[[Array], Array]:
+    """g -> -H^-1 g, with coordinates scaled to a diagonal of ones; where rounding has made H
+    indefinite, with as much more on the diagonal as it takes."""
     size = 1 / np.sqrt(np.diag(hessian))
     scaled = hessian * size * size[:, None]
     more = 0.0
     while True:
         try:
             factor = cho_factor(scaled + more * np.eye(len(size)), check_finite=False)
-            return np.asarray(-size * cho_solve(factor, size * gradient, check_finite=False))
+            break
         except np.linalg.LinAlgError:
             more = max(100.0 * more, 1e-14)
+    return lambda g: np.asarray(-size * cho_solve(factor, size * g, check_finite=False))

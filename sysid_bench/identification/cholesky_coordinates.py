@@ -121,11 +121,13 @@ def damped_newton(
                     return eta, iteration, decrement
                 further = eta - step
                 # The valley curves: what the step misses of it is put right before it is judged.
-                missed = rows @ (at.x(further) - origin) - (u - J @ step)
-                further = further - solve(J.T @ missed)
-                new = value(further)
-                if new < now:
-                    break
+                with np.errstate(over="ignore", invalid="ignore"):
+                    missed = rows @ (at.x(further) - origin) - (u - J @ step)
+                if np.isfinite(missed).all():  # else the exponentials left what numbers hold
+                    further = further - solve(J.T @ missed)
+                    new = value(further)
+                    if new < now:
+                        break
             damping = max(damping, 1e-9) * 8.0
         else:  # what is left is rounding error
             return eta, iteration, float(np.sum((gradient * size) ** 2))

@@ -34,7 +34,7 @@ def completed(
     std = spread_of(of, prior)
     x0 = existing(of, prior.theta / of.scale, std)
     near = divergence(of, x0, std)
-    metric = np.diag(1 / std**2) if distance == "euclidean" else near.derivatives(x0)[1]
+    metric = np.diag(1 / std**2) if distance == "euclidean" else near.metric
     found = nearest(of, base, beta, x0, metric)
     if distance != "entropic":
         return of.scale * found.x

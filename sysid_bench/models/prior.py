@@ -1,12 +1,16 @@
 """What methods are told beforehand: drawn around the truth, never the truth by default."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from sysid_bench.models.task import Task
 from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
 from sysid_bench.types import Array, Prior
+
+LENGTH: Final = 0.1
+"""m; a known centre of mass is told with an error of a share of this."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,18 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
         std[~inertial] = spread.terms * np.abs(theta[~inertial])
         std = _floored(std, truth.parameters)
     return Prior(theta, std)
+
+
+def misknown(task: Task, share: float, rng: np.random.Generator) -> Task:
+    """The task with its known parts told with errors: masses, inertias and joint terms of this
+    share (standard deviation), centres of mass of the same share of LENGTH."""
+    spread = PriorSpread(share, share * LENGTH, share, share)
+    links = [_drawn(phi, spread, rng) for phi in task.known_links]
+    terms = {
+        term: values * np.exp(share * rng.normal(size=len(values)))
+        for term, values in task.known_terms.items()
+    }
+    return replace(task, known_links=np.array(links).reshape(-1, 10), known_terms=terms)
 
 
 def _floored(std: Array, names: tuple[str, ...]) -> Array:

@@ -3,7 +3,7 @@
 import io
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 WIDTH: Final = 3.5  # inches, one column of a two-column paper
 _INK, _GREY = "#222222", "#8a8a8a"
 # Distinct in print, on screen and for colour-blind readers (Okabe and Ito, 2008).
-_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 _MARKERS: Final = ("o", "s", "D", "^", "v", "P", "X")
 STYLE: Final[dict[Any, Any]] = {
     "font.family": "STIXGeneral", "mathtext.fontset": "stix", "font.size": 8,
@@ -44,39 +44,45 @@ def figure(table: Table, path: Path) -> Path:
     A heat map where one field meets one field and neither is the estimator (robot x payload),
     dots with intervals otherwise. Raises UsageError for another suffix.
     """
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in METADATA:
-        raise UsageError(f"A figure ends with .pdf or .svg; {path.name!r} does not.")
-    path.write_bytes(_drawn(table, kind))
-    return path
+    return save(lambda: _picture(table), path)
 
 
 def figure_svg(table: Table) -> str:
     """The same picture as an <svg> element to put into a page."""
-    return _element(_drawn(table, "svg").decode())
+    return svg_element(styled(lambda: _picture(table), "svg"))
 
 
-def svg_element(path: Path) -> str:
-    """The picture in an .svg file as an <svg> element to put into a page."""
-    return _element(path.read_text(encoding="utf-8"))
+def save(draw: "Callable[[], Figure]", path: Path) -> Path:
+    """A drawing as a .pdf or .svg file; raises UsageError for another suffix."""
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in METADATA:
+        raise UsageError(f"A figure ends with .pdf or .svg; {path.name!r} does not.")
+    path.write_bytes(styled(draw, kind))
+    return path
 
 
-def _element(text: str) -> str:
+def svg_element(svg: bytes) -> str:
+    """The <svg> element of a file."""
+    text = svg.decode()
     return re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
-def _drawn(table: Table, kind: str) -> bytes:
+def styled(draw: "Callable[[], Figure]", kind: str) -> bytes:
+    """A drawing as a file of some kind, in the style of the house whatever the user's is."""
     import matplotlib
 
     with matplotlib.rc_context(rc={**matplotlib.rcParamsDefault, **STYLE}):
-        fields = (*table.row_fields, *table.column_fields)
-        map_like = len(table.row_fields) == len(table.column_fields) == 1
-        drawing = _heat_map(table) if map_like and "estimator" not in fields else _dots(table)
         out = io.BytesIO()
-        drawing.savefig(
+        draw().savefig(
             out, format=kind, metadata=METADATA[kind], bbox_inches="tight", pad_inches=0.02
         )
     return out.getvalue()
+
+
+def _picture(table: Table) -> "Figure":
+    fields = (*table.row_fields, *table.column_fields)
+    map_like = len(table.row_fields) == len(table.column_fields) == 1
+    return _heat_map(table) if map_like and "estimator" not in fields else _dots(table)
 
 
 def _dots(table: Table) -> "Figure":
@@ -94,7 +100,7 @@ def _dots(table: Table) -> "Figure":
         _one_series(axes, table, column, lane, offset, logarithmic)
     axes.set_yticks(range(len(table.rows)), [_label(" · ".join(row)) for row in table.rows])
     axes.set_ylim(len(table.rows) - 0.5, -0.5)
-    axes.set_xlabel(_plain(table.metric.heading))
+    axes.set_xlabel(plain(table.metric.heading))
     axes.grid(axis="x", which="major", color="#dddddd", linewidth=0.4)
     axes.set_axisbelow(True)
     _separate(axes, table)
@@ -110,7 +116,7 @@ def _dots(table: Table) -> "Figure":
 def _one_series(
     axes: "Axes", table: Table, column: Key, lane: int, offset: float, logarithmic: bool
 ) -> None:
-    colour, marker = _COLOURS[lane % len(_COLOURS)], _MARKERS[lane % len(_MARKERS)]
+    colour, marker = COLOURS[lane % len(COLOURS)], _MARKERS[lane % len(_MARKERS)]
     xs, ys = [], []
     for i, row in enumerate(table.rows):
         entry = table.entry(row, column)
@@ -124,14 +130,14 @@ def _one_series(
         if entry.low is not None and entry.high is not None:
             low = entry.value if logarithmic and entry.low <= 0 else entry.low
             axes.plot([low, entry.high], [i + offset] * 2, color=colour, solid_capstyle="butt")
-    name = _plain(" · ".join(column)) or None
+    name = plain(" · ".join(column)) or None
     axes.plot(xs, ys, marker, color=colour, markeredgewidth=0, label=name)
 
 
 def _absent(axes: "Axes", entry: Entry, y: float, colour: str) -> None:
     """A failure stands as a word at the left edge; a zero on a log axis as 0."""
     word = "0" if entry.value is not None else (entry.word or "no value")
-    axes.text(0.01, y, _plain(word), transform=axes.get_yaxis_transform(), color=colour,
+    axes.text(0.01, y, plain(word), transform=axes.get_yaxis_transform(), color=colour,
               fontsize=5.5, fontstyle="italic", va="center")  # fmt: skip
 
 
@@ -160,13 +166,13 @@ def _heat_map(table: Table) -> "Figure":
     for i, row in enumerate(table.rows):
         for j, column in enumerate(table.columns):
             dark = values[i, j] > low + 0.6 * (high - low)
-            text = _plain(_cell_text(table, row, column))
+            text = plain(_cell_text(table, row, column))
             axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5,
                       color="white" if dark else _INK)  # fmt: skip
     axes.set_xticks(np.arange(len(table.columns)) + 0.5, [_label(c[0]) for c in table.columns])
     axes.set_yticks(np.arange(len(table.rows)) + 0.5, [_label(r[0]) for r in table.rows])
-    axes.set_xlabel(_plain(table.column_fields[0]))
-    axes.set_title(_plain(table.metric.heading), fontsize=8)
+    axes.set_xlabel(plain(table.column_fields[0]))
+    axes.set_title(plain(table.metric.heading), fontsize=8)
     axes.tick_params(length=0)
     for side in axes.spines.values():
         side.set_visible(False)
@@ -200,10 +206,11 @@ def _spans_decades(table: Table) -> bool:
 def _label(text: str) -> str:
     """A name that leaves room for what it names: of a long one its two ends."""
     half = LONGEST // 2
-    return _plain(text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}")
+    return plain(text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}")
 
 
-def _plain(text: str) -> str:
-    """Names come from users: a dollar sign starts no formula, an odd letter needs no font."""
+def plain(text: str) -> str:
+    """Text that prints as it is. Names come from users: a dollar sign starts no formula, an odd
+    letter needs no font."""
     known = "".join(c if c == ABSENT or (c.isprintable() and ord(c) < 0x370) else "?" for c in text)
     return known.replace("$", r"\$")

@@ -19,6 +19,8 @@ from sysid_bench.reporting.page import (
     joint_errors,
     provenance,
 )
+from sysid_bench.reporting.profiles import profile_svg
+from sysid_bench.reporting.rankings import Ranking
 from sysid_bench.reporting.tables import Table, make_table
 
 if TYPE_CHECKING:
@@ -26,6 +28,10 @@ if TYPE_CHECKING:
 
 # A longer picture is no picture: the tables of the page hold the same numbers.
 _MOST_ROWS_OF_A_FIGURE: Final = 45
+PROFILE: Final = (
+    "Performance profile: the share of cases in which a method's error is within so many times the "
+    "smallest of the case; the first methods of the ranking in colour."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +50,7 @@ class RunView:
     command: str
     listings: tuple[Listing, ...] = ()
     pictures: tuple[tuple[str, str], ...] = ()  # title and <svg> of figures drawn elsewhere
+    rankings: tuple[Ranking, ...] = ()
 
 
 def write_report(run: RunView) -> Path:
@@ -76,10 +83,14 @@ def render_report(run: RunView) -> str:
         headline=headline(run.cells),
         crosschecks=crosschecks(run.cells),
         tolerance=_tolerance(run.suite),
-        tables=run.tables,
+        tables=(*run.tables, *(ranking.order for ranking in run.rankings)),
         listings=run.listings,
         pictures=[(title, Markup(svg)) for title, svg in run.pictures],
-        figures=[(table, Markup(figure_svg(table))) for table in _pictured(run)],
+        pairs=[table for ranking in run.rankings for table in ranking.tables[1:]],
+        figures=[
+            *((ranking.title, PROFILE, Markup(profile_svg(ranking))) for ranking in run.rankings),
+            *((t.title, t.caption, Markup(figure_svg(t))) for t in _pictured(run)),
+        ],
         assumptions=assumptions(run.suite, run.cells),
         failures=failures(run.cells),
         joints=joint_errors(run.cells, run.joints),

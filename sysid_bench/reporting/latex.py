@@ -243,6 +243,8 @@ def _rows(table: Table, layout: Sequence[_Column]) -> list[str]:
 
 
 def _caption(table: Table) -> str:
+    if table.own_caption:
+        return escape(table.own_caption)
     units = [f"\\unit{{{''.join(_UNITS.get(u, u) for u in unit.split())}}}"
              for unit in table.metric.units]  # fmt: skip
     unit = f" ({', '.join(units)})" if units else ""

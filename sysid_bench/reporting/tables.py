@@ -87,10 +87,13 @@ class Table:
     columns: tuple[Key, ...]
     entries: Mapping[tuple[Key, Key], Entry]
     notes: tuple[str, ...] = ()
+    own_caption: str = ""  # where the columns are no single statistic of the metric
 
     @property
     def caption(self) -> str:
         """What the numbers are, in one sentence."""
+        if self.own_caption:
+            return self.own_caption
         if self.metric.words:
             return f"{self.metric.heading}."
         if self.metric.repeated:
@@ -147,7 +150,7 @@ def make_table(
     wanted = spec["cells"]
     metric, stat = metric_of(wanted["metric"]), wanted.get("stat", "median")
     interval = wanted.get("interval", "none")
-    chosen = labelled(_selected(cells, spec, choose))
+    chosen = labelled(selected(cells, spec, choose))
     rows, columns = tuple(spec.get("rows", ())), tuple(spec.get("columns", ()))
     judge = partial(_entry, metric=metric.name, stat=stat, interval=interval)
     if metric.repeated:
@@ -223,9 +226,10 @@ def _one_of(kind: str, name: str, known: Iterable[str]) -> None:
         raise unknown_name(kind, name, known)
 
 
-def _selected(
+def selected(
     cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose | None
 ) -> "pd.DataFrame":
+    """The cells that `spec["select"]` keeps (see `make_table`)."""
     select = spec.get("select")
     if isinstance(select, str):
         if choose is None:

@@ -1,13 +1,14 @@
 """Measured and predicted torque of every joint, and their difference, as papers show them."""
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from sysid_bench.errors import UsageError
-from sysid_bench.reporting.figures import METADATA, STYLE
+from sysid_bench.reporting.figures import save
 from sysid_bench.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 WIDTH: Final = 7.16  # inches, both columns of a two-column paper
 HEIGHT: Final = 1.1  # inches a joint
@@ -23,24 +24,22 @@ def torque_figure(
 ) -> Path:
     """Draws t (N,), measured and predicted (N, rows) into a .pdf or .svg file, the same bytes every
     time; the error is dashed. Raises UsageError for another suffix."""
-    import matplotlib
+    return save(lambda: _figure(t, rows, measured, predicted, units), path)
+
+
+def _figure(
+    t: Array, rows: Sequence[str], measured: Array, predicted: Array, units: Sequence[str]
+) -> "Figure":
     from matplotlib.figure import Figure
 
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in METADATA:
-        raise UsageError(f"A figure ends with .pdf or .svg; {path.name!r} does not.")
-    with matplotlib.rc_context(STYLE):
-        picture = Figure(figsize=(WIDTH, HEIGHT * len(rows) + 0.4), layout="constrained")
-        for i, axes in enumerate(picture.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]):
-            axes.plot(t, measured[:, i], color="#0072b2", label="measured")
-            axes.plot(t, predicted[:, i], color="#d55e00", label="predicted")
-            axes.plot(t, measured[:, i] - predicted[:, i], "--", color="#8a8a8a", label="error")
-            axes.set_ylabel(f"{rows[i]} [{units[i]}]")
-            axes.margins(x=0)
-        axes.set_xlabel("time [s]")
-        lines, names = picture.axes[0].get_legend_handles_labels()
-        picture.legend(lines, names, ncols=3, loc="outside upper right", frameon=False)
-        out = io.BytesIO()
-        picture.savefig(out, format=kind, metadata=METADATA[kind])
-    path.write_bytes(out.getvalue())
-    return path
+    picture = Figure(figsize=(WIDTH, HEIGHT * len(rows) + 0.4), layout="constrained")
+    for i, axes in enumerate(picture.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]):
+        axes.plot(t, measured[:, i], color="#0072b2", label="measured")
+        axes.plot(t, predicted[:, i], color="#d55e00", label="predicted")
+        axes.plot(t, measured[:, i] - predicted[:, i], "--", color="#8a8a8a", label="error")
+        axes.set_ylabel(f"{rows[i]} [{units[i]}]")
+        axes.margins(x=0)
+    axes.set_xlabel("time [s]")
+    lines, names = picture.axes[0].get_legend_handles_labels()
+    picture.legend(lines, names, ncols=3, loc="outside upper right", frameon=False)
+    return picture

@@ -12,8 +12,8 @@ from sysid_bench.signals.filters import Filter, FourierSeries, derivative, filte
 from sysid_bench.spatial.rotation import conjugate, product
 from sysid_bench.types import Array, Recording
 
-SETTINGS: Final = ("filter", "derivatives", "torque", "calibration", "contacts")
-"""Keys of a table of signals; the harness itself sees to the calibration."""
+SETTINGS: Final = ("filter", "derivatives", "torque", "calibration", "contacts", "runs")
+"""Keys of a table of signals; the harness itself sees to calibrations, contacts and runs."""
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,14 @@ class Noise:
     """Standard deviations of noise: encoders `q` (rad, m), torque `tau` (N m, N) or `tau_relative`
     (share of the joint's RMS torque in the noise-free training motion), and the `quantum` that
     encoders round to (rad, m). White, but for torque whose noise has a `tau_correlation` from each
-    recorded sample to the next: autoregressive of first order, of the same deviation."""
+    recorded sample to the next: autoregressive of first order, of the same deviation.
+    Torques drift by `tau_drift` (N m/s, N/s, standard deviation of a joint's)."""
 
     q: float = 0.0
     tau: float = 0.0
     tau_relative: float = 0.0
     quantum: float = 0.0
+    tau_drift: float = 0.0
     tau_correlation: float = 0.0
 
     def __post_init__(self) -> None:

@@ -13,6 +13,7 @@ from sysid_bench.verbs.papers import draw_papers, papers_of, text_of
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
     from sysid_bench.reporting.latex import Origin
+    from sysid_bench.reporting.rankings import Ranking
     from sysid_bench.reporting.tables import Table
 
 DEFAULT_TABLE: Mapping[str, Any] = {
@@ -31,26 +32,32 @@ def report(folder: str | Path) -> Path:
     from sysid_bench.reporting.figures import figure, svg_element
     from sysid_bench.reporting.html import RunView, write_report
     from sysid_bench.reporting.latex import to_macros
+    from sysid_bench.reporting.profiles import profile
 
     run_folder = open_run(folder)
     frames = run_folder.frames()
     if len(frames.cells) == 0:
         raise UsageError(f"{str(folder)!r} has no rows yet; run it first.")
-    tables, origin = tuple(_tables(run_folder)), _origin(run_folder)
+    own, ranked, origin = tuple(_tables(run_folder)), _rankings(run_folder), _origin(run_folder)
+    orders = tuple(ranking.order for ranking in ranked)
     for place in ("tables", "figures"):
         (run_folder.path / place).mkdir(exist_ok=True)
-    for table in tables:
+    for table in (*own, *(made for ranking in ranked for made in ranking.tables)):
         for form, suffix in zip(FORMATS, ("md", "csv", "tex"), strict=True):
             _put(run_folder.path / "tables" / f"{table.name}.{suffix}", _text(table, form, origin))
-        for suffix in () if table.metric.words else ("pdf", "svg"):
-            figure(table, run_folder.path / "figures" / f"{table.name}.{suffix}")
+    for suffix in ("pdf", "svg"):
+        for table in own:
+            if not table.metric.words:
+                figure(table, run_folder.path / "figures" / f"{table.name}.{suffix}")
+        for ranking in ranked:
+            profile(ranking, run_folder.path / "figures" / f"{ranking.name}.{suffix}")
     listings = papers_of(run_folder)
     for listing in listings:
         for form, suffix in zip(FORMATS, ("md", "csv", "tex"), strict=True):
             text = text_of(listing, form, origin)
             _put(run_folder.path / "tables" / f"{listing.name}.{suffix}", text)
     drawn = draw_papers(run_folder, run_folder.path / "figures")
-    _put(run_folder.path / "tables" / "numbers.tex", to_macros(tables, origin))
+    _put(run_folder.path / "tables" / "numbers.tex", to_macros((*own, *orders), origin))
     return write_report(
         RunView(
             folder=run_folder.path,
@@ -58,11 +65,12 @@ def report(folder: str | Path) -> Path:
             env=run_folder.env,
             cells=frames.cells,
             joints=frames.joints,
-            tables=tables,
+            tables=own,
+            rankings=ranked,
             recordings=recordings(run_folder),
             command=origin.command,
             listings=listings,
-            pictures=tuple((title, svg_element(path)) for title, path in drawn),
+            pictures=tuple((title, svg_element(path.read_bytes())) for title, path in drawn),
         )
     )
 
@@ -78,6 +86,8 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
         if name not in listings:
             raise UsageError(f"{name!r} has no sound cell yet, or is a figure: see figures/.")
         return text_of(listings[name], form, _origin(run_folder))
+    if name not in tables:  # rankings are drawn again and again: made where one is asked for
+        tables |= {made.name: made for made in _orders(run_folder)}
     if name not in tables:
         raise unknown_name("table", name, tables)
     return _text(tables[name], form, _origin(run_folder))
@@ -85,7 +95,9 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
 
 def printed_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
-    return [_text(made, "md", _origin(run)) for run in [open_run(folder)] for made in _tables(run)]
+    run = open_run(folder)
+    orders = (ranking.order for ranking in _rankings(run))
+    return [_text(made, "md", _origin(run)) for made in (*_tables(run), *orders)]
 
 
 def recordings(run_folder: "RunFolder") -> dict[str, str]:
@@ -95,12 +107,8 @@ def recordings(run_folder: "RunFolder") -> dict[str, str]:
 
 
 def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
-    from sysid_bench.harness.suite.expression import Expression
     from sysid_bench.harness.words import JOINT, PARAMETER, STD_FROM
     from sysid_bench.reporting.tables import make_table
-
-    def choose(expression: str, cell: Mapping[str, Any]) -> bool:
-        return Expression.parse(expression).matches(cell)
 
     frames = run_folder.frames()
     cells = frames.cells
@@ -112,10 +120,35 @@ def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
             lines = frames.by_parameter if PARAMETER in asked else cells
             lines = frames.by_std_from if STD_FROM in asked else lines
             lines = frames.by_joint if JOINT in asked else lines
-            yield make_table(lines, spec, choose, frames.parameters)
+            yield make_table(lines, spec, _choose, frames.parameters)
         except UsageError:
             if len(cells) == len(run_folder.plan.cells):
                 raise  # with some cells not run, a table may have nothing to show yet
+
+
+def _rankings(run_folder: "RunFolder") -> "tuple[Ranking, ...]":
+    from sysid_bench.reporting.rankings import rankings
+
+    cells = run_folder.frames().cells
+    found: list[Ranking] = []
+    for entry in run_folder.suite.ranking:
+        try:
+            found += rankings(cells, entry.model_dump(exclude_none=True), _choose)
+        except UsageError:
+            if len(cells) == len(run_folder.plan.cells):
+                raise
+    return tuple(found)
+
+
+def _orders(run_folder: "RunFolder") -> "Iterator[Table]":
+    for ranking in _rankings(run_folder):
+        yield from ranking.tables
+
+
+def _choose(expression: str, cell: Mapping[str, Any]) -> bool:
+    from sysid_bench.harness.suite.expression import Expression
+
+    return Expression.parse(expression).matches(cell)
 
 
 def _text(table: "Table", form: str, origin: "Origin") -> str:

@@ -21,10 +21,13 @@ from sysid_bench.harness.experiment.sensing import Sensing, kept_motion, true_of
 from sysid_bench.harness.experiment.spec import (
     REDRAWN,
     ExperimentSpec,
+    drift_seed,
     held_out_seed,
+    known_seed,
     motion_seed,
     noise_seed,
     prior_seed,
+    run_seed,
 )
 from sysid_bench.identification.calibration import Calibration, calibrate
 from sysid_bench.identification.contact import free_samples
@@ -32,7 +35,7 @@ from sysid_bench.identification.online import rows_of
 from sysid_bench.models.extents import extents
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
-from sysid_bench.models.prior import PriorSpread, prior_of
+from sysid_bench.models.prior import PriorSpread, misknown, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, cut_at, instruments_of
 from sysid_bench.models.task import SENSOR_TASKS, Task, task_of
@@ -59,6 +62,7 @@ from sysid_bench.types import (
     Prior,
     Problem,
     Recording,
+    Run,
     Trajectory,
     Truth,
 )
@@ -97,7 +101,9 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
     stage = _stage(canonical(_noise_free(spec).to_json()), subject)
     task, posing, plant = stage.task, stage.posing, stage.take.plant
-    taken = _record(spec, stage.take, Sensing(spec, plant, task))
+    turns = turns_of(spec, task)
+    main = next(turn for turn in turns if turn.loaded)
+    taken = _record(spec, stage.take, Sensing(spec, plant, task), main)
     raw, recording = taken.raw, taken.recording
     if "calibration" in spec.signals and task.cuts:
         calibration = _calibration(spec, subject, task)
@@ -107,7 +113,8 @@ def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
     regress = partial(regressor_blocks, posing.regression, posing.places, posing.instruments)
     simulate = _nothing_to_simulate if task.cuts else _Simulate(stage.told, raw)
     known = _nothing_to_simulate if task.cuts else _Known(stage.told, posing.places)
-    experiment = Experiment(problem, recording, raw, regress, simulate, known)
+    runs = _runs(spec, stage, turns, Run(True, recording))
+    experiment = Experiment(problem, recording, raw, regress, simulate, known, runs)
     seal(experiment)
     return Prepared(
         subject.robot, task, problem, experiment, stage.held_out, task.truth,
@@ -159,7 +166,8 @@ def _noise_free(spec: ExperimentSpec) -> ExperimentSpec:
 def _stage(text: str, subject: Subject) -> Stage:
     """The stage of a specification, as canonical JSON."""
     spec, robot = ExperimentSpec.from_json(json.loads(text)), subject.robot
-    task = task_of(robot, spec.task, terms_of(spec, robot), spec.sensor, partial(true_offset, spec))
+    terms = terms_of(spec, robot)
+    task = told(spec, task_of(robot, spec.task, terms, spec.sensor, partial(true_offset, spec)))
     base = subject.base(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
     columns = sensed_regression(robot, base.names, instruments, task.rows)
@@ -175,6 +183,14 @@ def terms_of(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
     if spec.terms is not None:
         return spec.terms
     return robot.manifest.terms if spec.task == "robot" else ()
+
+
+def told(spec: ExperimentSpec, task: Task) -> Task:
+    """The task as methods are told it: its known parts with errors where the prior says so."""
+    share = 0.0 if isinstance(spec.prior, str) else spec.prior.get("known", 0.0)
+    if share == 0.0:
+        return task
+    return misknown(task, share, np.random.default_rng(known_seed(spec)))
 
 
 def seal(value: Any) -> None:
@@ -356,6 +372,65 @@ class Take:
         return oracle
 
 
+@dataclass(frozen=True)
+class Turn:
+    """One recording of the commanded motion: the how manieth, and whether the payload is on."""
+
+    place: int
+    loaded: bool
+    seed: int  # of its noise
+
+
+def turns_of(spec: ExperimentSpec, task: Task) -> tuple[Turn, ...]:
+    """The recordings that an experiment makes, in order. The first loaded one has the noise that it
+    has without the others: comparisons are paired."""
+    order = spec.signals.get("runs", "B")
+    if "A" in order and (task.name != "payload" or task.cuts):
+        raise UnsupportedError(
+            "Runs without the payload tell of the payload, from joint torques alone; the task is "
+            f"{task.name!r}{' with sensors' if task.cuts else ''}."
+        )
+    if len(order) > 1 and spec.signals.get("contacts"):
+        raise UnsupportedError(
+            "Contact periods leave different samples of each run: take runs or contacts."
+        )
+    first = order.index("B")
+    return tuple(
+        Turn(i, letter == "B", noise_seed(spec) if i == first else run_seed(spec, i))
+        for i, letter in enumerate(order)
+    )
+
+
+def _runs(
+    spec: ExperimentSpec, stage: Stage, turns: tuple[Turn, ...], main: Run
+) -> tuple[Run, ...]:
+    """All recordings of the commanded motion, `main` among them; none where it is the only one."""
+    if len(turns) == 1:
+        return ()
+    loaded = stage.take
+    robot = load_robot(loaded.subject.robot.manifest, parse_payload("none"), spec.free_base)
+    plant = plant_of(robot, [loaded.subject.build("plant", spec.plant)])
+    takes = {True: loaded, False: replace(loaded, plant=plant)}
+    runs = []
+    for turn in turns:
+        if turn.seed == noise_seed(spec):
+            runs.append(main)
+            continue
+        take = takes[turn.loaded]
+        taken = _record(spec, take, Sensing(spec, take.plant, stage.task), turn)
+        runs.append(Run(turn.loaded, taken.recording))
+    return tuple(runs)
+
+
+def _drifted(spec: ExperimentSpec, recording: Recording, place: int, level: float) -> Recording:
+    """The recording with torques that drift from the first run on; runs follow at once."""
+    if level == 0.0:
+        return recording
+    slope = level * np.random.default_rng(drift_seed(spec)).normal(size=recording.tau.shape[1])
+    start = place * len(recording) / recording.rate
+    return replace(recording, tau=recording.tau + (recording.t + start)[:, None] * slope)
+
+
 @dataclass(frozen=True, eq=False)
 class Taken:
     """The recording as sensed and as filtered, and what only scoring may know of it."""
@@ -389,12 +464,13 @@ def _bound(
     return None if found is None else np.sqrt(np.diag(found))
 
 
-def _record(spec: ExperimentSpec, take: Take, sensing: Sensing) -> Taken:
-    """The recording of one repeat."""
+def _record(spec: ExperimentSpec, take: Take, sensing: Sensing, turn: Turn | None = None) -> Taken:
+    """The recording of one repeat, and of one of its runs where there are several."""
+    place, seed = (0, noise_seed(spec)) if turn is None else (turn.place, turn.seed)
     robot, every, commanded = take.plant.robot, take.every, take.commanded
     noise = Noise(**{k: x for k, x in spec.noise.items() if k not in WRENCH_NOISE})
     processing = processing_of(spec.signals)
-    rng = np.random.default_rng(noise_seed(spec))
+    rng = np.random.default_rng(seed)
     moving = robot.torque_dofs
     draws = draw(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
     error = encoder_error(noise, draws)
@@ -421,7 +497,7 @@ def _record(spec: ExperimentSpec, take: Take, sensing: Sensing) -> Taken:
         controller,
         ideal_rates=not processing.differentiate,
     )
-    raw = sensing.felt(raw, oracle, every)
+    raw = sensing.felt(_drifted(spec, raw, place, noise.tau_drift), oracle, every)
     recording = _completed(robot, processing.apply(raw, robot.joints))
     return Taken(raw, recording, oracle, every, torque_std, noise.tau_correlation)
 
@@ -514,7 +590,8 @@ def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
         return None
     spread = None
     if not isinstance(spec.prior, str):
-        spread = PriorSpread(**{key: far for key, far in spec.prior.items() if key != REDRAWN})
+        unknown = {k: far for k, far in spec.prior.items() if k not in (REDRAWN, "known")}
+        spread = PriorSpread(**unknown)
     return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
 
 

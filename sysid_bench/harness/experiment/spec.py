@@ -99,6 +99,21 @@ def sensor_seed(spec: ExperimentSpec) -> int:
     return seed_of(spec.seed, "sensor", spec.robot, spec.sensor, spec.repeat)
 
 
+def run_seed(spec: ExperimentSpec, run: int) -> int:
+    """Of the noise of a further recording of the same motion."""
+    return seed_of(noise_seed(spec), "run", run)
+
+
+def drift_seed(spec: ExperimentSpec) -> int:
+    """Of how the torques of a robot drift: alike in all recordings of an experiment."""
+    return seed_of(noise_seed(spec), "drift")
+
+
+def known_seed(spec: ExperimentSpec) -> int:
+    """Of what methods are told of the parts that are known, whatever the payload."""
+    return seed_of(spec.seed, "known", spec.robot, spec.task)
+
+
 def prior_seed(spec: ExperimentSpec) -> int:
     """Of what methods are told beforehand: no new prior with each noise level, and none with each
     repeat unless it is `redrawn`."""
@@ -116,6 +131,7 @@ NOISE_UNITS: Final = {
     "q": "rad|m",
     "tau": "N m|N",
     "quantum": "rad|m",
+    "tau_drift": "N m|N",  # per second
     "tau_correlation": "1",
     "force": "N",
     "moment": "N m",
@@ -154,8 +170,10 @@ def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, float]:
     """SI numbers of a prior: shares, and metres for com."""
     if isinstance(written, str):
         return written
-    far = {key: value for key, value in written.items() if key != REDRAWN}
+    far = {key: value for key, value in written.items() if key != REDRAWN and value is not None}
     normal = {key: quantity(value, "mm" if key == "com" else "%") for key, value in far.items()}
+    # What is known exactly is not written: ids are older than the key.
+    normal = {key: value for key, value in normal.items() if key != "known" or value}
     return normal | ({REDRAWN: True} if written.get(REDRAWN) else {})
 
 

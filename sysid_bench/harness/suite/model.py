@@ -41,6 +41,7 @@ from sysid_bench.harness.suite.names import located
 from sysid_bench.harness.words import (
     BESTS,
     COVERAGE,
+    ERRORS,
     FINDINGS,
     INTERVALS,
     JOINT,
@@ -119,6 +120,7 @@ class Noise(Section):
     q: Annotated[Any, measured("rad|m")] = None
     tau: Annotated[Any, measured("N m|N|%")] = None
     quantum: Annotated[Any, measured("rad|m")] = None
+    tau_drift: Annotated[Any, measured("N m|N")] = None  # per second
     tau_correlation: Annotated[Any, measured("1", below=1.0)] = None
     force: Annotated[Any, measured("N")] = None  # and so on: force/torque sensors
     moment: Annotated[Any, measured("N m")] = None
@@ -133,12 +135,14 @@ class Noise(Section):
 
 
 class Prior(Section):
-    """How far the declared parameters are drawn around the truth (standard deviations)."""
+    """How far the declared parameters are drawn around the truth (standard deviations); `known`
+    those of the parts that the task takes as known, which are told exactly without it."""
 
     mass: Share = "20 %"
     com: Length = "15 mm"
     inertia: Share = "30 %"
     terms: Share = "30 %"
+    known: Share = None
     redrawn: StrictBool | None = None  # true: another draw with each repeat
 
 
@@ -162,6 +166,15 @@ def _payload(value: Any, info: ValidationInfo) -> Any:
 Loads = tuple[Annotated[Any, PlainValidator(_payload)], ...] | None
 
 
+def _runs(value: Any) -> Any:
+    if not isinstance(value, str) or not value or set(value) - {"A", "B"} or "B" not in value:
+        raise ValueError(
+            "runs are recordings of the same motion in the order taken, A without and B with the "
+            f"payload, one B at least: 'B', 'AB', 'ABBA'; got {value!r}."
+        )
+    return value
+
+
 def _contacts(value: Any) -> Any:
     if value != "detect":
         texts = [value] if isinstance(value, str) else list(value)
@@ -174,6 +187,7 @@ class Signals(Section):
     filter: Annotated[str, PlainValidator(_filter)] = "none"
     derivatives: Annotated[str, word("way to differentiate", ("from q", "exact"))] = "exact"
     torque: Annotated[str, word("way to take torque", ("filtered", "raw"))] = "filtered"
+    runs: Annotated[str, BeforeValidator(_runs)] = "B"  # A without, B with the payload
     contacts: Annotated[Any, PlainValidator(_contacts)] = None
     """Periods that are left out: "10 s to 25 s", a list of such, or "detect"."""
     calibration: Loads = None  # of force/torque sensors, with these payloads, which are known
@@ -381,6 +395,17 @@ class Paper(Section):
     test: StrictStr | None = None
 
 
+class RankingEntry(Section):
+    """Methods against each other over robots; one ranking for each value of the labels `apart`."""
+
+    name: Folder
+    title: StrictStr | None = None
+    metric: Annotated[str, word("metric to rank by", ERRORS)] = "torque_error"
+    apart: tuple[Label, ...] = ()
+    against: StrictStr | None = None  # the method that the others are tested against
+    select: RowCondition | None = None
+
+
 class Worst(Section):
     metric: Annotated[str, word("metric", METRICS)]
     count: StrictInt = Field(default=1, ge=1)
@@ -424,6 +449,7 @@ class Suite(Section):
     crosscheck: Crosscheck = Crosscheck()
     table: tuple[TableEntry, ...] = ()
     paper: tuple[Paper, ...] = ()
+    ranking: tuple[RankingEntry, ...] = ()
     record: Record | None = None
 
     @model_validator(mode="after")

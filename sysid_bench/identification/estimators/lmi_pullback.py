@@ -27,5 +27,5 @@ class LMIPullback:
         of, prior = physical_of(problem), required_prior(problem)
         std = spread_of(of, prior)
         x0 = existing(of, prior.theta / of.scale, std)
-        _, metric = divergence(of, x0, std).derivatives(x0)
+        metric = divergence(of, x0, std).metric
         return estimate_of(of, fit(of, problem, Limits(self.margin), x0, self.weight * metric))

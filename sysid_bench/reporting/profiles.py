@@ -1,0 +1,63 @@
+"""Performance profiles for a two-column paper (Dolan and More 2002)."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from sysid_bench.reporting.figures import COLOURS, WIDTH, plain, save, styled, svg_element
+from sysid_bench.reporting.rankings import RATIOS, Ranking
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+NAMED: Final = len(COLOURS)
+"""Methods that have a colour and a name, the first of the order; the others are grey."""
+
+_DASHES: Final = ("-", "--")
+
+
+def profile(ranking: Ranking, path: Path) -> Path:
+    """Draws a profile into a .pdf or .svg file, the same bytes every time."""
+    return save(lambda: _figure(ranking), path)
+
+
+def profile_svg(ranking: Ranking) -> str:
+    """The same picture as an <svg> element to put into a page."""
+    return svg_element(styled(lambda: _figure(ranking), "svg"))
+
+
+def _figure(ranking: Ranking) -> "Figure":
+    from matplotlib.figure import Figure
+
+    drawing = Figure(figsize=(WIDTH, 2.6), layout="constrained")
+    axes = drawing.add_subplot()
+    for place in reversed(range(len(ranking.methods))):  # the first on top
+        _line(axes, ranking, place)
+    axes.set_xscale("log")
+    axes.set_xlim(RATIOS[0], RATIOS[-1])
+    axes.set_ylim(-0.01, 1.01)
+    axes.set_xticks([1, 2, 5, 10, 20, 50, 100], ["1", "2", "5", "10", "20", "50", "100"])
+    axes.minorticks_off()
+    axes.set_xlabel(plain(f"Times the best: {ranking.metric.title.lower()}"))
+    axes.set_ylabel(f"Share of {len(ranking.ratios)} cases within")
+    axes.grid(which="major", color="#dddddd", linewidth=0.4)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    handles, names = axes.get_legend_handles_labels()
+    drawing.legend(handles[::-1], names[::-1], loc="outside right upper", frameon=False,
+                   handlelength=1.6, handletextpad=0.4, borderaxespad=0.2)  # fmt: skip
+    return drawing
+
+
+def _line(axes: "Axes", ranking: Ranking, place: int) -> None:
+    share = ranking.profile[:, place]
+    if place >= NAMED:
+        others = "others" if place == NAMED else None
+        axes.step(RATIOS, share, where="post", color="#cccccc", linewidth=0.5, label=others)
+        return
+    colour, dashes = COLOURS[place], _DASHES[place % 2]
+    name = plain(ranking.methods[place])
+    axes.step(RATIOS, np.asarray(share), dashes, where="post", color=colour, label=name)
