@@ -34,11 +34,14 @@ class Trajectory:
 
     @property
     def period_samples(self) -> int:
-        """Samples after which the motion repeats; 0 where it does not, or where at the end it would
-        be off by half a sample."""
+        """Samples after which the motion repeats; 0 where it does not, where samples are left out,
+        or where at the end it would be off by half a sample."""
         if self.period is None or len(self.t) < 2:
             return 0
-        step = float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
+        steps = np.diff(self.t)
+        step = float(steps.mean())
+        if steps.max() > 1.5 * step:
+            return 0
         samples = round(self.period / step)
         off = abs(self.period / step - samples) * len(self.t)
         return samples if off < 0.5 * samples else 0
@@ -259,10 +262,10 @@ class Estimate:
     beta: Float[Array, " r"] | None = None
     theta: Float[Array, " p"] | None = None
     covariance: Float[Array, "r r"] | None = None
-    sigma: Float[Array, " rows"] | None = None
     status: EstimateStatus = "ok"
     reason: str = ""
     stats: Mapping[str, float] = field(default_factory=dict)
+    sigma: Float[Array, " rows"] | None = None
 
 
 class LinearEstimator(Protocol):

@@ -5,9 +5,15 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sysid_bench.identification.compressed import excited_rank
+from sysid_bench.identification.compressed import compress, excited_rank
 from sysid_bench.regressors.fold import triangle
-from sysid_bench.types import Array
+from sysid_bench.types import Array, Problem
+
+
+def white_bound(exact: Problem, std: Array) -> Array | None:
+    """The bound (r, r) where torque alone is noisy, white and apart on every row with deviations
+    (rows,); None where the motion does not excite every direction. `exact`: of the true motion."""
+    return _inverse(compress(exact, (1 / std).tolist())[:-1, :-1])
 
 
 def torque_bound(
@@ -26,6 +32,11 @@ def torque_bound(
         # Columns of L^-1 W: unit noise on every row.
         white = np.linalg.solve(half, block).reshape(-1, block.shape[2])
         R = triangle([R.reshape(-1, block.shape[2]), white])
+    return _inverse(R)
+
+
+def _inverse(R: Array) -> Array | None:
+    """(R'R)^-1, where R has an inverse."""
     if len(R) == 0 or excited_rank(R) < R.shape[1]:
         return None
     inverse = solve_triangular(R, np.eye(len(R)))

@@ -51,17 +51,21 @@ class Frames:
     @cached_property
     def by_std_from(self) -> "pd.DataFrame":
         """`cells` with a line per way to tell how sure an estimate is, and its coverage; a cell
-        that is not ok has a line for each that its estimator tells of elsewhere, or any does."""
+        that is not ok has a line for each that its estimator tells of elsewhere, or any does.
+        Where no cell tells of any (exact data), all have one line."""
         import pandas as pd
 
         prefix = f"{COVERAGE}."
         kinds = [str(name) for name in self.cells.columns if str(name).startswith(prefix)]
         plain = self.cells.drop(columns=kinds)
+        if not kinds:
+            plain[STD_FROM], plain[COVERAGE] = "none", None
+            return plain
         failed, who = self.cells["status"] != "ok", self.cells["estimator"]
         mute = ~who.isin(who[self.cells[kinds].notna().any(axis=1)])
         lines = []
-        for kind in kinds or [f"{prefix}none"]:
-            told = self.cells.get(kind, pd.Series(None, self.cells.index, dtype="float64"))
+        for kind in kinds:
+            told = self.cells[kind]
             line = plain[told.notna() | failed & (mute | who.isin(who[told.notna()]))].copy()
             line[STD_FROM], line[COVERAGE] = kind.removeprefix(prefix), told
             lines.append(line)

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError
+from sysid_bench.identification.recursion import upper
 from sysid_bench.types import Array
 
 WINDOWS: Final = 100
@@ -22,53 +23,75 @@ ROUNDS: Final = 30
 """Refits at most; each makes the sum over the quietest windows smaller (Rousseeuw and van Driessen
 2006, the C-step)."""
 
-LIMIT: Final = 1.5
-"""Largest mean square of a window's residuals, in units of the noise: that of 100 samples of six
-rows has a deviation of 0.06 around one."""
+LIMIT: Final = 4.0
+"""Largest mean square of a window's residuals, in units of the noise. Free windows may lie above
+one: the noise of a sensor that ends a sub-tree arrives with a lever that changes."""
 
 
 def free_samples(W: Array, f: Array) -> Array:
     """Which samples (N,) of f (N, m) = W (N, m, r) beta + noise are free of contact.
 
-    Raises EstimationError where the recording is too short, or where the quietest half of it does
-    not excite every direction.
+    Least trimmed squares on the quietest half of the windows; then all that its fit foretells join
+    it, as long as any do. Raises EstimationError where the recording is too short, or where the
+    quietest half of it does not excite every direction.
     """
     N, m, r = W.shape
-    window = np.arange(N) * WINDOWS // max(N, 1)
     if N * m < 4 * r or N < 2 * WINDOWS:
         raise EstimationError(f"{N} samples are too few to find contacts in.")
-    quiet = np.ones(WINDOWS, dtype=bool)
-    sigma = np.sqrt((f**2).mean(axis=0))
-    sigma = np.where(sigma > 0, sigma, 1.0)
+    window = np.arange(N) * WINDOWS // N
+    kept = np.ones(WINDOWS, dtype=bool)
     for _ in range(ROUNDS):
-        beta = _fitted(W, f, sigma, quiet[window])
-        residual = f - W @ beta
-        sizes = _sizes(residual / sigma, window)
+        sizes = _sizes(W, f, kept, window)
         chosen = np.argsort(sizes, kind="stable")[: int(QUIET * WINDOWS)]
-        before, quiet = quiet, np.isin(np.arange(WINDOWS), chosen)
-        sigma = np.sqrt((residual[quiet[window]] ** 2).mean(axis=0))
-        sigma = np.where(sigma > 0, sigma, 1.0)
-        if np.array_equal(before, quiet):
+        before, kept = kept, np.isin(np.arange(WINDOWS), chosen)
+        if np.array_equal(before, kept):
             break
-    # The quietest half underrates the noise; the median window is a fair one.
-    sizes = _sizes((f - W @ _fitted(W, f, sigma, quiet[window])) / sigma, window)
-    level = np.median(sizes[np.argsort(sizes)[: int(0.6 * WINDOWS)]])
-    return np.asarray((sizes <= LIMIT * level)[window])
+    for _ in range(ROUNDS):
+        before, kept = kept, _sizes(W, f, kept, window) <= LIMIT
+        if np.array_equal(before, kept):
+            break
+    return np.asarray(kept[window])
 
 
-def _fitted(W: Array, f: Array, sigma: Array, keep: Array) -> Array:
-    r = W.shape[-1]
+def _sizes(W: Array, f: Array, kept: Array, window: Array) -> Array:
+    """Mean square (WINDOWS,) of the residuals of each window, over what noise makes of it: that of
+    the windows that are kept, whose fit it is, and in others what this fit does not know yet."""
+    keep = kept[window]
+    beta, sigma = _fitted(W, f, keep)
+    squares = ((f - W @ beta) / sigma) ** 2
+    G = W / sigma[:, None]
+    R = upper(G[keep].reshape(-1, W.shape[-1]))
+    leverage = (np.linalg.solve(R.T, G.reshape(-1, len(R)).T) ** 2).sum(axis=0)
+    unknown = np.where(keep, 0.0, leverage.reshape(f.shape).mean(axis=1))
+    return _by_window(squares.mean(axis=1), window) / (1.0 + _by_window(unknown, window))
+
+
+def _by_window(values: Array, window: Array) -> Array:
+    """Means (WINDOWS,) of values (N,)."""
+    total = np.bincount(window, weights=values, minlength=WINDOWS)
+    return np.asarray(total / np.bincount(window, minlength=WINDOWS))
+
+
+def _fitted(W: Array, f: Array, keep: Array) -> tuple[Array, Array]:
+    """Least squares (r,), rows weighted by the noise that a fit of each alone leaves (as `wls`),
+    and the noise (m,) that the residuals of all together tell."""
+    rows, r = range(f.shape[1]), W.shape[-1]
+    sigma = _positive(np.array([_own_noise(W[keep, i], f[keep, i]) for i in rows]))
     G, g = (W[keep] / sigma[:, None]).reshape(-1, r), (f[keep] / sigma).ravel()
     beta, _, rank, _ = np.linalg.lstsq(G, g, rcond=1e-9)
     if rank < r:
         raise EstimationError(
-            f"The quietest half of the recording excites {rank} of {r} base parameters: contacts "
+            f"The quietest part of the recording excites {rank} of {r} base parameters: contacts "
             "cannot be found in it; declare their intervals."
         )
-    return np.asarray(beta)
+    left = np.sqrt(((f[keep] - W[keep] @ beta) ** 2).mean(axis=0))
+    return np.asarray(beta), _positive(left * np.sqrt(len(g) / max(len(g) - r, 1)))
 
 
-def _sizes(residual: Array, window: Array) -> Array:
-    """Mean square (WINDOWS,) of the residuals (N, m) of each window."""
-    total = np.bincount(window, weights=(residual**2).mean(axis=1), minlength=WINDOWS)
-    return np.asarray(total / np.bincount(window, minlength=WINDOWS))
+def _own_noise(W: Array, f: Array) -> float:
+    beta, _, rank, _ = np.linalg.lstsq(W, f, rcond=1e-9)
+    return float(np.linalg.norm(f - W @ beta)) / np.sqrt(max(len(f) - rank, 1))
+
+
+def _positive(sigma: Array) -> Array:
+    return np.where(sigma > 0, sigma, 1.0)

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _SETTING = (
-    *("robot", "payload", "task", "terms", "plant", "prior", "excitation", "simulation", "rate"),
-    *("noise", "signals", "estimator"),
+    *("robot", "payload", "task", "terms", "plant", "prior", "excitation", "held_out"),
+    *("simulation", "rate", "noise", "signals", "estimator"),
 )
 
 

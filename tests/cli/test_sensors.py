@@ -151,7 +151,11 @@ def test_contacts_are_found_or_declared_by_words(cli: Run) -> None:
     )
     assert told["left_out"] == pytest.approx(1 / 3, abs=0.05)
     assert any("left out as contacts" in line for line in summary(told))
-    for wrong, word in (("detec", "10 s to 25 s"), ("5 s to 4 s", "ends before it begins")):
-        done = cli("identify", "z1", "--simulate", "--task", "wrench", "--contacts", wrong)
+    for wrong, word in (
+        ("detec", "10 s to 25 s"),
+        ("5 s to 4 s", "ends before it begins"),
+        ("0 s to 100 s", "leave nothing"),
+    ):
+        done = cli("identify", "z1", "--simulate", "--task", "robot", "--contacts", wrong)
         assert done.returncode == 2
         assert word in one_sentence(done)

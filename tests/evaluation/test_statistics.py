@@ -29,6 +29,7 @@ from sysid_bench.evaluation.cramer_rao import (
     coverage,
     torque_bound,
     trajectory_bound,
+    white_bound,
 )
 from sysid_bench.evaluation.distances import (
     entropic_distance,
@@ -40,7 +41,7 @@ from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.weights import own_sigmas
 from sysid_bench.spatial.inertia import pseudo_inertia, transport
-from sysid_bench.types import Array, Estimate
+from sysid_bench.types import Array, Estimate, Trajectory
 from tests.identification.test_least_squares import problem_of
 from tests.robots import random_phi, random_rotation
 
@@ -196,14 +197,24 @@ def errors_of(method: OLS | WLS, repeats: int) -> Array:
     return np.array(found)
 
 
-def white_bound() -> Array:
+def bound_of_white() -> Array:
     bound = torque_bound([regressor()[:300]], np.diag([0.3, 0.1]) ** 2)
     assert bound is not None
     return np.sqrt(np.diag(bound))
 
 
+def test_factors_give_the_bound_of_the_rows() -> None:
+    W, std = regressor()[:300], np.array([0.3, 0.1])
+    by_factors = white_bound(problem_of(W, W @ TRUTH), std)
+    by_rows = torque_bound([W], np.diag(std**2))
+    assert by_factors is not None
+    assert by_rows is not None
+    np.testing.assert_allclose(by_factors, by_rows, rtol=1e-9, atol=1e-15)
+    assert white_bound(problem_of(W[:1], W[:1] @ TRUTH), std) is None
+
+
 def test_weighted_least_squares_reaches_the_bound_and_plain_does_not() -> None:
-    errors, bound = errors_of(WLS(), 400), white_bound()
+    errors, bound = errors_of(WLS(), 400), bound_of_white()
     for figure in (efficiency, spread, bound_ratio):
         told, low, high = figure(errors, bound)
         assert low < told < high
@@ -214,7 +225,7 @@ def test_weighted_least_squares_reaches_the_bound_and_plain_does_not() -> None:
 
 @pytest.mark.parametrize("share", [0.0, 1.0, 3.0])
 def test_bias_is_told_apart_from_scatter(share: float) -> None:
-    bound = white_bound()
+    bound = bound_of_white()
     straight = errors_of(WLS(), 400)
     errors = straight + share * bound
     np.testing.assert_allclose(spread(errors, bound), spread(straight, bound))
@@ -226,7 +237,7 @@ def test_bias_is_told_apart_from_scatter(share: float) -> None:
 
 
 def test_intervals_of_figures_narrow_with_repeats() -> None:
-    bound = white_bound()
+    bound = bound_of_white()
     few, many = (efficiency(errors_of(WLS(), 400)[:n], bound) for n in (40, 400))
     assert (many[2] - many[1]) < 0.5 * (few[2] - few[1])
 
@@ -352,3 +363,27 @@ def test_subspaces_are_compared_by_their_angle() -> None:
     b = np.array([[np.cos(0.3)], [np.sin(0.3)], [0.0]])
     assert subspace_distance(a, 5 * b) == pytest.approx(0.3)
     assert subspace_distance(np.hstack([a, b]), np.eye(3)[:, :2]) == pytest.approx(0.0, abs=1e-7)
+
+
+# --- Periods ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("period", "rate", "count", "samples"),
+    [
+        (2.0, 50.0, 1000, 100),
+        (None, 50.0, 1000, 0),
+        (2.001, 50.0, 1000, 100),  # half a sample in ten periods
+        (2.004, 50.0, 1000, 0),
+        (1.0, 140.0, 700, 140),
+    ],
+)
+def test_periods_are_whole_samples(
+    period: float | None, rate: float, count: int, samples: int
+) -> None:
+    t, still = np.arange(count) / rate, np.zeros((count, 1))
+    motion = Trajectory(t, still, still, still, period=period)
+    assert motion.period_samples == samples
+    kept = np.delete(np.arange(count), slice(300, 305))
+    gap = Trajectory(t[kept], still[kept], still[kept], still[kept], period=period)
+    assert gap.period_samples == 0

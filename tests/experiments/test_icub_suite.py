@@ -62,12 +62,12 @@ def test_identified_parameters_serve_as_well_as_true_ones(repeat: int) -> None:
 
 
 def test_a_locked_wrist_names_the_torques_that_its_data_cannot_foretell() -> None:
-    told = row("locked wrist", "entropic", "none", WHITE, 0)
+    told = row("locked wrist", "lmi", "none", WHITE, 0)
     assert (told["rank"], told["excited_rank"], told["structural_rank"]) == (38, 17, 38)
     assert told["status"] == "ok"
     wrist = {"l_wrist_prosup", "l_wrist_pitch", "l_wrist_yaw"}
     assert wrist <= set(told["unpredictable_names"].split(", "))
-    free = row("all joints", "entropic", "none", WHITE, 0)
+    free = row("all joints", "lmi", "none", WHITE, 0)
     assert told["alone_cad_ratio"] > 5 * free["alone_cad_ratio"]
 
 

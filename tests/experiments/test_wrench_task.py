@@ -178,7 +178,8 @@ def test_rls_is_the_on_line_recursion_from_a_prior_that_says_nothing(forgetting:
     recursion = Recursion(forgetting=forgetting, gate=False, every=10**6)
     track = recursion.run(W, f, own_sigmas(problem), *start)
     told = RLS(forgetting).solve(problem)
-    assert told.beta is not None and told.covariance is not None
+    assert told.beta is not None
+    assert told.covariance is not None
     np.testing.assert_allclose(track.last, told.beta, rtol=1e-6, atol=1e-8)
     if forgetting == 1.0:
         np.testing.assert_allclose(track.covariance, told.covariance, rtol=1e-5, atol=1e-14)

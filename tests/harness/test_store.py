@@ -203,3 +203,32 @@ def test_verdicts_by_parameter_lose_no_cell() -> None:
     assert frame.loc[frame["id"] == "c1", "verdict"].tolist() == ["none", "none"]
     assert frame.loc[frame["id"] == "c0", "verdict"].isna().all()
     assert frames_of([failed]).by_parameter["status"].tolist() == ["failed"]
+
+
+def test_coverage_has_a_line_for_every_way_to_tell_it_and_loses_no_cell() -> None:
+    def cell(number: int, estimator: str, status: str = "ok", **coverage: float) -> dict[str, Any]:
+        made: dict[str, Any] = {"id": f"{number}", "estimator": estimator, "status": status}
+        return {**made, "coverage": coverage} if coverage else made
+
+    rows = [
+        cell(0, "wls", periods=0.9, textbook=0.5),
+        cell(1, "wls", "failed"),
+        cell(2, "huber", textbook=0.7),
+        cell(3, "huber", "timeout"),
+        cell(4, "mute", "crash"),
+        cell(5, "silent"),
+    ]
+    frame = frames_of(rows).by_std_from
+    found = {(row["id"], row["std_from"]): row["coverage"] for _, row in frame.iterrows()}
+    assert found.keys() == {
+        ("0", "periods"), ("0", "textbook"), ("1", "periods"), ("1", "textbook"),
+        ("2", "textbook"), ("3", "textbook"), ("4", "periods"), ("4", "textbook"),
+    }  # fmt: skip
+    assert (found["0", "periods"], found["0", "textbook"], found["2", "textbook"]) == (
+        0.9,
+        0.5,
+        0.7,
+    )
+    exact = frames_of([cell(0, "wls"), cell(1, "wls", "failed")]).by_std_from
+    assert exact["std_from"].tolist() == ["none", "none"]
+    assert exact["coverage"].isna().all()

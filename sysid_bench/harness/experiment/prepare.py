@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, UnsupportedError
-from sysid_bench.evaluation.cramer_rao import torque_bound
+from sysid_bench.errors import EstimationError, UnsupportedError, UsageError
+from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.brief import Brief, brief_of
 from sysid_bench.excitation.geometry import scene_of
@@ -344,7 +344,7 @@ class Take:
 
     def run(self, error: Array) -> tuple[Oracle, Controller | None]:
         """What happens where encoders err so much (N, n)."""
-        if isinstance(self.simulation, Inverse):  # which no encoder disturbs
+        if type(self.simulation) is Inverse:  # which no encoder disturbs
             return self._undisturbed, None
         oracle, controller = self.simulation.run(self.plant, self.commanded, error)
         return oracle, controller
@@ -380,8 +380,12 @@ def _bound(
     posing: "Posing", oracle: Oracle, every: int, std: tuple[float, ...], correlation: float
 ) -> Array | None:
     motion, places = kept_motion(oracle.motion, every), posing.places
-    rows = regressor_blocks(posing.regression, places, posing.instruments, motion)
-    found = torque_bound(rows, np.diag(np.array(std)[list(places)] ** 2), correlation)
+    of_rows = np.array(std)[list(places)]
+    if correlation == 0.0:
+        found = white_bound(posing.pose(motion, oracle.tau[::every]), of_rows)
+    else:  # rows that are whitened in time are dense
+        rows = regressor_blocks(posing.regression, places, posing.instruments, motion)
+        found = torque_bound(rows, np.diag(of_rows**2), correlation)
     return None if found is None else np.sqrt(np.diag(found))
 
 
@@ -461,6 +465,11 @@ def _free_of_contact(
         t, free = recording.t, np.ones(len(recording), dtype=bool)
         for start, end in map(interval, contacts):
             free &= ~((t >= start) & (t < end))
+        if not free.any():
+            raise UsageError(
+                f"The contact periods {', '.join(contacts)} leave nothing of a recording from "
+                f"{t[0]:g} s to {t[-1]:g} s."
+            )
     motion = recording.motion
     kept = replace(
         recording, t=motion.t[free], q=motion.q[free], v=motion.v[free], a=motion.a[free],
