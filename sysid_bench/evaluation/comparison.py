@@ -6,7 +6,7 @@ that robot alone. Values are errors, smaller is better; NaN is a failure, and lo
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def _tested(values: Array, pairs: Sequence[tuple[int, int]]) -> Array:
     told = differences.any(axis=0)
     if told.any():
         # By itself SciPy meets ties with permutations: minutes for all pairs of two dozen methods.
-        method = "exact" if len(values) <= 50 else "asymptotic"
+        method: Literal["exact", "approx"] = "exact" if len(values) <= 50 else "approx"
         p[told] = wilcoxon(differences[:, told], axis=0, method=method).pvalue
     return holm(p)
 
