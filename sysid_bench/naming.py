@@ -73,6 +73,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         },
         "term": {
             "play": "sysid_bench.regressors.features:Play",
+            "playq": "sysid_bench.regressors.features:PlacedPlay",
             "poly": "sysid_bench.regressors.features:Polynomial",
             "tanh": "sysid_bench.regressors.features:SmoothCoulomb",
         },

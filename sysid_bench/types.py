@@ -318,6 +318,9 @@ class Score:
     mass_error: float | None = None  # kg, payload and link tasks
     com_error: float | None = None  # m
     inertia_error: float | None = None  # |I - I*| / |I*| about the centre of mass, Frobenius
+    mass: float | None = None  # kg, of an unknown load on recordings
+    mass_low: float | None = None  # of its 95 % interval
+    mass_high: float | None = None
     structural_rank: int | None = None  # task wrench: base parameters of a sub-tree that flies
     excited_rank: int | None = None  # of them, excited by the training motion
     left_out: float | None = None  # share of the samples that were taken for contacts

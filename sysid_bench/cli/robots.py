@@ -171,8 +171,9 @@ def basis(
 @click.option(
     "--choose",
     "candidates",
-    metavar="play,offset,...",
-    help="Of logs: joint terms and features that cross-validation in the training data may add.",
+    metavar="play,offset,motor.play,...",
+    help="Of logs: joint terms and features (play, playq, tanh, poly), of motors too (motor.play, "
+    "motor.coulomb), that cross-validation in the training data may add.",
 )
 @click.option(
     "--position-given",

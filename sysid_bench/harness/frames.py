@@ -8,13 +8,22 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.harness.words import COVERAGE, LABELS, PARAMETER, STD_FROM, VERDICT
+from sysid_bench.harness.words import COVERAGE, JOINT, LABELS, PARAMETER, STD_FROM, VERDICT
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
     import pandas as pd
 
 FIRST_COLUMNS: Final = ("id", "experiment", *LABELS, "repeat", "status", "reason")
+_JOINT_COLUMNS: Final = {
+    "name": JOINT,
+    "rms": "joint_rms",
+    "rmse_test": "joint_rmse",
+    "relative": "joint_error",
+    "replayed": "joint_replayed",
+    "rmse_train": "joint_rmse_train",
+    "relative_train": "joint_error_train",
+}
 _LONG: Final[Mapping[str, tuple[str, ...]]] = {
     "joints": ("id", "name"),
     "parameters_table": (
@@ -44,6 +53,21 @@ class Frames:
         lines = self.cells.reset_index(names="place")
         silent = lines[~lines["id"].isin(told["id"])]
         every = pd.DataFrame({PARAMETER: told[PARAMETER].unique() if len(told) else [None]})
+        both = [lines.merge(told, on="id"), silent.merge(every, how="cross")]
+        whole = pd.concat([part for part in both if len(part)] or both)
+        return whole.sort_values("place", kind="stable", ignore_index=True).drop(columns="place")
+
+    @cached_property
+    def by_joint(self) -> "pd.DataFrame":
+        """`cells` with a line per joint and its errors; a cell that tells of none has a line for
+        each that others tell of."""
+        import pandas as pd
+
+        told = self.joints.rename(columns=_JOINT_COLUMNS)
+        told = told.reindex(columns=["id", *_JOINT_COLUMNS.values()])
+        lines = self.cells.reset_index(names="place")
+        silent = lines[~lines["id"].isin(told["id"])]
+        every = pd.DataFrame({JOINT: told[JOINT].unique() if len(told) else [None]})
         both = [lines.merge(told, on="id"), silent.merge(every, how="cross")]
         whole = pd.concat([part for part in both if len(part)] or both)
         return whole.sort_values("place", kind="stable", ignore_index=True).drop(columns="place")

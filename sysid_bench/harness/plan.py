@@ -19,6 +19,7 @@ from sysid_bench.harness.experiment.spec import (
     normal_prior,
 )
 from sysid_bench.harness.labels import BASES, labels_of, robot_key
+from sysid_bench.harness.logs import log_labels, log_specs
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Prior, Signals, Suite
 from sysid_bench.harness.suite.names import Names, installed_names
@@ -31,6 +32,7 @@ from sysid_bench.units import quantity
 _SETUP_SECONDS = 0.3
 _SAMPLE_SECONDS = 1e-4
 _ESTIMATOR_SECONDS = 0.05
+_LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
 
 
 @dataclass(frozen=True)
@@ -222,7 +224,8 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
 
 def _repeats_nothing(spec: ExperimentSpec) -> bool:
     redrawn = not isinstance(spec.prior, str) and bool(spec.prior.get(REDRAWN))
-    return not spec.noise and not redrawn and spec.simulation["use"] == "inverse"
+    simulated = spec.log is None and spec.simulation["use"] == "inverse"
+    return simulated and not spec.noise and not redrawn
 
 
 def _cells(suite: Suite, names: Names) -> list[Cell]:
@@ -239,13 +242,28 @@ def _cells(suite: Suite, names: Names) -> list[Cell]:
                 for spec in _specs(suite, source, normal_payload(written))
             ]
     estimators = [estimator.spec for estimator in suite.estimator]
-    return [
+    return _log_cells(suite, names, label["estimator"]) + [
         Cell(
             spec, estimator, _labelled(spec, estimator, label), facts, _cost(spec, len(estimators))
         )
         for spec, facts in drafts
         for estimator in estimators
     ]
+
+
+def _log_cells(suite: Suite, names: Names, label: Mapping[str, str]) -> list[Cell]:
+    """The cells of recordings: what a simulation would be told is not there."""
+    cells = []
+    estimators = [estimator.spec for estimator in suite.estimator]
+    drafts = [(entry, spec) for entry in suite.log for spec in log_specs(entry)]
+    for entry, spec in drafts:
+        own = log_labels(entry, spec, names.robot(spec.robot, suite.folder).name)
+        seconds = _SETUP_SECONDS / len(estimators) + _LOG_SECONDS
+        cells += [
+            Cell(spec, estimator, {**own, "estimator": label[canonical(estimator)]}, {}, seconds)
+            for estimator in estimators
+        ]
+    return cells
 
 
 def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[ExperimentSpec]:

@@ -77,6 +77,11 @@ def cell_fingerprint(cell: Cell, robots_dir: Path | None, folder: Path | None) -
     targets = [_target(kind, plugin, folder) for kind, some in plugins.items() for plugin in some]
     specs = [located(plugin, folder) for some in plugins.values() for plugin in some]
     read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
+    if spec.log is not None:
+        from sysid_bench.harness.experiment.recorded.cells import log_files
+
+        own = _target("estimator", cell.estimator, folder)
+        return fingerprint([*files, *log_files(spec.log, folder or Path())], [own])
     return fingerprint([*files, *read], targets)
 
 

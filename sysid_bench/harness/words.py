@@ -7,6 +7,10 @@ from sysid_bench.types import Score
 
 TASKS: Final = ("robot", "payload", "link", "terminal", "wrench", "wrench-payload")
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
+FINDINGS: Final = (
+    "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
+)  # fmt: skip
+"""What may be wrong with a recording, and be accepted."""
 STATUSES: Final = ("ok", "failed", "timeout", "crash", "unsupported", "skipped")
 FAILURES: Final = ("failed", "timeout", "crash")
 """Statuses that nobody asked for; `unsupported` and `skipped` are sound answers."""
@@ -69,6 +73,7 @@ _NO_NUMBERS = ("joints", "torque_error_by_motion", "coverage")
 METRICS: Final = (
     *(field.name for field in fields(Score) if field.name not in _NO_NUMBERS),
     "seconds",
+    "seconds_experiment",
     "gap",
     "closure",
     "native_gap",
@@ -93,6 +98,13 @@ ERRORS: Final = (
 PARAMETER: Final = "parameter"
 VERDICT: Final = "verdict"
 """A table by parameter (m, hx, ..., fc) tells in words what each is worth."""
+
+JOINT: Final = "joint"
+"""A table by joint has its own metrics."""
+JOINT_METRICS: Final = (
+    "joint_rms", "joint_rmse", "joint_error", "joint_replayed",
+    "joint_rmse_train", "joint_error_train",
+)  # fmt: skip
 
 COVERAGE: Final = "coverage"
 STD_FROM: Final = "std_from"

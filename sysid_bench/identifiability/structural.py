@@ -1,5 +1,7 @@
 """The base parameters of a robot's task, asked with random states."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from sysid_bench.identifiability.base import base_map
@@ -9,7 +11,7 @@ from sysid_bench.models.states import random_states
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.ended import sensed_regression
 from sysid_bench.regressors.fold import triangle
-from sysid_bench.types import Array, BaseMap
+from sysid_bench.types import Array, BaseMap, Trajectory
 
 NARROWEST = 1.0
 """rad, m: joints with less range move this far, since what acts is a property of the tree."""
@@ -35,8 +37,10 @@ def structural_factor(
     parameters: tuple[str, ...],
     rows: tuple[str, ...] | None = None,
     cuts: tuple[Cut, ...] = (),
+    beside: Callable[[Trajectory], Array] | None = None,
 ) -> Array:
-    """R (m, p) of the regressor over random states, whose column space is that of all motions."""
+    """R (m, p) of the regressor over random states, whose column space is that of all motions;
+    `beside` gives more columns (N, rows, k) along a motion, which come last: R (m, p + k)."""
     instruments = instruments_of(robot, cuts)
     carried, X = _carried(robot, instruments.tree, parameters)
     columns = sensed_regression(robot, carried, instruments, rows)
@@ -44,10 +48,13 @@ def structural_factor(
     measured = [own.index(row) for row in (own if rows is None else rows)]
     count = 64 + 3 * len(carried) // len(measured)
     motion = random_states(robot, count, np.random.default_rng(SEED), NARROWEST)
+    more = np.zeros((count, len(measured), 0)) if beside is None else beside(motion)
     factors = []
     for block in columns.blocks(instruments.motion(motion)):
-        factors.append(triangle([block.dense()[:, measured].reshape(-1, len(carried))]))
-    return triangle(factors) @ X
+        both = np.concatenate([block.dense()[:, measured], more[block.samples]], axis=2)
+        factors.append(triangle([both.reshape(-1, both.shape[2])]))
+    R, m = triangle(factors), len(carried)
+    return np.hstack([R[:, :m] @ X, R[:, m:]])
 
 
 def _carried(

@@ -41,10 +41,10 @@ class Choice:
 def choose(
     folds: Sequence[Sequence[FoldedRow]],
     start: Sequence[int],
-    candidates: Sequence[tuple[int, int]],
+    candidates: Sequence[tuple[Sequence[int], int]],
 ) -> Choice:
-    """Forward selection: the candidate (row, column) that lowers its row's error most is added,
-    until none lowers it by GAIN. `folds[f][i]` is row i in fold f.
+    """Forward selection: of the candidates (rows, column) the one that lowers the error of one of
+    its rows most is added, until none lowers any by GAIN. `folds[f][i]` is row i in fold f.
 
     Rows are weighted by their RMS torque in training, so that each counts alike.
     """
@@ -57,19 +57,19 @@ def choose(
     left = list(candidates)
     while left:
         trials = []
-        for row, column in left:
+        for rows, column in left:
             trial = [*current, column]
             told = _errors(folds, grams, trial)
             total = float(np.sqrt(np.mean(told**2)))
-            trials.append((1.0 - told[row] / errors[row], total, row, column, trial, told))
+            gain = float(np.max(1.0 - told[list(rows)] / errors[list(rows)]))
+            trials.append((gain, total, column, trial, told))
         base = float(np.sqrt(np.mean(errors**2)))
         good = [t for t in trials if t[0] >= GAIN and t[1] < base]
         if not good:
             break
-        best = max(good, key=lambda t: t[0])
-        current, errors = best[4], best[5]
-        steps.append((best[3], best[1]))
-        left = [(r, c) for r, c in left if c != best[3]]
+        _, total, column, current, errors = max(good, key=lambda t: t[0])
+        steps.append((column, total))
+        left = [(rows, c) for rows, c in left if c != column]
     after = float(np.sqrt(np.mean(errors**2)))
     return Choice(tuple(sorted(current)), tuple(steps), before, after)
 

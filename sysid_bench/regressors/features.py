@@ -48,6 +48,24 @@ class Play:
 
 
 @dataclass(frozen=True)
+class PlacedPlay:
+    """Hysteresis that is not everywhere the same, as where a cable bends more: play times the
+    position and its square, -1 to 1 over the joint's reach."""
+
+    width: float = 0.01
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """play10q1 and play10q2 for a width of 1 %."""
+        (own,) = Play(self.width).suffixes
+        return (f"{own}q1", f"{own}q2")
+
+    def values(self, q: Array, v: Array, reach: tuple[float, float]) -> Array:
+        """(N, 2)."""
+        return Play(self.width).values(q, v, reach) * Polynomial(2).values(q, v, reach)
+
+
+@dataclass(frozen=True)
 class SmoothCoulomb:
     """tanh(v / scale): Coulomb friction without a jump; scale in rad/s or m/s."""
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.reporting.figures import figure_svg
+from sysid_bench.reporting.listing import Listing
 from sysid_bench.reporting.page import (
     assumptions,
     cells_as_data,
@@ -48,6 +49,8 @@ class RunView:
     recordings: Mapping[str, str]
     command: str
     rankings: tuple[Ranking, ...] = ()
+    listings: tuple[Listing, ...] = ()
+    pictures: tuple[tuple[str, str], ...] = ()  # title and <svg> of figures drawn elsewhere
 
 
 def write_report(run: RunView) -> Path:
@@ -86,6 +89,8 @@ def render_report(run: RunView) -> str:
             *((ranking.title, PROFILE, Markup(profile_svg(ranking))) for ranking in run.rankings),
             *((t.title, t.caption, Markup(figure_svg(t))) for t in _pictured(run)),
         ],
+        listings=run.listings,
+        pictures=[(title, Markup(svg)) for title, svg in run.pictures],
         assumptions=assumptions(run.suite, run.cells),
         failures=failures(run.cells),
         joints=joint_errors(run.cells, run.joints),

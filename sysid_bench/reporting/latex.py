@@ -52,9 +52,9 @@ def to_latex(table: Table, origin: Origin) -> str:
     float_, size = _fit(sum(column.width for column in layout))
     below = "".join(f"\n\n\\smallskip\n{{\\footnotesize {note}\\par}}" for note in notes)
     return (
-        f"{_header(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
+        f"{header(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
         f"\\caption{{{escape(table.title)}. {_caption(table)}}}\n"
-        f"\\label{{tab:{_letters_only(table.name)}}}\n\\smallskip\n"
+        f"\\label{{tab:{letters_only(table.name)}}}\n\\smallskip\n"
         # A bold number stays bold inside siunitx only when told so.
         "\\sisetup{detect-weight=true}\n"
         f"\\begin{{tabular}}{{@{{}}{'l' * len(table.row_fields)}"
@@ -87,7 +87,7 @@ def to_macros(tables: Sequence[Table], origin: Origin) -> str:
         f"\\newcommand{{\\{name}}}{{{_inline(style, entry)}}}"
         for name, (_, style, entry) in zip(names, entries, strict=True)
     ]
-    return _header(origin) + "\n".join(lines) + "\n"
+    return header(origin) + "\n".join(lines) + "\n"
 
 
 def macro_names(keys: Sequence[tuple[str, ...]]) -> list[str]:
@@ -260,19 +260,19 @@ def _inline(style: Notation, entry: Entry | None) -> str:
     return f"\\num{{{style.text(entry.value)}}}"
 
 
-def _header(origin: Origin) -> str:
+def header(origin: Origin) -> str:
     pairs = (("run", origin.run), ("suite", origin.suite_hash), ("made by", origin.command))
     return "".join(f"% {name}: {' '.join(text.split())}\n" for name, text in pairs)
 
 
-def _letters_only(text: str) -> str:
+def letters_only(text: str) -> str:
     spelled = "".join(_DIGIT_WORDS[int(c)] if c in "0123456789" else c for c in text)
     return "".join(c for c in spelled if c.isascii() and (c.isalpha() or c == "-"))
 
 
 def _camel(text: str) -> str:
     words = "".join(c if c.isascii() and c.isalnum() else " " for c in text).split()
-    return _letters_only("".join(word[0].upper() + word[1:] for word in words))
+    return letters_only("".join(word[0].upper() + word[1:] for word in words))
 
 
 def _hash_letters(key: tuple[str, ...]) -> str:

@@ -39,7 +39,9 @@ SHORTEST: Final = 20
 @dataclass(frozen=True, eq=False)
 class Log:
     """A recording on a uniform time grid, the joints in it, and what was found. `measured_rate`
-    (Hz) is that at which v and the differences of q agree, None where they cannot tell."""
+    (Hz) is that at which v and the differences of q agree, None where they cannot tell.
+    `coordinates`: all that was recorded, also what is no joint of the robot, where a transmission
+    mixes them."""
 
     description: LogDescription
     recording: Recording
@@ -47,6 +49,7 @@ class Log:
     findings: tuple[Finding, ...]
     measured_rate: float | None
     samples: int  # as they stand in the file
+    coordinates: Recording | None = None
 
 
 def read_log(description: LogDescription, robot: RobotModel) -> Log:
@@ -65,6 +68,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     findings += [*_not_finite(bad), *timed]
     own = [i for i, joint in enumerate(description.joints) if joint != NO_JOINT]
     joints = tuple(description.joints[i] for i in own)
+    every = q, v
     q, tau = q[:, own], tau[:, own]
     v = None if v is None else v[:, own]
     good = np.flatnonzero(~bad & np.isfinite(t))
@@ -89,7 +93,14 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     findings += _ranges(robot, joints, q, v, tau)
     recording = _of_robot(robot, joints, grid - grid[0], rate, q, v, tau)
     recording = replace(recording, period=description.period)
-    return Log(description, recording, joints, tuple(findings), measured, samples)
+    coordinates = None
+    if description.transmission is not None:
+        whole, rates = (None if x is None else bridged(grid, t[good], x[good]) for x in every)
+        assert whole is not None
+        coordinates = Recording(
+            recording.t, whole, np.zeros_like(whole), rate, description.joints, rates
+        )
+    return Log(description, recording, joints, tuple(findings), measured, samples, coordinates)
 
 
 def bridged(grid: Array, t: Array, x: Array) -> Array:

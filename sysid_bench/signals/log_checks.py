@@ -138,15 +138,15 @@ def check_rates(
     """What v against the differences of q tells, and the rate (Hz) at which they agree."""
     ratios = speed_ratios(q, v, rate)
     sure = np.isfinite(ratios)
+    found = _of_others(q, v, rate, joints, np.flatnonzero(~sure))
     if not sure.any():
-        return [], None
+        return found, None
     common = float(np.median(np.abs(ratios[sure])))
     measured = rate / common
-    found = []
     if abs(common - 1) > RATE_ERROR:
         doubt = ""
         if abs(common * 180 / np.pi - 1) < RATE_ERROR:
-            doubt = ", or v is in deg/s"
+            doubt = ", or v is in deg/s, or q in rad"
         elif abs(common * np.pi / 180 - 1) < RATE_ERROR:
             doubt = ", or q is in deg"
         text = (
@@ -167,6 +167,23 @@ def check_rates(
             wild = not 1 / OTHER < own < OTHER
             found.append(Finding("velocity", len(q), text, wild))
     return found, measured
+
+
+def _of_others(
+    q: Array, v: Array, rate: float, joints: Sequence[str], doubtful: Array
+) -> list[Finding]:
+    """Joints whose q does not go with their own v, but with that of another: columns exchanged."""
+    found = []
+    for j in doubtful:
+        told = speed_ratios(np.repeat(q[:, [j]], v.shape[1], axis=1), v, rate)
+        others = np.flatnonzero(np.isfinite(told))
+        if len(others):
+            text = (
+                f"joint {joints[j]!r} moves as v of joint {joints[others[0]]!r} says, not as its "
+                "own: a column is another's"
+            )
+            found.append(Finding("velocity", len(q), text, contradiction=True))
+    return found
 
 
 def check_ranges(

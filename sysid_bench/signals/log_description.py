@@ -1,9 +1,11 @@
 """What a recording of a real robot is: the text of `identify --log LOG.toml`."""
 
+import os
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Final
 
 import numpy as np
@@ -105,7 +107,7 @@ class LogDescription:
     q: Signal
     tau: Signal
     v: Signal | None = None
-    file: Path | None = None
+    file: str | None = None  # beside `source`, or below a folder that a variable names
     rate: float | None = None
     time: Time | None = None
     transmission: Array | None = None
@@ -116,14 +118,19 @@ class LogDescription:
 
     def file_of(self, part: Signal | Time) -> Path:
         """The file that a signal is read from."""
-        if part.file is not None:
-            return self.source.parent / part.file
-        if self.file is None:
+        written = self.file if part.file is None else part.file
+        if written is None:
             raise UsageError(
                 f"{self.source}: no file is named; write file = 'run1.csv' at the top, or with "
                 "every signal."
             )
-        return self.file
+        return self.source.parent / _expanded(written, self.source)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that is read, once each."""
+        parts = [part for part in (self.q, self.v, self.tau, self.time) if part is not None]
+        return tuple(dict.fromkeys(self.file_of(part) for part in parts))
 
     def wide(self, name: str, numbers: Sequence[float]) -> Array:
         """One number per joint (k,) of a setting that may hold one for all."""
@@ -138,8 +145,40 @@ class LogDescription:
 
 def read_description(source: Path) -> LogDescription:
     """The description in a TOML file; UsageError with all its mistakes."""
+    return described(read_text(source), source)
+
+
+def described_log(written: str | Mapping[str, Any], folder: Path) -> LogDescription:
+    """A description as suites write it, relative to their folder: a file, a table with the keys of
+    one, or a table { use = "run1.toml", ... } whose keys replace those of a file.
+
+    Raises UsageError with all its mistakes.
+    """
+    if isinstance(written, str):
+        return read_description(folder / written)
+    own = {key: value for key, value in written.items() if key not in ("use", "name")}
+    if "use" not in written:
+        return described(own, folder / "[[log]]")
+    source = folder / str(written["use"])
+    text = dict(read_text(source))
+    for key, value in own.items():
+        both = isinstance(value, Mapping) and isinstance(text.get(key), Mapping)
+        text[key] = {**text[key], **value} if both and key in ("q", "v", "tau") else value
+    return described(text, source)
+
+
+def name_of(written: str | Mapping[str, Any]) -> str:
+    """What a suite's log goes by: its name, or that of its file."""
+    if isinstance(written, str):
+        return PurePath(written).stem
+    told = written.get("name") or written.get("file") or written.get("use") or "log"
+    return str(written["name"]) if "name" in written else PurePath(str(told)).stem
+
+
+def read_text(source: Path) -> dict[str, Any]:
+    """The keys of a description as they are written; UsageError where there are none."""
     try:
-        written = _Text.model_validate(tomllib.loads(source.read_text(encoding="utf-8")))
+        return tomllib.loads(source.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise UsageError(
             f"There is no log description {str(source)!r}; write one as `file = 'run1.csv'`, "
@@ -149,6 +188,12 @@ def read_description(source: Path) -> LogDescription:
         raise UsageError(f"{source} cannot be read: {error.strerror}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{source} is no TOML: {error}.") from error
+
+
+def described(text: Mapping[str, Any], source: Path) -> LogDescription:
+    """The description of these keys, files relative to `source`; UsageError with all mistakes."""
+    try:
+        written = _Text.model_validate(text)
     except ValidationError as error:
         lines = "; ".join(_line(problem) for problem in error.errors())
         raise UsageError(f"{source}: {lines}.") from error
@@ -163,7 +208,7 @@ def read_description(source: Path) -> LogDescription:
         q=written.q,
         v=written.v,
         tau=written.tau,
-        file=None if written.file is None else source.parent / written.file,
+        file=written.file,
         rate=None if written.rate is None else _positive("rate", written.rate, "Hz", source),
         time=written.time,
         transmission=_transmission(written, source),
@@ -174,6 +219,21 @@ def read_description(source: Path) -> LogDescription:
     )
     _check_joints(description)
     return description
+
+
+def _expanded(written: str, source: Path) -> str:
+    """A path whose beginning `$NAME` is the folder that the variable of this name holds."""
+    found = re.match(r"\$(\w+)|\$\{(\w+)\}", written)
+    if found is None:
+        return written
+    name = found[1] or found[2]
+    folder = os.environ.get(name)
+    if not folder:
+        raise UsageError(
+            f"{source}: file = {written!r} lies below the folder that the variable {name} names, "
+            "and it is not set; set it to where the recordings are."
+        )
+    return folder + written[found.end() :]
 
 
 def _positive(key: str, written: str | float, unit: str, source: Path) -> float:

@@ -79,8 +79,10 @@ def _joint_and_term(name: str) -> tuple[str, str]:
     joint, _, suffix = name.rpartition(".")
     if suffix in TERM:
         return joint, TERM[suffix]
-    joint, _, other = name.partition(".fv.")
-    return joint, f"viscous_coupling.{other}"
+    if ".fv." in name:
+        joint, _, other = name.partition(".fv.")
+        return joint, f"viscous_coupling.{other}"
+    return joint, suffix
 
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:

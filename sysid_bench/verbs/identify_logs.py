@@ -1,32 +1,20 @@
 """One robot, one method, recordings of the real thing."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, UsageError
+from sysid_bench.errors import EstimationError
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.experiment.recorded import Posed, Processed, Selection, Treatment
-    from sysid_bench.signals.log_description import LogDescription
-
-FILTER: Final = "butter 4 10 Hz zero-phase"
-"""Robots move below it: on a UR10e, cut-offs of 3 to 20 Hz changed the error by less than 0.3 of
-7.5 % (measured)."""
-
-SLOW: Final = 30.0
-"""Hz; at lower rates that filter would touch the motion itself, and is left out."""
-
-TERMS: Final = ("viscous", "coulomb", "offset")
-"""What real joints have, where the robot's manifest says nothing."""
+    from sysid_bench.harness.experiment.recorded.choice import Selection
+    from sysid_bench.harness.experiment.recorded.pose import Posed
+    from sysid_bench.harness.experiment.recorded.treatment import Processed, Treatment
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as told, over the same samples"
-
-REPEATS: Final = 0.05
-"""A test motion whose states (q, v in units of their spread) lie nearer than this to training
-states, in the median, is the training motion again (measured: 0.02 against 0.3 and more)."""
 
 
 def identify_logs(
@@ -56,14 +44,15 @@ def identify_logs(
     does not name; EstimationError where the method fails.
     """
     from sysid_bench.evaluation.covariance import spreads
-    from sysid_bench.evaluation.recorded import overall, torque_error
+    from sysid_bench.evaluation.recorded import eigenvalues, overall, torque_error
     from sysid_bench.harness.canonical import plain
-    from sysid_bench.harness.experiment.recorded import locked_manifest, pose_logs, processed
+    from sysid_bench.harness.experiment.recorded.asked import Asked, posed_logs
+    from sysid_bench.harness.experiment.recorded.mass import mass_of
+    from sysid_bench.harness.experiment.recorded.repeat import replayed
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.manifest import find_manifest
     from sysid_bench.naming import build
-    from sysid_bench.signals.log_checks import refuse
     from sysid_bench.signals.log_description import read_description
     from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, std_from, warnings_of
     from sysid_bench.verbs.model_out import check_target, write_model
@@ -72,34 +61,31 @@ def identify_logs(
     name = estimator or "wls"
     method = build("estimator", name)
     manifest = find_manifest(str(model), robots_dir)
-    whole = load_robot(manifest)
     if model_out is not None:
-        check_target(whole, task, Path(model_out))
-    manifest = locked_manifest(manifest, whole, descriptions)
-    treatment = _treatment(descriptions, filter, derivatives, moving)
-    read = [processed(description, manifest, treatment) for description in descriptions]
-    for one in read:
-        refuse(one.log.findings, accept, str(one.log.description.source))
-    robot = read[0].robot
-    chosen = _terms(robot.manifest.terms, robot.rows) if terms is None else tuple(terms)
-    training = read[: len(logs)]
-    testing = dict(zip(_labels(tests), read[len(logs) :], strict=True))
-    if position_given and task != "payload":
-        raise UsageError("A given position is one of the task 'payload'.")
-    posed = pose_logs(task, chosen, training, testing, treatment, tuple(candidates), position_given)
+        check_target(load_robot(manifest), task, Path(model_out))
+    asked = Asked(
+        task, None if terms is None else tuple(terms), filter, derivatives, moving,
+        tuple(candidates), position_given, tuple(accept),
+    )  # fmt: skip
+    named = dict(zip(_labels(tests), descriptions[len(logs) :], strict=True))
+    posed = posed_logs(manifest, descriptions[: len(logs)], named, asked)
+    training, testing = posed.training, posed.testing
+    read = (*training, *testing.values())
+    robot, treatment = training[0].robot, posed.posing.treatment
     estimate = solve(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
         raise EstimationError(f"{name} on {manifest.name}: {estimate.reason}")
     beta = estimate.beta
+    again = {label: replayed(training, test, posed.problem.rows) for label, test in testing.items()}
     sure = spreads(posed.problem, estimate)
     bodies = bodies_of(estimate, posed.problem, sure)
     answer = {
         "model": manifest.name,
         "file": str(manifest.path),
         "task": task,
-        "terms": list(chosen),
+        "terms": list(posed.terms),
         "rows": list(posed.problem.rows),
-        "locked": dict(manifest.locked),
+        "locked": dict(robot.manifest.locked),
         "estimator": name,
         "signals": _told(treatment),
         "denominator": DENOMINATOR,
@@ -110,6 +96,7 @@ def identify_logs(
         "torque_error": torque_error(posed.tests, beta),
         "training": _joint_table(posed.problem, beta),
         "tests": {label: _joint_table(test, beta) for label, test in posed.tests.items()},
+        "replayed": again,
         "logs": [_segment(one, one in training) for one in read],
         "std_from": std_from(sure),
         "base": base_of(estimate, posed.problem, sure),
@@ -117,19 +104,19 @@ def identify_logs(
         "joints": joints_of(estimate, posed.problem, sure),
         "payload": None
         if task != "payload"
-        else _mass(method, posed, beta)
+        else asdict(mass_of(method, posed, beta))
         if position_given
         else list(bodies.values())[-1],
-        "feasible": _feasible(estimate.theta, posed.problem),
+        "feasible": eigenvalues(estimate, posed.problem).get("feasible"),
         "warnings": [
             *robot.repairs,
             *_findings(read),
-            *_repeated(training, testing),
+            *_repeated(again),
             *warnings_of(estimate, posed.problem),
         ],
     }
     if figure is not None:
-        _draw(Path(figure), posed, next(iter(testing.values()), training[0]), beta)
+        _draw(Path(figure), posed, beta)
         answer["figure"] = str(figure)
     if model_out is not None:
         write_model(robot, task, estimate, posed.problem, Path(model_out))
@@ -182,48 +169,14 @@ def _selection_lines(told: Mapping[str, Any] | None) -> list[str]:
     ]
 
 
-def _draw(path: Path, posed: "Posed", log: "Processed", beta: Any) -> None:
+def _draw(path: Path, posed: "Posed", beta: Any) -> None:
     """Measured and predicted torque of the first test log, or of the training one."""
-    from sysid_bench.harness.experiment.recorded import predicted
+    from sysid_bench.harness.experiment.recorded.cells import prediction
     from sysid_bench.reporting.torques import torque_figure
 
-    problem = next(iter(posed.tests.values()), posed.problem)
-    measured, found = predicted(problem, beta)
-    N = len(log.recording)
+    t, measured, found, problem = prediction(posed, beta, None)
     units = [kind.removeprefix("joint ") for kind in problem.kinds]
-    torque_figure(path, log.recording.t, problem.rows, measured[:N], found[:N], units)
-
-
-CONFIDENCE: Final = 0.95
-
-
-def _mass(method: Any, posed: "Posed", beta: Any) -> dict[str, Any]:
-    """{mass, std, interval, parts}: what the mass varies by when parts of the motion are left out
-    (jackknife; Tukey 1958): residuals are no white noise, and a formal deviation would be too small
-    by an order."""
-    from scipy.stats import t
-
-    from sysid_bench.harness.experiment.recorded import MASS, without_parts
-    from sysid_bench.identification.identify import identify as solve
-
-    place = posed.problem.base.names.index(MASS)
-    found = []
-    for problem in without_parts(posed):
-        estimate = solve(method, problem)
-        if estimate.status != "ok" or estimate.beta is None:
-            raise EstimationError(f"With a part of the motion left out: {estimate.reason}")
-        found.append(float(estimate.beta[place]))
-    n = len(found)
-    std = float(np.sqrt((n - 1) / n * np.sum((np.array(found) - np.mean(found)) ** 2)))
-    mass = float(beta[place])
-    reach = float(t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * std
-    return {
-        "mass": mass,
-        "std": std,
-        "interval": [mass - reach, mass + reach],
-        "confidence": CONFIDENCE,
-        "parts": found,
-    }
+    torque_figure(path, t, problem.rows, measured, found, units)
 
 
 def _signals_line(answer: Mapping[str, Any]) -> str:
@@ -257,21 +210,6 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 
-def _treatment(
-    logs: "Sequence[LogDescription]", filter: str | None, derivatives: str | None, moving: float
-) -> "Treatment":
-    from sysid_bench.harness.experiment.recorded import Treatment
-    from sysid_bench.signals.process import processing_of
-
-    slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
-    spec = {
-        "filter": filter or (FILTER if slowest > SLOW else "none"),
-        "derivatives": derivatives
-        or ("from v" if all(log.v is not None for log in logs) else "from q"),
-    }
-    return Treatment(processing_of(spec), moving, spec["filter"], spec["derivatives"])
-
-
 def _told(treatment: "Treatment") -> dict[str, Any]:
     return {
         "filter": treatment.filter,
@@ -279,14 +217,6 @@ def _told(treatment: "Treatment") -> dict[str, Any]:
         "torque": "filtered",
         "moving": treatment.moving,
     }
-
-
-def _terms(own: tuple[str, ...], rows: tuple[str, ...]) -> tuple[str, ...]:
-    """The manifest's terms, those of joints that stand still left out."""
-    kept = tuple(
-        term for term in own if "." not in term or any(term.startswith(f"{row}.") for row in rows)
-    )
-    return kept or TERMS
 
 
 def _labels(tests: Sequence[str | Path]) -> list[str]:
@@ -312,16 +242,6 @@ def _joint_table(problem: Any, beta: Any) -> dict[str, Any]:
 
 def _mean(values: Sequence[float]) -> float | None:
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
-
-
-def _feasible(theta: Any, problem: Any) -> bool | None:
-    from sysid_bench.spatial.inertia import smallest_eigenvalue
-
-    if theta is None:
-        return None
-    places = {name: i for i, name in enumerate(problem.parameters)}
-    phi = np.array([[theta[places[c]] for c in body.columns] for body in problem.bodies])
-    return bool((smallest_eigenvalue(phi) >= -1e-9 * np.abs(phi).max(axis=1)).all())
 
 
 def _segment(one: "Processed", trains: bool) -> dict[str, Any]:
@@ -353,31 +273,15 @@ def _findings(read: "Sequence[Processed]") -> list[str]:
     ]
 
 
-def _repeated(training: "Sequence[Processed]", tests: "Mapping[str, Processed]") -> list[str]:
+def _repeated(again: Mapping[str, Mapping[str, float] | None]) -> list[str]:
     """Tests that go where the training went tell nothing about other motions."""
     told = []
-    for label, test in tests.items():
-        distance = min(_distance(one, test) for one in training)
-        if distance < REPEATS:
+    for label, errors in again.items():
+        if errors is not None:
+            shares = " ".join(f"{100 * error:.1f}" for error in errors.values())
             told.append(
                 f"{label} repeats the training motion: its errors tell how well the same motion is "
-                "predicted again, and nothing about other motions"
+                "predicted again, and nothing about other motions; the training torque itself, "
+                f"played again, errs by {shares} %"
             )
     return told
-
-
-def _distance(one: "Processed", other: "Processed") -> float:
-    """Median distance of states (q, v) of another log from the nearest of this one."""
-    from scipy.spatial import cKDTree
-
-    spread = np.concatenate([one.recording.q.std(axis=0), one.recording.motion.v.std(axis=0)])
-    moves = spread > 0
-
-    def states(log: "Processed") -> Any:
-        motion = log.recording.motion
-        every = max(1, len(motion) // 2000)
-        x = np.concatenate([motion.q, motion.v], axis=1)
-        return (x[:, moves] / spread[moves])[:: every if log is other else 1]
-
-    found = cKDTree(states(one)).query(states(other))[0] / np.sqrt(moves.sum())
-    return float(np.median(found))

@@ -22,15 +22,16 @@ def paper_table(
     source: str | Path,
     terms: Sequence[str] | None = None,
     zero: Sequence[str] | None = None,
-    values: str | Path | None = None,
+    values: str | Path | Mapping[str, Any] | None = None,
     robots_dir: Path | None = None,
 ) -> dict[str, Any]:
     """{robot, parameters, base_parameters, inertial, rows: [{expression, terms, symbols, value,
     impossible}], missing, smallest_change}; single parameters first.
 
-    `zero`: parameters taken for zero (None: as the robot's manifest says). `values`: a JSON file,
-    either what `identify --json-out` wrote, or {row: value} with rows as they are printed here or
-    by the first parameter in them; `missing` are the rows without a value. Raises UsageError.
+    `zero`: parameters taken for zero (None: as the robot's manifest says). `values`: a JSON file
+    or what it would hold, either what `identify --json-out` wrote, or {row: value} with rows as
+    they are printed here or by the first parameter in them; `missing` are the rows without a value.
+    Raises UsageError.
     """
     from sysid_bench.identifiability.base import base_map
     from sysid_bench.identifiability.combinations import combined, expression
@@ -58,7 +59,7 @@ def paper_table(
     ]
     for row in rows:
         row["expression"] = _expression(row["terms"], row["symbols"])
-    told = None if values is None else _values(Path(values), rows, base)
+    told = None if values is None else _values(values, rows, base)
     bodies = asked_bodies(robot)
     for i, row in enumerate(rows):
         value = None if told is None or np.isnan(told[i]) else float(told[i])
@@ -183,12 +184,17 @@ def _expression(terms: Mapping[str, float], symbols: Mapping[str, str]) -> str:
     return " ".join(words).removeprefix("+ ")
 
 
-def _values(file: Path, rows: Sequence[Mapping[str, Any]], base: "BaseMap") -> "Array":
-    """Values (r,) of the rows, NaN where the file has none."""
-    try:
-        told = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise UsageError(f"{str(file)!r} is no readable JSON: {error}.") from error
+def _values(
+    source: str | Path | Mapping[str, Any], rows: Sequence[Mapping[str, Any]], base: "BaseMap"
+) -> "Array":
+    """Values (r,) of the rows, NaN where there are none."""
+    file = "the answer" if isinstance(source, Mapping) else Path(source)
+    told: Any = source
+    if isinstance(file, Path):
+        try:
+            told = json.loads(file.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise UsageError(f"{str(file)!r} is no readable JSON: {error}.") from error
     if isinstance(told, dict) and isinstance(told.get("base"), list):
         return _of_answer(told["base"], base, file)
     if not isinstance(told, dict) or not all(isinstance(v, (int, float)) for v in told.values()):
@@ -206,7 +212,7 @@ def _values(file: Path, rows: Sequence[Mapping[str, Any]], base: "BaseMap") -> "
     return out
 
 
-def _of_answer(told: Sequence[Mapping[str, Any]], base: "BaseMap", file: Path) -> "Array":
+def _of_answer(told: Sequence[Mapping[str, Any]], base: "BaseMap", file: Path | str) -> "Array":
     """Values in these rows of base parameters that were identified in others of the same space."""
     places = {name: j for j, name in enumerate(base.parameters)}
     K = np.zeros((len(told), len(places)))

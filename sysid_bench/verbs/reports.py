@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.verbs.folders import open_run
+from sysid_bench.verbs.papers import draw_papers, papers_of, text_of
 
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
@@ -28,7 +29,7 @@ FORMATS = ("md", "csv", "latex")
 
 def report(folder: str | Path) -> Path:
     """Writes tables/, figures/ and report.html of a run from its rows; the report's path."""
-    from sysid_bench.reporting.figures import figure
+    from sysid_bench.reporting.figures import figure, svg_element
     from sysid_bench.reporting.html import RunView, write_report
     from sysid_bench.reporting.latex import to_macros
     from sysid_bench.reporting.profiles import profile
@@ -50,6 +51,12 @@ def report(folder: str | Path) -> Path:
                 figure(table, run_folder.path / "figures" / f"{table.name}.{suffix}")
         for ranking in ranked:
             profile(ranking, run_folder.path / "figures" / f"{ranking.name}.{suffix}")
+    listings = papers_of(run_folder)
+    for listing in listings:
+        for form, suffix in zip(FORMATS, ("md", "csv", "tex"), strict=True):
+            text = text_of(listing, form, origin)
+            _put(run_folder.path / "tables" / f"{listing.name}.{suffix}", text)
+    drawn = draw_papers(run_folder, run_folder.path / "figures")
     _put(run_folder.path / "tables" / "numbers.tex", to_macros((*own, *orders), origin))
     return write_report(
         RunView(
@@ -62,6 +69,8 @@ def report(folder: str | Path) -> Path:
             rankings=ranked,
             recordings=recordings(run_folder),
             command=origin.command,
+            listings=listings,
+            pictures=tuple((title, svg_element(path.read_bytes())) for title, path in drawn),
         )
     )
 
@@ -72,6 +81,11 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
     tables = {made.name: made for made in _tables(run_folder)}
+    if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
+        listings = {made.name: made for made in papers_of(run_folder, name)}
+        if name not in listings:
+            raise UsageError(f"{name!r} has no sound cell yet, or is a figure: see figures/.")
+        return text_of(listings[name], form, _origin(run_folder))
     if name not in tables:  # rankings are drawn again and again: made where one is asked for
         tables |= {made.name: made for made in _orders(run_folder)}
     if name not in tables:
@@ -93,7 +107,7 @@ def recordings(run_folder: "RunFolder") -> dict[str, str]:
 
 
 def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
-    from sysid_bench.harness.words import PARAMETER, STD_FROM
+    from sysid_bench.harness.words import JOINT, PARAMETER, STD_FROM
     from sysid_bench.reporting.tables import make_table
 
     frames = run_folder.frames()
@@ -105,6 +119,7 @@ def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
             asked = (*spec["rows"], *spec["columns"])
             lines = frames.by_parameter if PARAMETER in asked else cells
             lines = frames.by_std_from if STD_FROM in asked else lines
+            lines = frames.by_joint if JOINT in asked else lines
             yield make_table(lines, spec, _choose, frames.parameters)
         except UsageError:
             if len(cells) == len(run_folder.plan.cells):

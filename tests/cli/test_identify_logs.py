@@ -71,6 +71,9 @@ def test_joints_that_no_log_lists_are_locked(folder: Path, tmp_path: Path) -> No
     wrong = write(tmp_path, recorded(part, 3), name="wrong", locked={"elbow_joint": 0.1})
     with pytest.raises(UsageError, match="shoulder_pan_joint"):
         identify_logs("ur5", [wrong])
+    strange = write(tmp_path, recorded(part, 3), name="strange", joints=["a", "b", "c", "d"])
+    with pytest.raises(UsageError, match=r"'a'.*shoulder_pan_joint"):
+        identify_logs("ur5", [strange])
     with pytest.raises(UsageError, match="other joints"):
         identify_logs("ur5", [path, folder / "run.toml"])
 
@@ -94,12 +97,9 @@ def test_a_known_payload_is_taken_off_an_unknown_one_is_found(folder: Path) -> N
 
 def test_blocks_are_the_factors(folder: Path) -> None:
     """What methods may read again and again is what was folded, slow rows left out of both."""
-    from sysid_bench.harness.experiment.recorded import (
-        Treatment,
-        locked_manifest,
-        pose_logs,
-        processed,
-    )
+    from sysid_bench.harness.experiment.recorded.locked import locked_manifest
+    from sysid_bench.harness.experiment.recorded.pose import pose_logs
+    from sysid_bench.harness.experiment.recorded.treatment import Treatment, processed
     from sysid_bench.identification.compressed import compress
     from sysid_bench.signals.log_description import read_description
     from sysid_bench.signals.process import processing_of
@@ -251,6 +251,45 @@ def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
         identify_logs("ur5", logs[:1], candidates=("ply",), **more)
 
 
+def test_inertia_of_motors_that_move_joints_together_is_found(tmp_path: Path) -> None:
+    """tau_motor = G' tau + Ia a_motor, with friction in the motors: the joints' own terms cannot
+    tell, those of the motors can."""
+    G = np.eye(6)
+    G[4:6, 4:6] = [[0.5, 0.5], [-1.0, 1.0]]
+    logs = []
+    for seed in (0, 1):
+        log = recorded(named_robot("ur5"), seed)
+        back = np.linalg.inv(G)
+        q, v = log.q @ back.T, log.v @ back.T
+        tau = log.tau @ G
+        a = np.gradient(v, log.t, axis=0)
+        tau[:, 4:] += 0.05 * a[:, 4:] + 0.7 * np.sign(v[:, 4:])
+        motors = Recorded(log.joints, log.t, q, v, tau)
+        logs.append(write(tmp_path, motors, name=f"log{seed}", transmission=G.tolist()))
+    terms = ("viscous", "coulomb", "offset")
+    plain = identify_logs("ur5", logs[:1], logs[1:], terms=terms, **CLEAN)
+    told = identify_logs("ur5", logs[:1], logs[1:], terms=terms,
+                         candidates=("motor.armature", "motor.coulomb"), **CLEAN)  # fmt: skip
+    for motor in ("motor5", "motor6"):
+        assert told["joints"][motor]["armature"]["value"] == pytest.approx(0.05, rel=0.1)
+        assert told["joints"][motor]["coulomb"]["value"] == pytest.approx(0.7, rel=0.05)
+    assert set(told["joints"]) - set(plain["joints"]) == {"motor5", "motor6"}
+    for joint in ("wrist_2_joint", "wrist_3_joint"):
+        errors = [answer["tests"]["log1"][joint]["relative"] for answer in (told, plain)]
+        assert errors[0] < 0.1 * errors[1]
+    own = (*terms, "motor.coulomb", "motor.armature")
+    fixed = identify_logs("ur5", logs[:1], terms=own, **CLEAN)
+    assert fixed["joints"]["motor6"]["coulomb"]["value"] == pytest.approx(0.7, rel=0.05)
+    assert {"motor1", "motor6"} <= set(fixed["joints"])
+    with pytest.raises(UsageError, match="armature"):
+        identify_logs("ur5", logs[:1], terms=("motor.spring",), **CLEAN)
+
+
+def test_motors_need_a_transmission(folder: Path) -> None:
+    with pytest.raises(UsageError, match="transmission"):
+        identify_logs("ur5", [folder / "run.toml"], candidates=("motor.play",), **CLEAN)
+
+
 PSM = """
 file = "{folder}/dvrk/{name}.csv"
 rate = "200 Hz"
@@ -287,17 +326,20 @@ def test_an_arm_months_later(arm: dict[str, Path]) -> None:
     logs = [arm["psm_train"]], [arm["psm_payload_none_2019"]]
     plain = identify_logs("dvrk_psm", *logs, filter="average 41")
     assert plain["rank"] == 36
-    chosen = identify_logs(
-        "dvrk_psm", *logs, filter="average 41", candidates=("offset", "armature", "play", "poly")
-    )
+    joints = ("offset", "armature", "play", "poly")
+    chosen = identify_logs("dvrk_psm", *logs, filter="average 41", candidates=joints)
+    motors = ("motor.play", "motor.coulomb", "motor.armature")
+    driven = identify_logs("dvrk_psm", *logs, filter="average 41", candidates=joints + motors)
     errors = [
-        [100 * joint["relative"] for joint in told["tests"]["psm_payload_none_2019"].values()]
-        for told in (plain, chosen)
+        np.array(
+            [100 * joint["relative"] for joint in told["tests"]["psm_payload_none_2019"].values()]
+        )
+        for told in (plain, chosen, driven)
     ]
     np.testing.assert_allclose(errors[0], [2.6, 15.7, 14.1, 23.5, 49.9, 51.8], atol=0.5)
-    assert (np.array(errors[1]) < np.array(errors[0])).all()
-    assert errors[1][4] < 40
-    assert errors[1][5] < 40
+    assert (errors[1] < errors[0]).all()
+    assert (errors[1][4:] < 40).all()
+    assert (errors[2][4:] < 32).all()
     assert any("repeats the training motion" in warning for warning in plain["warnings"])
 
 

@@ -53,3 +53,14 @@ def test_the_table_of_the_last_joint_has_twelve_arms() -> None:
     assert len(arms) >= 12
     assert arms.pop("scara") == ["3", "5", "4", "4"]
     assert set(map(tuple, arms.values())) == {("7", "9", "10", "10")}
+
+
+@pytest.mark.data
+def test_errors_across_days_are_what_the_suite_gives(cli: Run, data_folder: Path) -> None:
+    done = cli("run", "dvrk-real", "-o", "out", "--select",
+               'excitation == "PSM" and estimator == "wls"')  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    committed = (REFERENCE.parent / "dvrk-real.md").read_text(encoding="utf-8").splitlines()
+    numbers = {line for line in done.stdout.splitlines() if line.startswith("| PSM | 0.0")}
+    assert len(numbers) == 2
+    assert numbers <= set(committed)

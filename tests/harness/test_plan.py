@@ -46,6 +46,7 @@ CHANGES: dict[str, Any] = {
     "repeat": 0,
     "free_base": True,
     "sensor": "wrist",
+    "log": {"train": ["run.toml"]},
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
     motion_seed: {"seed", "robot", "excitation"},

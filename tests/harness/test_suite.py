@@ -225,12 +225,14 @@ def test_words_are_those_of_the_other_rooms() -> None:
     from sysid_bench.reporting.metrics import METRICS
     from sysid_bench.reporting.statistics import INTERVALS, STATISTICS
     from sysid_bench.reporting.tables import BESTS
+    from sysid_bench.signals.log_checks import NAMES
 
     assert set(words.TERMS) == set(TERMS)
-    of_tables = {words.VERDICT, words.COVERAGE, *words.REPEATED}
+    of_tables = {words.VERDICT, words.COVERAGE, *words.REPEATED, *words.JOINT_METRICS}
     assert {*words.METRICS, *of_tables} == set(METRICS)
     assert set(words.REPEATED) == {name for name, told in METRICS.items() if told.repeated}
     assert set(words.REPEATED) == {"bias", *WITH_BOUND}
+    assert set(words.FINDINGS) == set(NAMES)
     assert set(words.STATISTICS) == set(STATISTICS)
     assert set(words.INTERVALS) == set(INTERVALS)
     assert set(words.BESTS) == set(BESTS)
@@ -244,14 +246,21 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("metric", "column", "good"),
-    [("verdict", "parameter", True), ("verdict", "task", False), ("rank", "parameter", False)],
+    [
+        ("verdict", "parameter", True),
+        ("verdict", "task", False),
+        ("rank", "parameter", False),
+        ("joint_error", "joint", True),
+        ("joint_error", "task", False),
+        ("rank", "joint", False),
+    ],
 )
 def test_verdicts_are_told_by_parameter(metric: str, column: str, good: bool) -> None:
     text = small() + (
         f'[[table]]\nname = "t"\ncolumns = ["{column}"]\ncells = {{ metric = "{metric}" }}\n'
     )
     if good:
-        assert read(text).table[0].columns == ("parameter",)
+        assert read(text).table[0].columns == (column,)
         return
     with pytest.raises(UsageError, match="go together"):
         read(text)

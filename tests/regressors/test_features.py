@@ -46,10 +46,10 @@ def test_names_and_places() -> None:
     features = [build("term", name) for name in known("term")]
     joints = robot.rows[:3]
     table = features_of(features, joints, [(j.qadr, j.vadr) for j in robot.joints[:3]], [motion])
-    assert len(set(table.columns)) == len(table.columns) == 3 * 5
+    assert len(set(table.columns)) == len(table.columns) == 3 * 7
     chosen = [c for c in table.columns if c.startswith(f"{joints[1]}.")][::-1]
     values = table.of_joint(joints[1], motion, chosen)
-    assert values.shape == (30, 5)
+    assert values.shape == (30, 7)
     for i, name in enumerate(chosen):
         np.testing.assert_array_equal(table.of_joint(joints[1], motion, [name])[:, 0], values[:, i])
     assert table.of_joint(joints[0], motion, chosen).shape == (30, 0)

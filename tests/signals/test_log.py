@@ -191,6 +191,12 @@ def test_a_velocity_in_other_units_or_of_another_joint_is_refused(
         assert "'tip'" in refused(got) or name == "degrees"
 
 
+def test_exchanged_columns_are_refused(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
+    swapped = replace(log, v=log.v[:, [1, 0, 2]])
+    told = refused(read(robot, write(tmp_path, swapped)))
+    assert f"{log.joints[0]!r} moves as v of joint {log.joints[1]!r}" in told
+
+
 def test_positions_in_other_units_are_refused(
     robot: RobotModel, log: Recorded, tmp_path: Path
 ) -> None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.errors import UnsupportedError
 from sysid_bench.harness.experiment.online import curves_of
 from sysid_bench.harness.experiment.prepare import Prepared, prepare, recorded
 from sysid_bench.harness.experiment.robots import Subject, subject
@@ -25,6 +26,11 @@ def evidence(argument: Mapping[str, Any], row: Row) -> Evidence:
     Raises the error that the cell itself ended with, where it never came to an estimate.
     """
     spec = ExperimentSpec.from_json(argument["experiment"])
+    if spec.log is not None:
+        raise UnsupportedError(
+            "A cell of real recordings has no simulation to show; [[paper]] show = 'torques' draws "
+            "what was measured and predicted."
+        )
     places = argument["robots_dir"], argument["folder"]
     robot = subject(spec.robot, spec.payload, *places, spec.free_base)
     ready = prepare(spec, robot)

@@ -13,6 +13,14 @@ from sysid_bench.harness.canonical import plain
 from sysid_bench.harness.experiment.behind_sensor import Trial, excited, trial_of
 from sysid_bench.harness.experiment.behind_sensor import figures as sub_tree_figures
 from sysid_bench.harness.experiment.prepare import Prepared, prepare
+from sysid_bench.harness.experiment.recorded.cells import (
+    found_parameters,
+    posed_spec,
+    recorded_facts,
+    recorded_score,
+    true_mass,
+)
+from sysid_bench.harness.experiment.recorded.pose import Posed
 from sysid_bench.harness.experiment.robots import Subject, subject
 from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.harness.provenance import versions
@@ -41,10 +49,16 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
         return
     start = time.perf_counter()
     try:
-        ready = prepare(spec, robot)
+        ready = prepare(spec, robot) if spec.log is None else posed_spec(spec, *places)
     except SysidBenchError as error:
         status = "unsupported" if isinstance(error, UnsupportedError) else "failed"
         _emit_all(argument, emit, verdict | {"status": status, "reason": str(error)})
+        return
+    if isinstance(ready, Posed):
+        verdict["seconds_experiment"] = time.perf_counter() - start
+        for estimator in argument["estimators"]:
+            answer = _answer_of_logs(estimator, ready, true_mass(spec))
+            emit(_header(argument, estimator) | verdict | answer)
         return
     sensed = _Sensed.of(spec, ready) if spec.task == "wrench" else None
     verdict["seconds_experiment"] = time.perf_counter() - start
@@ -99,16 +113,45 @@ def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
 
 def _answer(spec: Mapping[str, Any], ready: Prepared, sensed: _Sensed | None) -> Row:
     """Status, scores and parameters of one estimator; a stranger's exception is a failed row."""
-    settings = {key: value for key, value in spec.items() if key not in ("cell", "label")}
+    settings = _settings(spec)
     try:
         estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
         return _with_sub_tree(_judged(estimate, ready), estimate, ready, sensed)
-    except SysidBenchError as error:
-        failure = {"reason": reason_of(error)}
     except (Exception, SystemExit) as error:
-        failure = {"reason": reason_of(error), "traceback": traceback.format_exc()}
-    row = dict(plain({"status": "failed", **failure, **ready.figures}))
+        row = dict(plain({**_failure(error), **ready.figures}))
     return _with_sub_tree(row, Estimate(status="failed"), ready, sensed)
+
+
+def _answer_of_logs(spec: Mapping[str, Any], posed: Posed, mass: float | None) -> Row:
+    """The same for what was recorded."""
+    try:
+        method = build("estimator", _settings(spec))
+        estimate = identify(method, posed.problem, posed.experiment)
+        score = recorded_score(method, estimate, posed, mass)
+    except (Exception, SystemExit) as error:
+        return dict(plain(_failure(error)))
+    stats = dict(estimate.stats)
+    outcome: Row = {
+        "status": estimate.status,
+        "reason": estimate.reason,
+        "seconds": stats.pop("seconds"),
+    }
+    outcome |= vars(score) | recorded_facts(posed)
+    outcome["stats"] = stats
+    outcome["parameters_table"] = found_parameters(estimate, posed.problem)
+    return dict(plain(outcome))
+
+
+def _settings(spec: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in spec.items() if key not in ("cell", "label")}
+
+
+def _failure(error: BaseException) -> Row:
+    """Our own errors speak for themselves; a stranger's show where they come from."""
+    told: Row = {"status": "failed", "reason": reason_of(error)}
+    if not isinstance(error, SysidBenchError):
+        told["traceback"] = "".join(traceback.format_exception(error))
+    return told
 
 
 def _with_sub_tree(row: Row, estimate: Estimate, ready: Prepared, sensed: _Sensed | None) -> Row:

@@ -12,7 +12,8 @@ from sysid_bench.units import quantity, split_quantity
 
 @dataclass(frozen=True)
 class ExperimentSpec:
-    """One simulated recording. JSON values only; plug-ins are {use, settings...} as written.
+    """One simulated recording, or some of a real robot (`log`). JSON values only; plug-ins are
+    {use, settings...} as written.
 
     `noise` holds q, quantum (rad, m), tau (N m, N) or tau_relative (share of the joint's RMS
     torque) with its tau_correlation from sample to sample, and the errors of force/torque sensors
@@ -35,6 +36,7 @@ class ExperimentSpec:
     signals: Mapping[str, Any]
     repeat: int
     free_base: bool | None = None  # None: as the robot's manifest has it
+    log: Mapping[str, Any] | None = None  # a recording of a real robot, as a suite's [[log]] has it
     sensor: str | None = None  # the force/torque sensor; None: the only one of the manifest
 
     @cached_property
@@ -45,7 +47,7 @@ class ExperimentSpec:
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
         data = {field.name: getattr(self, field.name) for field in fields(self)}
-        for key in ("free_base", "sensor"):
+        for key in ("free_base", "sensor", "log"):
             if data[key] is None:  # not written: ids are older than these fields
                 del data[key]
         return data

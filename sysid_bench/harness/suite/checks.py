@@ -69,6 +69,11 @@ def items(value: Any) -> Any:
     return values
 
 
+def items_or_none(value: Any) -> Any:
+    """One or several, or none at all."""
+    return tuple(value) if isinstance(value, (list, tuple)) else (value,)
+
+
 def some(value: Any) -> Any:
     # Not pydantic's min_length: that complains again of a list whose elements are all wrong.
     if isinstance(value, (list, tuple)) and not value:

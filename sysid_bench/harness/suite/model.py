@@ -29,6 +29,7 @@ from sysid_bench.harness.suite.checks import (
     condition,
     context,
     items,
+    items_or_none,
     kind_of,
     lists,
     measured,
@@ -41,7 +42,10 @@ from sysid_bench.harness.words import (
     BESTS,
     COVERAGE,
     ERRORS,
+    FINDINGS,
     INTERVALS,
+    JOINT,
+    JOINT_METRICS,
     LABELS,
     METRICS,
     PARAMETER,
@@ -146,6 +150,8 @@ def _filter(value: Any) -> str:
     from sysid_bench.signals.filters import filter_of
 
     text = str(value)
+    if text == "default":  # of recordings
+        return text
     proved(lambda: filter_of(text))
     return text
 
@@ -259,6 +265,55 @@ class RobotEntry(Section):
     """Of the manifest, or a fixed joint, site or body to cut at; several: "left, right"."""
 
 
+def _log(value: Any, info: ValidationInfo) -> Any:
+    from sysid_bench.signals.log_description import described_log
+
+    if not isinstance(value, (str, Mapping)):
+        raise ValueError(f"a log is a file of its own, or a table with its keys; got {value!r}.")
+    if not context(info).names.frozen:  # a frozen suite was checked when it was planned
+        folder = context(info).folder
+        proved(lambda: described_log(value, folder or Path()))
+    return value
+
+
+Logs = tuple[Annotated[Any, PlainValidator(_log)], ...]
+
+
+def _candidate(value: Any) -> Any:
+    if not isinstance(value, str):
+        raise ValueError(f"a term or feature is a word, as 'play' or 'offset'; got {value!r}.")
+    return value
+
+
+Candidates = tuple[Annotated[str, PlainValidator(_candidate)], ...]
+Filters = tuple[Annotated[str | None, PlainValidator(_filter)], ...]
+
+
+class LogEntry(Section):
+    """Recordings of a real robot: `filter`, `moving`, `terms` and `choose` may be sweeps."""
+
+    robot: Annotated[Any, PlainValidator(_robot_name)]
+    name: StrictStr | None = None
+    train: Annotated[Logs, Sweep]
+    test: Annotated[Logs, BeforeValidator(items_or_none)] = ()
+    task: Annotated[str, word("task of recordings", ("robot", "payload"))] = "robot"
+    terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)  # None: the robot's own
+    choose: Annotated[tuple[Candidates, ...], ListSweep] = ((),)
+    filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
+    derivatives: Annotated[str, word("way to differentiate", ("from q", "from v"))] | None = None
+    moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
+    accept: tuple[Annotated[str, word("finding", FINDINGS)], ...] = ()
+    position_given: StrictBool = False
+    true_mass: Annotated[Any, measured("kg", positive=True)] = None
+
+    @property
+    def label(self) -> str:
+        """What rows are labelled with: its name, or its training logs."""
+        from sysid_bench.signals.log_description import name_of
+
+        return self.name or " + ".join(name_of(log) for log in self.train)
+
+
 class Exclude(Section):
     when: PlanCondition
     reason: StrictStr
@@ -272,7 +327,7 @@ class Crosscheck(Section):
 
 
 class TableCells(Section):
-    metric: Annotated[str, word("metric", (*METRICS, VERDICT, COVERAGE, *REPEATED))]
+    metric: Annotated[str, word("metric", (*METRICS, VERDICT, COVERAGE, *REPEATED, *JOINT_METRICS))]
     stat: Annotated[str, word("statistic", STATISTICS)] = "median"
     interval: Annotated[str, word("interval", INTERVALS)] = "none"
 
@@ -281,7 +336,7 @@ Label = Annotated[str, word("label of a cell", (*LABELS, "repeat"))]
 Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
 
 
-Axis = Annotated[str, word("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM))]
+Axis = Annotated[str, word("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM, JOINT))]
 
 
 class TableEntry(Section):
@@ -299,6 +354,12 @@ class TableEntry(Section):
             raise ValueError(
                 f"the metric {VERDICT!r} and the label {PARAMETER!r} among rows or columns go "
                 "together: a verdict is told of each parameter, and other metrics of a cell."
+            )
+        by_joint = JOINT in (*self.rows, *self.columns)
+        if (self.cells.metric in JOINT_METRICS) != by_joint:
+            raise ValueError(
+                f"the metrics {', '.join(JOINT_METRICS)} and the label {JOINT!r} among rows or "
+                "columns go together."
             )
         return self
 
@@ -332,6 +393,17 @@ class RankingEntry(Section):
     apart: tuple[Label, ...] = ()
     against: StrictStr | None = None  # the method that the others are tested against
     select: RowCondition | None = None
+
+
+class Paper(Section):
+    """A table or figure as papers print it: `model` (bodies and joints), `base-parameters` with the
+    values of a cell, `torques` measured and predicted along a test log."""
+
+    name: Folder
+    show: Annotated[str, word("thing to show", ("model", "base-parameters", "torques"))]
+    title: StrictStr = ""
+    select: RowCondition | None = None  # the first cell that meets it
+    test: StrictStr | None = None
 
 
 class Worst(Section):
@@ -370,13 +442,24 @@ class Suite(Section):
     origin: Origin | None = None
     run: Run = Run()
     defaults: Defaults = Field(default={}, validate_default=True)  # type: ignore[assignment]
-    robot: Annotated[tuple[RobotEntry, ...], BeforeValidator(some)]
+    robot: tuple[RobotEntry, ...] = ()
+    log: tuple[LogEntry, ...] = ()
     estimator: Annotated[tuple[Estimator, ...], BeforeValidator(some)]
     exclude: tuple[Exclude, ...] = ()
     crosscheck: Crosscheck = Crosscheck()
     table: tuple[TableEntry, ...] = ()
     ranking: tuple[RankingEntry, ...] = ()
+    paper: tuple[Paper, ...] = ()
     record: Record | None = None
+
+    @model_validator(mode="after")
+    def about_something(self) -> "Suite":
+        if not self.robot and not self.log:
+            raise ValueError(
+                "robot: this key is missing, and so is log; a suite needs at least one [[robot]] "
+                "to simulate, or a [[log]] of a real one."
+            )
+        return self
 
     @property
     def folder(self) -> Path:

@@ -41,6 +41,7 @@ class Names:
     payload: Callable[[str | Mapping[str, Any]], Load]
     plugin: Callable[[str, Mapping[str, Any]], object]
     sensor: Callable[[str, Path | None, str], object] = lambda source, folder, text: None
+    frozen: bool = False  # nothing is looked up: the suite was checked before
 
 
 def installed_names(robots_dir: Path | None = None) -> Names:
@@ -50,7 +51,7 @@ def installed_names(robots_dir: Path | None = None) -> Names:
 
 def no_names() -> Names:
     """Accepts every name: for a frozen suite, which was checked when it was planned."""
-    return Names(_unseen_robot, _unseen_payload, _unseen_plugin)
+    return Names(_unseen_robot, _unseen_payload, _unseen_plugin, frozen=True)
 
 
 def located(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:

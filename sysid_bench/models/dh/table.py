@@ -24,6 +24,7 @@ from sysid_bench.models.dh.expression import CONSTANTS, Linear, read_expression
 
 NEEDED: Final = ("link", "joint", "a", "alpha", "d", "theta")
 COLUMNS: Final = (*NEEDED, "prev", "low", "high", "mass", "com", "size")
+KINEMATIC: Final = (*NEEDED, "prev")
 BASES: Final = ("", "-", "0", "base", "—")
 """What stands in `prev` of a link on the base."""
 
@@ -104,6 +105,18 @@ def read_table(path: Path, symbols: Mapping[str, float] | None = None) -> DhTabl
     rows = _rows(path, cells, told)
     _check_links(path, rows, connects)
     return DhTable(rows, told, tuple(connects))
+
+
+def printed_table(
+    path: Path,
+) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], dict[str, float]]:
+    """Head and rows of a table's kinematic columns as they are written, and its lengths."""
+    table = read_table(path)
+    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+    cells = [[c.strip() for c in next(csv.reader([x]))] for x in lines if not x.startswith("#")]
+    shown = [i for i, name in enumerate(cells[0]) if name.lower() in KINEMATIC]
+    head, *rows = (tuple(row[i] if i < len(row) else "" for i in shown) for row in cells)
+    return head, tuple(rows), dict(table.symbols)
 
 
 def _check_header(path: Path, header: list[str]) -> None:
