@@ -99,6 +99,8 @@ def newton(
     much nearer to that a step goes. Convex, so that it ends at the only minimum. Raises
     EstimationError where it does not come to rest.
     """
+    if len(y) == 0:  # nothing is left to choose
+        return at.x(y), 0, 0.0
     squares = float(np.sum(y[: at.rank] ** 2)) / len(y)
     here, before = _start(from_prior, at, weight, y, max(weight, FIRST * squares)), np.inf
     for iteration in range(1, MOST + 1):
