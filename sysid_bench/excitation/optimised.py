@@ -159,7 +159,7 @@ class Optimised:
             search.go_on(best, self.iterations)
         if not search.interrupted and not (search.kept and search.kept[-1][0] <= values.min()):
             # From outside of all limits no way led in, or to nothing good: begin small, inside.
-            search.run([tamed(search, space, draws[order[0]], rng)], self.iterations)
+            search.creep(tamed(search, space, draws[order[0]], rng), self.iterations)
         C, value = self._checked(brief, space, search)
         median = float(np.median(values))
         return Design(C, value, median, search.evaluations, search.interrupted)

@@ -37,6 +37,15 @@ FAINT: Final = 1e-7
 RESTORING: Final = 15
 """Newton steps back into the limits; two or three do where the way is short."""
 
+BURST: Final = 12
+"""Iterations of a search within a box."""
+
+GAIN: Final = 0.005
+"""Of the criterion: a search that gains less is at its end."""
+
+SMALLEST: Final = 0.01
+"""Of a box, in units of scaled coefficients."""
+
 STEP: Final = 0.2
 """The longest such step, in units of scaled coefficients: an amplitude over the velocity limit."""
 
@@ -196,10 +205,33 @@ class Search:
             float(np.abs(limit.use(_thinned(motion, limit.every))).max()) for limit in self.limits
         )
 
-    def _descend(self, C: Array, sharpness: float, iterations: int) -> tuple[float, Array]:
+    def creep(self, C: Array, iterations: int) -> None:
+        """A search that stays near what it has kept: short searches, each within a box around the
+        best coefficients so far, wider after one that gained and narrower after one that did not.
+        Where many limits bind at once, slopes tell too little of what is far."""
+        radius, left = STEP / 4, iterations
+        with self._stopped_in_order():
+            self._visit(C)
+            while left > 0 and radius > SMALLEST:
+                before = self.kept[-1][0] if self.kept else np.inf
+                end = self._descend(C, SHARPNESS[0], min(BURST, left), radius)[1]
+                for share in (1.0, 0.8, 0.6, 0.4, 0.2):  # as far towards it as the limits are kept
+                    self._visit(C + share * (end - C))
+                    if self.kept and self.kept[-1][0] < before:
+                        break
+                left -= BURST
+                C = self.kept[-1][1] if self.kept else end
+                gained = bool(self.kept) and self.kept[-1][0] < before - GAIN
+                radius *= 1.5 if gained else 0.5
+
+    def _descend(
+        self, C: Array, sharpness: float, iterations: int, radius: float = np.inf
+    ) -> tuple[float, Array]:
+        """The end of a search from C, at most `radius` of scaled coefficients away."""
         # Columns are scaled so that a unit of each coefficient moves a share of the limits.
         scale = np.tile(self._scale(), (self.shape[0], 1))
         low, high = self.space.bounds()
+        low, high = np.maximum(low, C - radius * scale), np.minimum(high, C + radius * scale)
         start = (np.clip(C, low, high) / scale).ravel()
         constraint: Any = {
             "type": "ineq",
