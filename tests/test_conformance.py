@@ -17,6 +17,7 @@ from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.naming import BUILTIN, build, resolve
 from sysid_bench.pytest_plugin import _worlds, assert_conforms
 from sysid_bench.types import Estimate, Problem
+from sysid_bench.verbs.check_plugin import check_plugin
 
 LINEAR = sorted(
     name for name in BUILTIN["estimator"] if hasattr(resolve("estimator", name), "solve")
@@ -162,3 +163,10 @@ def test_check_plugin_names_the_nearest_estimator() -> None:
     result = CliRunner().invoke(main, ["check-plugin", "hubert"])
     assert result.exit_code == 2
     assert "Did you mean 'huber'" in result.output
+
+
+@pytest.mark.parametrize("name", ["iv", "didim", "clie", "ekf"])
+def test_check_plugin_runs_methods_that_simulate(name: str) -> None:
+    answer = check_plugin(name)
+    assert answer["ok"], answer["broken"]
+    assert answer["checks"] > 10

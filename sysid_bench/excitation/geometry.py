@@ -44,11 +44,16 @@ _TYPES: Final = {
 }
 
 
+POSTURES: Final = 20
+"""Random configurations in which what touches the world by construction still does."""
+
+
 @dataclass(eq=False)
 class Scene:
     """A robot's shapes, and a floor if there is one. Links that share a joint are not watched, nor
     are the pairs `ignored`: closer than CLOSE in the reference configuration, as hulls around
-    wrists are."""
+    wrists are. The world's own shapes, a floor above all, are ignored by those alone that touch
+    them in every one of POSTURES, as what the base carries does."""
 
     mj: mujoco.MjModel
     shapes: int
@@ -64,10 +69,29 @@ class Scene:
             self._watched[a, b] = False
         self.data.qpos[:] = self.mj.qpos0
         touching = {_pair(self.mj, c) for c in self._contacts(CLOSE)}
+        always = set(touching)
+        for q in self._postures():
+            self.data.qpos[:] = q
+            always &= {_pair(self.mj, c) for c in self._contacts(CLOSE)}
+        touching = {pair for pair in touching if pair[0] > 0 or pair in always}
         for a, b in touching:
             self._watched[a, b] = False
         name = self.mj.body
         self.ignored = tuple((name(a).name or "world", name(b).name) for a, b in sorted(touching))
+
+    def _postures(self) -> Iterator[Array]:
+        """Configurations (nq,) all over the ranges of hinges and slides."""
+        rng, mj = np.random.default_rng(0), self.mj
+        one = (mj.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) | (
+            mj.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+        )
+        limited = mj.jnt_limited.astype(bool)
+        low = np.where(limited, mj.jnt_range[:, 0], -np.pi)
+        high = np.where(limited, mj.jnt_range[:, 1], np.pi)
+        for _ in range(POSTURES):
+            q = mj.qpos0.copy()
+            q[mj.jnt_qposadr[one]] = rng.uniform(low, high)[one]
+            yield q
 
     def contacts(self, q: Array) -> list[tuple[float, str, Array]]:
         """The closest pairs of shapes at a configuration: (distance, "body - body", slope by v's

@@ -231,8 +231,9 @@ class Search:
         # Columns are scaled so that a unit of each coefficient moves a share of the limits.
         scale = np.tile(self._scale(), (self.shape[0], 1))
         low, high = self.space.bounds()
+        C = np.clip(C, low, high)
         low, high = np.maximum(low, C - radius * scale), np.minimum(high, C + radius * scale)
-        start = (np.clip(C, low, high) / scale).ravel()
+        start = (C / scale).ravel()
         constraint: Any = {
             "type": "ineq",
             "fun": lambda x: 1.0 - self._limits_at(x.reshape(self.shape) * scale, sharpness)[0],

@@ -191,8 +191,19 @@ def label(value: Any) -> str:
 
 def labelled(cells: "pd.DataFrame") -> "pd.DataFrame":
     """The same cells with text in every field that can make a row or column."""
-    texts = [c for c in cells.columns if c in (*_SWEEPABLE, "status") or cells[c].dtype == object]
+    texts = [
+        name
+        for name in cells.columns
+        if name in (*_SWEEPABLE, "status")
+        or (cells[name].dtype == object and not _verdicts(cells[name]))
+    ]
     return cells.assign(**{name: [label(value) for value in cells[name]] for name in texts})
+
+
+def _verdicts(column: "pd.Series") -> bool:
+    """Whether a column tells true or false where it tells anything: a metric, no label."""
+    told = column.dropna()
+    return len(told) > 0 and all(isinstance(value, (bool, np.bool_)) for value in told)
 
 
 def _check(spec: Mapping[str, Any], cells: "pd.DataFrame") -> None:

@@ -17,8 +17,13 @@ WORLDS: Final[tuple[Mapping[str, Any], ...]] = (
 )
 """Small experiments, exact and noisy, whole robots and single bodies, with and without a prior."""
 
-LOOP: Final = {"robot": "ur5", "simulation": {"use": "closed-loop", "rate": "500 Hz"}}
-"""What a method that simulates is given beside: a declared controller."""
+LOOP: Final = {
+    "robot": "random:94",
+    "simulation": {"use": "closed-loop", "rate": 500.0},
+    "rate": 100.0,
+}
+"""What a method that simulates is given: a declared controller, and joints without Coulomb friction
+(they would stick, and exact data would tell no method the truth)."""
 
 
 def check_plugin(name: str | Mapping[str, Any], robots_dir: Path | None = None) -> dict[str, Any]:

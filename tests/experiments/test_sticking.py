@@ -1,4 +1,4 @@
-"""Coulomb friction in closed loop: what `sign(v)` leaves unexplained is sticking, and nothing else."""
+"""Coulomb friction in closed loop: `sign(v)` leaves sticking unexplained, and nothing else."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,9 @@ def test_moving_joints_obey_the_model(robot: str) -> None:
     assert problem.torque is not None
     beta = problem.base.K @ made.truth.theta
     left = (b - W @ beta).reshape(-1, len(problem.rows)) / problem.torque
-    slow = (np.abs(made.experiment.recording.v) < 0.01).any(axis=1)
+    v = made.experiment.recording.v
+    assert v is not None
+    slow = (np.abs(v) < 0.01).any(axis=1)
     moving = np.convolve(slow, np.ones(2 * GUARD + 1), "same") == 0
     assert moving.mean() > 0.3
     assert np.sqrt((left[moving] ** 2).mean(axis=0)).max() <= 6e-4

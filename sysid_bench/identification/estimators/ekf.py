@@ -1,6 +1,7 @@
 """EKF: states and parameters together, the model linearised at every sample."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ class EKF:
     linearisation forgets what it has not seen; `substeps` of Heun's rule per sample.
     """
 
+    bias: ClassVar[str] = "torques between samples are taken as straight lines"
     substeps: int = 1
 
     def fit(self, experiment: Experiment) -> Estimate:

@@ -1,6 +1,7 @@
 """UKF: states and parameters together, carried by sigma points."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ class UKF:
     deviations."""
 
     spread: float = 1.0
+    bias: ClassVar[str] = "torques between samples are taken as straight lines"
     substeps: int = 1
 
     def fit(self, experiment: Experiment) -> Estimate:
