@@ -17,9 +17,12 @@ from sysid_bench.types import Array, Estimate, Problem, Score
 def joint_errors(problem: Problem, beta: Array) -> dict[str, dict[str, Any]]:
     """{joint: samples, rms, rmse, relative} of one problem."""
     told = {}
-    for factor, norm in zip(problem.factors, residual_norms(problem, beta), strict=True):
-        size = float(np.linalg.norm(factor.R[:, -1]))
+    norms = residual_norms(problem, beta)
+    for i, (factor, norm) in enumerate(zip(problem.factors, norms, strict=True)):
         count = max(factor.samples, 1)
+        size = float(np.linalg.norm(factor.R[:, -1]))
+        if problem.torque is not None:  # what is known of it included
+            size = float(problem.torque[i]) * count**0.5
         told[factor.row] = {
             "samples": factor.samples,
             "rms": size / count**0.5,

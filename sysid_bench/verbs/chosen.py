@@ -63,6 +63,8 @@ def chosen_noise(text: str | None) -> dict[str, str]:
             continue
         if key.strip() not in NOISE_UNITS:
             raise unknown_name("noise", key.strip(), NOISE_UNITS, "Write q=1e-4 rad,tau=0.5 %.")
+        if key.strip() in table:
+            raise UsageError(f"--noise has {key.strip()} twice.")
         table[key.strip()] = value.strip()
     return table
 

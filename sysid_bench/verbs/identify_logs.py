@@ -55,6 +55,7 @@ def identify_logs(
     from sysid_bench.naming import build
     from sysid_bench.signals.log_description import read_description
     from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, std_from, warnings_of
+    from sysid_bench.verbs.log_doubts import doubts
     from sysid_bench.verbs.model_out import check_target, write_model
 
     descriptions = [read_description(Path(log)) for log in (*logs, *tests)]
@@ -79,6 +80,7 @@ def identify_logs(
     again = {label: replayed(training, test, posed.problem.rows) for label, test in testing.items()}
     sure = spreads(posed.problem, estimate)
     bodies = bodies_of(estimate, posed.problem, sure)
+    told, terms_told = _joint_table(posed.problem, beta), joints_of(estimate, posed.problem, sure)
     answer = {
         "model": manifest.name,
         "file": str(manifest.path),
@@ -94,14 +96,14 @@ def identify_logs(
         "rmse_train": overall(posed.problem, beta),
         "rmse_test": _mean([overall(test, beta) for test in posed.tests.values()]),
         "torque_error": torque_error(posed.tests, beta),
-        "training": _joint_table(posed.problem, beta),
+        "training": told,
         "tests": {label: _joint_table(test, beta) for label, test in posed.tests.items()},
         "replayed": again,
         "logs": [_segment(one, one in training) for one in read],
         "std_from": std_from(sure),
         "base": base_of(estimate, posed.problem, sure),
         "bodies": bodies,
-        "joints": joints_of(estimate, posed.problem, sure),
+        "joints": terms_told,
         "payload": None
         if task != "payload"
         else asdict(mass_of(method, posed, beta))
@@ -111,6 +113,7 @@ def identify_logs(
         "warnings": [
             *robot.repairs,
             *_findings(read),
+            *doubts(told, terms_told),
             *_repeated(again),
             *warnings_of(estimate, posed.problem),
         ],

@@ -159,7 +159,11 @@ def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
         if key not in NOISE_UNITS:
             raise unknown_name("kind of noise", key, NOISE_UNITS)
         unit = "%" if relative else NOISE_UNITS[key]
-        noise["tau_relative" if relative else key] = quantity(value, unit)
+        number = quantity(value, unit)
+        if number < 0 or (key == "tau_correlation" and number >= 1):
+            most = " and below 1" if key == "tau_correlation" else ""
+            raise UsageError(f"noise.{key} must be 0 or more{most}; got {value!r}.")
+        noise["tau_relative" if relative else key] = number
     noise = {key: value for key, value in noise.items() if value != 0.0}
     if not {"tau", "tau_relative"} & set(noise):
         noise.pop("tau_correlation", None)

@@ -39,6 +39,7 @@ class Posing:
             blocks=partial(_blocks, self, tuple(logs)),
             samples=sum(len(log.recording) for log in logs),
             kinds=kinds,
+            torque=np.array([self._whole(logs, row) for row in rows]),
             # Motions of several logs differ: their spread is more than that of the noise.
             period=logs[0].recording.motion.period_samples if len(logs) == 1 else 0,
         )
@@ -114,6 +115,15 @@ class Posing:
             return [], np.zeros((len(motion), 0))
         chosen = [name for name in self.ask.extra if name in self.columns]
         return self.ask.features.on_row(row, chosen, motion, motors)
+
+    def _whole(self, logs: Sequence[Processed], row: str) -> float:
+        """RMS of the measured torque of a joint, what is known of it included."""
+        used = [
+            log.recording.tau[self.moving(log, row), log.robot.torque_rows.index(row)]
+            for log in logs
+        ]
+        every = np.concatenate(used)
+        return float(np.sqrt((every**2).mean())) if len(every) else 0.0
 
     def moving(self, log: Processed, row: str) -> Array:
         """Samples (N,) at which a joint moves fast enough."""
