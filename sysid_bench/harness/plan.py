@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import PurePosixPath
 from typing import Any
 
-from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.harness.canonical import canonical, digest
 from sysid_bench.harness.experiment.spec import (
     REDRAWN,
@@ -133,9 +133,19 @@ class Plan:
         return cls(tuple(_cell_of(number, line) for number, line in _numbered(text)))
 
 
+def _check_rankings(suite: Suite, cells: Sequence[Cell]) -> None:
+    """A ranking tests against a method of the suite; found now, not when all has been computed."""
+    methods = sorted({cell.labels["estimator"] for cell in cells})
+    for entry in suite.ranking:
+        if entry.against is not None and entry.against not in methods:
+            where = f"Asked by the ranking {entry.name!r}."
+            raise unknown_name("estimator of this suite", entry.against, methods, where)
+
+
 def expand(suite: Suite, names: Names | None = None) -> Plan:
     """All cells of a suite, without those that an [[exclude]] names and without duplicates."""
     cells = _cells(suite, names or installed_names())
+    _check_rankings(suite, cells)
     kept, excluded = _exclude(suite, cells)
     unique = {cell.id: cell for cell in reversed(kept)}
     ordered = tuple({cell.id: unique[cell.id] for cell in kept}.values())

@@ -256,3 +256,16 @@ def test_texts_that_no_cell_has_are_told_with_their_nearest() -> None:
 def test_an_unknown_field_selects_nothing_and_says_so() -> None:
     with pytest.raises(UsageError, match=r"noise\.tau"):
         plan_of(FULL).select("noise.tao < 1")
+
+
+def test_a_ranking_against_a_method_that_is_not_there_is_found_before_the_run() -> None:
+    text = small() + '\n[[ranking]]\nname = "order"\nagainst = "{}"\n'
+    methods = {cell.labels["estimator"] for cell in plan_of(small()).cells}
+    assert plan_of(text.format(next(iter(methods)))).cells
+    with pytest.raises(UsageError, match="order"):
+        plan_of(text.format("nobody"))
+
+
+def test_torques_are_shown_along_a_log() -> None:
+    with pytest.raises(UsageError, match=r"no \[\[log\]\]"):
+        read(small() + '\n[[paper]]\nname = "torques"\nshow = "torques"\n')

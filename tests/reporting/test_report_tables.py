@@ -332,3 +332,14 @@ def test_figures_of_repeats_need_repeats_a_bound_and_noise(metric: str) -> None:
             assert entry.n == 0
     without = figures(metric, (cells, parameters.assign(bound=np.nan)))
     assert all((entry.value is None) == (metric != "bias") for entry in without.values())
+
+
+def test_verdicts_with_gaps_are_numbers(cells: pd.DataFrame) -> None:
+    """Some methods tell no whole bodies: the column of the others is true, false or nothing."""
+    verdicts = [True, False, None] * len(cells)
+    told = cells.assign(feasible=pd.Series(verdicts[: len(cells)], dtype=object).to_numpy())
+    spec = {"name": "f", "rows": ["status"], "cells": {"metric": "feasible", "stat": "mean"}}
+    table = make_table(told, spec)
+    values = [entry.value for entry in table.entries.values() if entry.value is not None]
+    assert values
+    assert all(0 <= value <= 1 for value in values)

@@ -459,6 +459,12 @@ class Suite(Section):
                 "robot: this key is missing, and so is log; a suite needs at least one [[robot]] "
                 "to simulate, or a [[log]] of a real one."
             )
+        drawn = [entry.name for entry in self.paper if entry.show == "torques"]
+        if drawn and not self.log:
+            raise ValueError(
+                f"paper: {', '.join(drawn)} shows torques along a test log; this suite has no "
+                "[[log]]."
+            )
         return self
 
     @property
