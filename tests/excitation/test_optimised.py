@@ -202,3 +202,23 @@ def test_what_cannot_be_designed_is_said() -> None:
     weak = replace(told, tau=np.full(robot.nv, 1e-3))
     with pytest.raises(UnsupportedError, match="torque"):
         Optimised(harmonics=1, period=2.0, iterations=1).design(weak, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_start_outside_of_its_bounds_is_brought_inside(seed: int) -> None:
+    """Short curves that rest at their ends may begin beyond what one coefficient may be."""
+    told = brief(named_robot("panda"))
+    made = Optimised("cond", family="fourier-polynomial", iterations=3, clearance=0.01)
+    assert np.isfinite(made.solve(told, np.random.default_rng(seed)).value)
+
+
+@pytest.mark.parametrize(("name", "height"), [("ur10", 0.1), ("ur5", 0.05), ("ur3", 0.1)])
+def test_a_floor_is_watched_by_all_that_can_leave_it(name: str, height: float) -> None:
+    """An arm that lies on it in the reference configuration is not there by construction."""
+    robot = named_robot(name)
+    scene = scene_of(robot, height)
+    excused = {b for a, b in scene.ignored if a == "world"}
+    moving = [robot.body_names[link.body] for link in robot.tree.links]
+    assert excused.isdisjoint(moving[2:])
+    low = np.array(robot.mj.qpos0)
+    assert any("world" in pair for _, pair, _ in scene.contacts(low))
