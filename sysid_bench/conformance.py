@@ -56,7 +56,7 @@ does not apply."""
 
 def check(estimator: Any, worlds: Sequence[World]) -> list[Finding]:
     """Every law on every world; a method's own exception breaks the law that met it."""
-    findings, answered = [], False
+    findings, answered, reasons = [], False, dict[str, None]()
     for world in worlds:
         before = fingerprint((world.problem, world.experiment))
         try:
@@ -66,6 +66,7 @@ def check(estimator: Any, worlds: Sequence[World]) -> list[Finding]:
             findings.append(Finding(name, world.name, False, f"it raised {reason_of(error)}"))
             continue
         answered = answered or first.status == "ok"
+        reasons[first.reason] = None
         for name, law in LAWS.items():
             try:
                 said = law(estimator, world, first)
@@ -76,7 +77,9 @@ def check(estimator: Any, worlds: Sequence[World]) -> list[Finding]:
             said = "it changed what it was given"
             findings.append(Finding("leaves its input alone", world.name, False, said))
     if not answered:
-        findings.append(Finding("answers", "all worlds", False, "it answered none of them"))
+        told = "; ".join(filter(None, reasons))
+        said = "it answered none of them" + (f": {told}" if told else "")
+        findings.append(Finding("answers", "all worlds", False, said))
     return findings
 
 

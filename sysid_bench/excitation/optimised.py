@@ -66,11 +66,15 @@ class Optimised:
         weights_of(self.objective)
         if self.family not in FAMILIES:
             raise unknown_name("family of curves", self.family, FAMILIES)
-        counts = self.harmonics, self.cycles, self.iterations, self.starts
-        if not (all(map(is_count, counts)) and self.period > 0 and 0 < self.torque_share <= 1):
+        for name in ("harmonics", "cycles", "iterations", "starts"):
+            if not is_count(getattr(self, name)):
+                raise UsageError(f"{name} counts from 1; got {getattr(self, name)!r}.")
+        if not self.period > 0:
+            raise UsageError(f"The period is positive; got {self.period:g} s.")
+        if not 0 < self.torque_share <= 1:
             raise UsageError(
-                f"{self}: harmonics, cycles, iterations and starts count from 1, the period is "
-                "positive, and the share of the torque limits lies between 0 and 1."
+                "The share of the torque limits lies above 0 % and up to 100 %; got "
+                f"{100 * self.torque_share:g} %."
             )
 
     def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
