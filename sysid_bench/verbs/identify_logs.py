@@ -205,7 +205,8 @@ def _payload_line(payload: Mapping[str, Any]) -> str:
             f"{high:.4g}] by leaving parts of the motion out"
         )
     sure = [key for key, verdict in payload["identifiable"].items() if verdict == "identifiable"]
-    told = [f"{key} {_number(payload['parameters'][key])}" for key in sure]
+    units = {"m": "kg", "h": "kg m", "I": "kg m^2"}
+    told = [f"{key} {_number(payload['parameters'][key])} {units[key[0]]}" for key in sure]
     return ", ".join(told) or "nothing of it is identifiable on its own"
 
 
