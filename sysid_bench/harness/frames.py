@@ -46,28 +46,24 @@ class Frames:
     def by_parameter(self) -> "pd.DataFrame":
         """`cells` with a line per parameter (m, ..., fc) and its verdict; a cell that tells of none
         has a line for each that others tell of."""
-        import pandas as pd
-
         names = {"name": PARAMETER, "identifiable": VERDICT}
         told = self.parameters[["id", *names]].rename(columns=names)
-        lines = self.cells.reset_index(names="place")
-        silent = lines[~lines["id"].isin(told["id"])]
-        every = pd.DataFrame({PARAMETER: told[PARAMETER].unique() if len(told) else [None]})
-        both = [lines.merge(told, on="id"), silent.merge(every, how="cross")]
-        whole = pd.concat([part for part in both if len(part)] or both)
-        return whole.sort_values("place", kind="stable", ignore_index=True).drop(columns="place")
+        return self._spread(told, PARAMETER)
 
     @cached_property
     def by_joint(self) -> "pd.DataFrame":
         """`cells` with a line per joint and its errors; a cell that tells of none has a line for
         each that others tell of."""
+        told = self.joints.rename(columns=_JOINT_COLUMNS)
+        return self._spread(told.reindex(columns=["id", *_JOINT_COLUMNS.values()]), JOINT)
+
+    def _spread(self, told: "pd.DataFrame", label: str) -> "pd.DataFrame":
+        """`cells` with a line for each line of `told` (id, label, ...), in their own order."""
         import pandas as pd
 
-        told = self.joints.rename(columns=_JOINT_COLUMNS)
-        told = told.reindex(columns=["id", *_JOINT_COLUMNS.values()])
         lines = self.cells.reset_index(names="place")
         silent = lines[~lines["id"].isin(told["id"])]
-        every = pd.DataFrame({JOINT: told[JOINT].unique() if len(told) else [None]})
+        every = pd.DataFrame({label: told[label].unique() if len(told) else [None]})
         both = [lines.merge(told, on="id"), silent.merge(every, how="cross")]
         whole = pd.concat([part for part in both if len(part)] or both)
         return whole.sort_values("place", kind="stable", ignore_index=True).drop(columns="place")
