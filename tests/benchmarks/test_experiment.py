@@ -17,7 +17,7 @@ from scipy.linalg import lapack, qr, solve_triangular
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.brief import brief_of
 from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.harness.experiment.prepare import Posing
+from sysid_bench.harness.experiment.posing import Posing
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS

@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.harness.experiment.evidence import evidence
-from sysid_bench.harness.experiment.prepare import Posing
+from sysid_bench.harness.experiment.posing import Posing
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.rls import RLS

@@ -7,7 +7,8 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.harness.experiment.online import curves_of
-from sysid_bench.harness.experiment.prepare import Prepared, prepare, recorded
+from sysid_bench.harness.experiment.posing import recorded
+from sysid_bench.harness.experiment.prepare import Prepared, prepare
 from sysid_bench.harness.experiment.robots import Subject, subject
 from sysid_bench.harness.experiment.spec import ExperimentSpec
 from sysid_bench.identification.compressed import compress
