@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import reason_of
-from sysid_bench.identification.compressed import compress
 from sysid_bench.identification.identify import identify
+from sysid_bench.identification.linear.normal_qr import compress
 from sysid_bench.types import Array, Estimate, Experiment, Factor, Prior, Problem, RowBlock
 
 EXACT: Final = 1e-8

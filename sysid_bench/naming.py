@@ -65,17 +65,17 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "optimised": "sysid_bench.excitation.optimised:Optimised",
             "ptp": "sysid_bench.excitation.point_to_point:PointToPoint",
             "static": "sysid_bench.excitation.point_to_point:Static",
-            "wander": "sysid_bench.excitation.wander:Wander",
+            "wander": "sysid_bench.excitation.random_waypoints:Wander",
         },
         "simulation": {
             "inverse": "sysid_bench.simulation.inverse:Inverse",
             "closed-loop": "sysid_bench.simulation.closed_loop:ClosedLoop",
         },
         "term": {
-            "play": "sysid_bench.regressors.features:Play",
-            "playq": "sysid_bench.regressors.features:PlacedPlay",
-            "poly": "sysid_bench.regressors.features:Polynomial",
-            "tanh": "sysid_bench.regressors.features:SmoothCoulomb",
+            "play": "sysid_bench.regressors.friction_features:Play",
+            "playq": "sysid_bench.regressors.friction_features:PlacedPlay",
+            "poly": "sysid_bench.regressors.friction_features:Polynomial",
+            "tanh": "sysid_bench.regressors.friction_features:SmoothCoulomb",
         },
         "plant": {
             "matched": "sysid_bench.simulation.effects.matched:Matched",
@@ -120,6 +120,20 @@ def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
             raise UsageError(f"{kind} {spec['use']!r} takes no settings; got {sorted(settings)}.")
         return make
     return make(**_settings(kind, spec["use"], make, settings))
+
+
+def located(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
+    """A plug-in's spec whose "file:mine.py:Thing", and whose setting `file`, are found from the
+    suite's folder."""
+    found, use = dict(spec), spec.get("use")
+    if folder is None:
+        return found
+    if isinstance(use, str) and use.startswith("file:"):
+        path, colon, attribute = use.removeprefix("file:").rpartition(":")
+        found["use"] = f"file:{folder / path}{colon}{attribute}"
+    if isinstance(spec.get("file"), str):
+        found["file"] = str(folder / spec["file"])
+    return found
 
 
 def _settings(kind: str, name: str, make: Any, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from click.testing import CliRunner
 from sysid_bench.cli import main
 from sysid_bench.conformance import World, broken, check
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.compressed import compress, solve
 from sysid_bench.identification.estimators.ols import OLS
+from sysid_bench.identification.linear.normal_qr import compress, solve
 from sysid_bench.naming import BUILTIN, build, resolve
 from sysid_bench.pytest_plugin import _worlds, assert_conforms
 from sysid_bench.types import Estimate, Problem

@@ -10,7 +10,12 @@ from typing import Final
 
 import click
 
-from sysid_bench.cli import catalogue, motions, results, robots, start, suites
+from sysid_bench.cli import catalogue_commands as catalogue
+from sysid_bench.cli import init_commands as start
+from sysid_bench.cli import motion_commands as motions
+from sysid_bench.cli import robot_commands as robots
+from sysid_bench.cli import run_commands as results
+from sysid_bench.cli import suite_commands as suites
 
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """What a user may set; else one. The matrices of a verb are small, and on a busy machine a second

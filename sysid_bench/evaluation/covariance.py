@@ -12,7 +12,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import stdtrit
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.compressed import compress
+from sysid_bench.identification.linear.normal_qr import compress
 from sysid_bench.types import Array, Estimate, Problem
 
 LEVEL: Final = 0.95

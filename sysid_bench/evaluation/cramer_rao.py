@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sysid_bench.identification.compressed import compress, excited_rank
-from sysid_bench.regressors.fold import triangle
+from sysid_bench.identification.linear.normal_qr import compress, excited_rank
+from sysid_bench.regressors.qr_accumulation import triangle
 from sysid_bench.types import Array, Problem
 
 

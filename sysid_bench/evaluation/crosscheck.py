@@ -6,13 +6,13 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.evaluation.coupling import CouplingCheck, check_coupling, relative
+from sysid_bench.evaluation.coupling_check import CouplingCheck, check_coupling, relative
+from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.states import random_states
-from sysid_bench.regressors.native import native_regressor
-from sysid_bench.regressors.reference import pinocchio_regressor
+from sysid_bench.regressors.pinocchio import pinocchio_regressor
+from sysid_bench.regressors.pinocchio_urdf import native_regressor
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.witness import inverse_torque
+from sysid_bench.simulation.mujoco_inverse import inverse_torque
 from sysid_bench.types import Array
 
 GAP: Final = 1e-12

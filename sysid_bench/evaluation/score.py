@@ -9,9 +9,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.evaluation.covariance import Spread
-from sysid_bench.evaluation.plausible import oddities
-from sysid_bench.identification.compressed import compress, excited_rank, residual_norms
-from sysid_bench.regressors.fold import triangle
+from sysid_bench.evaluation.plausibility import oddities
+from sysid_bench.identification.linear.normal_qr import compress, excited_rank, residual_norms
+from sysid_bench.regressors.qr_accumulation import triangle
 from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
 from sysid_bench.types import Array, Estimate, Extent, Problem, Score, Truth
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.brief import Brief, is_count
-from sysid_bench.excitation.fit import dense_grid, fit
+from sysid_bench.excitation.design_problem import Brief, is_count
+from sysid_bench.excitation.scale_to_limits import dense_grid, fit
 from sysid_bench.types import Array, Trajectory
 
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.brief import Brief, is_count
+from sysid_bench.excitation.design_problem import Brief, is_count
 from sysid_bench.types import Array, Trajectory
 
 FAINT: Final = 1e-8

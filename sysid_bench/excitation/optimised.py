@@ -7,14 +7,14 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
-from sysid_bench.excitation.brief import MARGIN, Brief, is_count
 from sysid_bench.excitation.criteria import Criterion, weights_of
 from sysid_bench.excitation.curves import FAMILIES, curves_of
-from sysid_bench.excitation.insight import Question
-from sysid_bench.excitation.limits import Limit, Used, joint_limits, torque_limits, worst
+from sysid_bench.excitation.design_problem import MARGIN, Brief, is_count
+from sysid_bench.excitation.information import Question
+from sysid_bench.excitation.limit_use import Limit, Used, joint_limits, torque_limits, worst
 from sysid_bench.excitation.search import Search, Space, Tell
-from sysid_bench.identifiability.base import base_map
-from sysid_bench.regressors.fold import triangle
+from sysid_bench.identifiability.base_map import base_map
+from sysid_bench.regressors.qr_accumulation import triangle
 from sysid_bench.types import Array, Trajectory
 
 DRAWS: Final = 20

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.brief import MARGIN, Brief, is_count
+from sysid_bench.excitation.design_problem import MARGIN, Brief, is_count
 from sysid_bench.types import Array, Trajectory
 
 # Peaks of the quintic s(u) = 10 u^3 - 15 u^4 + 6 u^5 on [0, 1]: of s' and of s''.

@@ -13,12 +13,12 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 
 from sysid_bench.errors import ModelError
-from sysid_bench.excitation.brief import Brief
 from sysid_bench.excitation.criteria import Criterion
 from sysid_bench.excitation.curves import Curves
-from sysid_bench.excitation.insight import Question
-from sysid_bench.excitation.limits import Limit, smooth_max
-from sysid_bench.models.coupling.slopes import Slopes, pulled
+from sysid_bench.excitation.design_problem import Brief
+from sysid_bench.excitation.information import Question
+from sysid_bench.excitation.limit_use import Limit, smooth_max
+from sysid_bench.models.coupling.derivatives import Slopes, pulled
 from sysid_bench.types import Array, Trajectory
 
 Tell = Callable[[int, float], None]

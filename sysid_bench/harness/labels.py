@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from sysid_bench.harness.canonical import canonical, digest
-from sysid_bench.harness.experiment.spec import normal_noise, normal_payload, normal_prior
+from sysid_bench.canonical_json import canonical, digest
+from sysid_bench.experiments.spec import normal_noise, normal_payload, normal_prior
 from sysid_bench.harness.suite.model import Noise, Plugin, Prior, RobotEntry, Suite
 from sysid_bench.harness.suite.names import Names
 

@@ -9,9 +9,9 @@ from functools import cached_property
 from pathlib import PurePosixPath
 from typing import Any
 
+from sysid_bench.canonical_json import canonical, digest
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
-from sysid_bench.harness.canonical import canonical, digest
-from sysid_bench.harness.experiment.spec import (
+from sysid_bench.experiments.spec import (
     REDRAWN,
     ExperimentSpec,
     normal_noise,
@@ -19,13 +19,13 @@ from sysid_bench.harness.experiment.spec import (
     normal_prior,
 )
 from sysid_bench.harness.labels import BASES, labels_of, robot_key
-from sysid_bench.harness.logs import log_labels, log_specs
+from sysid_bench.harness.log_specs import log_labels, log_specs
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Prior, Signals, Suite
 from sysid_bench.harness.suite.names import Names, installed_names
-from sysid_bench.harness.words import CELL_FIELDS, LABELS
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.units import quantity
+from sysid_bench.vocabulary import CELL_FIELDS, LABELS
 
 # A crude model of the cost, on one core of 2025: set-up and cross-check of a robot, simulation and
 # regressor per sample of a motion, and the reduction and scoring per estimator.

@@ -16,21 +16,22 @@ from typing import Any, Final, Literal
 
 from sysid_bench import places
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.harness.argument import argument_of
+from sysid_bench.harness.fingerprint import cell_fingerprint
+from sysid_bench.harness.job import argument_of
 from sysid_bench.harness.plan import Cell, expand
-from sysid_bench.harness.provenance import cell_fingerprint, environment
 from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names, installed_names
-from sysid_bench.harness.suite.read import Suite, load_suite
-from sysid_bench.harness.words import FAILURES, STATUSES
-from sysid_bench.harness.work.crew import Task, Workplace
 from sysid_bench.harness.work.supervisor import Ending, OnEvent, supervise
+from sysid_bench.harness.work.worker_handle import Task, Workplace
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
+from sysid_bench.versions import environment
+from sysid_bench.vocabulary import FAILURES, STATUSES
 
 Rerun = Literal["failed", "stale", "all"]
-EXECUTE: Final = "sysid_bench.harness.experiment.execute:execute"
+EXECUTE: Final = "sysid_bench.experiments.execute:execute"
 _RERUNS: Final = ("failed", "stale", "all")
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.frames import Frames, frames_of
+from sysid_bench.harness.data_frames import Frames, frames_of
 from sysid_bench.harness.plan import Plan
-from sysid_bench.harness.suite.read import Suite, dump_suite, parse_frozen
+from sysid_bench.harness.suite.load_suite import Suite, dump_suite, parse_frozen
 from sysid_bench.harness.work.row_files import RowWriter, StoredRows, new_row_file, read_rows
 
 if TYPE_CHECKING:

@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sysid_bench.identifiability.base import base_map
+from sysid_bench.identifiability.base_map import base_map
+from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Cut, instruments_of
-from sysid_bench.models.states import random_states
 from sysid_bench.models.tree import Tree
-from sysid_bench.regressors.ended import sensed_regression
-from sysid_bench.regressors.fold import triangle
+from sysid_bench.regressors.nested_sensors import sensed_regression
+from sysid_bench.regressors.qr_accumulation import triangle
 from sysid_bench.types import Array, BaseMap, Trajectory
 
 NARROWEST = 1.0

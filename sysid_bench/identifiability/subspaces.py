@@ -13,12 +13,12 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identifiability.base import RANK_TOLERANCE
+from sysid_bench.identifiability.base_map import RANK_TOLERANCE
 from sysid_bench.identifiability.structural import NARROWEST
+from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Cut, Floating, floating
-from sysid_bench.models.states import random_states
-from sysid_bench.regressors.fold import triangle
+from sysid_bench.regressors.qr_accumulation import triangle
 from sysid_bench.regressors.wrench import SubTree, floating_sub_tree
 from sysid_bench.types import Array, Trajectory
 

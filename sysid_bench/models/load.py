@@ -8,20 +8,26 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
+from sysid_bench.models.checks.finite_checks import LARGEST_TREE, check_numbers
+from sysid_bench.models.checks.mujoco_warnings import heard, kept
+from sysid_bench.models.checks.unit_checks import doubts_of
 from sysid_bench.models.coupling.build import Dofs, coupling_of
+from sysid_bench.models.coupling.equalities import equalities_of, keep_equalities
 from sysid_bench.models.coupling.mimic import add_mimics
-from sysid_bench.models.coupling.read import equalities_of, keep_equalities
-from sysid_bench.models.doubts import doubts_of
 from sysid_bench.models.limits import limits_of, stated_limits
 from sysid_bench.models.locking import lock_joints
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.models.mjcf import mjcf_spec
-from sysid_bench.models.numbers import LARGEST_TREE, check_numbers
+from sysid_bench.models.mjcf.mjcf_spec import mjcf_spec
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, JointTerms, RobotModel
 from sysid_bench.models.tree import FREE, tree_of
-from sysid_bench.models.urdf import MASSLESS, TINY_MASS, TINY_MOMENT, Urdf, canonical_urdf
-from sysid_bench.models.warnings import heard, kept
+from sysid_bench.models.urdf.canonical_urdf import (
+    MASSLESS,
+    TINY_MASS,
+    TINY_MOMENT,
+    Urdf,
+    canonical_urdf,
+)
 from sysid_bench.models.xml_file import parse_xml, read_bytes
 from sysid_bench.spatial.inertia import matrix_of_six, phi_of
 from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_matrix

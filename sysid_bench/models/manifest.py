@@ -256,8 +256,8 @@ def is_model(source: str) -> bool:
 
 
 def _random(source: str, rest: str) -> Manifest:
-    from sysid_bench.models.random_coupled import random_coupled
-    from sysid_bench.models.random_robot import random_robot
+    from sysid_bench.models.random.random_mechanism import random_coupled
+    from sysid_bench.models.random.random_tree import random_robot
 
     kind, _, seed = rest.rpartition(":")
     if not (seed.isascii() and seed.isdigit() and len(seed) <= 18):

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.models.coupling.slopes import Slopes
+from sysid_bench.models.coupling.derivatives import Slopes
 from sysid_bench.models.tree import BALL, FREE, HINGE, Link, Tree, TreeJoint
 from sysid_bench.regressors.regression import SMOOTH_RATE, Regression
 from sysid_bench.spatial.rotation import matrix_of_quaternion

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from sysid_bench.models.coupling.coupling import Coupling
-from sysid_bench.models.coupling.slopes import Slopes, pulled_follow
+from sysid_bench.models.coupling.derivatives import Slopes, pulled_follow
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors import adjoint
 from sysid_bench.regressors.coupled import AnyRegression, CoupledRegression
-from sysid_bench.regressors.kernel import newton_euler
+from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.types import Array, Trajectory
 
 

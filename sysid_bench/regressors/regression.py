@@ -12,9 +12,9 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Measured
 from sysid_bench.regressors.columns import Columns, LinkColumns, TermColumn
-from sysid_bench.regressors.compiled import Library, chosen, program_of
-from sysid_bench.regressors.kernel import blocks, body_columns, sweep
-from sysid_bench.regressors.program import TERM_CODES
+from sysid_bench.regressors.kernel_c import Library, chosen, program_of
+from sysid_bench.regressors.kernel_layout import TERM_CODES
+from sysid_bench.regressors.kernel_numpy import blocks, body_columns, sweep
 from sysid_bench.types import Array, Regressor, Trajectory
 
 TermFunction = Callable[[Array, Array, Array], Array]

@@ -27,7 +27,7 @@ from sysid_bench.errors import unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Cut, Floating, Instruments, instruments_of
 from sysid_bench.models.tree import Tree
-from sysid_bench.regressors.kernel import LinkMotion, blocks, sweep
+from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, sweep
 from sysid_bench.regressors.regression import regression
 from sysid_bench.spatial.rotation import matrix_of_quaternion, skew
 from sysid_bench.types import Array, Regressor, Trajectory

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.numbers import ABSENT
+from sysid_bench.reporting.notation import ABSENT
 from sysid_bench.reporting.tables import Entry, Key, Table
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Final
 
-from sysid_bench.reporting.numbers import Notation
+from sysid_bench.reporting.notation import Notation
 from sysid_bench.reporting.tables import Entry, Key, Table
 
 _ESCAPES: Final = {

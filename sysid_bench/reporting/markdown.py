@@ -2,7 +2,7 @@
 
 import re
 
-from sysid_bench.reporting.numbers import ABSENT
+from sysid_bench.reporting.notation import ABSENT
 from sysid_bench.reporting.tables import Entry, Key, Table
 
 _SPECIAL = re.compile(r"([\\|<>*`\[\]&])")

@@ -9,7 +9,7 @@ from urllib.parse import quote
 import numpy as np
 
 from sysid_bench.reporting.metrics import metric_of
-from sysid_bench.reporting.numbers import ABSENT, notation
+from sysid_bench.reporting.notation import ABSENT, notation
 from sysid_bench.reporting.tables import label
 
 if TYPE_CHECKING:

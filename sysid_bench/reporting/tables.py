@@ -12,8 +12,8 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.evaluation.repeats import ENOUGH_REPEATS
 from sysid_bench.reporting.metrics import METRICS, Metric, metric_of
-from sysid_bench.reporting.numbers import ABSENT, Notation, notation
-from sysid_bench.reporting.repeats import figure_of
+from sysid_bench.reporting.notation import ABSENT, Notation, notation
+from sysid_bench.reporting.repeat_errors import figure_of
 from sysid_bench.reporting.statistics import INTERVALS, STATISTICS, interval_of, statistic_of
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel
+from sysid_bench.simulation.compiled_steps import stepped
 from sysid_bench.simulation.gravity import measured_gravity_rms
 from sysid_bench.simulation.plant import Plant, check_finite
-from sysid_bench.simulation.stepped import stepped
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 STIFF_FRICTION: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError
+from sysid_bench.models.checks.mujoco_warnings import kept
 from sysid_bench.models.robot import JointTerms, RobotModel
-from sysid_bench.models.warnings import kept
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array
 

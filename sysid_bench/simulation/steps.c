@@ -14,7 +14,7 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-enum { STRIBECK, COUPLED }; /* as simulation/stepped.py counts them */
+enum { STRIBECK, COUPLED }; /* as simulation/compiled_steps.py counts them */
 
 typedef void (*Step)(const void *model, void *data);
 

@@ -23,14 +23,14 @@ def basis(
     Raises UsageError for unknown words, ModelError for a file that cannot be used, and
     UnsupportedError where the robot has no such task.
     """
-    from sysid_bench.identifiability.base import base_map
-    from sysid_bench.identifiability.combinations import combined, expression, near_degenerate
+    from sysid_bench.identifiability.base_expressions import combined, expression, near_degenerate
+    from sysid_bench.identifiability.base_map import base_map
     from sysid_bench.identifiability.structural import structural_factor
     from sysid_bench.identifiability.verdicts import verdicts
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.payload import PAYLOADS
-    from sysid_bench.models.task import task_of
-    from sysid_bench.verbs.chosen import refuse_ignored_terms
+    from sysid_bench.tasks.task import task_of
+    from sysid_bench.verbs.option_parsing import refuse_ignored_terms
 
     refuse_ignored_terms(task, terms)
     load = PAYLOADS[LOAD if task.endswith("payload") else "none"]

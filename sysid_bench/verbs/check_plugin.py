@@ -55,9 +55,9 @@ def worlds(simulating: bool = False, robots_dir: Path | None = None) -> list["Wo
 
 def _world(changes: Mapping[str, Any], robots_dir: Path | None) -> "World":
     from sysid_bench.conformance import World
-    from sysid_bench.harness.experiment.prepare import prepare
-    from sysid_bench.harness.experiment.robots import subject
-    from sysid_bench.harness.experiment.spec import ExperimentSpec
+    from sysid_bench.experiments.robot_cache import subject
+    from sysid_bench.experiments.simulated.prepare import prepare
+    from sysid_bench.experiments.spec import ExperimentSpec
 
     base: dict[str, Any] = {
         "seed": 1,

@@ -9,7 +9,7 @@ from sysid_bench.errors import SysidBenchError
 
 def doctor() -> dict[str, Any]:
     """`ok`, the environment, and a list of checks {name, ok, needed, detail}."""
-    from sysid_bench.harness.provenance import environment
+    from sysid_bench.versions import environment
 
     checks = [_packages(), _example_robots(), _robots(), _viewer(), _latex(), _kernel(), _steps()]
     return {
@@ -78,14 +78,14 @@ def _latex() -> dict[str, Any]:
 
 
 def _kernel() -> dict[str, Any]:
-    from sysid_bench.regressors.compiled import chosen
+    from sysid_bench.regressors.kernel_c import chosen
 
     choice = chosen()
     return _check("regressor kernel", choice.library is not None, str(choice), needed=False)
 
 
 def _steps() -> dict[str, Any]:
-    from sysid_bench.simulation.stepped import steps_library
+    from sysid_bench.simulation.compiled_steps import steps_library
 
     found = steps_library()
     told = f"Python: {found}" if isinstance(found, str) else "compiled"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from sysid_bench.errors import UsageError, unknown_name
 
 if TYPE_CHECKING:
-    from sysid_bench.excitation.brief import Brief
+    from sysid_bench.excitation.design_problem import Brief
     from sysid_bench.excitation.export.commands import Commands
     from sysid_bench.excitation.optimised import Optimised
     from sysid_bench.models.robot import RobotModel
@@ -50,15 +50,15 @@ def excite(
     """
     import numpy as np
 
-    from sysid_bench.excitation.brief import brief_of
+    from sysid_bench.canonical_json import plain
+    from sysid_bench.excitation.design_problem import brief_of
     from sysid_bench.excitation.geometry import scene_of
-    from sysid_bench.excitation.insight import question, torque_of
+    from sysid_bench.excitation.information import question, torque_of
     from sysid_bench.excitation.optimised import Optimised, figures, told_by
-    from sysid_bench.harness.canonical import plain
     from sysid_bench.identifiability.structural import structural_base
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.payload import parse_payload
-    from sysid_bench.models.task import task_of
+    from sysid_bench.tasks.task import task_of
 
     kind = _export(export, out)
     start = time.perf_counter()
@@ -269,7 +269,7 @@ def _write(
     """Writes the motion; the answer tells what an export had to change. Warnings in words."""
     from sysid_bench.excitation.export import damiao, ros2
     from sysid_bench.excitation.export.commands import commands_of, csv_text
-    from sysid_bench.excitation.insight import torque_of
+    from sysid_bench.excitation.information import torque_of
 
     where = {joint.name: joint for joint in model.joints}
     commands: Commands = commands_of(

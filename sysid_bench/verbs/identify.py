@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError
-from sysid_bench.verbs.sensing import told as sensor_lines
+from sysid_bench.verbs.ft_summary import told as sensor_lines
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.experiment.spec import ExperimentSpec
+    from sysid_bench.experiments.spec import ExperimentSpec
 
 ESTIMATOR: Final = {"terminal": "min-norm", "wrench": "wls", "wrench-payload": "wls"}
 """The method of a task where none is named: that of its source; where forces and moments are rows
@@ -54,15 +54,17 @@ def identify(
     words, ModelError for a model that cannot be used or values that must not be written,
     EstimationError where the method fails.
     """
+    from sysid_bench.canonical_json import plain
     from sysid_bench.evaluation.covariance import spreads
     from sysid_bench.evaluation.score import score
-    from sysid_bench.harness.canonical import plain
-    from sysid_bench.harness.experiment.prepare import prepare, terms_of
-    from sysid_bench.harness.experiment.robots import subject
-    from sysid_bench.identification.complete import completed_estimate
+    from sysid_bench.experiments.robot_cache import subject
+    from sysid_bench.experiments.simulated.prepare import prepare, terms_of
+    from sysid_bench.identification.feasibility.completion import completed_estimate
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.naming import build
-    from sysid_bench.verbs.answer import (
+    from sysid_bench.verbs.ft_summary import compared, excited
+    from sysid_bench.verbs.option_parsing import refuse_ignored_terms
+    from sysid_bench.verbs.result import (
         base_of,
         bodies_of,
         joints_of,
@@ -70,9 +72,7 @@ def identify(
         std_from,
         warnings_of,
     )
-    from sysid_bench.verbs.chosen import refuse_ignored_terms
-    from sysid_bench.verbs.model_out import check_answer, check_target, write_model
-    from sysid_bench.verbs.sensing import compared, excited
+    from sysid_bench.verbs.write_model import check_answer, check_target, write_model
 
     refuse_ignored_terms(task, terms)
     name = estimator or ESTIMATOR.get(task, "ols")
@@ -202,7 +202,7 @@ def _spec(
     contacts: Sequence[str] | str | None,
 ) -> "ExperimentSpec":
     """The experiment as a suite with nothing but defaults would have it."""
-    from sysid_bench.harness.experiment.spec import ExperimentSpec, normal_noise, normal_payload
+    from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_payload
 
     measured = normal_noise(noise)
     signals = ENCODERS if {"q", "quantum"} & set(measured) else IDEAL

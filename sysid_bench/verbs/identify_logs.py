@@ -10,9 +10,9 @@ import numpy as np
 from sysid_bench.errors import EstimationError
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.experiment.recorded.choice import Selection
-    from sysid_bench.harness.experiment.recorded.pose import Posed
-    from sysid_bench.harness.experiment.recorded.treatment import Processed, Treatment
+    from sysid_bench.experiments.recorded.prepared_logs import Posed
+    from sysid_bench.experiments.recorded.preprocess import Processed, Treatment
+    from sysid_bench.experiments.recorded.term_selection import Selection
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as told, over the same samples"
 
@@ -43,20 +43,20 @@ def identify_logs(
     descriptions, files or words that cannot be, and for contradictions in the data that `accept`
     does not name; EstimationError where the method fails.
     """
+    from sysid_bench.canonical_json import plain
     from sysid_bench.evaluation.covariance import spreads
-    from sysid_bench.evaluation.recorded import eigenvalues, overall, torque_error
-    from sysid_bench.harness.canonical import plain
-    from sysid_bench.harness.experiment.recorded.asked import Asked, posed_logs
-    from sysid_bench.harness.experiment.recorded.mass import mass_of
-    from sysid_bench.harness.experiment.recorded.repeat import replayed
+    from sysid_bench.evaluation.recorded_score import eigenvalues, overall, torque_error
+    from sysid_bench.experiments.recorded.payload_mass import mass_of
+    from sysid_bench.experiments.recorded.prepare import Asked, posed_logs
+    from sysid_bench.experiments.recorded.repeatability import replayed
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.manifest import find_manifest
     from sysid_bench.naming import build
     from sysid_bench.signals.log_description import read_description
-    from sysid_bench.verbs.answer import base_of, bodies_of, joints_of, std_from, warnings_of
-    from sysid_bench.verbs.log_doubts import doubts
-    from sysid_bench.verbs.model_out import check_target, write_model
+    from sysid_bench.verbs.log_warnings import doubts
+    from sysid_bench.verbs.result import base_of, bodies_of, joints_of, std_from, warnings_of
+    from sysid_bench.verbs.write_model import check_target, write_model
 
     descriptions = [read_description(Path(log)) for log in (*logs, *tests)]
     name = estimator or "wls"
@@ -174,8 +174,8 @@ def _selection_lines(told: Mapping[str, Any] | None) -> list[str]:
 
 def _draw(path: Path, posed: "Posed", beta: Any) -> None:
     """Measured and predicted torque of the first test log, or of the training one."""
-    from sysid_bench.harness.experiment.recorded.cells import prediction
-    from sysid_bench.reporting.torques import torque_figure
+    from sysid_bench.experiments.recorded.rows import prediction
+    from sysid_bench.reporting.torque_figure import torque_figure
 
     t, measured, found, problem = prediction(posed, beta, None)
     units = [kind.removeprefix("joint ") for kind in problem.kinds]
@@ -239,7 +239,7 @@ def _data_figures(problem: Any) -> dict[str, Any]:
 
 
 def _joint_table(problem: Any, beta: Any) -> dict[str, Any]:
-    from sysid_bench.evaluation.recorded import joint_errors
+    from sysid_bench.evaluation.recorded_score import joint_errors
 
     return joint_errors(problem, beta)
 

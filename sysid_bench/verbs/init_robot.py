@@ -25,8 +25,8 @@ def init_robot(
     UsageError for a table that cannot be read or a folder that holds a robot already, ModelError
     for a robot that cannot be.
     """
-    from sysid_bench.models.dh.mjcf import mjcf_of
-    from sysid_bench.models.dh.table import read_table
+    from sysid_bench.models.dh.dh_robot import mjcf_of
+    from sysid_bench.models.dh.dh_table import read_table
     from sysid_bench.models.load import load_robot
 
     source = Path(table)
@@ -65,7 +65,7 @@ def init_robot(
 
 def chosen_numbers(text: str, what: str) -> tuple[float, float, float]:
     """Three numbers of "0 pi/2 0"; raises UsageError."""
-    from sysid_bench.models.dh.expression import read_expression
+    from sysid_bench.models.dh.dh_expression import read_expression
 
     words = text.replace(",", " ").split()
     if len(words) != 3:

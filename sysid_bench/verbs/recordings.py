@@ -76,7 +76,7 @@ def view(folder: str | Path, identifier: str, web: bool = False) -> "subprocess.
 def _matching(run_folder: "RunFolder", expression: str) -> list[str]:
     from sysid_bench.harness.plan import fields
     from sysid_bench.harness.suite.expression import Expression
-    from sysid_bench.harness.words import ROW_FIELDS
+    from sysid_bench.vocabulary import ROW_FIELDS
 
     condition = Expression.parse(expression, run_folder.plan.fields | ROW_FIELDS)
     stored = run_folder.rows().rows
@@ -116,8 +116,8 @@ def _path(run_folder: "RunFolder", cell: str) -> Path:
 def _write(
     run_folder: "RunFolder", cell: str, row: Mapping[str, Any], max_hz: Any, robots_dir: Path | None
 ) -> Path:
-    from sysid_bench.harness.argument import argument_of
-    from sysid_bench.harness.experiment.evidence import evidence
+    from sysid_bench.experiments.cell_data import evidence
+    from sysid_bench.harness.job import argument_of
     from sysid_bench.reporting.recording import record as write
     from sysid_bench.units import quantity
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.verbs.folders import open_run
-from sysid_bench.verbs.papers import draw_papers, papers_of, text_of
+from sysid_bench.verbs.paper_output import draw_papers, papers_of, text_of
 
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
@@ -107,8 +107,8 @@ def recordings(run_folder: "RunFolder") -> dict[str, str]:
 
 
 def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
-    from sysid_bench.harness.words import JOINT, PARAMETER, STD_FROM
     from sysid_bench.reporting.tables import make_table
+    from sysid_bench.vocabulary import JOINT, PARAMETER, STD_FROM
 
     frames = run_folder.frames()
     cells = frames.cells
@@ -169,7 +169,7 @@ def _put(path: Path, text: str) -> None:
 
 
 def _origin(run_folder: "RunFolder") -> "Origin":
-    from sysid_bench.harness.canonical import digest
+    from sysid_bench.canonical_json import digest
     from sysid_bench.reporting.latex import Origin
 
     cells = sorted(cell.id for cell in run_folder.plan.cells)

@@ -24,8 +24,8 @@ def plan(
 
     from sysid_bench import places
     from sysid_bench.harness.plan import expand
+    from sysid_bench.harness.suite.load_suite import load_suite
     from sysid_bench.harness.suite.names import installed_names
-    from sysid_bench.harness.suite.read import load_suite
 
     names = installed_names(robots_dir)
     whole = expand(load_suite(places.suite(str(suite)), names, overrides), names)

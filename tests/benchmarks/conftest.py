@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.regressors.compiled import chosen
+from sysid_bench.regressors.kernel_c import chosen
 
 Function = Callable[[], Any]
 TABLE = "SYSID_BENCH_SPEED"

@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import lapack, solve_triangular
 
 from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.regressors.compiled import chosen
-from sysid_bench.regressors.fold import fold, fold_all, triangle
+from sysid_bench.regressors.kernel_c import chosen
+from sysid_bench.regressors.qr_accumulation import fold, fold_all, triangle
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Factor, Trajectory
 from tests.robots import named_robot, states

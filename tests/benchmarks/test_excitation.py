@@ -20,9 +20,9 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import Bounds, minimize
 
-from sysid_bench.excitation.brief import brief_of
-from sysid_bench.excitation.insight import question
-from sysid_bench.excitation.limits import joint_limits
+from sysid_bench.excitation.design_problem import brief_of
+from sysid_bench.excitation.information import question
+from sysid_bench.excitation.limit_use import joint_limits
 from sysid_bench.excitation.optimised import Optimised, criterion_of
 from sysid_bench.excitation.search import Search, Stopped
 from sysid_bench.identifiability.structural import structural_base

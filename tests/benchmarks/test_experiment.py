@@ -15,18 +15,18 @@ from mujoco.batch import Batch
 from scipy.linalg import lapack, qr, solve_triangular
 
 from sysid_bench.evaluation.score import data_figures
-from sysid_bench.excitation.brief import brief_of
+from sysid_bench.excitation.design_problem import brief_of
 from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.harness.experiment.posing import Posing
+from sysid_bench.experiments.simulated.problem import Posing
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.task import task_of
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.closed_loop import ClosedLoop, commands, controlled_model
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.plant import plant_of
+from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Array
 
 Compare = Callable[..., dict[str, float]]

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench.identification.base_coordinates import weighted_coordinates
 from sysid_bench.identification.estimators.entropic import Entropic
 from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.identification.physical import BASIS, physical_of
-from sysid_bench.identification.prior import start_of
+from sysid_bench.identification.feasibility.feasible_set import BASIS, physical_of
+from sysid_bench.identification.feasibility.required_prior import start_of
+from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
 from sysid_bench.types import Problem
 from tests.experiments.experiment_world import ready
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.compiled import VARIABLE, Choice, chosen, program_of
+from sysid_bench.regressors.kernel_c import VARIABLE, Choice, chosen, program_of
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.benchmarks import peers
@@ -151,7 +151,7 @@ def test_against_others(
 
 
 def test_instruction_sets(subject: Subject, compare: Compare, line: Line) -> None:
-    from sysid_bench.regressors import compiled
+    from sysid_bench.regressors import kernel_c as compiled
 
     if chosen().library is None:
         pytest.skip(chosen().reason)

@@ -12,12 +12,12 @@ from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.models.task import asked_bodies
 from sysid_bench.spatial.inertia import NAMES
+from sysid_bench.tasks.task import asked_bodies
 from sysid_bench.verbs.basis import basis, paper, summary
-from sysid_bench.verbs.chosen import chosen_noise, chosen_payload, chosen_terms
 from sysid_bench.verbs.identify import identify
 from sysid_bench.verbs.identify import summary as describe
+from sysid_bench.verbs.option_parsing import chosen_noise, chosen_payload, chosen_terms
 from tests.robots import NAMED, named_robot
 
 from .conftest import Run, one_sentence

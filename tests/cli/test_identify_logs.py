@@ -97,12 +97,12 @@ def test_a_known_payload_is_taken_off_an_unknown_one_is_found(folder: Path) -> N
 
 def test_blocks_are_the_factors(folder: Path) -> None:
     """What methods may read again and again is what was folded, slow rows left out of both."""
-    from sysid_bench.harness.experiment.recorded.locked import locked_manifest
-    from sysid_bench.harness.experiment.recorded.pose import pose_logs
-    from sysid_bench.harness.experiment.recorded.treatment import Treatment, processed
-    from sysid_bench.identification.compressed import compress
+    from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+    from sysid_bench.experiments.recorded.prepared_logs import pose_logs
+    from sysid_bench.experiments.recorded.preprocess import Treatment, processed
+    from sysid_bench.identification.linear.normal_qr import compress
     from sysid_bench.signals.log_description import read_description
-    from sysid_bench.signals.process import processing_of
+    from sysid_bench.signals.processing import processing_of
 
     logs = [read_description(folder / f"{name}.toml") for name in ("run", "loaded")]
     manifest = locked_manifest(find_manifest("ur5"), named_robot("ur5"), logs)
@@ -225,7 +225,7 @@ def test_a_load_of_known_shape_has_a_mass_with_an_interval(folder: Path, tmp_pat
 
 
 def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
-    from sysid_bench.regressors.features import Play
+    from sysid_bench.regressors.friction_features import Play
 
     logs = []
     for seed in (0, 1):

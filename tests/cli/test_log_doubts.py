@@ -3,9 +3,9 @@
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.verbs.chosen import chosen_noise
 from sysid_bench.verbs.identify import identify
-from sysid_bench.verbs.log_doubts import doubts
+from sysid_bench.verbs.log_warnings import doubts
+from sysid_bench.verbs.option_parsing import chosen_noise
 
 SOUND = {"rms": 3.0, "relative": 0.1}
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UnsupportedError, UsageError
-from sysid_bench.harness.experiment.evidence import evidence
+from sysid_bench.experiments.cell_data import evidence
 from sysid_bench.models.load import load_robot
 from sysid_bench.spatial.inertia import smallest_eigenvalue
 from sysid_bench.verbs import basis as bases

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.crosscheck import crosscheck
-from sysid_bench.identification.compressed import residual_norms
 from sysid_bench.identification.identify import identify
+from sysid_bench.identification.linear.normal_qr import residual_norms
 from sysid_bench.models.coupling.constraints import Relation
 from sysid_bench.models.coupling.group import Group
 from sysid_bench.models.load import load_robot
 from sysid_bench.naming import build
 from sysid_bench.regressors.coupled import torque_regression
-from sysid_bench.regressors.fold import fold
-from sysid_bench.simulation.bare import bare_robot
+from sysid_bench.regressors.qr_accumulation import fold
 from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.kinematics_only import bare_robot
+from sysid_bench.simulation.mujoco_inverse import constrained_torque
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.witness import constrained_torque
 from tests.coupling.mechanisms import KINDS, LOOPS, chain, four_bar, mechanism, mjcf
 from tests.experiments.experiment_world import executed, ready, spec
 from tests.robots import relative_gap, robot_of, states

@@ -9,8 +9,8 @@ import pytest
 
 from sysid_bench.evaluation import crosscheck as room
 from sysid_bench.evaluation.crosscheck import CLOSURE, GAP, CrossCheck, crosscheck
-from sysid_bench.regressors import kernel
-from sysid_bench.regressors.compiled import Choice
+from sysid_bench.regressors import kernel_numpy as kernel
+from sysid_bench.regressors.kernel_c import Choice
 from sysid_bench.types import Array
 from tests.experiments.experiment_world import OWN, SHIPPED, robot_of
 

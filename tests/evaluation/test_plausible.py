@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.plausible import implausible, oddities
+from sysid_bench.evaluation.plausibility import implausible, oddities
 from sysid_bench.evaluation.score import score
 from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.models.extents import extents
+from sysid_bench.models.bounding_boxes import extents
 from sysid_bench.spatial.inertia import phi_of
 from sysid_bench.types import Estimate, Extent, Score
 from tests.experiments.experiment_world import SHIPPED, ready, ready_once

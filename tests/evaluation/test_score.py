@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.score import SMALL_JOINT, data_figures, score
-from sysid_bench.harness.experiment.prepare import Prepared
+from sysid_bench.experiments.simulated.prepare import Prepared
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify

@@ -39,7 +39,7 @@ from sysid_bench.evaluation.distances import (
 from sysid_bench.evaluation.repeats import bias, bound_ratio, efficiency, spread
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.identification.linear.weights import own_sigmas
 from sysid_bench.spatial.inertia import pseudo_inertia, transport
 from sysid_bench.types import Array, Estimate, Trajectory
 from tests.identification.test_least_squares import problem_of

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.brief import Brief, brief_of
+from sysid_bench.excitation.design_problem import Brief, brief_of
 from sysid_bench.excitation.geometry import scene_of
-from sysid_bench.excitation.insight import question, torque_of
+from sysid_bench.excitation.information import question, torque_of
 from sysid_bench.excitation.optimised import Optimised, criterion_of, figures, told_by
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.task import task_of
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
+from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Trajectory
 from tests.coupling.mechanisms import KINDS, mechanism
 from tests.robots import named_robot

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.brief import FLOATING_REACH, Brief, brief_of
-from sysid_bench.excitation.fit import dense_grid, fit
+from sysid_bench.excitation.design_problem import FLOATING_REACH, Brief, brief_of
 from sysid_bench.excitation.fourier import series
+from sysid_bench.excitation.scale_to_limits import dense_grid, fit
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import build, known
 from sysid_bench.spatial.rotation import conjugate, product

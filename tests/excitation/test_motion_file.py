@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.brief import brief_of
+from sysid_bench.excitation.design_problem import brief_of
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.excitation.motion_file import MotionFile
 from sysid_bench.excitation.point_to_point import PointToPoint

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UnsupportedError, UsageError
-from sysid_bench.excitation.brief import Brief, brief_of
 from sysid_bench.excitation.curves import FAMILIES, curves_of
+from sysid_bench.excitation.design_problem import Brief, brief_of
 from sysid_bench.excitation.geometry import scene_of
-from sysid_bench.excitation.insight import question, torque_of
-from sysid_bench.excitation.limits import smooth_max
+from sysid_bench.excitation.information import question, torque_of
+from sysid_bench.excitation.limit_use import smooth_max
 from sysid_bench.excitation.optimised import Optimised, criterion_of, told_by
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.models.random_robot import RandomRobot, random_robot
+from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Trajectory
 from tests.robots import named_robot, robot_of

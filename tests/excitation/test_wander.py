@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.brief import brief_of
-from sysid_bench.excitation.wander import Wander
+from sysid_bench.excitation.design_problem import brief_of
+from sysid_bench.excitation.random_waypoints import Wander
 from tests.robots import named_robot
 
 

@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench import places
-from sysid_bench.excitation.brief import brief_of
-from sysid_bench.harness.experiment.prepare import Prepared, prepare
-from sysid_bench.harness.experiment.robots import Subject, subject
-from sysid_bench.harness.experiment.spec import ExperimentSpec
+from sysid_bench.excitation.design_problem import brief_of
+from sysid_bench.experiments.robot_cache import Subject, subject
+from sysid_bench.experiments.simulated.prepare import Prepared, prepare
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import build
@@ -114,7 +114,7 @@ def executed(
     made: ExperimentSpec, *estimators: str | Mapping[str, Any], tolerance: float = 1e-12
 ) -> list[Row]:
     """The rows of one experiment."""
-    from sysid_bench.harness.experiment.execute import execute
+    from sysid_bench.experiments.execute import execute
 
     rows: list[Row] = []
     execute(argument(made, *estimators, tolerance=tolerance), rows.append)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
-from sysid_bench.excitation.brief import MARGIN, Brief
+from sysid_bench.excitation.design_problem import MARGIN, Brief
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import (
     Array,

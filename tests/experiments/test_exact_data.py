@@ -20,7 +20,7 @@ from tests.experiments.experiment_world import (
 
 
 def figures(made: object) -> Score:
-    from sysid_bench.harness.experiment.prepare import Prepared
+    from sysid_bench.experiments.simulated.prepare import Prepared
 
     assert isinstance(made, Prepared)
     estimate = identify(OLS(), made.problem)

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.harness.experiment import prepare, robots
-from sysid_bench.harness.experiment.execute import execute
-from sysid_bench.harness.experiment.robots import KEPT, subject
-from sysid_bench.harness.experiment.spec import ExperimentSpec
+from sysid_bench.experiments import robot_cache as robots
+from sysid_bench.experiments.execute import execute
+from sysid_bench.experiments.robot_cache import KEPT, subject
+from sysid_bench.experiments.simulated import prepare
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.types import Row
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,

@@ -6,15 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.estimation import Reordered, compare, reordered, upstream_torque
+from sysid_bench.evaluation.wrench_estimation import Reordered, compare, reordered, upstream_torque
 from sysid_bench.identifiability.subspaces import structural_subspaces
-from sysid_bench.identification.online import Recursion, batch
-from sysid_bench.models.prior import PriorSpread, prior_of
-from sysid_bench.models.task import Task, task_of
-from sysid_bench.regressors.kernel import newton_euler
+from sysid_bench.identification.linear.online_estimation import Recursion, batch
+from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import sub_tree
-from sysid_bench.signals.process import processing_of
-from sysid_bench.simulation.wrench import sensor_wrench, touch_torque
+from sysid_bench.signals.processing import processing_of
+from sysid_bench.simulation.force_torque import sensor_wrench, touch_torque
+from sysid_bench.tasks.prior import PriorSpread, prior_of
+from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, Prior, Recording, Trajectory
 from tests.experiments.icub_arm import BASE, REST, SIGMA, arm, motion, noisy, touched, training
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.harness.experiment.execute import execute
-from sysid_bench.harness.experiment.spec import prior_seed
+from sysid_bench.experiments.execute import execute
+from sysid_bench.experiments.spec import prior_seed
 from sysid_bench.harness.plan import Cell, Plan, expand
-from sysid_bench.harness.suite.read import load_suite
+from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.places import suite
 from tests.experiments.experiment_world import argument
 

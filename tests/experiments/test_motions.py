@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench.excitation.brief import brief_of
+from sysid_bench.excitation.design_problem import brief_of
 from sysid_bench.excitation.optimised import Optimised
-from sysid_bench.harness.experiment import motions, prepare
+from sysid_bench.experiments.simulated import commanded as motions
+from sysid_bench.experiments.simulated import prepare
 from tests.experiments.experiment_world import ready, robot_of
 
 DESIGN = {"use": "optimised", "harmonics": 2, "period": "4 s", "iterations": 3}

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from sysid_bench.harness.experiment.prepare import Prepared
+from sysid_bench.experiments.simulated.prepare import Prepared
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.task import Task
+from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Oracle, Truth
 from tests.experiments.experiment_world import CLOSED_LOOP, RICH, SMOOTH, ready
 

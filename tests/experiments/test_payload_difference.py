@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
-from sysid_bench.harness.experiment.prepare import Prepared
+from sysid_bench.experiments.simulated.prepare import Prepared
 from sysid_bench.identification.estimators.difference import Difference
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify

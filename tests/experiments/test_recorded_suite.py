@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.plan import Cell, Plan, expand
-from sysid_bench.harness.provenance import cell_fingerprint
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.suite.read import dump_suite, parse_frozen, parse_suite
+from sysid_bench.harness.suite.load_suite import dump_suite, parse_frozen, parse_suite
 from sysid_bench.verbs.identify_logs import identify_logs
 from sysid_bench.verbs.reports import report, table
 from tests.robots import named_robot

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UnsupportedError
-from sysid_bench.harness.experiment.prepare import Prepared
+from sysid_bench.experiments.simulated.prepare import Prepared
 from sysid_bench.types import Recording
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.score import score
-from sysid_bench.harness.experiment.prepare import Prepared
+from sysid_bench.experiments.simulated.prepare import Prepared
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
 from sysid_bench.types import Array, Estimate, Recording

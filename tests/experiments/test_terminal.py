@@ -11,7 +11,7 @@ import sympy as sp
 from sysid_bench import places
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
-from sysid_bench.harness.experiment.evidence import evidence
+from sysid_bench.experiments.cell_data import evidence
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.min_norm import MinNorm
@@ -19,9 +19,9 @@ from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.task import Task, task_of
 from sysid_bench.regressors.derive import DW, D, W, body_regressor, in_classical_acceleration
 from sysid_bench.regressors.regression import regression
+from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, BaseMap, Trajectory
 from tests.experiments.experiment_world import argument, executed, ready, robot_of, spec
 from tests.robots import SCARA, named_robot, states

@@ -7,23 +7,29 @@ import pytest
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
-from sysid_bench.harness.experiment.evidence import evidence
-from sysid_bench.harness.experiment.posing import Posing
+from sysid_bench.experiments.cell_data import evidence
+from sysid_bench.experiments.simulated.problem import Posing
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.rls import RLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.online import Recursion, rows_of
-from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.identification.linear.online_estimation import Recursion, rows_of
+from sysid_bench.identification.linear.weights import own_sigmas
 from sysid_bench.models.manifest import Sensor, find_manifest
-from sysid_bench.models.random_robot import random_robot
+from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.sensor import cut_at, instruments_of
-from sysid_bench.models.task import task_of
-from sysid_bench.regressors.ended import sensed_regression
+from sysid_bench.regressors.nested_sensors import sensed_regression
 from sysid_bench.regressors.wrench import sub_tree
+from sysid_bench.simulation.force_torque import (
+    Touch,
+    WrenchNoise,
+    fault_of,
+    sensor_wrench,
+    touch_torque,
+)
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.wrench import Touch, WrenchNoise, fault_of, sensor_wrench, touch_torque
+from sysid_bench.tasks.task import task_of
 from tests.experiments.experiment_world import CLOSED_LOOP, argument, executed, ready, spec
 from tests.robots import NAMED, named_robot, relative_gap, robot_of, states
 from tests.robots import random_robot as rich_robot

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.harness.suite.load_suite import Suite, parse_suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.suite.read import Suite, parse_suite
 
 PLUGINS = {
     "estimator": ("ols", "wls", "didim", "mylab.methods:Geodesic"),

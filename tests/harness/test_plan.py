@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.experiment.spec import (
+from sysid_bench.experiments.spec import (
     ExperimentSpec,
     held_out_seed,
     motion_seed,
@@ -21,7 +21,7 @@ from sysid_bench.harness.experiment.spec import (
     sensor_seed,
 )
 from sysid_bench.harness.plan import Plan, expand, fields
-from sysid_bench.harness.words import LABELS
+from sysid_bench.vocabulary import LABELS
 
 
 def plan_of(text: str) -> Plan:

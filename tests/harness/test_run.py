@@ -14,11 +14,11 @@ import pytest
 from harness_world import FULL, NAMES, read, small
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness import provenance
+from sysid_bench.harness import fingerprint as fingerprints
 from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.suite.read import parse_suite
 from sysid_bench.harness.work.row_files import read_rows
 
 HERE = Path(__file__).parent
@@ -139,7 +139,7 @@ def test_rerun_stale_runs_what_a_change_has_touched(tmp_path: Path, executed: An
     assert go(suite, tmp_path / "run", rerun="stale").asked == 0
     (tmp_path / "two.urdf").write_text("<robot />")
     for name in ("_file", "_model", "_fingerprint"):
-        getattr(provenance, name).cache_clear()
+        getattr(fingerprints, name).cache_clear()
     result = go(suite, tmp_path / "run", rerun="stale")
     (changed,) = result.folder.plan.select('robot == "two"')
     assert executed() == [changed.id]

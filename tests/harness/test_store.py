@@ -14,9 +14,9 @@ from harness_world import FULL, NAMES, read, small
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sysid_bench.canonical_json import canonical, plain
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.canonical import canonical, plain
-from sysid_bench.harness.frames import frames_of
+from sysid_bench.harness.data_frames import frames_of
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.work.row_files import RowWriter, ids_in, new_row_file, read_rows

@@ -10,17 +10,18 @@ from harness_world import FULL, NAMES, read, small
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sysid_bench import vocabulary as words
 from sysid_bench.errors import UsageError
-from sysid_bench.harness import words
 from sysid_bench.harness.plan import expand
-from sysid_bench.harness.suite.names import Names, installed_names, located
-from sysid_bench.harness.suite.read import (
+from sysid_bench.harness.suite.load_suite import (
     dump_suite,
     load_suite,
     override,
     parse_frozen,
     parse_suite,
 )
+from sysid_bench.harness.suite.names import Names, installed_names
+from sysid_bench.naming import located
 
 SUITES = {
     "full": FULL,

@@ -3,9 +3,9 @@
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.experiment.spec import prior_seed
+from sysid_bench.experiments.spec import prior_seed
 from sysid_bench.harness.plan import expand
-from sysid_bench.harness.suite.read import dump_suite, parse_suite
+from sysid_bench.harness.suite.load_suite import dump_suite, parse_suite
 
 SUITE = """schema = 1
 name = "sensors"

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.harness.work.crew import Task, Workplace
 from sysid_bench.harness.work.row_files import StoredRows, read_rows
 from sysid_bench.harness.work.supervisor import Ending, supervise
+from sysid_bench.harness.work.worker_handle import Task, Workplace
 
 HERE = Path(__file__).parent
 CHECKOUT = HERE.parents[1]
@@ -173,7 +173,7 @@ PARENT = """
 import sys, threading
 from pathlib import Path
 sys.path.insert(0, {here!r})
-from sysid_bench.harness.work.crew import Task, Workplace
+from sysid_bench.harness.work.worker_handle import Task, Workplace
 from sysid_bench.harness.work.supervisor import supervise
 cells = [str(n) for n in range(4)]
 def task(cell):

@@ -8,7 +8,7 @@ from harness_world import FULL
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench.harness.suite.toml_places import key_lines, line_of
+from sysid_bench.harness.suite.toml_lines import key_lines, line_of
 from sysid_bench.harness.suite.toml_text import toml_text
 
 SAMPLE = '''# a comment = 1

@@ -13,7 +13,7 @@ from sysid_bench.identifiability.subspaces import (
     span,
     structural_subspaces,
 )
-from sysid_bench.models.random_robot import random_robot
+from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import cut_at
 from sysid_bench.regressors.wrench import sub_tree

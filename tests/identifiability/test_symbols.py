@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid_bench.identifiability.possible import impossible, lower_bound, smallest_change
+from sysid_bench.identifiability.sign_bounds import impossible, lower_bound, smallest_change
 from sysid_bench.identifiability.symbols import generic_lengths, symbolic
 from sysid_bench.spatial.inertia import NAMES, pseudo_inertia
 from sysid_bench.types import Array, Body

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from sysid_bench import places
 from sysid_bench.errors import UsageError
-from sysid_bench.identifiability.base import CONDITION, base_map, qr_pivots
-from sysid_bench.identifiability.combinations import (
+from sysid_bench.identifiability.base_expressions import (
     combinations,
     combined,
     expression,
     near_degenerate,
 )
+from sysid_bench.identifiability.base_map import CONDITION, base_map, qr_pivots
 from sysid_bench.identifiability.nullspace import parameter_nullspace, structural_rank
 from sysid_bench.identifiability.rebase import rebase, same_space
 from sysid_bench.identifiability.structural import structural_base, structural_factor

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.excitation.brief import Brief
+from sysid_bench.excitation.design_problem import Brief
 from sysid_bench.types import Trajectory
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.calibration import calibrate
-from sysid_bench.identification.contact import free_samples
-from sysid_bench.identification.online import Recursion, batch
+from sysid_bench.identification.contact_detection import free_samples
+from sysid_bench.identification.linear.online_estimation import Recursion, batch
+from sysid_bench.identification.sensor_calibration import calibrate
 
 SIZE = np.repeat([1.0, 10.0], 3)
 

@@ -9,10 +9,6 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.base_coordinates import WEAK, weighted_coordinates
-from sysid_bench.identification.bregman import divergence
-from sysid_bench.identification.cholesky_coordinates import coordinates
-from sysid_bench.identification.complete import DISTANCES, completed
 from sysid_bench.identification.estimators.bounded import Bounded
 from sysid_bench.identification.estimators.entropic import Entropic
 from sysid_bench.identification.estimators.lmi import LMI
@@ -21,9 +17,13 @@ from sysid_bench.identification.estimators.lmi_pullback import LMIPullback
 from sysid_bench.identification.estimators.log_cholesky import LogCholesky
 from sysid_bench.identification.estimators.reconstruction import Reconstruction
 from sysid_bench.identification.estimators.wls import WLS
+from sysid_bench.identification.feasibility.bregman import divergence
+from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates
+from sysid_bench.identification.feasibility.completion import DISTANCES, completed
+from sysid_bench.identification.feasibility.feasible_set import Physical, physical_of
+from sysid_bench.identification.feasibility.required_prior import existing, spread_of, start_of
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.physical import Physical, physical_of
-from sysid_bench.identification.prior import existing, spread_of, start_of
+from sysid_bench.identification.linear.base_coordinates import WEAK, weighted_coordinates
 from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
 from sysid_bench.types import Array, Estimate, Prior, Problem
 from tests.experiments.experiment_world import ready
@@ -254,7 +254,7 @@ def test_cvxpy_finds_the_same_fit_and_takes_longer(robot: str) -> None:
     start = time.perf_counter()
     x = cp.Variable(len(mine))
     constraints = [x[i] >= 0 for i in of.not_negative]
-    from sysid_bench.identification.physical import BASIS
+    from sysid_bench.identification.feasibility.feasible_set import BASIS
 
     for place in of.places:
         J = sum(x[int(i)] * E for i, E in zip(place, BASIS, strict=True))

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.linalg import qr
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.compressed import residual_norms
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.identification.linear.normal_qr import residual_norms
+from sysid_bench.identification.linear.weights import own_sigmas
 from sysid_bench.types import Array, BaseMap, Estimate, Factor, Problem
 from tests.experiments.experiment_world import RICH, dense, ready
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.compressed import compress
 from sysid_bench.identification.estimators.a_priori import APriori
 from sysid_bench.identification.estimators.ar_gls import ARGLS
 from sysid_bench.identification.estimators.essential import Essential
@@ -18,7 +17,8 @@ from sysid_bench.identification.estimators.rls import RLS
 from sysid_bench.identification.estimators.tls import TLS
 from sysid_bench.identification.estimators.tukey import Tukey
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.identification.linear.normal_qr import compress
+from sysid_bench.identification.linear.weights import own_sigmas
 from sysid_bench.types import Array, Estimate, Problem
 from tests.experiments.experiment_world import dense, ready
 from tests.identification.test_least_squares import problem_of

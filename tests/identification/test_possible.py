@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.identification.compressed import compress
-from sysid_bench.identification.possible import possible
-from sysid_bench.simulation.candidate import candidate, declared
+from sysid_bench.identification.feasibility.simulatable import possible
+from sysid_bench.identification.linear.normal_qr import compress
+from sysid_bench.experiments.simulated.method_model import declared
+from sysid_bench.simulation.parametrised_plant import candidate
 from sysid_bench.spatial.inertia import smallest_eigenvalue
 from sysid_bench.types import Array, Problem
 from tests.experiments.experiment_world import RICH, SMOOTH, ready_once

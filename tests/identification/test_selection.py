@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid_bench.identification.selection import FoldedRow, choose
+from sysid_bench.identification.linear.column_selection import FoldedRow, choose
 from sysid_bench.types import Array
 
 

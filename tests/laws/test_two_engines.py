@@ -16,11 +16,11 @@ from sysid_bench.errors import ModelError, UnsupportedError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.kernel import newton_euler
-from sysid_bench.regressors.native import native_regressor
-from sysid_bench.regressors.reference import pinocchio_regressor
+from sysid_bench.regressors.kernel_numpy import newton_euler
+from sysid_bench.regressors.pinocchio import pinocchio_regressor
+from sysid_bench.regressors.pinocchio_urdf import native_regressor
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.witness import inverse_torque
+from sysid_bench.simulation.mujoco_inverse import inverse_torque
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array, Trajectory
 from tests.robots import (

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.models.task import task_of
 from sysid_bench.spatial.inertia import smallest_eigenvalue
+from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Array
 from tests.robots import named_robot
 

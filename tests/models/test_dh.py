@@ -10,13 +10,13 @@ import pytest
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.identifiability.rebase import same_space
 from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.models.dh.expression import read_expression
-from sysid_bench.models.dh.mjcf import mjcf_of
-from sysid_bench.models.dh.table import DhTable, read_table
+from sysid_bench.models.dh.dh_expression import read_expression
+from sysid_bench.models.dh.dh_robot import mjcf_of
+from sysid_bench.models.dh.dh_table import DhTable, read_table
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.task import asked_bodies
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
+from sysid_bench.tasks.task import asked_bodies
 from sysid_bench.types import Array
 from sysid_bench.verbs.init_robot import init_robot
 from tests.robots import robot_of, states

@@ -6,8 +6,8 @@ import pytest
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.limits import FLOATING, USUAL
 from sysid_bench.models.manifest import Limits, Manifest
+from sysid_bench.models.random.random_states import LARGEST, random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.states import LARGEST, random_states
 from tests.robots import NAMED, named_robot, random_robot, robot_of, states, urdf_files, urdf_robot
 
 EVERY = [*NAMED, *range(8)]

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS, Payload, parse_payload, solid
+from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.states import random_states
-from sysid_bench.models.task import task_of
-from sysid_bench.regressors.kernel import newton_euler
+from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.spatial.inertia import mass_com_inertia, matrix_of_six, smallest_eigenvalue
+from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Array
 from tests.robots import NAMED, named_robot, random_mjcf, random_rotation, robot_of, states
 

@@ -11,8 +11,8 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.models.random_coupled import MECHANISMS, random_coupled
-from sysid_bench.models.random_robot import RandomRobot, random_robot
+from sysid_bench.models.random.random_mechanism import MECHANISMS, random_coupled
+from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.spatial.inertia import smallest_eigenvalue
 from tests.random_trees import random_texts
 from tests.robots import robot_of

@@ -6,7 +6,7 @@ from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, Sensor
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.models.random_robot import random_robot
+from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.sensor import cut_at, floating, instruments_of, the_sensor
 from tests.robots import named_robot, robot_of, states
 

@@ -8,10 +8,10 @@ import pytest
 
 from sysid_bench import places
 from sysid_bench.errors import ModelError, UsageError
-from sysid_bench.harness.experiment.robots import subject
-from sysid_bench.harness.experiment.spec import ExperimentSpec
+from sysid_bench.experiments.robot_cache import subject
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.plan import expand
-from sysid_bench.harness.suite.read import dump_suite, parse_suite
+from sysid_bench.harness.suite.load_suite import dump_suite, parse_suite
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.verbs.catalogue import show
 from sysid_bench.verbs.crosscheck import crosscheck

@@ -7,13 +7,13 @@ import pytest
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.models.prior import PriorSpread, prior_of
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.task import Task, task_of
-from sysid_bench.regressors.kernel import newton_euler
+from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.plant import bench_flags
 from sysid_bench.spatial.inertia import smallest_eigenvalue
+from sysid_bench.tasks.prior import PriorSpread, prior_of
+from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, Trajectory
 from tests.robots import named_robot, random_mjcf, relative_gap, robot_of, states
 

@@ -9,7 +9,7 @@ import pytest
 
 from sysid_bench import places
 from sysid_bench.errors import ModelError
-from sysid_bench.models.urdf import Mimic, canonical_urdf
+from sysid_bench.models.urdf.canonical_urdf import Mimic, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.spatial.inertia import matrix_of_six
 from sysid_bench.types import Array

@@ -10,9 +10,9 @@ from sysid_bench import places
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.writing.mjcf import updated_mjcf
+from sysid_bench.models.writing.mjcf_writer import updated_mjcf
 from sysid_bench.models.writing.update import JOINT_KEYS
-from sysid_bench.models.writing.urdf import updated_urdf
+from sysid_bench.models.writing.urdf_writer import updated_urdf
 from sysid_bench.models.writing.xml_text import elements_of
 from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
 from sysid_bench.types import Array

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from sysid_bench.regressors import compiled
-from sysid_bench.regressors.compiled import VARIABLE, Choice, chosen
+from sysid_bench.regressors import kernel_c as compiled
+from sysid_bench.regressors.kernel_c import VARIABLE, Choice, chosen
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from sysid_bench.regressors.adjoint import (
     pull_back_torque,
     smoothed,
 )
-from sysid_bench.regressors.kernel import newton_euler
+from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.random_trees import random_texts

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from sysid_bench.errors import UsageError
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors import compiled
-from sysid_bench.regressors.compiled import SOURCE, VARIABLE, Choice, chosen
+from sysid_bench.regressors import kernel_c as compiled
 from sysid_bench.regressors.derive import c_source
-from sysid_bench.regressors.fold import fold, fold_all
-from sysid_bench.regressors.kernel import newton_euler
-from sysid_bench.regressors.reference import pinocchio_regressor
+from sysid_bench.regressors.kernel_c import SOURCE, VARIABLE, Choice, chosen
+from sysid_bench.regressors.kernel_numpy import newton_euler
+from sysid_bench.regressors.pinocchio import pinocchio_regressor
+from sysid_bench.regressors.qr_accumulation import fold, fold_all
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.random_trees import random_texts

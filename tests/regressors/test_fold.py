@@ -7,8 +7,8 @@ import pytest
 
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors import kernel
-from sysid_bench.regressors.fold import dense_blocks, fold, triangle
+from sysid_bench.regressors import kernel_numpy as kernel
+from sysid_bench.regressors.qr_accumulation import dense_blocks, fold, triangle
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array
 from tests.robots import named_robot, random_robot, relative_gap, robot_of, states

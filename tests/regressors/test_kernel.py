@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors import kernel
-from sysid_bench.regressors.kernel import LinkMotion, blocks, newton_euler, sweep
+from sysid_bench.regressors import kernel_numpy as kernel
+from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, newton_euler, sweep
 from sysid_bench.simulation.plant import bench_flags
 from sysid_bench.types import Trajectory
 from tests.robots import named_robot, random_robot, relative_gap, robot_of, states

@@ -6,7 +6,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import cut_at
-from sysid_bench.regressors.reference_wrench import pinocchio_wrench_regressor
+from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
 from sysid_bench.regressors.wrench import (
     base_wrench_regressor,
     joint_torque_regressor,
@@ -26,7 +26,7 @@ TOLERANCE = 1e-12
 
 
 def _random(seed: int) -> RobotModel:
-    from sysid_bench.models.random_robot import random_robot as any_robot
+    from sysid_bench.models.random.random_tree import random_robot as any_robot
 
     return (
         robot_of(any_robot(seed)),
@@ -77,7 +77,7 @@ def test_any_tree_agrees_wherever_it_is_cut(seed: int) -> None:
 def test_torques_behind_the_sensor_are_those_of_the_whole_robot(seed: int) -> None:
     """With the base at the sensor, Y_c phi is the robot's torque; a base behind a joint knows the
     sensor's wrench alone to give the same: Y_c(beta) phi + M f_b."""
-    from sysid_bench.regressors.kernel import newton_euler
+    from sysid_bench.regressors.kernel_numpy import newton_euler
 
     robot = _random(seed)
     motion = states(robot, 5)

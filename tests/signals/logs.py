@@ -11,7 +11,7 @@ import pandas as pd
 import tomlkit
 from scipy.io import savemat
 
-from sysid_bench.excitation.brief import brief_of
+from sysid_bench.excitation.design_problem import brief_of
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse

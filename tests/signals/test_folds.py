@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid_bench.signals.folds import parts_of, repeats_after
+from sysid_bench.signals.time_folds import parts_of, repeats_after
 from sysid_bench.types import Array, Trajectory
 
 

@@ -10,8 +10,8 @@ from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.bare import bare_robot
 from sysid_bench.simulation.closed_loop import ClosedLoop, commands
+from sysid_bench.simulation.kinematics_only import bare_robot
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array, Controller, Oracle
 from tests.experiments.experiment_world import MODELS, RICH, SMOOTH, motion_of, robot_of

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.excitation.brief import brief_of
+from sysid_bench.excitation.design_problem import brief_of
 from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.models.random_robot import RandomRobot, random_robot
-from sysid_bench.simulation import stepped
+from sysid_bench.models.random.random_tree import RandomRobot, random_robot
+from sysid_bench.simulation import compiled_steps as stepped
 from sysid_bench.simulation.closed_loop import ClosedLoop
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.plant import Plant, coupling_laws, plant_of

@@ -10,8 +10,8 @@ from pydantic import BaseModel, BeforeValidator, PlainValidator, ValidationInfo
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.names import Names, complaint
-from sysid_bench.harness.words import CELL_FIELDS, ROW_FIELDS
 from sysid_bench.units import quantity
+from sysid_bench.vocabulary import CELL_FIELDS, ROW_FIELDS
 
 
 class Context:

@@ -22,8 +22,8 @@ from pydantic import (
     model_validator,
 )
 
+from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
-from sysid_bench.harness.canonical import canonical
 from sysid_bench.harness.suite.checks import (
     as_plugin,
     condition,
@@ -37,8 +37,10 @@ from sysid_bench.harness.suite.checks import (
     some,
     word,
 )
-from sysid_bench.harness.suite.names import located
-from sysid_bench.harness.words import (
+from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
+from sysid_bench.naming import located
+from sysid_bench.units import interval
+from sysid_bench.vocabulary import (
     BESTS,
     COVERAGE,
     ERRORS,
@@ -55,8 +57,6 @@ from sysid_bench.harness.words import (
     TASKS,
     VERDICT,
 )
-from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
-from sysid_bench.units import interval
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
 RowCondition = Annotated[str, PlainValidator(partial(condition, True))]

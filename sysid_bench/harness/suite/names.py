@@ -54,20 +54,6 @@ def no_names() -> Names:
     return Names(_unseen_robot, _unseen_payload, _unseen_plugin, frozen=True)
 
 
-def located(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
-    """A plug-in's spec whose "file:mine.py:Thing", and whose setting `file`, are found from the
-    suite's folder."""
-    found, use = dict(spec), spec.get("use")
-    if folder is None:
-        return found
-    if isinstance(use, str) and use.startswith("file:"):
-        path, colon, attribute = use.removeprefix("file:").rpartition(":")
-        found["use"] = f"file:{folder / path}{colon}{attribute}"
-    if isinstance(spec.get("file"), str):
-        found["file"] = str(folder / spec["file"])
-    return found
-
-
 def complaint(error: BaseException) -> str:
     """What to tell about a name that failed: our own errors speak for themselves."""
     if isinstance(error, SysidBenchError):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from sysid_bench.harness.canonical import plain
+from sysid_bench.canonical_json import plain
 from sysid_bench.types import Row
 
 SYNC_SECONDS = 1.0

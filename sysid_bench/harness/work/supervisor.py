@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Literal
 
-from sysid_bench.harness.words import FAILURES
-from sysid_bench.harness.work.crew import Inbox, Task, Worker, Workplace
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
+from sysid_bench.harness.work.worker_handle import Inbox, Task, Worker, Workplace
 from sysid_bench.types import Row
+from sysid_bench.vocabulary import FAILURES
 
 OnEvent = Callable[[str, Mapping[str, Any]], None]
 """Called as on_event("start", {worker, cells}), ("row", {id, status, reason}) and

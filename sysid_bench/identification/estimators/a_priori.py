@@ -5,9 +5,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.compressed import compress
-from sysid_bench.identification.prior import required_prior
-from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.identification.feasibility.required_prior import required_prior
+from sysid_bench.identification.linear.normal_qr import compress
+from sysid_bench.identification.linear.weights import own_sigmas
 from sysid_bench.types import Estimate, Problem
 
 

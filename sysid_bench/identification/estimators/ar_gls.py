@@ -7,9 +7,9 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.compressed import compress
-from sysid_bench.identification.rows import at_rest, beside, residuals, step
-from sysid_bench.identification.weights import floored, weighted_fit
+from sysid_bench.identification.linear.normal_qr import compress
+from sysid_bench.identification.linear.residuals import at_rest, beside, residuals, step
+from sysid_bench.identification.linear.weights import floored, weighted_fit
 from sysid_bench.types import Array, Estimate, Problem
 
 

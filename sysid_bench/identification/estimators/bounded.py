@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.identification.compressed import compress, require_excited
-from sysid_bench.identification.feasible import Limits, fit
-from sysid_bench.identification.physical import physical_of
-from sysid_bench.identification.prior import start_of
+from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.lmi_fit import Limits, fit
+from sysid_bench.identification.feasibility.required_prior import start_of
+from sysid_bench.identification.linear.normal_qr import compress, require_excited
 from sysid_bench.types import Estimate, Problem
 
 

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from sysid_bench.identification.output_error import OutputError
-from sysid_bench.identification.simulated import Descent, rows_of, simulating
+from sysid_bench.identification.simulation_based.gauss_newton import Descent, rows_of, simulating
+from sysid_bench.identification.simulation_based.output_error import OutputError
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 
 

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sysid_bench.identification.simulated import (
+from sysid_bench.identification.simulation_based.gauss_newton import (
     Descent,
     Trial,
     along,

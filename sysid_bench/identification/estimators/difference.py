@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.identification.compressed import solve
-from sysid_bench.identification.simulated import (
+from sysid_bench.identification.linear.normal_qr import solve
+from sysid_bench.identification.simulation_based.gauss_newton import (
     along,
     covariance,
     floor_of,

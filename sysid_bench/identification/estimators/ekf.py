@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.forward import differences
-from sysid_bench.identification.kalman import Belief, JointFilter, joint_filter
+from sysid_bench.identification.simulation_based.filters import Belief, JointFilter, joint_filter
+from sysid_bench.identification.simulation_based.forward_dynamics import differences
 from sysid_bench.types import Array, Estimate, Experiment
 
 

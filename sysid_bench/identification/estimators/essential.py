@@ -6,8 +6,8 @@ import numpy as np
 from scipy.linalg import qr
 from scipy.special import fdtri
 
-from sysid_bench.identification.compressed import inverse_of, triangular
-from sysid_bench.identification.weights import weighted_fit
+from sysid_bench.identification.linear.normal_qr import inverse_of, triangular
+from sysid_bench.identification.linear.weights import weighted_fit
 from sysid_bench.types import Array, Estimate, Problem
 
 

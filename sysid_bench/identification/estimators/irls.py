@@ -7,9 +7,9 @@ import numpy as np
 from scipy.special import chdtr, chdtri
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.robust import robust_scales
-from sysid_bench.identification.rows import at_rest, beside, residuals, step
-from sysid_bench.identification.weights import floored, weighted_fit
+from sysid_bench.identification.linear.m_estimation import robust_scales
+from sysid_bench.identification.linear.residuals import at_rest, beside, residuals, step
+from sysid_bench.identification.linear.weights import floored, weighted_fit
 from sysid_bench.types import Array, Estimate, Problem
 
 SETTLED = 10

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError
-from sysid_bench.identification.possible import Possible
-from sysid_bench.identification.simulated import (
+from sysid_bench.identification.feasibility.simulatable import Possible
+from sysid_bench.identification.simulation_based.gauss_newton import (
     FLAT,
     HALVINGS,
     SETTLED,

@@ -5,10 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.compressed import compress, inverse_of, require_excited, triangular
-from sysid_bench.identification.prior import required_prior
-from sysid_bench.identification.recursion import updated, upper
-from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.identification.feasibility.required_prior import required_prior
+from sysid_bench.identification.linear.normal_qr import (
+    compress,
+    inverse_of,
+    require_excited,
+    triangular,
+)
+from sysid_bench.identification.linear.recursive_qr import updated, upper
+from sysid_bench.identification.linear.weights import own_sigmas
 from sysid_bench.types import Array, Estimate, Problem
 
 

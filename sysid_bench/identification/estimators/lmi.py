@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sysid_bench.identification.feasible import Limits, estimate_of, fit
-from sysid_bench.identification.physical import physical_of
-from sysid_bench.identification.prior import start_of
+from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
+from sysid_bench.identification.feasibility.required_prior import start_of
 from sysid_bench.types import Estimate, Problem
 
 

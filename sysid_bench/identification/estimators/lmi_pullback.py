@@ -3,10 +3,14 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sysid_bench.identification.bregman import divergence
-from sysid_bench.identification.feasible import Limits, estimate_of, fit
-from sysid_bench.identification.physical import physical_of
-from sysid_bench.identification.prior import existing, required_prior, spread_of
+from sysid_bench.identification.feasibility.bregman import divergence
+from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
+from sysid_bench.identification.feasibility.required_prior import (
+    existing,
+    required_prior,
+    spread_of,
+)
 from sysid_bench.types import Estimate, Problem
 
 

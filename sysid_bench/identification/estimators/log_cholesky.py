@@ -5,10 +5,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.base_coordinates import weighted_coordinates
-from sysid_bench.identification.cholesky_coordinates import coordinates, damped_newton
-from sysid_bench.identification.physical import physical_of
-from sysid_bench.identification.prior import existing, required_prior, spread_of
+from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates, damped_newton
+from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.required_prior import (
+    existing,
+    required_prior,
+    spread_of,
+)
+from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
 from sysid_bench.types import Estimate, Problem
 
 STAGE = 10.0

@@ -8,10 +8,17 @@ from scipy.linalg import cholesky_banded, lapack
 from scipy.sparse import bsr_array, csr_array, diags_array, eye_array, kron
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.compressed import compress, solve
-from sysid_bench.identification.forward import scalar_joints
-from sysid_bench.identification.noise_level import white_noise
-from sysid_bench.identification.simulated import along, covariance, folded, length, rows_of, settled
+from sysid_bench.identification.linear.noise_level import white_noise
+from sysid_bench.identification.linear.normal_qr import compress, solve
+from sysid_bench.identification.simulation_based.forward_dynamics import scalar_joints
+from sysid_bench.identification.simulation_based.gauss_newton import (
+    along,
+    covariance,
+    folded,
+    length,
+    rows_of,
+    settled,
+)
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
 LEAST: Final = (1e-13, 1e-10)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sysid_bench.identification.compressed import compress, residual_norms, solve
+from sysid_bench.identification.linear.normal_qr import compress, residual_norms, solve
 from sysid_bench.types import Estimate, Problem
 
 

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, replace
 
-from sysid_bench.identification.complete import completed
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.physical import physical_of
-from sysid_bench.identification.prior import required_prior
+from sysid_bench.identification.feasibility.completion import completed
+from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.required_prior import required_prior
 from sysid_bench.types import Estimate, Problem
 
 

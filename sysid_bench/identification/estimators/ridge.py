@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.compressed import compress, require_excited
-from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.identification.linear.normal_qr import compress, require_excited
+from sysid_bench.identification.linear.weights import own_sigmas
 from sysid_bench.types import Estimate, Problem
 
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.compressed import inverse_of, require_excited, triangular
-from sysid_bench.identification.recursion import folded
-from sysid_bench.identification.weights import own_sigmas
+from sysid_bench.identification.linear.normal_qr import inverse_of, require_excited, triangular
+from sysid_bench.identification.linear.recursive_qr import folded
+from sysid_bench.identification.linear.weights import own_sigmas
 from sysid_bench.types import Estimate, Problem
 
 

@@ -7,11 +7,11 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.compressed import compress, solve
-from sysid_bench.identification.forward import Forward, scalar_joints
-from sysid_bench.identification.output_error import NUDGE
-from sysid_bench.identification.possible import Possible, possible
-from sysid_bench.identification.simulated import Descent, Trial, floor_of
+from sysid_bench.identification.feasibility.simulatable import Possible, possible
+from sysid_bench.identification.linear.normal_qr import compress, solve
+from sysid_bench.identification.simulation_based.forward_dynamics import Forward, scalar_joints
+from sysid_bench.identification.simulation_based.gauss_newton import Descent, Trial, floor_of
+from sysid_bench.identification.simulation_based.output_error import NUDGE
 from sysid_bench.types import Array, Estimate, Experiment
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.compressed import compress, require_excited
+from sysid_bench.identification.linear.normal_qr import compress, require_excited
 from sysid_bench.types import Estimate, Problem
 
 

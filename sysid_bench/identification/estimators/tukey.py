@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.identification.estimators.huber import Huber, huber_loss
-from sysid_bench.identification.robust import Loss, answer, m_estimate
-from sysid_bench.identification.weights import weighted_fit
+from sysid_bench.identification.linear.m_estimation import Loss, answer, m_estimate
+from sysid_bench.identification.linear.weights import weighted_fit
 from sysid_bench.types import Array, Estimate, Problem
 
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.kalman import Belief, JointFilter, joint_filter
+from sysid_bench.identification.simulation_based.filters import Belief, JointFilter, joint_filter
 from sysid_bench.types import Array, Estimate, Experiment
 
 

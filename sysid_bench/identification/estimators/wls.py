@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from sysid_bench.identification.compressed import inverse_of
-from sysid_bench.identification.weights import fit_sigmas, weighted_fit
+from sysid_bench.identification.linear.normal_qr import inverse_of
+from sysid_bench.identification.linear.weights import fit_sigmas, weighted_fit
 from sysid_bench.types import Estimate, Problem
 
 

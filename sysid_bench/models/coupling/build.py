@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
-from sysid_bench.models.coupling.choose import connected, group_of
+from sysid_bench.models.coupling.closure_limits import reach_of, steepest
 from sysid_bench.models.coupling.constraints import Constraint
 from sysid_bench.models.coupling.coupling import Coupling, names_of
 from sysid_bench.models.coupling.group import Group
-from sysid_bench.models.coupling.reach import reach_of, steepest
+from sysid_bench.models.coupling.independent_joints import connected, group_of
 from sysid_bench.types import Array
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import mujoco
 
 from sysid_bench.models.tree import HINGE, SLIDE
-from sysid_bench.models.urdf import Mimic
+from sysid_bench.models.urdf.canonical_urdf import Mimic
 
 
 def add_mimics(spec: mujoco.MjSpec, mimics: Sequence[Mimic]) -> Iterator[str]:

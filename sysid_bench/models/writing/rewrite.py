@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.writing.proof import prove
+from sysid_bench.models.writing.round_trip import prove
 from sysid_bench.models.writing.update import Bodies, Joints, Update, update_of
 from sysid_bench.models.writing.xml_text import Edit, Element, elements_of, spliced
 from sysid_bench.models.xml_file import LARGEST_FILE

@@ -1,0 +1,88 @@
+"""Random points, every joint on its own clock: the motion of Traversaro et al. (2015)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.excitation.design_problem import MARGIN, Brief
+from sysid_bench.types import Array, Trajectory
+
+# s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7 on [0, 1], whose jerk is zero at both ends: peaks of s'
+# and of s''.
+_PEAK_RATE: Final = 2.1875
+_PEAK_CHANGE: Final = 420 * 0.64 / (16 * np.sqrt(5))
+
+SHARES: Final = (0.6, 1.4)
+"""Between which a move's time is drawn, of `move`."""
+
+
+@dataclass(frozen=True)
+class Wander:
+    """Each joint goes from one random point of its range to the next, in a time of its own and
+    without rests; `joints` move (none named: all), the others stand in the middle of their range.
+    The motion starts after `rest`; a move takes about `move`, or as long as the limits want it."""
+
+    duration: float = field(default=20.0, metadata={"unit": "s"})
+    rest: float = field(default=0.0, metadata={"unit": "s"})
+    move: float = field(default=1.5, metadata={"unit": "s"})
+    joints: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for settings that make no motion."""
+        if not (self.duration > self.rest >= 0 and self.move > 0):
+            raise UsageError(
+                f"{self}: a rest is not negative and shorter than the duration, and a move takes "
+                "some time."
+            )
+        if isinstance(self.joints, str) or not all(isinstance(j, str) for j in self.joints):
+            raise UsageError(f"{self}: joints is a list of names.")
+
+    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+        """The motion; raises UsageError for a joint that there is not."""
+        t = brief.times(self.duration)
+        x = np.tile(0.5 * (brief.low + brief.high), (len(t), 1))
+        dx, ddx = np.zeros_like(x), np.zeros_like(x)
+        for i in self._moving(brief):
+            x[:, i], dx[:, i], ddx[:, i] = self._profile(brief, i, t, rng)
+        return brief.trajectory(t, x, dx, ddx, "wander")
+
+    def _moving(self, brief: Brief) -> list[int]:
+        """Places of the profiles that move."""
+        names = [joint.name for joint in brief.joints]
+        for name in self.joints:
+            if name not in names:
+                raise unknown_name("joint", name, names)
+        dofs = {
+            dof
+            for joint in brief.joints
+            if not self.joints or joint.name in self.joints
+            for dof in range(joint.vadr, joint.vadr + len(joint.dofs))
+        }
+        own = range(brief.nv) if brief.coupling is None else brief.coupling.independent
+        return [i for i, dof in enumerate(own) if int(dof) in dofs]
+
+    def _profile(
+        self, brief: Brief, i: int, t: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array, Array]:
+        middle = 0.5 * (brief.low[i] + brief.high[i])
+        reach = 0.5 * MARGIN * (brief.high[i] - brief.low[i])
+        x, dx, ddx = np.full(len(t), middle), np.zeros(len(t)), np.zeros(len(t))
+        start, here = self.rest, middle
+        while start < self.duration:
+            there = middle + reach * rng.uniform(-1.0, 1.0)
+            way = there - here
+            least = max(
+                _PEAK_RATE * abs(way) / (MARGIN * brief.v[i]),
+                np.sqrt(_PEAK_CHANGE * abs(way) / (MARGIN * brief.a[i])),
+            )
+            T = max(self.move * rng.uniform(*SHARES), least)
+            now = (t >= start) & (t < start + T)
+            u = (t[now] - start) / T
+            x[now] = here + way * u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
+            dx[now] = way / T * 140 * (u * (1 - u)) ** 3
+            ddx[now] = way / T**2 * 420 * (u * (1 - u)) ** 2 * (1 - 2 * u)
+            start, here = start + T, there
+        return x, dx, ddx

@@ -1,0 +1,83 @@
+"""A log, treated: its motion and torque, with the robot that carried what it carried."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.payload import PAYLOADS, Payload, parse_payload
+from sysid_bench.models.robot import Joint, RobotModel
+from sysid_bench.signals.log import Log, read_log
+from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.processing import Processing
+from sysid_bench.types import Recording, Trajectory
+
+
+@dataclass(frozen=True)
+class Treatment:
+    """What is done to every log alike: `processing` makes motion and torque; rows whose joint moves
+    slower than `moving` (rad/s, m/s) are left out, as static friction is no model's business."""
+
+    processing: Processing
+    moving: float = 0.0
+    filter: str = ""  # as written
+    derivatives: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Processed:
+    """A log after its treatment, with the robot that carried what it carried."""
+
+    log: Log
+    robot: RobotModel
+    recording: Recording
+    motors: Trajectory | None = None  # (N, k) each, where a transmission is told
+
+    @property
+    def payload(self) -> Payload:
+        """What was mounted."""
+        return self.robot.payload
+
+
+def processed(log: LogDescription, manifest: Manifest, treatment: Treatment) -> Processed:
+    """A log read and treated; its contradictions are still to be refused."""
+    payload = PAYLOADS["none"] if log.payload is None else parse_payload(_payload_of(log))
+    robot = load_robot(manifest, payload)
+    read = read_log(log, robot)
+    try:
+        recording = treatment.processing.apply(read.recording, robot.joints)
+    except UsageError as error:
+        raise UsageError(f"{log.source}: {error}") from error
+    motion = robot.completed(recording.motion)
+    return Processed(
+        read,
+        robot,
+        replace(recording, q=motion.q, v=motion.v, a=motion.a),
+        _motors(read, treatment),
+    )
+
+
+def _motors(log: Log, treatment: Treatment) -> Trajectory | None:
+    """Where the motors were, treated like the joints."""
+    if log.coordinates is None or log.description.transmission is None:
+        return None
+    joints = tuple(
+        Joint(name, "hinge", k, k, (name,)) for k, name in enumerate(log.description.joints)
+    )
+    motion = treatment.processing.apply(log.coordinates, joints).motion
+    q, v, a = (
+        np.linalg.solve(log.description.transmission, x.T).T for x in (motion.q, motion.v, motion.a)
+    )
+    return replace(motion, q=q, v=v, a=a)
+
+
+def _payload_of(log: LogDescription) -> Any:
+    """A payload as parse_payload reads it; { use = "box-2kg" } is its name."""
+    written = log.payload
+    if isinstance(written, Mapping) and set(written) == {"use"}:
+        return written["use"]
+    return written

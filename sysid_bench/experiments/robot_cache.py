@@ -1,0 +1,83 @@
+"""What depends on the robot alone, kept by a worker between its experiments."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+from sysid_bench.canonical_json import canonical
+from sysid_bench.evaluation.crosscheck import CrossCheck, crosscheck
+from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.payload import parse_payload
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import Cut
+from sysid_bench.naming import build, located
+from sysid_bench.types import BaseMap
+
+KEPT = 16
+"""Robots with payloads that a worker keeps: a few megabytes each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A loaded robot with its payload, cross-checked once; `folder` is where the suite lies, from
+    which the files of its plug-ins are found."""
+
+    robot: RobotModel
+    folder: Path | None = None
+
+    def build(self, kind: str, spec: Mapping[str, Any]) -> Any:
+        """The plug-in that a suite names, made with its settings."""
+        return build(kind, located(spec, self.folder))
+
+    @cached_property
+    def check(self) -> CrossCheck:
+        """The verdict of the two engines."""
+        return crosscheck(self.robot)
+
+    @cached_property
+    def _bases(self) -> dict[tuple[Any, ...], BaseMap]:
+        return {}
+
+    def base(
+        self,
+        parameters: tuple[str, ...],
+        rows: tuple[str, ...] | None = None,
+        cuts: tuple[Cut, ...] = (),
+    ) -> BaseMap:
+        """The base parameters of a task; `rows`: whose torque is measured (None: all), or those of
+        the sensors `cuts`."""
+        key = parameters, rows, tuple(cut.at for cut in cuts)
+        if key not in self._bases:
+            self._bases[key] = structural_base(self.robot, parameters, rows, cuts)
+        return self._bases[key]
+
+
+def subject(
+    source: str,
+    payload: str | Mapping[str, Any],
+    robots_dir: str | None,
+    folder: str | None,
+    free_base: bool | None = None,
+) -> Subject:
+    """The robot called `source` with a payload, loaded at most once per worker; `free_base`
+    overrides its manifest."""
+    return _subject(source, canonical(payload), robots_dir, folder, free_base)
+
+
+@lru_cache(maxsize=KEPT)
+def _subject(
+    source: str,
+    payload: str,
+    robots_dir: str | None,
+    folder: str | None,
+    free_base: bool | None,
+) -> Subject:
+    import json
+
+    extra, place = (None if path is None else Path(path) for path in (robots_dir, folder))
+    manifest = find_manifest(source, extra, place)
+    return Subject(load_robot(manifest, parse_payload(json.loads(payload)), free_base), place)

@@ -1,0 +1,114 @@
+"""What a task behind a force/torque sensor is good for: torques, contacts, and what is missing."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.evaluation.wrench_estimation import Comparison, Reordered, compare, reordered
+from sysid_bench.excitation.design_problem import brief_of
+from sysid_bench.excitation.point_to_point import PointToPoint
+from sysid_bench.experiments.simulated.prepare import Prepared
+from sysid_bench.experiments.spec import ExperimentSpec, noise_seed, seed_of
+from sysid_bench.identifiability.subspaces import Excitation, excitation_of, structural_subspaces
+from sysid_bench.models.sensor import last_body
+from sysid_bench.regressors.kernel_numpy import newton_euler
+from sysid_bench.regressors.wrench import sub_tree
+from sysid_bench.simulation.force_torque import (
+    Touch,
+    sensor_wrench,
+    swaying,
+    touch_torque,
+    wrench_noise,
+)
+from sysid_bench.simulation.plant import plant_of
+from sysid_bench.types import Array, Estimate, Problem
+
+TOUCH: Final = 5.0
+"""N of the touch that is to be found, and a tenth of it in N m."""
+
+RATE: Final = 50.0
+"""Hz of the motion with the touch."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A motion that was not trained on, its last half with a touch on the last body: what the
+    sensor measures (N, 6), and the torques (N, k) and wrenches (N, 6) that methods have to find."""
+
+    method: Reordered
+    wrench: Array
+    tau: Array
+    touch: Array
+
+    def errors(self, ready: Prepared, estimate: Estimate) -> dict[str, Comparison] | None:
+        """RMS errors with true, CAD and identified parameters side by side; None without them."""
+        prior, theta = ready.problem.prior, _theta(estimate, ready.problem)
+        if prior is None or theta is None:
+            return None
+        sets = {"true": ready.truth.theta, "CAD": prior.theta, "identified": theta}
+        places = {name: i for i, name in enumerate(ready.problem.parameters)}
+        phis = {
+            name: np.array([told[places[c]] if c in places else 0.0 for c in self.method.columns])
+            for name, told in sets.items()
+        }
+        return compare(self.method, phis, self.wrench, self.tau, self.touch)
+
+
+def excited(ready: Prepared) -> Excitation:
+    """What the data of an experiment tell of all that any motion could of its sub-tree."""
+    cut, robot = ready.task.cuts[0], ready.robot
+    return excitation_of(
+        sub_tree(robot, cut, ready.experiment.recording.motion),
+        structural_subspaces(robot, cut, (robot.body_names[cut.body],)),
+    )
+
+
+def trial_of(spec: ExperimentSpec, ready: Prepared) -> Trial | None:
+    """The trial of an experiment; None where a further sensor ends the sub-tree."""
+    if ready.task.stops:
+        return None
+    robot, cut = ready.robot, ready.task.cuts[0]
+    rng = np.random.default_rng(seed_of(spec.seed, "touch", spec.robot))
+    motion = PointToPoint().design(brief_of(robot, RATE), rng)
+    wrench = swaying(motion, TOUCH, rng)
+    wrench[: len(motion) // 2] = 0.0
+    touch, plant = Touch(last_body(robot, cut), wrench), plant_of(robot)
+    method = reordered(robot, cut, motion, robot.body_names[touch.body])
+    tau = newton_euler(robot.tree, robot.tree.lumped(robot.phi), motion)
+    tau -= touch_torque(plant, touch, motion)
+    f_b = sensor_wrench(plant, (cut,), motion, touch)
+    white = np.random.default_rng(seed_of(noise_seed(spec), "touch"))
+    f_b += wrench_noise(spec.noise).white() * white.normal(size=f_b.shape)
+    return Trial(method, f_b, tau[:, list(method.tree.dofs)], wrench)
+
+
+def figures(told: Excitation, errors: dict[str, Comparison] | None) -> dict[str, Any]:
+    """The part of a row that is about the sub-tree behind a sensor."""
+    row: dict[str, Any] = {
+        "structural_rank": told.structural,
+        "excited_rank": told.rank,
+        "unpredictable": len(told.unpredictable),
+        "unpredictable_names": ", ".join(told.unpredictable),
+    }
+    if errors is None:
+        return row
+    true, cad, found = (asdict(errors[name]) for name in ("true", "CAD", "identified"))
+    wrench = [_ratio(found[key], true[key]) for key in ("force", "moment")]
+    return row | {
+        "sensed_torque_ratio": _ratio(found["torque"], true["torque"]),
+        "sensed_wrench_ratio": max(wrench, key=lambda x: -1.0 if x is None else x),
+        "sensed_cad_ratio": _ratio(cad["torque"], found["torque"]),
+        "alone_cad_ratio": _ratio(found["torque_alone"], cad["torque_alone"]),
+    }
+
+
+def _theta(estimate: Estimate, problem: Problem) -> Array | None:
+    if estimate.status != "ok" or estimate.beta is None:
+        return None
+    return problem.base.embed(estimate.beta) if estimate.theta is None else estimate.theta
+
+
+def _ratio(error: float, other: float) -> float | None:
+    """None where rounding would be divided by rounding, or nothing by nothing."""
+    return error / other if np.isfinite(error) and other > 1e-9 else None

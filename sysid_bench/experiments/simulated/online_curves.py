@@ -1,0 +1,94 @@
+"""On-line curves of a task behind a force/torque sensor: torques and parameters as they come in.
+
+Figures 3 and 4 of Traversaro et al. (2015): joint torques from the parameters told beforehand (CAD)
+and from those found so far, and how the parameters converge.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.experiments.simulated.prepare import Prepared
+from sysid_bench.identification.linear.normal_qr import residual_norms
+from sysid_bench.identification.linear.online_estimation import Recursion, Track, rows_of
+from sysid_bench.regressors.wrench import sub_tree
+from sysid_bench.types import Array, Curve, Problem, Trajectory
+
+HISTORY: Final = 400
+"""Points of a curve, about."""
+
+
+def curves_of(ready: Prepared) -> tuple[Curve, ...]:
+    """The curves of an experiment with the task `wrench` and a prior; of any other, none."""
+    problem = ready.problem
+    if ready.task.name != "wrench" or problem.prior is None or problem.samples == 0:
+        return ()
+    track = track_of(problem)
+    motion = ready.experiment.recording.motion
+    kept = Trajectory(*(x[track.places] for x in (motion.t, motion.q, motion.v, motion.a)))
+    return (
+        *_torques(ready, track, kept),
+        _convergence(problem, track, problem.base.K @ ready.truth.theta, kept.t),
+    )
+
+
+def track_of(problem: Problem) -> Track:
+    """Recursive least squares over the samples of a problem, from its prior."""
+    assert problem.prior is not None
+    W, f = rows_of(problem)
+    K, every = problem.base.K, max(len(f) // HISTORY, 1)
+    spread = (K * problem.prior.std**2) @ K.T
+    return Recursion(every=every).run(W, f, _noise(problem), K @ problem.prior.theta, spread)
+
+
+def _noise(problem: Problem) -> Array:
+    """Standard deviation (m,) of each row, as the best fit leaves it."""
+    R = np.vstack([np.zeros((1, problem.base.rank + 1)), *_spread(problem)])
+    beta = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0]
+    size = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
+    left = residual_norms(problem, beta)
+    # Exact data leave rounding errors, which say nothing of a row's worth.
+    return np.asarray(np.maximum(left, 1e-6 * max(size.max(), 1e-12)) / np.sqrt(problem.samples))
+
+
+def _spread(problem: Problem) -> list[Array]:
+    wide = []
+    for factor in problem.factors:
+        rows = np.zeros((len(factor.R), problem.base.rank + 1))
+        rows[:, factor.columns], rows[:, -1] = factor.R[:, :-1], factor.R[:, -1]
+        wide.append(rows)
+    return wide
+
+
+def _torques(ready: Prepared, track: Track, motion: Trajectory) -> list[Curve]:
+    tree = sub_tree(ready.robot, ready.task.cuts[0], motion)
+    problem = ready.problem
+    assert problem.prior is not None
+    places = {name: i for i, name in enumerate(problem.parameters)}
+    own = np.array([places.get(name, -1) for name in tree.columns])
+    sets = {
+        "true": np.tile(ready.truth.theta, (len(motion), 1)),
+        "CAD": np.tile(problem.prior.theta, (len(motion), 1)),
+        "on-line": np.array([problem.base.embed(beta) for beta in track.beta]),
+    }
+    torques = {}
+    for name, theta in sets.items():
+        phi = np.where(own >= 0, theta[:, own], 0.0)
+        torques[name] = np.einsum("nkp,np->nk", tree.Y_c, phi)
+    return [
+        Curve(f"torque of {row}", motion.t, {name: tau[:, i] for name, tau in torques.items()})
+        for i, row in enumerate(tree.rows)
+    ]
+
+
+def _convergence(problem: Problem, track: Track, true: Array, t: Array) -> Curve:
+    """Sizes of the error and of its declared deviation, relative to the parameters'."""
+    assert problem.prior is not None
+    size = float(np.linalg.norm(true)) or 1.0
+    cad = np.linalg.norm(problem.base.K @ problem.prior.theta - true) / size
+    series = {
+        "CAD": np.full(len(t), cad),
+        "on-line": np.linalg.norm(track.beta - true, axis=1) / size,
+        "declared deviation": np.linalg.norm(track.std, axis=1) / size,
+    }
+    return Curve("relative parameter error", t, series)

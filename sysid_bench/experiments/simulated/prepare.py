@@ -1,0 +1,251 @@
+"""One experiment made ready: simulated once, its regressor reduced once, for all its estimators."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cached_property, lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from sysid_bench.canonical_json import canonical
+from sysid_bench.evaluation.score import data_figures
+from sysid_bench.excitation.design_problem import Brief, brief_of
+from sysid_bench.excitation.geometry import scene_of
+from sysid_bench.excitation.information import Torque, question
+from sysid_bench.experiments.robot_cache import Subject
+from sysid_bench.experiments.simulated.ft_sensors import Sensing, true_offset
+from sysid_bench.experiments.simulated.method_model import (
+    Known,
+    Simulate,
+    declared,
+    nothing_to_simulate,
+)
+from sysid_bench.experiments.simulated.preprocess import calibration_of, corrected, free_of_contact
+from sysid_bench.experiments.simulated.problem import (
+    Posing,
+    recorded,
+    regressor_blocks,
+)
+from sysid_bench.experiments.simulated.record import (
+    Take,
+    Turn,
+    held_out_motions,
+    record,
+    turns_of,
+)
+from sysid_bench.experiments.spec import (
+    REDRAWN,
+    ExperimentSpec,
+    known_seed,
+    noise_seed,
+    prior_seed,
+)
+from sysid_bench.models.bounding_boxes import extents
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.payload import parse_payload
+from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.sensor import instruments_of
+from sysid_bench.regressors.coupled import torque_regression
+from sysid_bench.regressors.nested_sensors import sensed_regression
+from sysid_bench.simulation.parametrised_plant import Declared
+from sysid_bench.simulation.plant import plant_of
+from sysid_bench.tasks.prior import PriorSpread, misknown, prior_of
+from sysid_bench.tasks.task import SENSOR_TASKS, Task, task_of
+from sysid_bench.types import (
+    Array,
+    BaseMap,
+    Experiment,
+    Extent,
+    Prior,
+    Problem,
+    Run,
+    Truth,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Everything about one experiment. Methods get `problem` and `experiment`; `held_out`, posed
+    with exact signals, and `truth` are for scoring."""
+
+    robot: RobotModel
+    task: Task
+    problem: Problem
+    experiment: Experiment
+    held_out: dict[str, Problem]
+    truth: Truth
+    known: Array  # (N, rows) torque of what the task takes as known, along the measured motion
+    bound: Array | None  # (r,) Cramer-Rao, as standard deviations, where torque alone is noisy
+    noisy: bool
+    left_out: float  # share of the samples that are taken for contacts
+    stage: "Stage"
+
+    @cached_property
+    def figures(self) -> dict[str, Any]:
+        """Rank and conditioning of the data: one and the same for all estimators."""
+        return data_figures(self.problem, self.held_out) | {"left_out": self.left_out}
+
+    @property
+    def reach(self) -> Mapping[str, Extent]:
+        """How far each body reaches."""
+        return self.stage.reach
+
+
+def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
+    """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
+    stage = _stage(canonical(_noise_free(spec).to_json()), subject)
+    task, posing, plant = stage.task, stage.posing, stage.take.plant
+    turns = turns_of(spec, task)
+    main = next(turn for turn in turns if turn.loaded)
+    taken = record(spec, stage.take, Sensing(spec, plant, task), main)
+    raw, recording = taken.raw, taken.recording
+    if "calibration" in spec.signals and task.cuts:
+        calibration = calibration_of(spec, subject, task)
+        raw, recording = corrected(raw, calibration), corrected(recording, calibration)
+    recording, left_out = free_of_contact(spec.signals.get("contacts"), recording, posing)
+    problem = posing.pose(recording.motion, recorded(recording), stage.prior)
+    regress = partial(regressor_blocks, posing.regression, posing.places, posing.instruments)
+    simulate = nothing_to_simulate if task.cuts else Simulate(stage.told, raw)
+    known = nothing_to_simulate if task.cuts else Known(stage.told, posing.places)
+    runs = _runs(spec, stage, turns, Run(True, recording))
+    experiment = Experiment(problem, recording, raw, regress, simulate, known, runs)
+    seal(experiment)
+    return Prepared(
+        subject.robot, task, problem, experiment, stage.held_out, task.truth,
+        posing.known(recording.motion)[:, posing.places], taken.bound(posing), bool(spec.noise),
+        left_out, stage,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """All of an experiment that its noise does not touch: levels and repeats share it."""
+
+    spec: ExperimentSpec
+    task: Task
+    posing: "Posing"
+    take: "Take"
+    prior: Prior | None
+
+    @cached_property
+    def told(self) -> Declared:
+        """The robot as methods may know it."""
+        return declared(self.posing.robot, self.task)
+
+    @cached_property
+    def reach(self) -> Mapping[str, Extent]:
+        """How far each body reaches."""
+        return extents(self.posing.robot)
+
+    @cached_property
+    def held_out(self) -> dict[str, Problem]:
+        """Other motions, posed with exact signals."""
+        sensing = Sensing(self.spec, self.take.plant, self.task)
+        return {
+            name: self.posing.pose(oracle.motion, sensing.exact(oracle))
+            for name, oracle in held_out_motions(self.spec, self.take).items()
+        }
+
+
+def _noise_free(spec: ExperimentSpec) -> ExperimentSpec:
+    """What of a specification its stage hangs on. How a force/torque sensor was made is a part of
+    the noise, and of what such a task asks for."""
+    if spec.task in SENSOR_TASKS:
+        return spec
+    redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
+    return replace(spec, noise={}, signals={}, repeat=spec.repeat if redrawn else 0)
+
+
+@lru_cache(maxsize=2)
+def _stage(text: str, subject: Subject) -> Stage:
+    """The stage of a specification, as canonical JSON."""
+    spec, robot = ExperimentSpec.from_json(json.loads(text)), subject.robot
+    terms = terms_of(spec, robot)
+    task = told(spec, task_of(robot, spec.task, terms, spec.sensor, partial(true_offset, spec)))
+    base = subject.base(task.parameters, task.rows, task.cuts)
+    instruments = instruments_of(robot, task.cuts)
+    columns = sensed_regression(robot, base.names, instruments, task.rows)
+    posing = Posing(robot, task, base, columns)
+    plant = plant_of(robot, [subject.build("plant", spec.plant)])
+    prior = _prior(spec, task)
+    take = Take(spec, subject, plant, partial(_brief, robot, task, base, prior))
+    return Stage(spec, task, posing, take, prior)
+
+
+def terms_of(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
+    """The joint terms that are identified; the robot's own are those of the task `robot`."""
+    if spec.terms is not None:
+        return spec.terms
+    return robot.manifest.terms if spec.task == "robot" else ()
+
+
+def told(spec: ExperimentSpec, task: Task) -> Task:
+    """The task as methods are told it: its known parts with errors where the prior says so."""
+    share = 0.0 if isinstance(spec.prior, str) else spec.prior.get("known", 0.0)
+    if share == 0.0:
+        return task
+    return misknown(task, share, np.random.default_rng(known_seed(spec)))
+
+
+def seal(value: Any) -> None:
+    """Makes the arrays of a noun read-only: the estimators of one experiment share them."""
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif isinstance(value, partial):
+        seal(value.args)
+    elif isinstance(value, tuple):
+        for part in value:
+            seal(part)
+    elif is_dataclass(value) and type(value).__module__ == Problem.__module__:
+        for field in fields(value):
+            seal(getattr(value, field.name))
+
+
+def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float) -> Brief:
+    """What a designer of motions is told: limits, the question, and torques by the prior alone."""
+    brief = brief_of(robot, rate)
+    terms = {  # ball and free joints, whose terms have no columns, are held by designs
+        f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
+        for term, values in task.known_terms.items()
+        for dof in robot.scalar_dofs
+        if values[dof]
+    }
+    torque = None
+    if prior is not None and not task.cuts:  # behind a sensor nothing is told of the rest
+        columns = torque_regression(robot, (*task.parameters, *terms))
+        theta = np.array([*prior.theta, *terms.values()])
+        torque = Torque(columns, theta, task.known_links, robot.tree, robot.coupling)
+    asked = question(robot, base.names, task.rows, task.cuts)
+    return replace(brief, regress=asked, torque=torque, scene=partial(scene_of, robot))
+
+
+def _runs(
+    spec: ExperimentSpec, stage: Stage, turns: tuple[Turn, ...], main: Run
+) -> tuple[Run, ...]:
+    """All recordings of the commanded motion, `main` among them; none where it is the only one."""
+    if len(turns) == 1:
+        return ()
+    loaded = stage.take
+    robot = load_robot(loaded.subject.robot.manifest, parse_payload("none"), spec.free_base)
+    plant = plant_of(robot, [loaded.subject.build("plant", spec.plant)])
+    takes = {True: loaded, False: replace(loaded, plant=plant)}
+    runs = []
+    for turn in turns:
+        if turn.seed == noise_seed(spec):
+            runs.append(main)
+            continue
+        take = takes[turn.loaded]
+        taken = record(spec, take, Sensing(spec, take.plant, stage.task), turn)
+        runs.append(Run(turn.loaded, taken.recording))
+    return tuple(runs)
+
+
+def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
+    if spec.prior == "none":
+        return None
+    spread = None
+    if not isinstance(spec.prior, str):
+        unknown = {k: far for k, far in spec.prior.items() if k not in (REDRAWN, "known")}
+        spread = PriorSpread(**unknown)
+    return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))

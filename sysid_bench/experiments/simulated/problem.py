@@ -1,0 +1,123 @@
+"""A robot and a task as problems: motions and measurements become W beta = b."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+
+from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.sensor import Instruments, instruments_of
+from sysid_bench.regressors.kernel_numpy import newton_euler
+from sysid_bench.regressors.nested_sensors import Sensed
+from sysid_bench.regressors.qr_accumulation import dense_blocks, fold
+from sysid_bench.regressors.regression import TERM
+from sysid_bench.regressors.wrench import handed_on
+from sysid_bench.tasks.task import Task
+from sysid_bench.types import (
+    Array,
+    BaseMap,
+    Prior,
+    Problem,
+    Recording,
+    Trajectory,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Posing:
+    """Turns motions and torques of one robot and task into problems.
+
+    A problem goes to methods, so it never holds this: the task knows the answer.
+    """
+
+    robot: RobotModel
+    task: Task
+    base: BaseMap
+    regression: Sensed
+
+    @cached_property
+    def instruments(self) -> Instruments:
+        """What is measured: joint torques, and the sensors of the task."""
+        return instruments_of(self.robot, self.task.cuts)
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """The rows that the task measures, as places among all that is measured."""
+        own = self.instruments.measured
+        return tuple(own.index(row) for row in (own if self.task.rows is None else self.task.rows))
+
+    def pose(self, motion: Trajectory, measured: Array, prior: Prior | None = None) -> Problem:
+        """W beta = b along a motion, what is known taken from what is measured (N, n + 6 sensors):
+        known torque, and the wrenches of the sensors that end the sub-tree."""
+        b = measured - self.known(motion)
+        for stop in self.task.stops:
+            cut, names = self.task.cuts[0], self.instruments.measured
+            root, end = ([names.index(row) for row in at.rows] for at in (cut, stop))
+            b[:, root] -= handed_on(self.instruments, motion, cut, stop, measured[:, end])
+        motion = self.instruments.motion(motion)
+        return Problem(
+            parameters=self.task.parameters,
+            base=self.base,
+            rows=tuple(self.instruments.measured[i] for i in self.places),
+            factors=fold(self.regression, motion, b, self.places),
+            bodies=self.task.bodies,
+            blocks=partial(dense_blocks, self.regression, motion, b, self.places),
+            samples=len(motion),
+            prior=prior,
+            kinds=tuple(self.instruments.kinds[i] for i in self.places),
+            torque=np.sqrt((measured[:, self.places] ** 2).mean(axis=0)),
+            period=motion.period_samples,
+        )
+
+    def known(self, motion: Trajectory) -> Array:
+        """Torque and wrench (N, n + 6 sensors) of the parts that the task declares known."""
+        robot, task = self.robot, self.task
+        if not task.knows_something:
+            return np.zeros((len(motion), len(self.instruments.measured)))
+        whole = self.instruments.motion(motion)
+        tau = newton_euler(self.instruments.tree, task.known_links, whole)
+        terms = term_torque(robot, task.known_terms, task.known_coupling, motion)
+        joints = robot.reduced(motion.q, tau[:, : robot.nv] + terms)
+        return np.hstack([joints, tau[:, robot.nv :]])
+
+
+def recorded(recording: Recording) -> Array:
+    """All that is measured (N, n + 6 sensors): torque, then wrenches."""
+    parts = [recording.tau] if recording.wrench is None else [recording.tau, recording.wrench]
+    return np.hstack(parts)
+
+
+def regressor_blocks(
+    regression: Sensed,
+    rows: tuple[int, ...],
+    instruments: Instruments,
+    motion: Trajectory,
+) -> Iterator[Array]:
+    """Blocks of the base regressor (n, rows, r) along any motion."""
+    for block in regression.blocks(instruments.motion(motion)):
+        yield block.dense()[:, list(rows)]
+
+
+def term_torque(
+    robot: RobotModel, terms: Mapping[str, Array], coupling: Array | None, motion: Trajectory
+) -> Array:
+    """Torque (N, nv) of joint terms, by name (nv,), and of a viscous coupling (nv, nv)."""
+    tau = np.zeros_like(motion.v)
+    deflection = scalar_positions(robot, motion) - robot.joint_terms.spring_reference
+    if coupling is not None:
+        tau += motion.v @ coupling.T
+    for term, values in terms.items():
+        for dof in np.flatnonzero(values):
+            state = deflection[:, dof], motion.v[:, dof], motion.a[:, dof]
+            tau[:, dof] += values[dof] * TERM[SUFFIX[term]](*state)
+    return tau
+
+
+def scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
+    """Positions (N, nv) of hinges and slides; zero elsewhere."""
+    out = np.zeros_like(motion.v)
+    for joint in robot.joints:
+        if joint.kind in ("hinge", "slide"):
+            out[:, joint.vadr] = motion.q[:, joint.qadr]
+    return out

@@ -1,0 +1,194 @@
+"""What an experiment is, in SI numbers; its id, and the seeds that hang on parts of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Final
+
+from sysid_bench.canonical_json import digest
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.units import quantity, split_quantity
+
+
+@dataclass(frozen=True)
+class ExperimentSpec:
+    """One simulated recording, or some of a real robot (`log`). JSON values only; plug-ins are
+    {use, settings...} as written.
+
+    `noise` holds q, quantum (rad, m), tau (N m, N) or tau_relative (share of the joint's RMS
+    torque) with its tau_correlation from sample to sample, and the errors of force/torque sensors
+    (simulation/force_torque.py); `prior` holds mass, inertia, terms (shares) and com (m), or is
+    "truth" or "none".
+    """
+
+    seed: int  # root of the suite's seed tree
+    robot: str  # as written
+    payload: str | Mapping[str, Any]
+    task: str
+    terms: tuple[str, ...] | None  # None: the robot's own
+    plant: Mapping[str, Any]
+    prior: str | Mapping[str, float]
+    excitation: Mapping[str, Any]
+    held_out: tuple[Mapping[str, Any], ...]
+    simulation: Mapping[str, Any]
+    rate: float  # Hz
+    noise: Mapping[str, float]
+    signals: Mapping[str, Any]
+    repeat: int
+    free_base: bool | None = None  # None: as the robot's manifest has it
+    log: Mapping[str, Any] | None = None  # a recording of a real robot, as a suite's [[log]] has it
+    sensor: str | None = None  # the force/torque sensor; None: the only one of the manifest
+
+    @cached_property
+    def id(self) -> str:
+        """12 hex digits of what is specified, and of nothing else."""
+        return digest(self.to_json())[:12]
+
+    def to_json(self) -> dict[str, Any]:
+        """The fields as JSON values; `from_json` reads them back."""
+        data = {field.name: getattr(self, field.name) for field in fields(self)}
+        for key in ("free_base", "sensor", "log"):
+            if data[key] is None:  # not written: ids are older than these fields
+                del data[key]
+        return data
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> "ExperimentSpec":
+        """Raises UsageError for data of another version of this package."""
+        try:
+            terms = data["terms"]
+            return cls(
+                **{
+                    **data,
+                    "terms": None if terms is None else tuple(terms),
+                    "held_out": tuple(data["held_out"]),
+                }
+            )
+        except (KeyError, TypeError) as error:
+            raise UsageError(
+                f"This is no experiment of this version of sysid_bench ({error}); plan it again "
+                "into another folder (-o)."
+            ) from error
+
+
+def seed_of(suite_seed: int, *parts: Any) -> int:
+    """A 128-bit seed from the suite's and any JSON values."""
+    return int(digest([suite_seed, *parts])[:32], 16)
+
+
+def motion_seed(spec: ExperimentSpec) -> int:
+    """Of the training motion: payloads, tasks, noise and repeats share it."""
+    return seed_of(spec.seed, "motion", spec.robot, spec.excitation)
+
+
+def held_out_seed(spec: ExperimentSpec, place: int) -> int:
+    """Of the held-out motion number `place`: never the training motion, whatever they are."""
+    return seed_of(spec.seed, "held-out", spec.robot, spec.held_out[place], place)
+
+
+def noise_seed(spec: ExperimentSpec) -> int:
+    """Of the sensor noise: the same draw for every payload, level, estimator, prior and plant,
+    so that their comparison is paired."""
+    parts = (spec.robot, spec.task, spec.excitation, spec.simulation, spec.rate, spec.repeat)
+    return seed_of(spec.seed, "noise", *parts)
+
+
+def sensor_seed(spec: ExperimentSpec) -> int:
+    """Of how a force/torque sensor was made: the same one for every payload, motion, task and level
+    of its errors; a repeat is another one."""
+    return seed_of(spec.seed, "sensor", spec.robot, spec.sensor, spec.repeat)
+
+
+def run_seed(spec: ExperimentSpec, run: int) -> int:
+    """Of the noise of a further recording of the same motion."""
+    return seed_of(noise_seed(spec), "run", run)
+
+
+def drift_seed(spec: ExperimentSpec) -> int:
+    """Of how the torques of a robot drift: alike in all recordings of an experiment."""
+    return seed_of(noise_seed(spec), "drift")
+
+
+def known_seed(spec: ExperimentSpec) -> int:
+    """Of what methods are told of the parts that are known, whatever the payload."""
+    return seed_of(spec.seed, "known", spec.robot, spec.task)
+
+
+def prior_seed(spec: ExperimentSpec) -> int:
+    """Of what methods are told beforehand: no new prior with each noise level, and none with each
+    repeat unless it is `redrawn`."""
+    parts: tuple[Any, ...] = (spec.robot, spec.payload, spec.task)
+    if not isinstance(spec.prior, str) and spec.prior.get(REDRAWN):
+        parts += (spec.repeat,)
+    return seed_of(spec.seed, "prior", *parts)
+
+
+REDRAWN: Final = "redrawn"
+"""Key of a prior that is drawn again with each repeat; the others are how far."""
+
+
+NOISE_UNITS: Final = {
+    "q": "rad|m",
+    "tau": "N m|N",
+    "quantum": "rad|m",
+    "tau_drift": "N m|N",  # per second
+    "tau_correlation": "1",
+    "force": "N",
+    "moment": "N m",
+    "force_offset": "N",
+    "moment_offset": "N m",
+    "force_drift": "N",  # per second
+    "moment_drift": "N m",  # per second
+    "gain": "%",
+    "crosstalk": "%",
+    "mounting": "rad",
+    "touch": "N",
+}
+"""Keys of a [noise] table and their units, but for torque in shares."""
+
+
+def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
+    """SI numbers of a [noise] table; "0.5 %" of torque becomes tau_relative = 0.005.
+
+    What is zero is left out, and how alike the samples of no noise are: {} is exact, however it is
+    written.
+    """
+    noise = {}
+    for key, value in written.items():
+        relative = key == "tau" and isinstance(value, str) and split_quantity(value)[1] == "%"
+        if key not in NOISE_UNITS:
+            raise unknown_name("kind of noise", key, NOISE_UNITS)
+        unit = "%" if relative else NOISE_UNITS[key]
+        number = quantity(value, unit)
+        if number < 0 or (key == "tau_correlation" and number >= 1):
+            most = " and below 1" if key == "tau_correlation" else ""
+            raise UsageError(f"noise.{key} must be 0 or more{most}; got {value!r}.")
+        noise["tau_relative" if relative else key] = number
+    noise = {key: value for key, value in noise.items() if value != 0.0}
+    if not {"tau", "tau_relative"} & set(noise):
+        noise.pop("tau_correlation", None)
+    return noise
+
+
+def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, float]:
+    """SI numbers of a prior: shares, and metres for com."""
+    if isinstance(written, str):
+        return written
+    far = {key: value for key, value in written.items() if key != REDRAWN and value is not None}
+    normal = {key: quantity(value, "mm" if key == "com" else "%") for key, value in far.items()}
+    # What is known exactly is not written: ids are older than the key.
+    normal = {key: value for key, value in normal.items() if key != "known" or value}
+    return normal | ({REDRAWN: True} if written.get(REDRAWN) else {})
+
+
+def normal_payload(written: str | Mapping[str, Any]) -> str | dict[str, Any]:
+    """A payload's table without its name, numbers as floats: what the payload is."""
+    if isinstance(written, str):
+        return written
+    return {key: _floats(value) for key, value in written.items() if key != "name"}
+
+
+def _floats(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [_floats(inner) for inner in value]
+    return float(value) if isinstance(value, (int, float)) else value

@@ -1,0 +1,123 @@
+"""Fingerprint of a cell: hash of the code, models, plug-ins and libraries behind its row."""
+
+import hashlib
+import importlib.util
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from sysid_bench import naming
+from sysid_bench.canonical_json import digest
+from sysid_bench.errors import SysidBenchError
+from sysid_bench.harness.plan import Cell
+from sysid_bench.naming import located
+from sysid_bench.versions import PACKAGE_FOLDER, source_hash, versions
+
+_INCLUDE = re.compile(rb"""<include\s+file\s*=\s*["']([^"']+)["']""")
+
+
+def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
+    """16 hex digits over this package's source, the bytes of model files (with the files that an
+    MJCF includes) and of motions, the files of plug-ins ("module:object", "file:x.py:object") and
+    versions.
+
+    A plug-in stands for the whole package that it lies in. Files are read once per process.
+    """
+    models = tuple(sorted(str(Path(path).resolve()) for path in paths))
+    return _fingerprint(models, tuple(sorted(set(plugins))))
+
+
+def cell_fingerprint(cell: Cell, robots_dir: Path | None, folder: Path | None) -> str:
+    """The fingerprint of everything that a cell's row depends on; "" where its robot is gone."""
+    spec = cell.spec
+    plugins = {
+        "plant": [spec.plant],
+        "excitation": [spec.excitation, *spec.held_out],
+        "simulation": [spec.simulation],
+        "estimator": [cell.estimator],
+    }
+    files = _model_files(spec.robot, robots_dir, folder)
+    if not files:
+        return ""
+    targets = [_target(kind, plugin, folder) for kind, some in plugins.items() for plugin in some]
+    specs = [located(plugin, folder) for some in plugins.values() for plugin in some]
+    read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
+    if spec.log is not None:
+        from sysid_bench.experiments.recorded.rows import log_files
+
+        own = _target("estimator", cell.estimator, folder)
+        return fingerprint([*files, *log_files(spec.log, folder or Path())], [own])
+    return fingerprint([*files, *read], targets)
+
+
+@cache
+def _model_files(robot: str, robots_dir: Path | None, folder: Path | None) -> tuple[Path, ...]:
+    from sysid_bench.models.manifest import find_manifest
+
+    try:
+        manifest = find_manifest(robot, robots_dir, folder)
+    except SysidBenchError:
+        return ()
+    return tuple(path for path in (manifest.path, manifest.manifest_file) if path is not None)
+
+
+def _target(kind: str, plugin: Mapping[str, Any], folder: Path | None) -> str:
+    use = str(located(plugin, folder)["use"])
+    return use if ":" in use else naming.known(kind).get(use, use)
+
+
+@cache
+def _fingerprint(models: tuple[str, ...], plugins: tuple[str, ...]) -> str:
+    parts = [
+        source_hash(str(PACKAGE_FOLDER)),
+        [_model(path) for path in models],
+        [_plugin(name) for name in plugins],
+        versions(),
+        sys.version_info[:2],
+    ]
+    return digest(parts)[:16]
+
+
+@cache
+def _file(path: str) -> str:
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError:
+        return "absent"
+
+
+@cache
+def _model(path: str) -> list[str]:
+    """Hashes of a model file and of what it includes."""
+    met, waiting = {}, [Path(path)]
+    while waiting:
+        file = waiting.pop()
+        if str(file) in met:
+            continue
+        met[str(file)] = _file(str(file))
+        if met[str(file)] != "absent":
+            names = _INCLUDE.findall(file.read_bytes())
+            waiting += [file.parent / name.decode(errors="replace") for name in names]
+    return list(met.values())
+
+
+@cache
+def _plugin(name: str) -> str:
+    place = name.rpartition(":")[0] or name
+    if place.startswith("file:"):
+        return _file(place.removeprefix("file:"))
+    root = place.partition(".")[0]
+    if root == PACKAGE_FOLDER.name:
+        return ""  # its tree is in every fingerprint
+    try:
+        spec = importlib.util.find_spec(root)
+    except (ImportError, ValueError):
+        spec = None
+    if spec is None:
+        return "absent"
+    if spec.submodule_search_locations:
+        return digest([source_hash(folder) for folder in spec.submodule_search_locations])
+    return _file(spec.origin) if spec.origin else "absent"

@@ -1,0 +1,37 @@
+"""What `execute` is told of one experiment: JSON values, so that any worker can do it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from sysid_bench.harness.plan import Cell
+from sysid_bench.harness.suite.model import Suite
+from sysid_bench.naming import located
+from sysid_bench.units import quantity
+
+
+def argument_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict[str, Any]:
+    """The argument that asks for these cells, all of one experiment.
+
+    Plug-in files and robots are found from the suite's folder; `labels` begin every row.
+    """
+    own = ("id", "estimator")
+    return {
+        "experiment": cells[0].spec.to_json(),
+        "seed": suite.seed,
+        "estimators": [
+            {
+                **located(cell.estimator, suite.folder),
+                "cell": cell.id,
+                "label": cell.labels["estimator"],
+            }
+            for cell in cells
+        ],
+        "labels": {key: value for key, value in cells[0].head.items() if key not in own},
+        "crosscheck": {
+            "tolerance": quantity(suite.crosscheck.tolerance, "1"),
+            "on_fail": suite.crosscheck.on_fail,
+        },
+        "folder": str(suite.folder),
+        "robots_dir": None if robots_dir is None else str(robots_dir.resolve()),
+    }

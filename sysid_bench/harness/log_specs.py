@@ -1,0 +1,64 @@
+"""A suite's [[log]] becomes specifications and labels: recordings in place of simulations."""
+
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.harness.suite.model import LogEntry
+from sysid_bench.signals.log_description import name_of
+from sysid_bench.vocabulary import LABELS
+
+RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
+"""Stands where a simulated experiment has a plant, an excitation, a simulation."""
+
+
+def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
+    """One specification for each way in which the recordings are looked at."""
+    ways = itertools.product(entry.terms, entry.choose, entry.filter, entry.moving)
+    for terms, choose, filter, moving in ways:
+        signals = {"filter": filter, "derivatives": entry.derivatives}
+        yield ExperimentSpec(
+            seed=0,  # nothing is drawn
+            robot=entry.robot,
+            payload="none",
+            task=entry.task,
+            terms=terms,
+            plant=RECORDED,
+            prior="none",
+            excitation=RECORDED,
+            held_out=(),
+            simulation=RECORDED,
+            rate=0.0,
+            noise={},
+            signals={k: x for k, x in signals.items() if x not in (None, "default")},
+            repeat=0,
+            log={
+                "train": list(entry.train),
+                "test": list(entry.test),
+                "choose": list(choose),
+                "moving": moving,
+                "accept": list(entry.accept),
+                "position_given": entry.position_given,
+                "true_mass": entry.true_mass,
+            },
+        )
+
+
+def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
+    """What the rows of recordings are labelled with: `excitation` is what was trained on,
+    `held_out` what it is judged on."""
+    assert spec.log is not None
+    terms = "default" if spec.terms is None else " ".join(spec.terms) or "none"
+    chosen = " ".join(spec.log["choose"])
+    moving = f", |v| >= {spec.log['moving']:g}" if spec.log["moving"] else ""
+    told = {
+        "robot": robot,
+        "task": spec.task,
+        "terms": f"{terms}; choose {chosen}" if chosen else terms,
+        "excitation": entry.label,
+        "held_out": ", ".join(name_of(log) for log in entry.test) or "none",
+        "signals": f"{spec.signals.get('filter', 'default')}, "
+        f"{spec.signals.get('derivatives', 'default')}{moving}",
+    }
+    return {axis: told.get(axis, "recorded") for axis in LABELS if axis != "estimator"}

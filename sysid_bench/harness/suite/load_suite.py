@@ -1,0 +1,203 @@
+"""A suite file becomes a `Suite`, with all its mistakes told at once; and text again."""
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.suite.checks import Context
+from sysid_bench.harness.suite.model import Suite
+from sysid_bench.harness.suite.names import Names, installed_names, no_names
+from sysid_bench.harness.suite.toml_lines import Key, key_lines, line_of
+from sysid_bench.harness.suite.toml_text import toml_text
+
+__all__ = ["Suite", "dump_suite", "load_suite", "override", "parse_frozen", "parse_suite"]
+
+
+def load_suite(
+    path: Path, names: Names | None = None, overrides: Mapping[str, str] | None = None
+) -> Suite:
+    """The suite in a file; raises one UsageError with a line per mistake (see `parse_suite`)."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"The suite {str(path)!r} cannot be read: {error}.") from error
+    return parse_suite(text, str(path), path.resolve().parent, names, overrides)
+
+
+def parse_suite(
+    text: str,
+    file: str = "suite.toml",
+    folder: Path | None = None,
+    names: Names | None = None,
+    overrides: Mapping[str, str] | None = None,
+) -> Suite:
+    """The suite of a TOML text; relative robots and plug-in files lie in `folder`.
+
+    A frozen suite knows its folder itself ([origin]), and that one is taken. `overrides` are
+    `--set` pairs. Raises one UsageError: `file:line: key: what came, what there is`.
+    """
+    data = _read(text, file)
+    known_lines = key_lines(text)
+    if overrides:
+        data = override(data, overrides)
+    if folder is not None and "origin" not in data:
+        data["origin"] = {"folder": str(folder)}
+    return _validate(data, file, known_lines, names or installed_names())
+
+
+def parse_frozen(text: str, file: str) -> Suite:
+    """The suite of a run folder: checked when it was planned, so names are taken as they are."""
+    return _validate(_read(text, file), file, key_lines(text), no_names())
+
+
+def override(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> dict[str, Any]:
+    """The data of a suite with `--set` pairs put in: {"defaults.rate": '"100 Hz"'}.
+
+    Values are TOML; a word that is none is a text. List elements go by number: "robot.0.use".
+    """
+    data = tomllib.loads(suite) if isinstance(suite, str) else dict(suite)
+    for dotted, text in settings.items():
+        data = _put(data, dotted.split("."), _toml_value(text), dotted)
+    return data
+
+
+def dump_suite(suite: Suite) -> str:
+    """TOML that `parse_suite` reads as the same suite, with every default written out."""
+    return toml_text(suite.model_dump(by_alias=True))
+
+
+def _read(text: str, file: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"{file}: this is no TOML: {error}.") from error
+
+
+def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], names: Names) -> Suite:
+    context = Context(names, _folder_of(data), frozenset(_settings(data)))
+    try:
+        return Suite.model_validate(data, context=context)
+    except ValidationError as error:
+        told = [_tell(problem, data, file, lines) for problem in error.errors()]
+    # A sweep or default that is met twice would tell the same twice.
+    ordered = sorted(dict.fromkeys(told), key=lambda entry: (entry[0] is None, entry[0] or 0))
+    raise UsageError("\n".join(text for _, text in ordered))
+
+
+def _folder_of(data: Mapping[str, Any]) -> Path | None:
+    origin = data.get("origin")
+    folder = origin.get("folder") if isinstance(origin, Mapping) else None
+    return Path(folder) if isinstance(folder, str) else None
+
+
+def _settings(data: Mapping[str, Any]) -> Iterable[str]:
+    """ "excitation.period" for every written setting: fields that expressions may ask for."""
+    defaults = data.get("defaults")
+    places = dict(defaults) if isinstance(defaults, Mapping) else {}
+    places["estimator"] = data.get("estimator")
+    for axis in ("plant", "excitation", "simulation", "estimator"):
+        specs = places.get(axis)
+        for spec in specs if isinstance(specs, list) else [specs]:
+            if isinstance(spec, Mapping):
+                yield from (f"{axis}.{key}" for key in spec if key != "label")
+
+
+def _tell(problem: Any, data: Any, file: str, lines: Mapping[Key, int]) -> tuple[int | None, str]:
+    key = _written_key(problem["loc"], problem["type"], data)
+    line = line_of(lines, key)
+    place = f"{file}:{line}" if line else file
+    dotted = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key)
+    return line, f"{place}: {dotted.lstrip('.') or 'the whole file'}: {_what(problem, key)}"
+
+
+def _written_key(loc: tuple[Any, ...], kind: str, data: Any) -> Key:
+    """Pydantic's location without the indices of one-value sweeps and the tags of unions."""
+    key: list[str | int] = []
+    for position, part in enumerate(loc):
+        if key[-1:] in (["terms"], ["held_out"]) and position == 2 and not _of_lists(data):
+            continue
+        if _holds(data, part):
+            data = data[part]
+        elif not (isinstance(data, Mapping) and kind == "missing" and position == len(loc) - 1):
+            continue
+        key.append(part)
+    return tuple(key)
+
+
+def _holds(data: Any, part: Any) -> bool:
+    if isinstance(data, list):
+        return isinstance(part, int) and part < len(data)
+    return isinstance(data, Mapping) and part in data
+
+
+def _of_lists(data: Any) -> bool:
+    return isinstance(data, list) and bool(data) and all(isinstance(x, list) for x in data)
+
+
+def _what(problem: Any, key: Key) -> str:
+    if problem["type"] == "extra_forbidden":
+        return _unknown_key(str(key[-1]), problem["input"], _keys_at(problem["loc"][:-1]))
+    if problem["type"] == "missing":
+        return "this key is missing, and it has no default."
+    message = str(problem["msg"]).removeprefix("Value error, ")
+    if problem["type"] == "value_error":
+        return message
+    return f"{message}; got {_short(problem['input'])}."
+
+
+def _unknown_key(name: str, value: Any, known: list[str]) -> str:
+    near = get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    return f"unknown key (got {_short(value)}).{hint} There are: {', '.join(known)}."
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _keys_at(loc: tuple[Any, ...]) -> list[str]:
+    """The keys of the table at a location, from the models themselves."""
+    model: Any = Suite
+    for part in loc:
+        fields = {field.alias or name: field for name, field in model.model_fields.items()}
+        if part in fields:
+            model = _model_in(fields[part].annotation) or model
+    return sorted(field.alias or name for name, field in model.model_fields.items())
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    inner = (_model_in(argument) for argument in get_args(annotation))
+    return next((model for model in inner if model is not None), None)
+
+
+def _toml_value(text: str) -> Any:
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
+
+
+def _put(data: Any, path: list[str], value: Any, dotted: str) -> Any:
+    if not path:
+        return value
+    head, *rest = path
+    if isinstance(data, list) and head.isdigit() and int(head) < len(data):
+        return [
+            _put(item, rest, value, dotted) if i == int(head) else item
+            for i, item in enumerate(data)
+        ]
+    if not isinstance(data, Mapping):
+        raise UsageError(
+            f"--set {dotted}: there is no {head!r} to set, because what holds it is "
+            f"{_short(data)}; set the whole of it."
+        )
+    return {**data, head: _put(data.get(head, {}), rest, value, dotted)}

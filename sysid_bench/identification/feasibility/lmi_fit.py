@@ -1,0 +1,231 @@
+"""Quadratic fits in the set of parameters that can exist, solved by Clarabel on the R factor."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import clarabel
+import numpy as np
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve
+
+from sysid_bench.errors import EstimationError
+from sysid_bench.identification.feasibility.feasible_set import BASIS, LENGTH, Physical, physical
+from sysid_bench.identification.linear.base_coordinates import WEAK, unseen, weighted_coordinates
+from sysid_bench.types import Array, BaseMap, Body, Estimate, Problem
+
+TOLERANCE: Final = 1e-7
+"""Of Clarabel's duality gap: squares of residuals whose noise has the variance one."""
+
+STEPS: Final = (0.99, 0.95, 0.9)
+"""Shares of the way to the border that Clarabel goes at once: its own, and shorter ones where
+rounding stops it there."""
+
+FEASIBLE: Final = (1e-9, 1e-8)
+"""What constraints may be missed by, and what is taken where rounding allows no less."""
+
+LEAST: Final = 3e-8
+"""kg, lengths in LENGTH: the least eigenvalue of J, above what constraints may be missed by."""
+
+ACCEPTED: Final = 1e-4
+"""The gap, absolute or relative, that is taken where rounding allows no less."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a method is told a body has to keep: `margin`, the least eigenvalue of J over its trace
+    (None: no pseudo-inertia at all, masses and moments alone are not negative); `mass` (kg) of each
+    body; `com`, the largest coordinate (m) of a centre of mass from the body's frame."""
+
+    margin: float | None = 1e-7
+    mass: tuple[float, float] = (0.0, np.inf)
+    com: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Cones:
+    """h - G x in a product of cones; `linear` of them are half-spaces, then PSD triangles."""
+
+    G: sparse.csc_matrix
+    h: Array
+    linear: int
+    bodies: int
+
+    def cones(self) -> list[object]:
+        flat = [clarabel.NonnegativeConeT(self.linear)] if self.linear else []
+        return flat + [clarabel.PSDTriangleConeT(4)] * self.bodies
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """x (p,) that can exist, and the certificate that nothing better does."""
+
+    x: Array
+    gap: float  # primal minus dual objective, where noise has the variance one
+    iterations: int
+    excess: float  # squares that the constraints add to those of least squares
+
+
+@lru_cache(maxsize=64)
+def cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Limits) -> Cones:
+    """The constraints of a robot, built once."""
+    of = physical(parameters, bodies)
+    p, nb = len(parameters), len(bodies)
+    rows: list[tuple[Array, Array, float]] = []  # places, coefficients, bound: coeff x <= bound
+    for i in of.not_negative:
+        rows.append((np.array([i]), np.array([-1.0]), 0.0))
+    for at in of.places:
+        rows += _body_rows(at, limits)
+    G = sparse.lil_matrix((len(rows), p))
+    for k, (at, coefficients, _) in enumerate(rows):
+        G[k, at] = coefficients
+    h = np.array([bound for *_, bound in rows])
+    if limits.margin is None or nb == 0:
+        return Cones(G.tocsc(), h, len(rows), 0)
+    triangle = _triangle(limits.margin)
+    blocks = sparse.lil_matrix((10 * nb, p))
+    for b, at in enumerate(of.places):
+        blocks[10 * b : 10 * b + 10, at] = -triangle
+    stacked = sparse.vstack([G, blocks], format="csc")
+    least = np.tile(-LEAST * _entries(np.eye(4)), nb)
+    return Cones(stacked, np.append(h, least), len(rows), nb)
+
+
+def _body_rows(at: Array, limits: Limits) -> list[tuple[Array, Array, float]]:
+    least, most = limits.mass
+    rows = []
+    if limits.margin is None:
+        moments = at[[4, 7, 9]]
+        rows += [(moments[[k]], np.array([-1.0]), 0.0) for k in range(3)]
+        rows += [(moments, np.roll([1.0, -1.0, -1.0], k), 0.0) for k in range(3)]
+    if limits.margin is None or least > 0:
+        rows.append((at[[0]], np.array([-1.0]), -least))
+    if most < np.inf:
+        rows.append((at[[0]], np.array([1.0]), most))
+    if limits.com < np.inf:
+        reach = limits.com / LENGTH
+        rows += [
+            (at[[0, k]], np.array([-reach, sign]), 0.0) for k in (1, 2, 3) for sign in (1.0, -1.0)
+        ]
+    return rows
+
+
+def _triangle(margin: float) -> Array:
+    """Entries (10, 10) of J - margin tr(J) 1 for each unit x: the upper triangle, column by column,
+    off the diagonal times the root of two."""
+    inner = BASIS - margin * np.trace(BASIS, axis1=1, axis2=2)[:, None, None] * np.eye(4)
+    return np.stack([_entries(one) for one in inner], axis=1)
+
+
+def _entries(M: Array) -> Array:
+    """The ten numbers of a symmetric matrix (4, 4) that Clarabel calls its triangle."""
+    return np.array(
+        [M[i, j] * (1.0 if i == j else np.sqrt(2.0)) for j in range(4) for i in range(j + 1)]
+    )
+
+
+def fit(
+    of: Physical, problem: Problem, limits: Limits, start: Array, pull: Array | None = None
+) -> Fit:
+    """The least-squares fit, plus (x - start)' pull (x - start) / 2, over what can exist.
+
+    Without a pull the fit alone decides, and `start` only where it says nothing. Raises
+    EstimationError with Clarabel's status where it does not solve to TOLERANCE.
+    """
+    at = weighted_coordinates(of, problem, start)
+    p, r = len(start), at.rank
+    P, q = np.diag(np.repeat([1.0, WEAK], [r, p - r])), np.zeros(p)
+    if pull is not None:
+        P, q = P + at.T.T @ pull @ at.T, at.T.T @ (pull @ (at.origin - start))
+    y, gap, iterations = _solved(of, limits, at.origin, at.T, P, q)
+    x = _existing(of, limits, at.origin + at.T @ y)
+    return Fit(x, gap, iterations, float(y[:r] @ y[:r]))
+
+
+def nearest(of: Physical, base: BaseMap, beta: Array, start: Array, metric: Array) -> Fit:
+    """min (x - start)' metric (x - start) / 2 over what can exist with the base parameters beta.
+
+    Raises EstimationError where nothing can exist that has them.
+    """
+    N = unseen(of, base)
+    x = start.copy()
+    free = np.setdiff1d(np.arange(len(x)), base.pivots)
+    x[base.pivots] = beta / of.scale[base.pivots] + N[base.pivots] @ start[free]
+    P, q = N.T @ metric @ N, N.T @ (metric @ (x - start))
+    n, gap, iterations = _solved(of, Limits(), x, N, P, q)
+    return Fit(_existing(of, Limits(), x + N @ n), gap, iterations, 0.0)
+
+
+def estimate_of(of: Physical, fit: Fit) -> Estimate:
+    """All parameters, with the certificate of the fit."""
+    stats = {
+        "duality_gap": fit.gap,
+        "iterations": float(fit.iterations),
+        "roundness": float(of.roundness(fit.x).min(initial=0.25)),
+        "excess": fit.excess,
+    }
+    return Estimate(theta=of.scale * fit.x, stats=stats)
+
+
+def _settings(step: float) -> clarabel.DefaultSettings:
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
+    settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = ACCEPTED
+    settings.tol_feas, settings.reduced_tol_feas = FEASIBLE
+    settings.max_step_fraction = step
+    return settings
+
+
+def _solved(
+    of: Physical, limits: Limits, origin: Array, T: Array, P: Array, q: Array
+) -> tuple[Array, float, int]:
+    """(y, duality gap, iterations) of min y'Py / 2 + q'y where origin + T y can exist.
+
+    Solved for the way d from the minimum y0 without constraints, y = y0 + d / sqrt(diag(P)): the
+    objective is then what the constraints cost, and its accuracy that of the cost alone.
+    """
+    cones = cones_of(of.parameters, of.bodies, limits)
+    size = 1 / np.sqrt(np.maximum(np.diag(P), 1.0))
+    P = P * size * size[:, None]
+    free = -size * cho_solve(cho_factor(P), size * q) if q.any() else np.zeros(len(q))
+    origin, T = origin + T @ free, T * size
+    for step in STEPS:
+        answer = clarabel.DefaultSolver(
+            sparse.csc_matrix(np.triu(P)),
+            np.zeros(len(q)),
+            sparse.csc_matrix(cones.G @ T),
+            cones.h - cones.G @ origin,
+            cones.cones(),
+            _settings(step),
+        ).solve()
+        status = str(answer.status)
+        if status not in ("NumericalError", "InsufficientProgress"):
+            break
+    if "PrimalInfeasible" in status:
+        raise EstimationError(
+            "No bodies that can exist have these parameters: Clarabel finds the constraints "
+            "contradictory. Take a feasible fit instead, or wider limits."
+        )
+    if status not in ("Solved", "AlmostSolved"):
+        raise EstimationError(
+            f"Clarabel answers {status} after {answer.iterations} iterations: no fit that can "
+            "exist was found to full accuracy; a prior or limits on mass would bound it."
+        )
+    gap = abs(answer.obj_val - answer.obj_val_dual)
+    return free + size * np.array(answer.x), gap, int(answer.iterations)
+
+
+def _existing(of: Physical, limits: Limits, x: Array) -> Array:
+    """x (p,) with joint terms that are negative by rounding made zero; raises EstimationError where
+    the eigenvalues of a body say that it cannot exist, whatever the solver does."""
+    out = x.copy()
+    out[of.not_negative] = np.maximum(x[of.not_negative], 0.0)
+    if limits.margin is not None and of.bodies:
+        smallest = float(np.linalg.eigvalsh(of.pseudo_inertias(out))[:, 0].min())
+        if not smallest >= 0:
+            raise EstimationError(
+                f"Clarabel's answer has a pseudo-inertia with the eigenvalue {smallest:.1e}: it "
+                "cannot exist; a larger margin leaves more room for rounding."
+            )
+    return out

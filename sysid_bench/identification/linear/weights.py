@@ -1,0 +1,85 @@
+"""How much each row of the robot is worth: the noise of its torque, estimated from the residual."""
+
+from typing import Final
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from sysid_bench.identification.linear.normal_qr import (
+    EXCITED,
+    compress,
+    require_excited,
+    residual_norms,
+    spread,
+    triangular,
+)
+from sysid_bench.types import Array, Factor, Problem
+
+ROUNDING: Final = 1e-10
+"""Residuals below this share of a row's RMS torque are rounding error and tell no noise: a floor
+that keeps exact data from being weighted by chance."""
+
+
+def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, Array, Array]:
+    """(beta (r,), R (r + 1, r + 1), sigma (rows,)) of least squares on rows divided by `sigma`;
+    None: `own_sigmas`. Raises EstimationError where the motion does not excite every direction.
+
+    Excitation is judged on the rows as they are: weights that differ by many orders would hide it.
+    """
+    require_excited(compress(problem))
+    sigma = own_sigmas(problem) if sigma is None else sigma
+    R = compress(problem, (1.0 / sigma).tolist())
+    return triangular(R), R, sigma
+
+
+def own_sigmas(problem: Problem) -> Array:
+    """Noise (rows,) of each row, from a fit of that row alone: N_j - b_j degrees of freedom.
+
+    b_j base parameters are told apart by row j. A fit of its own leaves out what other rows add:
+    the expected variance is that of the row, however loud its neighbours are.
+    """
+    return floored(problem, np.array([_own_sigma(factor) for factor in problem.factors]))
+
+
+def _own_sigma(factor: Factor) -> float:
+    R, k = factor.R, len(factor.columns)
+    if len(R) <= k:
+        return 0.0
+    norms = np.linalg.norm(R[:, :k], axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    rank, rest = k, R[k:, k]
+    if np.abs(np.diag(R)[:k] / norms).min(initial=1.0) <= EXCITED:
+        # Columns that depend on one another leave rows of R that are residual.
+        U, values, _ = np.linalg.svd(R[:, :k] / norms, full_matrices=False)
+        rank = int((values > EXCITED * values[0]).sum())
+        rest = R[:, k] - U[:, :rank] @ (U[:, :rank].T @ R[:, k])
+    return float(np.linalg.norm(rest)) / np.sqrt(max(factor.samples - rank, 1))
+
+
+def fit_sigmas(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
+    """Noise (rows,) of each row from the residual of the fit beta that weighted them by `sigma`, R
+    (r + 1, r + 1) its factor: N_j - tr(H_jj) degrees of freedom, H the hat matrix of that fit.
+
+    The leverages tr(H_jj) of all rows sum up to r.
+    """
+    r = problem.base.rank
+    rows = [spread(factor, r)[:, :r].T for factor in problem.factors]
+    shares = [solve_triangular(R[:r, :r], part, trans="T") for part in rows]
+    leverage = np.array([np.linalg.norm(share) ** 2 for share in shares]) / sigma**2
+    samples = np.array([factor.samples for factor in problem.factors])
+    freedom = np.maximum(samples - leverage, 1.0)
+    return floored(problem, residual_norms(problem, beta) / np.sqrt(freedom))
+
+
+def floored(problem: Problem, sigma: Array) -> Array:
+    """Standard deviations (rows,) above rounding; a row without torque or columns weighs nothing,
+    so that any positive number serves."""
+    sigma = np.maximum(sigma, ROUNDING * torque_rms(problem))
+    return np.where(sigma > 0, sigma, sigma.max() if sigma.any() else 1.0)
+
+
+def torque_rms(problem: Problem) -> Array:
+    """RMS (rows,) of each row's right-hand side."""
+    return np.array(
+        [np.linalg.norm(f.R[:, -1]) / np.sqrt(max(f.samples, 1)) for f in problem.factors]
+    )

@@ -1,0 +1,133 @@
+"""What the joint filters share: the state [q v beta], its start and its noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_bench.errors import EstimationError
+from sysid_bench.identification.linear.noise_level import white_noise
+from sysid_bench.identification.linear.normal_qr import compress, solve
+from sysid_bench.identification.simulation_based.forward_dynamics import Forward, scalar_joints
+from sysid_bench.identification.simulation_based.gauss_newton import folded, length
+from sysid_bench.types import Array, Estimate, Experiment
+
+TOLD = 0.1
+"""Torque that the start is trusted with, relative to the RMS, where no prior says how well."""
+
+LEAST = (1e-5, 1e-2)
+"""Noise of positions and torques that a filter reckons with at least, relative to their RMS: time
+steps and differences are not exact, and a filter that takes them so runs away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """Mean (k,) and covariance (k, k) of [q v beta]."""
+
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class JointFilter:
+    """The model of a joint filter: measured positions, torques between them, noises."""
+
+    experiment: Experiment
+    forward: Forward
+    q: Array  # (N, n)
+    tau: Array
+    q_noise: Array  # (n,)
+    tau_noise: Array
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.q.shape[1]
+
+    def step(self, states: Array, k: int) -> Array:
+        """States (S, k) from sample k to k + 1."""
+        n, S = self.n, len(states)
+        tau, after = (np.broadcast_to(self.tau[i], (S, n)) for i in (k, k + 1))
+        q, v, beta = states[:, :n], states[:, n : 2 * n], states[:, 2 * n :]
+        q, v = self.forward.step(beta, q, v, tau, after)
+        return np.concatenate([q, v, beta], axis=1)
+
+    def disturbed(self, mean: Array) -> Array:
+        """Covariance (k, k) that torque noise adds in a step."""
+        n, dt = self.n, self.forward.dt
+        q, v, beta = (np.tile(x, (n + 1, 1)) for x in np.split(mean, [n, 2 * n]))
+        pushed = np.concatenate([np.zeros((1, n)), np.diag(self.tau_noise)])
+        a = self.forward.acceleration(beta, q, v, pushed)
+        push = (a[1:] - a[0]).T
+        gain = np.concatenate([0.5 * dt**2 * push, dt * push, np.zeros((len(mean) - 2 * n, n))])
+        return gain @ gain.T
+
+    def measured(self, belief: Belief, k: int) -> Belief:
+        """The belief after the positions of sample k (Joseph's form)."""
+        n, P = self.n, belief.covariance
+        S = P[:n, :n] + np.diag(self.q_noise**2)
+        gain = np.linalg.solve(S, P[:n]).T
+        mean = belief.mean + gain @ (self.q[k] - belief.mean[:n])
+        keep = np.eye(len(mean))
+        keep[:, :n] -= gain
+        P = keep @ P @ keep.T + (gain * self.q_noise**2) @ gain.T
+        return Belief(mean, 0.5 * (P + P.T))
+
+    def begin(self) -> Belief:
+        """The first sample's state, and the prior or, without one, least squares."""
+        n, recording = self.n, self.experiment.recording
+        beta, covariance = _begin(self.experiment)
+        v = recording.motion.v[0]
+        spread = np.concatenate(
+            [self.q_noise, 0.1 * np.sqrt((recording.motion.v**2).mean(axis=0)) + 1e-9]
+        )
+        P = np.zeros((2 * n + len(beta),) * 2)
+        P[: 2 * n, : 2 * n] = np.diag(spread**2)
+        P[2 * n :, 2 * n :] = covariance
+        return Belief(np.concatenate([self.q[0], v, beta]), P)
+
+    def answer(self, belief: Belief, start: Belief) -> Estimate:
+        """What the filter ends with; a failure where it only kept its start."""
+        beta, first = belief.mean[2 * self.n :], start.mean[2 * self.n :]
+        if not np.isfinite(belief.mean).all() or np.array_equal(beta, first):
+            raise EstimationError("The filter lost its numbers, or learnt nothing from its start.")
+        R = compress(self.experiment.problem)
+        if length(R, beta - first) > 100 * length(R, first):
+            raise EstimationError("The filter runs away from its start: the noise is too large.")
+        part = slice(2 * self.n, None)
+        return Estimate(beta, covariance=belief.covariance[part, part])
+
+
+def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilter:
+    """The model of a joint filter on the recorded samples that filtering left."""
+    scalar_joints(experiment, what)
+    raw, recording = experiment.raw, experiment.recording
+    first = int(np.argmin(np.abs(raw.t - recording.t[0])))
+    part = slice(first, first + len(recording))
+    q, tau = raw.q[part], raw.tau[part]
+    sizes = [np.sqrt((x**2).mean(axis=0)) for x in (q, tau)]
+    least = [
+        np.maximum(share * x, 0.1 * share * x.max()) for share, x in zip(LEAST, sizes, strict=True)
+    ]
+    q_noise, tau_noise = (
+        np.maximum(white_noise(x), at_least) for x, at_least in zip((q, tau), least, strict=True)
+    )
+    # Between two samples the torque is taken as a straight line: what it bends is noise as well.
+    tau_noise = np.hypot(tau_noise, np.sqrt((np.diff(tau, 2, axis=0) ** 2).mean(axis=0)) / 8)
+    forward = Forward(experiment, 1 / raw.rate, substeps)
+    return JointFilter(experiment, forward, q, tau, q_noise, tau_noise)
+
+
+def _begin(experiment: Experiment) -> tuple[Array, Array]:
+    problem = experiment.problem
+    K = problem.base.K
+    if problem.prior is not None:
+        spread = K * problem.prior.std
+        floor = 1e-12 * np.trace(spread @ spread.T) * np.eye(len(K))
+        return K @ problem.prior.theta, spread @ spread.T + floor
+    parts = list(problem.blocks())
+    W, b = (np.concatenate(x) for x in zip(*parts, strict=True))
+    sigma = np.sqrt((b**2).mean(axis=0))
+    R = folded(W / np.where(sigma > 0, sigma, 1.0)[:, None], b / np.where(sigma > 0, sigma, 1.0))
+    r = len(K)
+    inverse = np.linalg.inv(R[:r, :r]) * TOLD * np.sqrt(len(b))
+    return solve(R), inverse @ inverse.T

@@ -1,0 +1,48 @@
+"""An MJCF file as an MjSpec without the parts that need files or play no role in the dynamics."""
+
+from pathlib import Path
+
+import mujoco
+
+from sysid_bench.errors import ModelError
+from sysid_bench.models.mjcf.mjcf_files import check_files
+from sysid_bench.models.mjcf.mjcf_inertia import settle_inertias
+from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT, settle_terms
+
+_LOOKS = ("hfields", "skins", "textures", "materials")
+_UNUSED = ("keys", "pairs", "excludes", "sensors", "tuples")
+
+
+def mjcf_spec(
+    path: Path, text: bytes | None = None, assets: Path | None = None
+) -> tuple[mujoco.MjSpec, tuple[str, ...], tuple[str, ...]]:
+    """The spec of a file, or of a text that includes nothing and is called `path`; in words, what
+    had to be left out; and the joints that carry motors. Files are read below the folder `assets`,
+    or that of `path`. Raises ModelError with MuJoCo's reason."""
+    folder = assets or path.parent
+    spec = _read(path, text, folder)
+    spec.compiler.fusestatic = False  # welded bodies keep their own parameters
+    spec.memory = spec.nstack = spec.njmax = spec.nconmax = -1  # as much as it needs
+    for collection in (*_UNUSED, *_LOOKS):
+        for element in list(getattr(spec, collection)):
+            spec.delete(element)
+    for element in [*spec.geoms, *spec.sites, *spec.tendons]:
+        element.material = ""
+    repairs = settle_inertias(spec, path, folder)
+    repairs += settle_terms(spec)
+    actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    return spec, repairs, actuated
+
+
+def _read(path: Path, text: bytes | None, folder: Path) -> mujoco.MjSpec:
+    check_files(path, path.read_bytes() if text is None else text, folder)
+    try:
+        if text is None:
+            return mujoco.MjSpec.from_file(str(path))
+        return mujoco.MjSpec.from_string(text.decode())
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(
+            f"MuJoCo cannot read {path.name}: {' '.join(str(error).split())}"
+        ) from error

@@ -1,0 +1,187 @@
+"""A second, native witness: Pinocchio's own parser of the same canonical URDF text.
+
+The text is given to it with names of our own, so that no name of a file means anything to it, and
+with two rewritings that change no motion: a floating joint at the ground is its root joint, and a
+planar joint comes as the two slides and the hinge that MuJoCo makes of it.
+"""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+
+from sysid_bench.errors import UnsupportedError
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.urdf.urdf_joints import PLANAR_PARTS
+from sysid_bench.regressors.pinocchio import joint_columns
+from sysid_bench.spatial.inertia import transport
+from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.types import Array, Regressor, Trajectory
+
+_ROOT: Final = "root_joint"  # Pinocchio's own name for it
+
+
+@dataclass(frozen=True, eq=False)
+class _Native:
+    """Pinocchio's model, and what our bodies and joints are called in it."""
+
+    model: pin.Model
+    bodies: dict[str, str]
+    joints: dict[str, str]
+
+    def body(self, name: str) -> pin.Frame:
+        called = self.bodies.get(name, "")
+        if not self.model.existBodyName(called):
+            raise UnsupportedError(f"Pinocchio's parser has no body {name!r}.")
+        return self.model.frames[self.model.getBodyId(called)]
+
+    def joint(self, name: str, kind: str) -> pin.JointModel:
+        called = _ROOT if kind == "free" else self.joints.get(name, "")
+        if not self.model.existJointName(called):
+            raise UnsupportedError(f"Pinocchio's parser has no joint {name!r}.")
+        return self.model.joints[self.model.getJointId(called)]
+
+
+def native_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
+    """Y (N, nv, 10 nb) of the bodies and joints that Pinocchio reads itself.
+
+    Raises UnsupportedError where its parser cannot serve: MJCF, a mounted payload (no text has it),
+    joints that it does not know.
+    """
+    native = _native(robot)
+    q, v, a = _state(robot, native, motion)
+    Y_joint = joint_columns(native.model, q, v, a)
+    rows = _rows(robot, native)
+    Y: Array = np.zeros((len(motion), robot.nv, len(robot.body_names), 10))
+    for b, name in enumerate(robot.body_names):
+        frame = native.body(name)
+        if frame.parentJoint > 0:
+            placement = frame.placement
+            X = transport(placement.rotation, placement.translation)
+            Y[:, :, b] = Y_joint[:, rows, frame.parentJoint - 1] @ X
+    Y = Y.reshape(*Y.shape[:2], -1)
+    return Regressor(_base_force_to_world(robot, motion, Y), robot.rows, robot.inertial_columns)
+
+
+def _native(robot: RobotModel) -> _Native:
+    if robot.format != "urdf":
+        raise UnsupportedError(
+            "Pinocchio's MJCF parser ignores options that the model may rely on."
+        )
+    if robot.payload:
+        raise UnsupportedError("The payload is mounted in the compiled model; no text holds it.")
+    text = ET.fromstring(robot.text)
+    _take_floating_joint(text)
+    for joint in text.findall("joint"):
+        if joint.get("type") == "planar":
+            _split_planar(text, joint, robot)
+    bodies, joints = _rename(text)
+    root = [pin.JointModelFreeFlyer()] if robot.floating else []
+    try:
+        model = pin.buildModelFromXML(ET.tostring(text, encoding="unicode"), *root)
+    except (ValueError, RuntimeError) as error:
+        raise UnsupportedError(
+            f"Pinocchio's parser refuses it: {' '.join(str(error).split())}"
+        ) from error
+    if model.nv != robot.nv:
+        raise UnsupportedError(
+            f"Pinocchio's parser sees {model.nv} degrees of freedom, MuJoCo {robot.nv}."
+        )
+    model.gravity = pin.Motion(robot.tree.gravity, np.zeros(3))
+    return _Native(model, bodies, joints)
+
+
+def _take_floating_joint(text: ET.Element) -> None:
+    """A floating joint at the ground is the root joint, whose position is that in the world."""
+    below = [j for j in text.findall("joint") if _end(j, "parent").get("link") == "world"]
+    if [joint.get("type") for joint in below] == ["floating"]:
+        text.remove(below[0])
+        for link in text.findall("link"):
+            if link.get("name") == "world":
+                text.remove(link)
+
+
+def _split_planar(text: ET.Element, joint: ET.Element, robot: RobotModel) -> None:
+    """Two slides and a hinge along MuJoCo's axes: a URDF gives the normal of the plane alone."""
+    name, end = str(joint.get("name")), _end(joint, "child")
+    child, limit = end.get("link"), {"effort": "0", "velocity": "0"}
+    for element in joint.findall("axis"):
+        joint.remove(element)
+    for k, (part, kind) in enumerate(PLANAR_PARTS.items()):
+        last = k == len(PLANAR_PARTS) - 1
+        axis = " ".join(repr(float(x)) for x in robot.mj.joint(name + part).axis)
+        if k > 0:
+            joint = ET.SubElement(text, "joint")
+            ET.SubElement(joint, "parent", link=f"{name}{k - 1} between")
+            end = ET.SubElement(joint, "child")
+        joint.set("name", name + part)
+        joint.set("type", kind)
+        end.set("link", str(child) if last else f"{name}{k} between")
+        ET.SubElement(joint, "axis", xyz=axis)
+        if not last:
+            ET.SubElement(text, "link", name=f"{name}{k} between")
+        for element in joint.findall("limit"):
+            joint.remove(element)
+        ET.SubElement(joint, "limit", limit)
+
+
+def _rename(text: ET.Element) -> tuple[dict[str, str], dict[str, str]]:
+    """Gives links and joints names of our own, in place; old name -> new one."""
+    bodies = {str(link.get("name")): f"b{k}" for k, link in enumerate(text.findall("link"))}
+    joints = {str(joint.get("name")): f"j{k}" for k, joint in enumerate(text.findall("joint"))}
+    for link in text.findall("link"):
+        link.set("name", bodies[str(link.get("name"))])
+    for joint in text.findall("joint"):
+        joint.set("name", joints[str(joint.get("name"))])
+        for tag in ("parent", "child"):
+            _end(joint, tag).set("link", bodies[str(_end(joint, tag).get("link"))])
+    return bodies, joints
+
+
+def _end(joint: ET.Element, tag: str) -> ET.Element:
+    element = joint.find(tag)
+    assert element is not None  # the canonical text has both
+    return element
+
+
+def _state(robot: RobotModel, native: _Native, motion: Trajectory) -> tuple[Array, Array, Array]:
+    q = np.tile(pin.neutral(native.model), (len(motion), 1))
+    v, a = np.zeros((2, len(motion), native.model.nv))
+    v_all, a_all = robot.pairing.rates(motion.q, motion.v, motion.a)
+    q_all = robot.pairing.configuration(motion.q)
+    for joint in robot.joints:
+        there = native.joint(joint.name, joint.kind)
+        at, dof, n = there.idx_q, there.idx_v, len(joint.dofs)
+        v[:, dof : dof + n] = v_all[:, joint.vadr : joint.vadr + n]
+        a[:, dof : dof + n] = a_all[:, joint.vadr : joint.vadr + n]
+        if joint.kind in ("hinge", "slide"):
+            angle = q_all[:, joint.qadr]
+            # A continuous joint is stored as cosine and sine.
+            q[:, at : at + there.nq] = (
+                angle[:, None]
+                if there.nq == 1
+                else np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            )
+        else:
+            q[:, at : at + there.nq] = q_all[:, joint.qadr : joint.qadr + there.nq]
+    return q, v, a
+
+
+def _rows(robot: RobotModel, native: _Native) -> Array:
+    """For each of our rows the row of the native model."""
+    rows = np.empty(robot.nv, dtype=int)
+    for joint in robot.joints:
+        there = native.joint(joint.name, joint.kind)
+        rows[joint.vadr : joint.vadr + len(joint.dofs)] = there.idx_v + np.arange(len(joint.dofs))
+    return rows
+
+
+def _base_force_to_world(robot: RobotModel, motion: Trajectory, Y: Array) -> Array:
+    for joint in robot.joints:
+        if joint.kind == "free":
+            R = matrix_of_quaternion(motion.q[:, joint.qadr + 3 : joint.qadr + 7])
+            at = joint.vadr
+            Y[:, at : at + 3] = np.einsum("nij,njc->nic", R, Y[:, at : at + 3])
+    return Y

@@ -1,0 +1,93 @@
+"""A robot without its numbers: kinematics that a method may simulate with its own parameters."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from sysid_bench.models.coupling.equalities import ends_of, sums_of
+from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.models.robot import JointTerms, RobotModel
+from sysid_bench.spatial.rotation import quaternion_of_matrix
+
+
+def bare_robot(robot: RobotModel) -> RobotModel:
+    """Kinematics, names, limits and spring references of a robot, built anew from nothing else.
+
+    Every body has unit mass and inertia and no joint has friction, so that whoever holds the model
+    has to say what it weighs; the text, the manifest and the payload are left behind.
+    """
+    spec = bare_spec(robot.mj)
+    spec.option = robot.spec.option
+    nothing = {field.name: np.zeros(robot.nv) for field in fields(JointTerms)}
+    nothing["viscous_coupling"] = np.zeros((robot.nv, robot.nv))
+    nothing["spring_reference"] = robot.joint_terms.spring_reference
+    return replace(
+        robot,
+        manifest=Manifest(robot.name, Path()),
+        payload=PAYLOADS["none"],
+        mj=spec.compile(),
+        spec=spec,
+        phi=np.zeros_like(robot.phi),
+        joint_terms=JointTerms(**nothing),
+        text=b"",
+    )
+
+
+def bare_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
+    """Bodies, joints and equalities of a compiled model; no shapes, inertias or joint terms."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    bodies = [spec.worldbody]
+    for b in range(1, mj.nbody):
+        body = bodies[mj.body_parentid[b]].add_body(
+            name=mj.body(b).name, pos=mj.body_pos[b], quat=mj.body_quat[b]
+        )
+        body.explicitinertial, body.mass, body.inertia = True, 1.0, np.ones(3)
+        # Left alone, these are undefined, and the compiler takes the body's own pose for them.
+        body.ipos, body.iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+        for k in range(mj.body_jntnum[b]):
+            _add_joint(body, mj, int(mj.body_jntadr[b]) + k)
+        bodies.append(body)
+    for e in range(mj.neq):
+        _add_equality(spec, bodies, mj, e)
+    return spec
+
+
+def _add_joint(body: mujoco.MjsBody, mj: mujoco.MjModel, j: int) -> None:
+    kind, at = mujoco.mjtJoint(int(mj.jnt_type[j])), int(mj.jnt_qposadr[j])
+    joint = body.add_joint(name=mj.joint(j).name, type=kind)
+    if kind == mujoco.mjtJoint.mjJNT_FREE:
+        return
+    joint.pos, joint.axis = mj.jnt_pos[j], mj.jnt_axis[j]
+    joint.actfrclimited, joint.actfrcrange = bool(mj.jnt_actfrclimited[j]), mj.jnt_actfrcrange[j]
+    if kind != mujoco.mjtJoint.mjJNT_BALL:
+        joint.ref, joint.springref = mj.qpos0[at], mj.qpos_spring[at]
+
+
+def _add_equality(
+    spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody], mj: mujoco.MjModel, e: int
+) -> None:
+    """An equality of joints or tendons as one of fixed tendons, of bodies as one of sites: MuJoCo
+    would find the anchors of bodies anew from their reference posture."""
+    kind = mujoco.mjtEq(int(mj.eq_type[e]))
+    loop = kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
+    names = []
+    if loop:
+        for end, (body, p, R) in enumerate(ends_of(mj, e)):
+            names.append(f"end {end} of equality {e}")
+            bodies[body].add_site(name=names[-1], pos=p, quat=quaternion_of_matrix(R))
+    else:
+        for side, terms in enumerate(sums_of(mj, e)):
+            if terms:
+                names.append(f"sum {side} of equality {e}")
+                tendon = spec.add_tendon(name=names[-1])
+                for dof, coefficient in terms.items():
+                    tendon.wrap_joint(mj.joint(int(mj.dof_jntid[dof])).name, coefficient)
+    equality = spec.add_equality(name=f"equality {e}")
+    equality.type = kind if loop else mujoco.mjtEq.mjEQ_TENDON
+    equality.objtype = mujoco.mjtObj.mjOBJ_SITE if loop else mujoco.mjtObj.mjOBJ_TENDON
+    equality.name1, equality.name2 = names[0], names[1] if len(names) > 1 else ""
+    equality.data = np.array(mj.eq_data[e])

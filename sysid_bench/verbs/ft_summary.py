@@ -1,0 +1,59 @@
+"""What a task behind a force/torque sensor is good for, in the words of a user."""
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sysid_bench.experiments.simulated.prepare import Prepared
+    from sysid_bench.experiments.spec import ExperimentSpec
+    from sysid_bench.types import Estimate
+
+
+def excited(ready: "Prepared") -> dict[str, Any]:
+    """The sensor, its sub-tree, what its data tell of the structure, and the degrees of freedom
+    whose torque they cannot foretell."""
+    from sysid_bench.experiments.simulated.ft_evaluation import excited as excitation
+
+    cut, told = ready.task.cuts[0], excitation(ready)
+    return {
+        "name": cut.name,
+        "at": cut.at,
+        "bodies": [ready.robot.body_names[b] for b in cut.bodies],
+        "ends_at": list(cut.stops),
+        "structural_rank": told.structural,
+        "excited_rank": told.rank,
+        "unpredictable": list(told.unpredictable),
+        "warning": told.warning,
+    }
+
+
+def compared(
+    spec: "ExperimentSpec", ready: "Prepared", estimate: "Estimate"
+) -> dict[str, dict[str, float]] | None:
+    """RMS errors of joint torques and of a touch on the last body, with true, CAD and identified
+    parameters side by side, on a motion that was not trained on; None where a further sensor ends
+    the sub-tree."""
+    from sysid_bench.experiments.simulated.ft_evaluation import trial_of
+
+    trial = trial_of(spec, ready)
+    errors = None if trial is None else trial.errors(ready, estimate)
+    return None if errors is None else {name: asdict(c) for name, c in errors.items()}
+
+
+def told(sensor: dict[str, Any]) -> list[str]:
+    """The same in a few lines."""
+    lines = [
+        f"  sensor {sensor['name']} at {sensor['at']}: {len(sensor['bodies'])} bodies behind it, "
+        f"{sensor['excited_rank']} of {sensor['structural_rank']} base parameters excited"
+    ]
+    for name, errors in (sensor["estimation"] or {}).items():
+        touch = f"touch {errors['force']:.3g} N and {errors['moment']:.3g} N m"
+        # A sub-tree without joints has no torques.
+        torque = (
+            ""
+            if errors["torque"] is None
+            else f"torque {errors['torque']:.3g} N m (without the sensor "
+            f"{errors['torque_alone']:.3g}), "
+        )
+        lines.append(f"    {name}: {torque}{touch}")
+    return lines

@@ -1,0 +1,107 @@
+"""Laws of provenance: a fingerprint changes with what a number depends on, and with that alone."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from harness_world import NAMES, small
+
+from sysid_bench import versions
+from sysid_bench.harness import fingerprint as fingerprints
+from sysid_bench.harness.fingerprint import cell_fingerprint, fingerprint
+from sysid_bench.versions import environment
+from sysid_bench.harness.plan import Cell, expand
+from sysid_bench.harness.suite.load_suite import parse_suite
+
+CACHES = (
+    *(
+        (fingerprints, name)
+        for name in ("_fingerprint", "_file", "_model", "_plugin", "_model_files")
+    ),
+    *((versions, name) for name in ("source_hash", "_versions")),
+)
+
+
+@pytest.fixture(autouse=True)
+def _new_process() -> None:
+    """What is read once per process is forgotten."""
+    for module, name in CACHES:
+        getattr(module, name).cache_clear()
+
+
+def forget() -> None:
+    for module, name in CACHES:
+        getattr(module, name).cache_clear()
+
+
+def test_the_environment_is_plain_and_complete() -> None:
+    found = json.loads(json.dumps(environment()))
+    assert set(found) == {
+        "python", "platform", "cpu", "cores", "instructions", "blas", "versions", "git",
+    }  # fmt: skip
+    assert set(found["versions"]) == set(versions.PACKAGES)
+    assert found["cpu"]
+    assert found["blas"]
+
+
+def test_looking_imports_nothing_heavy() -> None:
+    code = (
+        "import sys; from sysid_bench.harness.fingerprint import *; from sysid_bench.versions import *; environment();"
+        "fingerprint([], ['numpy:array']);"
+        "print([m for m in ('mujoco', 'pinocchio', 'pandas', 'clarabel', 'scipy', 'sympy') "
+        "if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_fingerprint_follows_models_plugins_and_versions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    model, part, plugin = tmp_path / "a.xml", tmp_path / "b.xml", tmp_path / "mine.py"
+    package = tmp_path / "mylab_of_test"
+    package.mkdir()
+    files = [model, part, plugin, package / "__init__.py", package / "helper.py"]
+    for file in files:
+        file.write_text("# one")
+    model.write_text('<mujoco><include file="b.xml"/></mujoco>')
+    plugins = [f"file:{plugin}:Mine", "mylab_of_test.methods:Mine"]
+    seen = {fingerprint([model], plugins)}
+    for file in files:
+        file.write_text(file.read_text() + " ")
+        assert fingerprint([model], plugins) in seen  # read once per process
+        forget()
+        seen.add(fingerprint([model], plugins))
+    monkeypatch.setattr(versions, "PACKAGES", ("sysid-bench", "numpy"))
+    forget()
+    seen.add(fingerprint([model], plugins))
+    assert len(seen) == len(files) + 2
+    (tmp_path / "unrelated.py").write_text("")
+    forget()
+    assert fingerprint([model], reversed(plugins)) in seen
+
+
+def cell_of(folder: Path, body: str = "", estimators: str = "") -> Cell:
+    text = small(body, estimators=estimators or '[[estimator]]\nuse = "file:mine.py:Mine"\n')
+    text = text.replace('use = "ur5"', 'use = "file:arm.urdf"')
+    return expand(parse_suite(text, "suite.toml", folder, NAMES), NAMES).cells[0]
+
+
+def test_a_cell_depends_on_its_model_and_on_every_plugin_file(tmp_path: Path) -> None:
+    every = ("arm.urdf", "mine.py", "motion.py", "motion.csv")
+    for name in every:
+        (tmp_path / name).write_text(name)
+    held_out = '["file:motion.py:Motion", { use = "fourier", file = "motion.csv" }]'
+    cell = cell_of(tmp_path, f"[defaults]\nheld_out = [{held_out}]")
+    seen = {cell_fingerprint(cell, None, tmp_path)}
+    for name in every:
+        (tmp_path / name).write_text("changed")
+        forget()
+        seen.add(cell_fingerprint(cell, None, tmp_path))
+    assert len(seen) == 5
+    (tmp_path / "arm.urdf").unlink()
+    forget()
+    assert cell_fingerprint(cell, None, tmp_path) == ""
