@@ -366,7 +366,7 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class CellData:
     """Everything a picture of one cell needs, made by re-executing it; arrays and labels only."""
 
     row: Mapping[str, Any]  # the row as stored (Row)

@@ -18,10 +18,10 @@ from sysid_bench.models.visuals import poses, shapes_of
 from sysid_bench.naming import build
 from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
 from sysid_bench.regressors.wrench import sub_tree
-from sysid_bench.types import Array, Estimate, Evidence, Row
+from sysid_bench.types import Array, Estimate, CellData, Row
 
 
-def evidence(argument: Mapping[str, Any], row: Row) -> Evidence:
+def evidence(argument: Mapping[str, Any], row: Row) -> CellData:
     """The evidence of the first estimator of `argument` (see harness/job.py), beside its row.
 
     Raises the error that the cell itself ended with, where it never came to an estimate.
@@ -44,7 +44,7 @@ def evidence(argument: Mapping[str, Any], row: Row) -> Evidence:
     return _evidence(row, ready, robot, estimate)
 
 
-def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> Evidence:
+def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> CellData:
     recording, model = ready.experiment.recording, ready.robot
     motion = recording.motion
     positions, quaternions = poses(model, motion.q)
@@ -52,7 +52,7 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
     names = (*model.torque_rows, *recording.wrench_rows)
     places = [names.index(row) for row in ready.problem.rows]
     parents = [int(model.mj.body_parentid[b]) - 1 for b in range(1, model.mj.nbody)]
-    return Evidence(
+    return CellData(
         row=row,
         motion=motion,
         measured=recorded(recording)[:, places],

@@ -12,7 +12,7 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.scene import Scene, log_scene, scene_of
 from sysid_bench.reporting.summary import summary
-from sysid_bench.types import Evidence
+from sysid_bench.types import CellData
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -24,7 +24,7 @@ _SMALLEST_RATIO = 1e-20  # of the largest: zeros stay on the logarithmic picture
 _PLOTS_PER_PAGE = 9
 
 
-def record(evidence: Evidence, path: Path, max_hz: float = 50) -> Path:
+def record(evidence: CellData, path: Path, max_hz: float = 50) -> Path:
     """Writes the recording of a cell, written beside and then renamed; seconds on `sim_time`.
 
     Samples are thinned to at most `max_hz`: pictures need no more, full rates are for data files.
@@ -70,7 +70,7 @@ def viewer() -> Path:
     raise UsageError(f"There is no program rerun beside {sys.executable!r}; install rerun-sdk.")
 
 
-def _thinned(evidence: Evidence, max_hz: float) -> np.ndarray:
+def _thinned(evidence: CellData, max_hz: float) -> np.ndarray:
     """Indices of the samples to keep: every k-th, evenly, the first among them."""
     if not max_hz > 0:
         raise UsageError(f"max_hz is {max_hz!r}; give a positive number of hertz.")
@@ -135,7 +135,7 @@ def _log10(values: np.ndarray) -> np.ndarray:
     return np.log10(np.maximum(sizes, floor))
 
 
-def _row_names(evidence: Evidence) -> list[str]:
+def _row_names(evidence: CellData) -> list[str]:
     return [name or f"row{i}" for i, name in enumerate(evidence.rows)]
 
 
@@ -146,7 +146,7 @@ def _colour(i: int) -> tuple[int, int, int]:
     return palette[i % len(palette)]
 
 
-def _blueprint(evidence: Evidence) -> "rrb.Blueprint":
+def _blueprint(evidence: CellData) -> "rrb.Blueprint":
     """Robot and summary to the left; one torque plot per joint, residuals, regressor right."""
     import rerun.blueprint as rrb
 
@@ -175,7 +175,7 @@ def _blueprint(evidence: Evidence) -> "rrb.Blueprint":
     )
 
 
-def _robot_view(evidence: Evidence) -> "rrb.View":
+def _robot_view(evidence: CellData) -> "rrb.View":
     import rerun.blueprint as rrb
 
     eye = None
@@ -192,7 +192,7 @@ def _robot_view(evidence: Evidence) -> "rrb.View":
     )
 
 
-def _torque_pages(evidence: Evidence) -> "rrb.Container":
+def _torque_pages(evidence: CellData) -> "rrb.Container":
     """A grid of joints; beyond nine, tabs of grids."""
     import rerun as rr
     import rerun.blueprint as rrb
@@ -213,7 +213,7 @@ def _torque_pages(evidence: Evidence) -> "rrb.Container":
     return grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
 
 
-def _curve_page(evidence: Evidence) -> "rrb.Container":
+def _curve_page(evidence: CellData) -> "rrb.Container":
     import rerun as rr
     import rerun.blueprint as rrb
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.types import Evidence, Shape
+from sysid_bench.types import CellData, Shape
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -25,7 +25,7 @@ _SHORTEST_STICK = 1e-6  # m
 class Scene:
     """Which shapes of an Evidence can be drawn, and in words why others cannot."""
 
-    evidence: Evidence
+    evidence: CellData
     shapes: tuple[Shape, ...]
     complaints: tuple[str, ...]
 
@@ -36,7 +36,7 @@ class Scene:
         return [i for i in range(len(self.evidence.bodies)) if i not in dressed]
 
 
-def scene_of(evidence: Evidence) -> Scene:
+def scene_of(evidence: CellData) -> Scene:
     """Meshes count only where all of them exist, can be read and fit into `MESH_BUDGET` bytes."""
     meshes = [shape for shape in evidence.shapes if shape.kind == "mesh"]
     files = [Path(shape.file) for shape in meshes]
@@ -83,7 +83,7 @@ def body_paths(bodies: Sequence[str]) -> list[str]:
     return [rr.new_entity_path(["robot", name or f"body{i}"]) for i, name in enumerate(bodies)]
 
 
-def _log_shape(stream: "rr.RecordingStream", evidence: Evidence, shape: Shape, number: int) -> None:
+def _log_shape(stream: "rr.RecordingStream", evidence: CellData, shape: Shape, number: int) -> None:
     import rerun as rr
 
     path = f"{body_paths(evidence.bodies)[shape.body]}/shape{number}"

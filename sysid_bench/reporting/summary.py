@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.reporting.markdown import escape
 from sysid_bench.reporting.tables import label
-from sysid_bench.types import Evidence
+from sysid_bench.types import CellData
 
 _IDENTITY = ("robot", "payload", "task", "excitation", "simulation", "noise", "estimator")
 _SCORES = (
@@ -22,7 +22,7 @@ _SCORES = (
 )
 
 
-def summary(evidence: Evidence, complaints: Sequence[str] = ()) -> str:
+def summary(evidence: CellData, complaints: Sequence[str] = ()) -> str:
     """Markdown: what was identified, how well, with which parameters, and `complaints`."""
     row = evidence.row
     known = [(name, row[name]) for name in _IDENTITY if row.get(name) is not None]
@@ -37,7 +37,7 @@ def summary(evidence: Evidence, complaints: Sequence[str] = ()) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _parameters(evidence: Evidence) -> list[str]:
+def _parameters(evidence: CellData) -> list[str]:
     """The base parameters that were estimated, each with its standard deviation where known."""
     estimate, base = evidence.estimate, evidence.base
     if estimate is None or estimate.beta is None or base is None:

@@ -17,7 +17,7 @@ from scipy.linalg import lapack, qr, solve_triangular
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.design_problem import brief_of
 from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.experiments.simulated.problem import Posing
+from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
@@ -41,7 +41,7 @@ class Bench:
         self.terms = terms
         self.task = task_of(self.robot, "robot", terms)
         self.base = structural_base(self.robot, self.task.parameters)
-        self.posing = Posing(
+        self.posing = ProblemBuilder(
             self.robot, self.task, self.base, regression(self.robot, self.base.names)
         )
         self.plant = plant_of(self.robot)

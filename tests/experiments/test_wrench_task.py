@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import evidence
-from sysid_bench.experiments.simulated.problem import Posing
+from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.rls import RLS
@@ -167,7 +167,7 @@ def test_exact_data_give_the_constants_of_every_sensor_of_a_tree(seed: int) -> N
     motion = states(robot, 20, seed)
     wrench = sensor_wrench(plant_of(robot), task.cuts, motion) + true[: 6 * len(task.cuts)]
     measured = np.hstack([np.zeros((20, len(robot.torque_rows))), wrench])
-    problem = Posing(robot, task, base, columns).pose(motion, measured)
+    problem = ProblemBuilder(robot, task, base, columns).pose(motion, measured)
     W, b = (np.concatenate(parts) for parts in zip(*problem.blocks(), strict=True))
     beta = base.K @ task.truth.theta
     assert relative_gap(W @ beta, b) < 1e-11

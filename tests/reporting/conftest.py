@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid_bench.types import BaseMap, Estimate, Evidence, Trajectory
+from sysid_bench.types import BaseMap, Estimate, CellData, Trajectory
 
 ROBOTS = ("ur5", "panda", "anymal_c")
 PAYLOADS = ("none", "sphere-1kg", "box-2kg")
@@ -115,7 +115,7 @@ def spec() -> dict[str, Any]:
 
 def make_evidence(
     rows: tuple[str, ...] = ("shoulder", "elbow", "wrist 3/b.x"), samples: int = 400
-) -> Evidence:
+) -> CellData:
     """A planar arm of unit links that swings; its names hold a space, a slash and a dot."""
     n, t = len(rows), np.arange(samples) / 200
     phase = np.arange(n)
@@ -128,7 +128,7 @@ def make_evidence(
     rng = np.random.default_rng(3)
     base = BaseMap(np.eye(4, 10), np.arange(4), tuple(f"l{i}.m" for i in range(10)), 1e8, 0,
                    np.logspace(2, -2, 4))  # fmt: skip
-    return Evidence(
+    return CellData(
         row={"id": "c0123456789a", "robot": "fake | arm", "payload": "none", "task": "robot",
              "estimator": "ols", "status": "ok", "reason": "", "torque_error": 0.0123, "rank": 4,
              "condition": 412.5},
@@ -149,10 +149,10 @@ def make_evidence(
 
 
 @pytest.fixture(scope="session")
-def evidence() -> Evidence:
+def evidence() -> CellData:
     return make_evidence()
 
 
 @pytest.fixture(scope="session")
-def nine_joints() -> Evidence:
+def nine_joints() -> CellData:
     return make_evidence(tuple(f"joint{i}" for i in range(9)))

@@ -13,7 +13,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.reporting.recording import TIMELINE, record, view, viewer
 from sysid_bench.reporting.scene import MESH_BUDGET, scene_of
 from sysid_bench.reporting.summary import summary
-from sysid_bench.types import Evidence, Shape, Trajectory
+from sysid_bench.types import CellData, Shape, Trajectory
 
 ONE, ORIGIN = np.array([1.0, 0, 0, 0]), np.zeros(3)
 SOLIDS = (
@@ -58,7 +58,7 @@ def entities(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("shapes", [(), SOLIDS, SOLIDS[:2]])
-def test_a_recording_is_whole(evidence: Evidence, tmp_path: Path, shapes: Any) -> None:
+def test_a_recording_is_whole(evidence: CellData, tmp_path: Path, shapes: Any) -> None:
     path = record(replace(evidence, shapes=shapes), tmp_path / "cell.rrd")
     assert [file.name for file in tmp_path.iterdir()] == ["cell.rrd"]
     assert path.stat().st_size < 500_000
@@ -67,7 +67,7 @@ def test_a_recording_is_whole(evidence: Evidence, tmp_path: Path, shapes: Any) -
     assert verified(path) != ""  # the check can fail
 
 
-def test_signals_come_back_exactly(evidence: Evidence, tmp_path: Path) -> None:
+def test_signals_come_back_exactly(evidence: CellData, tmp_path: Path) -> None:
     path = record(evidence, tmp_path / "cell.rrd", max_hz=1000)
     assert evidence.predicted is not None
     times, measured = column(path, "/torque/shoulder/measured", "Scalars:scalars")
@@ -79,7 +79,7 @@ def test_signals_come_back_exactly(evidence: Evidence, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("max_hz", [1, 7, 50, 64, 200, 1e6])
 def test_a_recording_is_thinned_to_the_rate(
-    evidence: Evidence, tmp_path: Path, max_hz: float
+    evidence: CellData, tmp_path: Path, max_hz: float
 ) -> None:
     path = record(evidence, tmp_path / "cell.rrd", max_hz)
     times, measured = column(path, "/torque/shoulder/measured", "Scalars:scalars")
@@ -89,7 +89,7 @@ def test_a_recording_is_thinned_to_the_rate(
     np.testing.assert_array_equal(measured, evidence.measured[samples, 0])
 
 
-def test_bodies_stand_where_the_evidence_has_them(evidence: Evidence, tmp_path: Path) -> None:
+def test_bodies_stand_where_the_evidence_has_them(evidence: CellData, tmp_path: Path) -> None:
     path = record(evidence, tmp_path / "cell.rrd", max_hz=1000)
     assert evidence.positions is not None
     assert evidence.quaternions is not None
@@ -99,7 +99,7 @@ def test_bodies_stand_where_the_evidence_has_them(evidence: Evidence, tmp_path: 
     np.testing.assert_allclose(turns, evidence.quaternions[:, 1][:, [1, 2, 3, 0]], atol=1e-6)
 
 
-def test_names_may_hold_anything(evidence: Evidence, tmp_path: Path) -> None:
+def test_names_may_hold_anything(evidence: CellData, tmp_path: Path) -> None:
     names = ("a/b c.d", "", "机器人")
     path = record(replace(evidence, rows=names, bodies=names), tmp_path / "cell.rrd")
     assert verified(path) == ""
@@ -109,7 +109,7 @@ def test_names_may_hold_anything(evidence: Evidence, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("file", ["absent.stl", "shape.msh", "huge.stl"])
 def test_a_robot_without_its_meshes_is_drawn_with_sticks(
-    evidence: Evidence, tmp_path: Path, file: str
+    evidence: CellData, tmp_path: Path, file: str
 ) -> None:
     if file != "absent.stl":
         (tmp_path / file).write_bytes(bytes(MESH_BUDGET + 1 if file == "huge.stl" else 10))
@@ -122,7 +122,7 @@ def test_a_robot_without_its_meshes_is_drawn_with_sticks(
     assert path.stat().st_size < 500_000
 
 
-def test_meshes_that_can_be_read_are_drawn(evidence: Evidence, tmp_path: Path) -> None:
+def test_meshes_that_can_be_read_are_drawn(evidence: CellData, tmp_path: Path) -> None:
     file = tmp_path / "triangle.stl"
     file.write_text(TRIANGLE)
     mesh = [Shape(i, "mesh", (0.1, 0.1, 0.1), ORIGIN, ONE, str(file)) for i in range(3)]
@@ -133,7 +133,7 @@ def test_meshes_that_can_be_read_are_drawn(evidence: Evidence, tmp_path: Path) -
     assert "/robot/shoulder/shape0" in entities(path)
 
 
-def test_what_is_absent_is_left_out(evidence: Evidence, tmp_path: Path) -> None:
+def test_what_is_absent_is_left_out(evidence: CellData, tmp_path: Path) -> None:
     bare = replace(
         evidence, predicted=None, estimate=None, base=None, positions=None, quaternions=None,
         bodies=(), parents=(), singular_values=np.array([]), gap_map=np.zeros((0, 0)),
@@ -143,7 +143,7 @@ def test_what_is_absent_is_left_out(evidence: Evidence, tmp_path: Path) -> None:
     assert not [p for p in entities(path) if p.startswith(("/residual", "/robot", "/gap"))]
 
 
-def test_the_summary_holds_every_base_parameter(evidence: Evidence) -> None:
+def test_the_summary_holds_every_base_parameter(evidence: CellData) -> None:
     text = summary(evidence, ["no mesh"])
     assert evidence.base is not None
     assert all(name in text for name in evidence.base.names)
@@ -151,7 +151,7 @@ def test_the_summary_holds_every_base_parameter(evidence: Evidence) -> None:
     assert r"fake \| arm" in text
 
 
-def test_a_recording_that_cannot_be_made_leaves_nothing(evidence: Evidence, tmp_path: Path) -> None:
+def test_a_recording_that_cannot_be_made_leaves_nothing(evidence: CellData, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="positive"):
         record(evidence, tmp_path / "cell.rrd", max_hz=0)
     motion = evidence.motion
@@ -169,7 +169,7 @@ def test_an_absent_recording_opens_no_viewer(tmp_path: Path) -> None:
 
 
 def test_no_view_of_the_layout_reports_an_error(
-    evidence: Evidence, nine_joints: Evidence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    evidence: CellData, nine_joints: CellData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from rerun.experimental import ViewerClient
 

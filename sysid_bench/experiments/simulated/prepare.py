@@ -23,7 +23,7 @@ from sysid_bench.experiments.simulated.method_model import (
 )
 from sysid_bench.experiments.simulated.preprocess import calibration_of, corrected, free_of_contact
 from sysid_bench.experiments.simulated.problem import (
-    Posing,
+    ProblemBuilder,
     recorded,
     regressor_blocks,
 )
@@ -124,7 +124,7 @@ class Stage:
 
     spec: ExperimentSpec
     task: Task
-    posing: "Posing"
+    posing: "ProblemBuilder"
     take: "Take"
     prior: Prior | None
 
@@ -166,7 +166,7 @@ def _stage(text: str, subject: Subject) -> Stage:
     base = subject.base(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
     columns = sensed_regression(robot, base.names, instruments, task.rows)
-    posing = Posing(robot, task, base, columns)
+    posing = ProblemBuilder(robot, task, base, columns)
     plant = plant_of(robot, [subject.build("plant", spec.plant)])
     prior = _prior(spec, task)
     take = Take(spec, subject, plant, partial(_brief, robot, task, base, prior))

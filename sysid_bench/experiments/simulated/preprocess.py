@@ -10,7 +10,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import brief_of
 from sysid_bench.experiments.robot_cache import Subject
 from sysid_bench.experiments.simulated.ft_sensors import Sensing
-from sysid_bench.experiments.simulated.problem import Posing, recorded
+from sysid_bench.experiments.simulated.problem import ProblemBuilder, recorded
 from sysid_bench.experiments.simulated.record import Take, record
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
@@ -57,7 +57,7 @@ def corrected(recording: Recording, calibration: Calibration) -> Recording:
     return replace(recording, wrench=wrench)
 
 
-def free_of_contact(contacts: Any, recording: Recording, posing: Posing) -> tuple[Recording, float]:
+def free_of_contact(contacts: Any, recording: Recording, posing: ProblemBuilder) -> tuple[Recording, float]:
     """The recording without contact periods, declared or found, and the share that is left out."""
     if not contacts:
         return recording, 0.0

@@ -25,7 +25,7 @@ from sysid_bench.types import (
 
 
 @dataclass(frozen=True, eq=False)
-class Posing:
+class ProblemBuilder:
     """Turns motions and torques of one robot and task into problems.
 
     A problem goes to methods, so it never holds this: the task knows the answer.

@@ -13,7 +13,7 @@ from sysid_bench.excitation.design_problem import Brief
 from sysid_bench.experiments.robot_cache import Subject
 from sysid_bench.experiments.simulated.commanded import designed
 from sysid_bench.experiments.simulated.ft_sensors import Sensing, kept_motion
-from sysid_bench.experiments.simulated.problem import Posing, regressor_blocks, scalar_positions
+from sysid_bench.experiments.simulated.problem import ProblemBuilder, regressor_blocks, scalar_positions
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
     drift_seed,
@@ -120,7 +120,7 @@ class Taken:
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
 
-    def bound(self, posing: "Posing") -> Array | None:
+    def bound(self, posing: "ProblemBuilder") -> Array | None:
         """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
         a row has no noise of that kind, or the motion does not excite every direction."""
         if posing.task.cuts or not (self.torque_std[list(posing.places)] > 0).all():
@@ -130,7 +130,7 @@ class Taken:
 
 @lru_cache(maxsize=2)
 def _bound(
-    posing: "Posing", oracle: Oracle, every: int, std: tuple[float, ...], correlation: float
+    posing: "ProblemBuilder", oracle: Oracle, every: int, std: tuple[float, ...], correlation: float
 ) -> Array | None:
     motion, places = kept_motion(oracle.motion, every), posing.places
     of_rows = np.array(std)[list(places)]
