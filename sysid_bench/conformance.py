@@ -15,7 +15,7 @@ import numpy as np
 
 from sysid_bench.errors import reason_of
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.normal_qr import compress
+from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.types import Array, Estimate, Experiment, Factor, Prior, Problem, RowBlock
 
 EXACT: Final = 1e-8
@@ -29,7 +29,7 @@ STARTED: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class TestProblem:
     """A problem whose answer is known. `exact`: its data are; `experiment` where there is one."""
 
     name: str
@@ -49,12 +49,12 @@ class Finding:
     said: str = ""
 
 
-Law = Callable[[Any, World, Estimate], str | None]
+Law = Callable[[Any, TestProblem, Estimate], str | None]
 """(estimator, world, its answer) -> what was seen instead, in words; None where the law is kept or
 does not apply."""
 
 
-def check(estimator: Any, worlds: Sequence[World]) -> list[Finding]:
+def check(estimator: Any, worlds: Sequence[TestProblem]) -> list[Finding]:
     """Every law on every world; a method's own exception breaks the law that met it."""
     findings, answered, reasons = [], False, dict[str, None]()
     for world in worlds:
@@ -83,16 +83,16 @@ def check(estimator: Any, worlds: Sequence[World]) -> list[Finding]:
     return findings
 
 
-def broken(findings: Sequence[Finding]) -> list[str]:
+def failed_checks(findings: Sequence[Finding]) -> list[str]:
     """The broken laws, a line each."""
     return [f"{f.law} ({f.world}): {f.said}" for f in findings if not f.kept]
 
 
-def _answer(estimator: Any, world: World) -> Estimate:
+def _answer(estimator: Any, world: TestProblem) -> Estimate:
     return identify(estimator, world.problem, world.experiment)
 
 
-def tells_the_truth(estimator: Any, world: World, first: Estimate) -> str | None:
+def _recovers_exact_parameters(estimator: Any, world: TestProblem, first: Estimate) -> str | None:
     """Exact data give the truth; a method that is biased by design says so in `bias`."""
     if not world.exact or _bias(estimator):
         return None
@@ -108,7 +108,7 @@ def tells_the_truth(estimator: Any, world: World, first: Estimate) -> str | None
     )
 
 
-def answers_the_same_twice(estimator: Any, world: World, first: Estimate) -> str | None:
+def _is_deterministic(estimator: Any, world: TestProblem, first: Estimate) -> str | None:
     """The same problem, the same numbers, to the last digit."""
     second = _answer(estimator, world)
     if first.status != second.status:
@@ -119,16 +119,20 @@ def answers_the_same_twice(estimator: Any, world: World, first: Estimate) -> str
     return None
 
 
-def does_not_care_for_units_of_torque(estimator: Any, world: World, first: Estimate) -> str | None:
+def _is_invariant_to_torque_units(
+    estimator: Any, world: TestProblem, first: Estimate
+) -> str | None:
     """Torques and regressor in another unit: the same parameters."""
     factor = 4.0
-    return _same(estimator, world, first, turned(world.problem, rows=factor, values=factor), 1.0)
+    return _same(
+        estimator, world, first, permuted_rows(world.problem, rows=factor, values=factor), 1.0
+    )
 
 
-def does_not_care_for_units_of_mass(estimator: Any, world: World, first: Estimate) -> str | None:
+def _is_invariant_to_mass_units(estimator: Any, world: TestProblem, first: Estimate) -> str | None:
     """Torques, prior and parameters in another unit: the same numbers in that unit."""
     factor = 2.0
-    problem = turned(world.problem, values=factor)
+    problem = permuted_rows(world.problem, values=factor)
     if problem.prior is not None:
         problem = replace(
             problem, prior=Prior(factor * problem.prior.theta, factor * problem.prior.std)
@@ -136,29 +140,27 @@ def does_not_care_for_units_of_mass(estimator: Any, world: World, first: Estimat
     return _same(estimator, world, first, problem, factor)
 
 
-def does_not_care_for_the_order_of_rows(
-    estimator: Any, world: World, first: Estimate
-) -> str | None:
+def _is_invariant_to_row_order(estimator: Any, world: TestProblem, first: Estimate) -> str | None:
     """Rows from last to first: the same parameters."""
-    return _same(estimator, world, first, reordered(world.problem), 1.0)
+    return _same(estimator, world, first, permuted_parameters(world.problem), 1.0)
 
 
-def says_why_it_cannot(estimator: Any, world: World, first: Estimate) -> str | None:
+def _gives_a_reason_on_failure(estimator: Any, world: TestProblem, first: Estimate) -> str | None:
     """One sample tells next to nothing: an answer is finite, a refusal has its reason."""
     if not hasattr(estimator, "solve"):
         return None
-    for estimate in (first, identify(estimator, shortened(world.problem, 1))):
+    for estimate in (first, identify(estimator, subset_of_rows(world.problem, 1))):
         if estimate.status != "ok" and len(estimate.reason.split()) < 3:
             return f"its status is {estimate.status!r} and its reason {estimate.reason!r}"
     return None
 
 
-def refuses_what_is_not_told(estimator: Any, world: World, first: Estimate) -> str | None:
+def _requires_its_inputs(estimator: Any, world: TestProblem, first: Estimate) -> str | None:
     """One sample and no prior tell fewer base parameters than there are: who answers all of them
     has taken the rest from somewhere, and says so (`bias`, or whole bodies: `theta`)."""
     if not hasattr(estimator, "solve"):
         return None
-    problem = replace(shortened(world.problem, 1), prior=None)
+    problem = replace(subset_of_rows(world.problem, 1), prior=None)
     if len(problem.rows) >= problem.base.rank:
         return None
     estimate = identify(estimator, problem)
@@ -167,7 +169,7 @@ def refuses_what_is_not_told(estimator: Any, world: World, first: Estimate) -> s
     return "one sample and no prior give it all base parameters, and it does not say how"
 
 
-def does_more_than_start(estimator: Any, world: World, first: Estimate) -> str | None:
+def _uses_the_data(estimator: Any, world: TestProblem, first: Estimate) -> str | None:
     """An answer that is the prior, or nothing, is none; the prior here is wrong."""
     estimate = first
     if estimate.status != "ok" or estimate.beta is None:
@@ -184,18 +186,20 @@ def does_more_than_start(estimator: Any, world: World, first: Estimate) -> str |
 
 
 LAWS: Final[dict[str, Law]] = {
-    "tells the truth": tells_the_truth,
-    "answers the same twice": answers_the_same_twice,
-    "does not care for units of torque": does_not_care_for_units_of_torque,
-    "does not care for units of mass": does_not_care_for_units_of_mass,
-    "does not care for the order of joints": does_not_care_for_the_order_of_rows,
-    "says why it cannot": says_why_it_cannot,
-    "refuses what is not told": refuses_what_is_not_told,
-    "does more than start": does_more_than_start,
+    "tells the truth": _recovers_exact_parameters,
+    "answers the same twice": _is_deterministic,
+    "does not care for units of torque": _is_invariant_to_torque_units,
+    "does not care for units of mass": _is_invariant_to_mass_units,
+    "does not care for the order of joints": _is_invariant_to_row_order,
+    "says why it cannot": _gives_a_reason_on_failure,
+    "refuses what is not told": _requires_its_inputs,
+    "does more than start": _uses_the_data,
 }
 
 
-def _same(estimator: Any, world: World, one: Estimate, other: Problem, factor: float) -> str | None:
+def _same(
+    estimator: Any, world: TestProblem, one: Estimate, other: Problem, factor: float
+) -> str | None:
     """Whether another form of the problem has the same answer, `factor` times."""
     if not hasattr(estimator, "solve"):
         return None
@@ -204,12 +208,12 @@ def _same(estimator: Any, world: World, one: Estimate, other: Problem, factor: f
         return f"it answers {one.status!r} in one form and {two.status!r} in the other"
     if one.beta is None or two.beta is None or one.status != "ok":
         return None
-    R = compress(world.problem)[:-1, :-1]
+    R = stacked_factor(world.problem)[:-1, :-1]
     error = _relative(R @ (two.beta / factor - one.beta), R @ one.beta)
     return None if error <= SAME else f"the torques of the two answers differ by {error:.1e}"
 
 
-def turned(problem: Problem, rows: float = 1.0, values: float = 1.0) -> Problem:
+def permuted_rows(problem: Problem, rows: float = 1.0, values: float = 1.0) -> Problem:
     """The problem with its regressor and its torques multiplied."""
     factors = tuple(
         replace(f, R=f.R * np.append(np.full(len(f.columns), rows), values))
@@ -219,7 +223,7 @@ def turned(problem: Problem, rows: float = 1.0, values: float = 1.0) -> Problem:
     return _fresh(problem, factors=factors, blocks=blocks)
 
 
-def reordered(problem: Problem) -> Problem:
+def permuted_parameters(problem: Problem) -> Problem:
     """The problem with its rows from last to first."""
     return _fresh(
         problem,
@@ -230,7 +234,7 @@ def reordered(problem: Problem) -> Problem:
     )
 
 
-def shortened(problem: Problem, samples: int) -> Problem:
+def subset_of_rows(problem: Problem, samples: int) -> Problem:
     """The problem of the first samples alone."""
     Y, b = next(iter(problem.blocks()))
     Y, b = Y[:samples].copy(), b[:samples].copy()
@@ -298,8 +302,8 @@ def _arrays(value: Any) -> Iterator[Array]:
             yield from _arrays(getattr(value, field.name))
 
 
-def assert_conforms(estimator: Any, worlds: Sequence[World]) -> None:
+def assert_conforms(estimator: Any, worlds: Sequence[TestProblem]) -> None:
     """For tests: raises AssertionError that lists every broken law."""
-    lines = broken(check(estimator, worlds))
+    lines = failed_checks(check(estimator, worlds))
     if lines:
         raise AssertionError(f"{estimator!r} breaks {len(lines)} laws:\n" + "\n".join(lines))

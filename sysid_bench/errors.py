@@ -37,7 +37,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], advice: str = "") -
     return UsageError(f"No {kind} is called {name!r}.{hint}{there}{' ' + advice if advice else ''}")
 
 
-def first_few(names: Iterable[str]) -> str:
+def first_names(names: Iterable[str]) -> str:
     """The first three of names, each once, and how many more there are."""
     each = list(dict.fromkeys(names))
     more = "" if len(each) < 4 else f" and {len(each) - 3} more"

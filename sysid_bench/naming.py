@@ -65,7 +65,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "optimised": "sysid_bench.excitation.optimised:Optimised",
             "ptp": "sysid_bench.excitation.point_to_point:PointToPoint",
             "static": "sysid_bench.excitation.point_to_point:Static",
-            "wander": "sysid_bench.excitation.random_waypoints:Wander",
+            "wander": "sysid_bench.excitation.random_waypoints:RandomWaypoints",
         },
         "simulation": {
             "inverse": "sysid_bench.simulation.inverse:Inverse",
@@ -73,7 +73,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         },
         "term": {
             "play": "sysid_bench.regressors.friction_features:Play",
-            "playq": "sysid_bench.regressors.friction_features:PlacedPlay",
+            "playq": "sysid_bench.regressors.friction_features:PositionPlay",
             "poly": "sysid_bench.regressors.friction_features:Polynomial",
             "tanh": "sysid_bench.regressors.friction_features:SmoothCoulomb",
         },
@@ -122,7 +122,7 @@ def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
     return make(**_settings(kind, spec["use"], make, settings))
 
 
-def located(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
+def resolve_paths(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
     """A plug-in's spec whose "file:mine.py:Thing", and whose setting `file`, are found from the
     suite's folder."""
     found, use = dict(spec), spec.get("use")

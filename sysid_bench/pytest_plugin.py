@@ -5,7 +5,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sysid_bench.conformance import World
+    from sysid_bench.conformance import TestProblem
 
 
 def assert_conforms(estimator: Any) -> None:
@@ -22,7 +22,7 @@ def assert_conforms(estimator: Any) -> None:
 
 
 @cache
-def _worlds(simulating: bool) -> "list[World]":
-    from sysid_bench.verbs.check_plugin import worlds
+def _worlds(simulating: bool) -> "list[TestProblem]":
+    from sysid_bench.verbs.check_plugin import problems_of_kind
 
-    return worlds(simulating)
+    return problems_of_kind(simulating)

@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from sysid_bench.cli import main
-from sysid_bench.conformance import World, broken, check
+from sysid_bench.conformance import TestProblem, check, failed_checks
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.ols import OLS
-from sysid_bench.identification.linear.normal_qr import compress, solve
+from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.naming import BUILTIN, build, resolve
 from sysid_bench.pytest_plugin import _worlds, assert_conforms
 from sysid_bench.types import Estimate, Problem
@@ -93,7 +93,7 @@ WRONG: dict[str, tuple[Callable[[Problem], Any], str]] = {
         "does not care for units",
     ),
     "first joint": (
-        lambda p: Estimate(solve(compress(p, [9.0] + [1.0] * (len(p.factors) - 1)))),
+        lambda p: Estimate(solve(stacked_factor(p, [9.0] + [1.0] * (len(p.factors) - 1)))),
         "does not care for the order",
     ),
     "guessing": (
@@ -104,31 +104,31 @@ WRONG: dict[str, tuple[Callable[[Problem], Any], str]] = {
 }
 
 
-def copied() -> list[World]:
+def copied() -> list[TestProblem]:
     """Worlds of a test's own: a wrong method may damage them."""
-    from sysid_bench.verbs.check_plugin import worlds
+    from sysid_bench.verbs.check_plugin import problems_of_kind
 
-    return worlds()[2:5]
+    return problems_of_kind()[2:5]
 
 
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_estimator_is_caught(name: str) -> None:
     answer, law = WRONG[name]
-    lines = broken(check(Wrong(answer), copied()))
+    lines = failed_checks(check(Wrong(answer), copied()))
     assert lines
     assert any(law in line for line in lines), lines
 
 
 def test_least_squares_itself_is_not_caught() -> None:
     """The wrong ones above are caught for their mistake alone."""
-    assert broken(check(Wrong(lambda p: OLS().solve(p)), copied())) == []
+    assert failed_checks(check(Wrong(lambda p: OLS().solve(p)), copied())) == []
 
 
 def test_a_bias_that_is_told_is_no_mistake() -> None:
     class Shrunk(Wrong):
         bias = "shrunk by a thousandth"
 
-    assert broken(check(Shrunk(lambda p: Estimate(0.999 * beta_of(p))), copied())) == []
+    assert failed_checks(check(Shrunk(lambda p: Estimate(0.999 * beta_of(p))), copied())) == []
 
 
 # --- The verb -----------------------------------------------------------------------------------

@@ -53,7 +53,7 @@ def robot(
     light = tuple(word.strip() for word in massless.split(",") if word.strip())
     answer = first.init_robot(
         table, out, name, modified, frames,
-        first.chosen_numbers(base, "--base"), first.chosen_numbers(gravity, "--gravity"), light,
+        first.parse_numbers(base, "--base"), first.parse_numbers(gravity, "--gravity"), light,
     )  # fmt: skip
     if as_json:
         print_json(answer)

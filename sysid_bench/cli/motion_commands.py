@@ -104,21 +104,21 @@ def excite(
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     from sysid_bench.units import quantity
     from sysid_bench.verbs import excite as designing
-    from sysid_bench.verbs.option_parsing import chosen_terms
+    from sysid_bench.verbs.option_parsing import parse_terms
     from sysid_bench.verbs.progress import values
 
     with values() as tell:
         answer = designing.excite(
             robot,
-            designing.chosen_objective(objective),
+            designing.parse_objective(objective),
             out=out,
             export=export,
             task=task,
             payload=payload,
             sensor=sensor,
-            terms=chosen_terms(terms),
-            settings=designing.chosen_settings(settings, boxes),
-            limits=designing.chosen_limits(limits),
+            terms=parse_terms(terms),
+            settings=designing.parse_settings(settings, boxes),
+            limits=designing.parse_limits(limits),
             motors=None if motors is None else designing.motors_of(motors),
             clamp=quantity(clamp, "1"),
             after=after,

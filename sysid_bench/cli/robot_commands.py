@@ -126,21 +126,21 @@ def basis(
     from sysid_bench.errors import UsageError
     from sysid_bench.verbs import base_table as papers
     from sysid_bench.verbs import basis as bases
-    from sysid_bench.verbs.option_parsing import chosen_terms
+    from sysid_bench.verbs.option_parsing import parse_terms
 
     if (zero is not None or values is not None) and not paper:
         raise UsageError("--zero and --values belong to --paper.")
     if paper and task == "robot" and free_base is None and sensor is None:
         names = None if zero is None else tuple(w.strip() for w in zero.split(",") if w.strip())
         names = () if names == ("none",) else names
-        table = papers.paper_table(robot, chosen_terms(terms), names, values, robots_dir)
+        table = papers.paper_table(robot, parse_terms(terms), names, values, robots_dir)
         if as_json:
             print_json(table)
             return OK
         for line in papers.lines(table):
             click.echo(line)
         return OK
-    answer = bases.basis(robot, task, chosen_terms(terms), free_base, robots_dir, sensor)
+    answer = bases.basis(robot, task, parse_terms(terms), free_base, robots_dir, sensor)
     if as_json:
         print_json(answer)
         return OK
@@ -266,10 +266,10 @@ def identify(
     from sysid_bench.verbs import identify as identification
     from sysid_bench.verbs import identify_logs as recordings
     from sysid_bench.verbs.option_parsing import (
-        chosen_contacts,
-        chosen_noise,
-        chosen_payload,
-        chosen_terms,
+        parse_contacts,
+        parse_noise,
+        parse_payload_option,
+        parse_terms,
     )
 
     if simulate == bool(logs):
@@ -298,7 +298,7 @@ def identify(
         if json_out is not None and not json_out.parent.is_dir():
             raise UsageError(f"There is no folder {str(json_out.parent)!r} to write the answer to.")
         answer = recordings.identify_logs(
-            model, logs, tests, task, chosen_terms(terms), estimator, filter_text, derivatives,
+            model, logs, tests, task, parse_terms(terms), estimator, filter_text, derivatives,
             moving, more, position_given, passed, model_out,
             figure, robots_dir,
         )  # fmt: skip
@@ -306,9 +306,9 @@ def identify(
             json_out.write_text(json.dumps(answer, indent=2) + "\n", encoding="utf-8")
     else:
         answer = identification.identify(
-            model, task, chosen_payload(payload), chosen_terms(terms), estimator,
-            chosen_noise(noise), model_out, seed, robots_dir, complete, sensor, json_out, free_base,
-            chosen_contacts(contacts),
+            model, task, parse_payload_option(payload), parse_terms(terms), estimator,
+            parse_noise(noise), model_out, seed, robots_dir, complete, sensor, json_out, free_base,
+            parse_contacts(contacts),
         )  # fmt: skip
     if as_json:
         print_json(answer)

@@ -72,7 +72,7 @@ def _tested(values: Array, pairs: Sequence[tuple[int, int]]) -> Array:
     from scipy.stats import wilcoxon
 
     # Equal ratios are ties, whatever rounding makes of them.
-    logs = np.round(np.log(with_failures_last(values)), 9)
+    logs = np.round(np.log(failures_last(values)), 9)
     first, second = np.array(pairs, dtype=int).reshape(-1, 2).T
     differences = logs[:, first] - logs[:, second]
     p = np.ones(len(pairs))
@@ -113,7 +113,7 @@ def performance_profile(values: Array, ratios: Array) -> Array:
     return np.asarray(within.mean(axis=1))
 
 
-def with_failures_last(values: Array) -> Array:
+def failures_last(values: Array) -> Array:
     """Values (cases, methods) whose failures are ten times the worst of their case."""
     none = np.isnan(values).all(axis=1, keepdims=True)
     worst = np.nanmax(np.where(none, 1.0, values), axis=1)

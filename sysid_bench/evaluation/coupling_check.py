@@ -62,14 +62,14 @@ def check_coupling(robot: RobotModel, samples: int) -> CouplingCheck:
     constrained = constrained_torque(robot, motion)
     armature = coupling.reduced(motion.q, robot.joint_terms.armature * motion.a)
     return CouplingCheck(
-        gap=relative(Y - witness, witness),
-        closure=relative(Y @ robot.phi.ravel() + armature - constrained.tau, constrained.tau),
+        gap=relative_error(Y - witness, witness),
+        closure=relative_error(Y @ robot.phi.ravel() + armature - constrained.tau, constrained.tau),
         jacobian=_against_differences(coupling, motion),
         violation=constrained.violation,
     )
 
 
-def relative(difference: Array, reference: Array) -> float:
+def relative_error(difference: Array, reference: Array) -> float:
     """max |difference| / max |reference|; a robot whose reference is all zero has only its own."""
     largest = float(np.abs(reference).max(initial=0.0))
     return float(np.abs(difference).max(initial=0.0)) / (largest or 1.0)
@@ -93,6 +93,6 @@ def _against_differences(coupling: Coupling, motion: Trajectory) -> float:
     rates = np.tensordot([1, -8, 0, 8, -1], q, axes=1) / (12 * moment)
     changes = np.tensordot([-1, 16, -30, 16, -1], q, axes=1) / (12 * moment**2)
     return max(
-        relative(rates - motion.v[:, coupling.dependent], motion.v),
-        relative(changes - motion.a[:, coupling.dependent], motion.a),
+        relative_error(rates - motion.v[:, coupling.dependent], motion.v),
+        relative_error(changes - motion.a[:, coupling.dependent], motion.a),
     )

@@ -12,7 +12,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import stdtrit
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.linear.normal_qr import compress
+from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.types import Array, Estimate, Problem
 
 LEVEL: Final = 0.95
@@ -25,7 +25,7 @@ unsure by more than a third, and its interval wider than half as much again."""
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class StandardError:
     """A covariance (r, r) and the degrees of freedom that it was estimated with."""
 
     covariance: Array
@@ -47,7 +47,7 @@ def quantile(level: float, freedom: float) -> float:
     return float(stdtrit(min(freedom, 1e9), 0.5 + 0.5 * level))
 
 
-def spreads(problem: Problem, estimate: Estimate) -> dict[str, Spread]:
+def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardError]:
     """How sure an estimate is, in each way that its problem and method allow; the first is the one
     to be told: "periods" where the recording holds ENOUGH_PERIODS, then "residuals" (both for least
     squares on rows with weights), then "textbook", the method's own formula."""
@@ -58,11 +58,13 @@ def spreads(problem: Problem, estimate: Estimate) -> dict[str, Spread]:
             found["periods"] = _over_periods(inverse, scores, problem.period)
         found["residuals"] = _over_lags(inverse, scores, bandwidth(scores))
     if estimate.covariance is not None:
-        found["textbook"] = Spread(estimate.covariance)
+        found["textbook"] = StandardError(estimate.covariance)
     return found
 
 
-def period_spread(problem: Problem, beta: Array, sigma: Array, samples: int) -> Spread:
+def period_standard_error(
+    problem: Problem, beta: Array, sigma: Array, samples: int
+) -> StandardError:
     """From the spread over repeated periods of `samples` samples each, of a fit `beta` (r,) with
     rows divided by `sigma` (rows,).
 
@@ -80,17 +82,19 @@ def period_spread(problem: Problem, beta: Array, sigma: Array, samples: int) -> 
     return _over_periods(*_scores(problem, beta, sigma), samples)
 
 
-def _over_periods(inverse: Array, scores: Array, samples: int) -> Spread:
+def _over_periods(inverse: Array, scores: Array, samples: int) -> StandardError:
     periods = len(scores) // samples
     sums = scores[: periods * samples].reshape(periods, samples, -1).sum(axis=1)
     sums = sums - sums.mean(axis=0)
     # Full periods alone carry the spread; the fit rests on all samples.
     share = len(scores) / (periods * samples)
     parts = np.sqrt(share * periods / (periods - 1)) * sums @ inverse.T
-    return Spread(parts.T @ parts, periods - 1)
+    return StandardError(parts.T @ parts, periods - 1)
 
 
-def sandwich_spread(problem: Problem, beta: Array, sigma: Array, lags: int | None = None) -> Spread:
+def residual_standard_error(
+    problem: Problem, beta: Array, sigma: Array, lags: int | None = None
+) -> StandardError:
     """With neighbours as alike as the residuals show: H^-1 S H^-1, S the long-run covariance of
     W' S^-1 r with Bartlett weights (Newey and West 1987).
 
@@ -101,12 +105,12 @@ def sandwich_spread(problem: Problem, beta: Array, sigma: Array, lags: int | Non
     return _over_lags(inverse, scores, bandwidth(scores) if lags is None else lags)
 
 
-def _over_lags(inverse: Array, scores: Array, lags: int) -> Spread:
+def _over_lags(inverse: Array, scores: Array, lags: int) -> StandardError:
     """Bartlett's weights are those of sums over all windows of `lags` + 1 samples, squared."""
     lags = min(lags, len(scores) - 1)
     total = np.cumsum(np.pad(scores, ((lags + 1, lags), (0, 0))), axis=0)
     windows = (total[lags + 1 :] - total[: -lags - 1]) @ inverse.T / np.sqrt(lags + 1)
-    return Spread(windows.T @ windows)
+    return StandardError(windows.T @ windows)
 
 
 def bandwidth(scores: Array) -> int:
@@ -123,7 +127,7 @@ def bandwidth(scores: Array) -> int:
 def _scores(problem: Problem, beta: Array, sigma: Array) -> tuple[Array, Array]:
     """R^-1 (r, r) of the weighted rows, and the scores (N, r) in its coordinates: H^-1 W' S^-1 r is
     R^-1 times their sum."""
-    R = compress(problem, (1 / sigma).tolist())[:-1, :-1]
+    R = stacked_factor(problem, (1 / sigma).tolist())[:-1, :-1]
     inverse = solve_triangular(R, np.eye(len(R)))
     forces = [np.einsum("nir,ni->nr", Y, (b - Y @ beta) / sigma**2) for Y, b in problem.blocks()]
     return inverse, np.concatenate(forces) @ inverse

@@ -5,15 +5,15 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sysid_bench.identification.linear.normal_qr import compress, excited_rank
-from sysid_bench.regressors.qr_accumulation import triangle
+from sysid_bench.identification.linear.normal_qr import excited_rank, stacked_factor
+from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.types import Array, Problem
 
 
 def white_bound(exact: Problem, std: Array) -> Array | None:
     """The bound (r, r) where torque alone is noisy, white and apart on every row with deviations
     (rows,); None where the motion does not excite every direction. `exact`: of the true motion."""
-    return _inverse(compress(exact, (1 / std).tolist())[:-1, :-1])
+    return _inverse(stacked_factor(exact, (1 / std).tolist())[:-1, :-1])
 
 
 def torque_bound(
@@ -31,7 +31,7 @@ def torque_bound(
     for block in blocks:
         # Columns of L^-1 W: unit noise on every row.
         white = np.linalg.solve(half, block).reshape(-1, block.shape[2])
-        R = triangle([R.reshape(-1, block.shape[2]), white])
+        R = upper_factor([R.reshape(-1, block.shape[2]), white])
     return _inverse(R)
 
 

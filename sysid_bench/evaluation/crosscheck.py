@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.evaluation.coupling_check import CouplingCheck, check_coupling, relative
+from sysid_bench.evaluation.coupling_check import CouplingCheck, check_coupling, relative_error
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
-from sysid_bench.regressors.pinocchio_urdf import native_regressor
+from sysid_bench.regressors.pinocchio_urdf import urdf_regressor
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.mujoco_inverse import inverse_torque
 from sysid_bench.types import Array
@@ -70,12 +70,12 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
     native_gap, why = None, ""
     if native:
         try:
-            native_gap = relative(Y - (theirs := native_regressor(robot, motion).Y), theirs)
+            native_gap = relative_error(Y - (theirs := urdf_regressor(robot, motion).Y), theirs)
         except UnsupportedError as error:
             why = str(error)
     return CrossCheck(
-        gap=relative(Y - witness, witness),
-        closure=relative(predicted - tau, tau),
+        gap=relative_error(Y - witness, witness),
+        closure=relative_error(predicted - tau, tau),
         native_gap=native_gap,
         native_reason=why,
         gap_map=np.abs(Y - witness).max(axis=0),

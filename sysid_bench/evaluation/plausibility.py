@@ -19,7 +19,7 @@ NOTHING: Final = 1e-6
 """kg; a lighter body is a frame, whose centre of mass means nothing."""
 
 
-def implausible(phi: Array, extent: Extent | None) -> str:
+def implausible_bodies(phi: Array, extent: Extent | None) -> str:
     """What is odd about a body phi (10,), in words; empty where nothing is. `extent`: None where it
     is not known."""
     mass, com, _ = mass_com_inertia(phi)
@@ -35,7 +35,9 @@ def implausible(phi: Array, extent: Extent | None) -> str:
     return ""
 
 
-def oddities(bodies: Mapping[str, Array], extents: Mapping[str, Extent]) -> dict[str, str]:
+def plausibility_findings(
+    bodies: Mapping[str, Array], extents: Mapping[str, Extent]
+) -> dict[str, str]:
     """{body: what is odd} of bodies {name: phi (10,)}, odd ones alone."""
-    found = {name: implausible(phi, extents.get(name)) for name, phi in bodies.items()}
+    found = {name: implausible_bodies(phi, extents.get(name)) for name, phi in bodies.items()}
     return {name: said for name, said in found.items() if said}

@@ -32,7 +32,7 @@ def joint_errors(problem: Problem, beta: Array) -> dict[str, dict[str, Any]]:
     return told
 
 
-def overall(problem: Problem, beta: Array) -> float:
+def pooled_error(problem: Problem, beta: Array) -> float:
     """RMSE (N m, N) of all joints alike."""
     return float(np.sqrt(np.mean([e["rmse"] ** 2 for e in joint_errors(problem, beta).values()])))
 
@@ -70,8 +70,8 @@ def score_recorded(
     return Score(
         **about_data,
         **eigenvalues(estimate, problem),
-        rmse_train=overall(problem, beta),
-        rmse_test=_rms([overall(test, beta) for test in tests.values()]),
+        rmse_train=pooled_error(problem, beta),
+        rmse_test=_rms([pooled_error(test, beta) for test in tests.values()]),
         torque_error=torque_error(tests, beta),
         torque_error_worst=max(worst, default=None) if tests else None,
         torque_error_by_motion={n: torque_error({n: test}, beta) for n, test in tests.items()},

@@ -20,7 +20,7 @@ DRAWS: Final = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class Moments:
+class _Moments:
     """Of errors: mean and variance (..., r), and what of the squared mean, in variances, is chance:
     1 / n of n repeats."""
 
@@ -37,7 +37,7 @@ def bias(errors: Array) -> Figure:
     """The mean error in standard deviations of a single estimate, RMS over parameters, less what
     chance adds to it with so many repeats."""
 
-    def statistic(of: Moments) -> Array:
+    def statistic(of: _Moments) -> Array:
         squares = (of.mean**2 / of.variance).mean(axis=-1)
         return np.asarray(np.sqrt(np.maximum(squares - of.chance, 0.0)))
 
@@ -55,7 +55,7 @@ def efficiency(errors: Array, bound: Array) -> Figure:
     One: as sure as any unbiased method can be. A biased method may seem to exceed it.
     """
 
-    def statistic(of: Moments) -> Array:
+    def statistic(of: _Moments) -> Array:
         # One over a variance of n numbers is too large by 2 / n in the mean.
         return np.asarray((bound**2 / of.variance).mean(axis=-1) * (1 - 2 * of.chance))
 
@@ -66,7 +66,7 @@ def bound_ratio(errors: Array, bound: Array) -> Figure:
     """The RMS error, bias and scatter together, in standard deviations of the bound, RMS over
     parameters: how far a method is from the best that an unbiased one could be."""
 
-    def statistic(of: Moments) -> Array:
+    def statistic(of: _Moments) -> Array:
         squares = of.mean**2 + of.variance * (1 - of.chance)
         return np.asarray(np.sqrt((squares / bound**2).mean(axis=-1)))
 
@@ -80,17 +80,17 @@ WITH_BOUND: Final[Mapping[str, Callable[[Array, Array], Figure]]] = {
 }
 
 
-def _resampled(statistic: Callable[[Moments], Array], errors: Array) -> Figure:
+def _resampled(statistic: Callable[[_Moments], Array], errors: Array) -> Figure:
     n = len(errors)
     centre = errors.mean(axis=0)
     moved = errors - centre
     variance = (moved**2).sum(axis=0) / (n - 1)
-    told = float(statistic(Moments(centre, variance, 1 / n)))
+    told = float(statistic(_Moments(centre, variance, 1 / n)))
     counts = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=DRAWS)
     means = counts @ moved / n
     # Repeats drawn twice are no news: the variance of a resample is short by (n - 1) / n once more,
     # and its mean scatters around one that is off by chance itself.
     variances = (counts @ moved**2 / n - means**2) * (n / (n - 1)) ** 2
-    again = statistic(Moments(centre + means, variances, 2 / n))
+    again = statistic(_Moments(centre + means, variances, 2 / n))
     low, high = np.quantile(again, [0.025, 0.975])
     return told, float(low), float(high)

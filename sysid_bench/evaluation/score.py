@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sysid_bench.evaluation.covariance import Spread
-from sysid_bench.evaluation.plausibility import oddities
-from sysid_bench.identification.linear.normal_qr import compress, excited_rank, residual_norms
-from sysid_bench.regressors.qr_accumulation import triangle
+from sysid_bench.evaluation.covariance import StandardError
+from sysid_bench.evaluation.plausibility import plausibility_findings
+from sysid_bench.identification.linear.normal_qr import excited_rank, residual_norms, stacked_factor
+from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
 from sysid_bench.types import Array, Estimate, Extent, Problem, Score, Truth
 
@@ -30,7 +30,7 @@ def score(
     truth: Truth,
     extents: Mapping[str, Extent] | None = None,
     about_data: Mapping[str, Any] | None = None,
-    told: Mapping[str, Spread] | None = None,
+    told: Mapping[str, StandardError] | None = None,
 ) -> Score:
     """The figures of one estimate; `held_out` are problems posed with exact signals (the Oracle),
     `extents` tell of bodies by name where they can be (None: whether they are plausible is left
@@ -45,7 +45,7 @@ def score(
         return Score(**about_data)
     beta_true = problem.base.K @ truth.theta
     tests = list(held_out.values())
-    train, test = Rows([problem], beta), Rows(tests, beta) if tests else None
+    train, test = RowErrors([problem], beta), RowErrors(tests, beta) if tests else None
     figures = {} if test is None else _held_out_figures(test, held_out, beta_true)
     return Score(
         **about_data,
@@ -59,7 +59,7 @@ def score(
 
 
 def _held_out_figures(
-    test: "Rows", held_out: Mapping[str, Problem], beta_true: Array
+    test: "RowErrors", held_out: Mapping[str, Problem], beta_true: Array
 ) -> dict[str, Any]:
     beta = test.beta
     return {
@@ -68,7 +68,7 @@ def _held_out_figures(
         "torque_error_sample": _sample_error(test.problems, beta),
         "torque_error_worst": test.worst,
         "torque_error_by_motion": {
-            name: Rows([problem], beta).torque_error for name, problem in held_out.items()
+            name: RowErrors([problem], beta).torque_error for name, problem in held_out.items()
         },
         "parameter_error": _parameter_error(test.problems, beta, beta_true),
     }
@@ -77,7 +77,7 @@ def _held_out_figures(
 def data_figures(problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
     """Rank, conditioning and information of the data, whatever the method."""
     base = problem.base
-    R = compress(problem)[: base.rank, : base.rank]
+    R = stacked_factor(problem)[: base.rank, : base.rank]
     norms = np.linalg.norm(R, axis=0)
     rank = excited_rank(R)
     figures: dict[str, Any] = {
@@ -108,10 +108,10 @@ def d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
     r = problem.base.rank
     rms = _row_rms(held_out)
     weights = np.where(rms > 0, 1.0 / np.where(rms > 0, rms, 1.0), 0.0).tolist()
-    train = compress(problem, weights)[:r, :r]
+    train = stacked_factor(problem, weights)[:r, :r]
     if excited_rank(train) < r:
         return None
-    tests = triangle(compress(test, weights)[:r, :r] for test in held_out)
+    tests = upper_factor(stacked_factor(test, weights)[:r, :r] for test in held_out)
     samples = sum(test.samples for test in held_out)
     spreads = np.linalg.svd(
         solve_triangular(train, tests.T, trans="T").T / np.sqrt(samples), compute_uv=False
@@ -136,7 +136,7 @@ def _torque(problem: Problem) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class RowErrors:
     """Errors of beta on the rows (rows,) of some problems; computed once, told in many ways."""
 
     problems: list[Problem]
@@ -154,7 +154,7 @@ class Rows:
         return _row_rms(self.problems)
 
     @cached_property
-    def large(self) -> Array:
+    def is_large(self) -> Array:
         """Which rows move enough torque to be judged."""
         names = np.array(self.problems[0].kinds or ("",) * len(self.rms))
         large = np.zeros(len(self.rms), dtype=bool)
@@ -171,9 +171,9 @@ class Rows:
         return np.where(asked, self.errors / np.where(asked, self.rms, 1.0), np.nan)
 
     @cached_property
-    def judged(self) -> Array:
+    def is_judged(self) -> Array:
         """The relative errors of the rows that move enough torque to be judged."""
-        return self.relative[self.large & np.isfinite(self.relative)]
+        return self.relative[self.is_large & np.isfinite(self.relative)]
 
     @property
     def rmse(self) -> float:
@@ -183,12 +183,12 @@ class Rows:
     @property
     def torque_error(self) -> float | None:
         """Root mean square of the relative errors of the rows that are judged."""
-        return float(np.sqrt((self.judged**2).mean())) if len(self.judged) else None
+        return float(np.sqrt((self.is_judged**2).mean())) if len(self.is_judged) else None
 
     @property
     def worst(self) -> float | None:
         """The largest of them."""
-        return float(self.judged.max()) if len(self.judged) else None
+        return float(self.is_judged.max()) if len(self.is_judged) else None
 
 
 def _sample_error(problems: list[Problem], beta: Array) -> float | None:
@@ -209,11 +209,11 @@ def _sample_error(problems: list[Problem], beta: Array) -> float | None:
 def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> float | None:
     """|W (beta - beta*)| / |W beta*| over the held-out rows."""
     r = len(beta)
-    R = np.concatenate([compress(problem)[:, :r] for problem in problems])
+    R = np.concatenate([stacked_factor(problem)[:, :r] for problem in problems])
     return _relative(R @ (beta - beta_true), R @ beta_true)
 
 
-def _held(spread: Spread, beta: Array, beta_true: Array) -> float:
+def _held(spread: StandardError, beta: Array, beta_true: Array) -> float:
     """The share of parameters whose interval holds the truth."""
     low, high = spread.interval(beta)
     return float(((low <= beta_true) & (beta_true <= high)).mean())
@@ -225,7 +225,7 @@ def _relative(difference: Array, reference: Array) -> float | None:
 
 
 def _joint_figures(
-    names: Sequence[str], train: Rows, test: Rows | None
+    names: Sequence[str], train: RowErrors, test: RowErrors | None
 ) -> Iterator[dict[str, Any]]:
     for i, name in enumerate(names):
         told = test is not None and np.isfinite(test.relative[i])
@@ -235,7 +235,7 @@ def _joint_figures(
             "rmse_test": None if test is None else float(test.errors[i]),
             "rms": None if test is None else float(test.rms[i]),
             "relative": float(test.relative[i]) if test is not None and told else None,
-            "small": test is None or not bool(test.large[i]),
+            "small": test is None or not bool(test.is_large[i]),
         }
 
 
@@ -262,7 +262,7 @@ def _body_figures(
     }
     if extents is not None:
         named = {body.name: one for body, one in zip(problem.bodies, phi, strict=True)}
-        figures["plausible"] = not oddities(named, extents)
+        figures["plausible"] = not plausibility_findings(named, extents)
     if len(problem.bodies) == 1:
         figures |= _payload_figures(
             phi[0], truth.theta[[places[c] for c in problem.bodies[0].columns]]

@@ -18,14 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import Cut, instruments_of
+from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import SubTree, dofs_behind, sub_tree
 from sysid_bench.types import Array, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Reordered:
+class SensorNewtonEuler:
     """The method along one motion, with the contact at the body `base` (None: no contact, and the
     sensor's wrench is not needed behind it)."""
 
@@ -58,18 +58,18 @@ class Reordered:
         return np.asarray(tau - np.einsum("nkc,nc->nk", self.M, self.tree.Y_n @ phi - f_b))
 
 
-def reordered(
-    robot: RobotModel, cut: Cut, motion: Trajectory, base: str | None = None
-) -> Reordered:
+def sensor_newton_euler(
+    robot: RobotModel, cut: SensorCut, motion: Trajectory, base: str | None = None
+) -> SensorNewtonEuler:
     """The method with its base at the body `base` behind a sensor, along a motion."""
     tree = sub_tree(robot, cut, motion)
     if base is None:
-        return Reordered(tree, None, None, None)
-    return Reordered(tree, base, tree.transform(base), tree.projection(base))
+        return SensorNewtonEuler(tree, None, None, None)
+    return SensorNewtonEuler(tree, base, tree.transform(base), tree.projection(base))
 
 
 def upstream_torque(
-    robot: RobotModel, cut: Cut, motion: Trajectory, phi: Array, f_b: Array
+    robot: RobotModel, cut: SensorCut, motion: Trajectory, phi: Array, f_b: Array
 ) -> tuple[tuple[str, ...], Array]:
     """Names and torques tau (N, u) of the joints that carry the sensor: its wrench f_b (N, 6), and
     what the bodies before it weigh, phi (nb, 10) of the whole robot (those behind are not used)."""
@@ -82,12 +82,12 @@ def upstream_torque(
     for body in range(len(phi)):
         if body in _all_behind(robot, cut):
             before[body] = 0.0
-    tau = newton_euler(instruments.tree, instruments.tree.lumped(before), whole)[:, dofs]
-    M = sub_tree(robot, cut, motion).along(link, dofs)
+    tau = newton_euler(instruments.tree, instruments.tree.composite_links(before), whole)[:, dofs]
+    M = sub_tree(robot, cut, motion).project_onto_axis(link, dofs)
     return tuple(robot.rows[dof] for dof in dofs), tau + np.einsum("nuc,nc->nu", M, f_b)
 
 
-def _all_behind(robot: RobotModel, cut: Cut) -> set[int]:
+def _all_behind(robot: RobotModel, cut: SensorCut) -> set[int]:
     """Bodies behind a sensor, those behind further sensors too: their wrench is in its reading."""
     inside = {cut.body}
     for b in range(cut.body + 1, len(robot.body_names)):
@@ -97,7 +97,7 @@ def _all_behind(robot: RobotModel, cut: Cut) -> set[int]:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class WrenchErrors:
     """RMS errors of one set of parameters: torque of the joints behind the sensor with the base at
     the contact (N m, N), the same from the parameters alone while nothing touches, and force (N)
     and moment (N m) of the contact."""
@@ -108,9 +108,9 @@ class Comparison:
     moment: float
 
 
-def compare(
-    method: Reordered, phis: Mapping[str, Array], f_b: Array, tau: Array, contact: Array
-) -> dict[str, Comparison]:
+def wrench_errors(
+    method: SensorNewtonEuler, phis: Mapping[str, Array], f_b: Array, tau: Array, contact: Array
+) -> dict[str, WrenchErrors]:
     """The parameter sets side by side, on a measured wrench f_b (N, 6); `tau` (N, k) and `contact`
     (N, 6) at the base are what really happened."""
     free = ~contact.any(axis=1)
@@ -118,7 +118,7 @@ def compare(
     for name, phi in phis.items():
         wrench = method.external_wrench(phi, f_b) - contact
         alone = (method.tree.Y_c @ phi - tau)[free]
-        out[name] = Comparison(
+        out[name] = WrenchErrors(
             torque=_rms(method.joint_torque(phi, f_b) - tau),
             torque_alone=_rms(alone),
             force=_rms(wrench[:, 3:]),

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import Brief
-from sysid_bench.excitation.scale_to_limits import dense_grid, fit
+from sysid_bench.excitation.design_problem import DesignProblem
+from sysid_bench.excitation.scale_to_limits import dense_grid, scale_to_limits
 from sysid_bench.types import Array, Trajectory
 
 
@@ -24,7 +24,7 @@ class Chirp:
         if not (0 < self.lowest < self.highest and self.duration > 0):
             raise UsageError(f"{self}: 0 < lowest < highest, a positive duration.")
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         """A motion of `duration`."""
         third = (self.highest - self.lowest) / 3
         start = self.lowest + third * rng.uniform(size=brief.nv)
@@ -38,7 +38,7 @@ class Chirp:
             sin, cos = np.sin(angle), np.cos(angle)
             return sin, w * cos, dw * cos - w**2 * sin
 
-        scale, offset = fit(shape, dense_grid(self.duration, self.highest), brief, rng)
+        scale, offset = scale_to_limits(shape, dense_grid(self.duration, self.highest), brief, rng)
         t = brief.times(self.duration)
         x, dx, ddx = shape(t)
         return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, "chirp")

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.regressors.qr_accumulation import triangle
+from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.types import Array
 
 SpectralFunction = Callable[[Array], tuple[float, Array]]
@@ -74,14 +74,14 @@ class Criterion:
         """The sum; infinity where the rows do not tell every parameter."""
         return self._evaluate(W, slope=False)[0]
 
-    def slope(self, W: Array) -> Array:
+    def gradient(self, W: Array) -> Array:
         """Its slope by W (M, r)."""
         return self._evaluate(W, slope=True)[1]
 
     def _evaluate(self, W: Array, slope: bool) -> tuple[float, Array]:
         total, by_W = 0.0, np.zeros_like(W) if slope else W
         rows = np.concatenate([self.known, W])
-        R = triangle([rows])
+        R = upper_factor([rows])
         for name, weight in self.weights.items():
             unit = name == "cond-unit"
             norms = np.linalg.norm(R, axis=0) if unit else np.ones(W.shape[1])
@@ -107,7 +107,7 @@ class Criterion:
         return total, by_W
 
 
-def weights_of(objective: str | Mapping[str, float]) -> dict[str, float]:
+def criterion_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
     """Criteria and their weights, of a name or a table {D = 1, cond = 0.1}; raises UsageError."""
     table = {objective: 1.0} if isinstance(objective, str) else dict(objective)
     for name, weight in table.items():

@@ -50,7 +50,7 @@ def fourier(period: float, harmonics: int) -> Curves:
     return Curves("fourier", at, 2 * harmonics + 1, period, harmonics / period, True)
 
 
-def fourier_polynomial(period: float, harmonics: int) -> Curves:
+def _fourier_polynomial(period: float, harmonics: int) -> Curves:
     """Fourier series that rest at both ends: each function gets the polynomial t ... t^5 that takes
     its velocity and acceleration at both ends and its step between them away (Park 2006)."""
     series = fourier(period, harmonics)
@@ -82,7 +82,7 @@ DEGREE: Final = 5
 """Of B-splines: accelerations are smooth, as motors like them."""
 
 
-def b_spline(duration: float, harmonics: int) -> Curves:
+def _b_spline(duration: float, harmonics: int) -> Curves:
     """Quintic B-splines with as many coefficients as a Fourier series of `harmonics`, at rest at
     both ends: the first three control points are one, and the last three. The control points are
     those beyond the constant, which stands first."""
@@ -113,8 +113,8 @@ def b_spline(duration: float, harmonics: int) -> Curves:
 
 FAMILIES: Final[dict[str, Callable[[float, int], Curves]]] = {
     "fourier": fourier,
-    "fourier-polynomial": fourier_polynomial,
-    "b-spline": b_spline,
+    "fourier-polynomial": _fourier_polynomial,
+    "b-spline": _b_spline,
 }
 
 

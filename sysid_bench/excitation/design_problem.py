@@ -13,8 +13,8 @@ from sysid_bench.spatial.rotation import body_rates, product, quaternion_of_vect
 from sysid_bench.types import Array, Trajectory
 
 if TYPE_CHECKING:
-    from sysid_bench.excitation.geometry import Scene
-    from sysid_bench.excitation.information import Question, Torque
+    from sysid_bench.excitation.geometry import CollisionModel
+    from sysid_bench.excitation.information import InformationModel, TorqueModel
 
 MARGIN: Final = 0.98
 """Share of a limit that a motion may use: sampling between grid points stays inside."""
@@ -29,7 +29,7 @@ def is_count(value: object) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Brief:
+class DesignProblem:
     """A robot's moves and limits. Each degree of freedom has a scalar profile x: a joint position,
     or for a free joint the displacement (3) and rotation vector (3) from its reference pose, for a
     ball joint the rotation vector. Arrays (nv,); `q0` (nq,) is the reference configuration.
@@ -49,9 +49,9 @@ class Brief:
     rate: float  # Hz
     coupling: Coupling | None = None
     tau: Array = field(default_factory=lambda: np.zeros(0))
-    regress: "Question | None" = None
-    torque: "Torque | None" = None
-    scene: "Callable[[float | None], Scene] | None" = None
+    regress: "InformationModel | None" = None
+    torque: "TorqueModel | None" = None
+    scene: "Callable[[float | None], CollisionModel] | None" = None
 
     @property
     def nv(self) -> int:
@@ -75,7 +75,7 @@ class Brief:
         q, v, a = self.coupling.completed(motion.q, motion.v, motion.a, beside)
         return replace(motion, q=q, v=v, a=a)
 
-    def at(self, rate: float) -> "Brief":
+    def at(self, rate: float) -> "DesignProblem":
         """The same brief sampled at another rate (Hz)."""
         return replace(self, rate=rate)
 
@@ -115,7 +115,7 @@ class Brief:
         return q, v, a
 
 
-def brief_of(robot: RobotModel, rate: float) -> Brief:
+def design_problem(robot: RobotModel, rate: float) -> DesignProblem:
     """The brief of a robot within its own limits."""
     low, high = robot.limits.q_low.copy(), robot.limits.q_high.copy()
     v, a = robot.limits.v.copy(), robot.limits.a.copy()
@@ -137,11 +137,11 @@ def brief_of(robot: RobotModel, rate: float) -> Brief:
     q0 = np.array(robot.mj.qpos0)
     tau = robot.limits.tau.copy()
     if robot.coupling is None:
-        return Brief(robot.joints, low, high, v, a, q0, rate, tau=tau)
+        return DesignProblem(robot.joints, low, high, v, a, q0, rate, tau=tau)
     moving, slower = robot.coupling.independent, robot.coupling.slower
     scalar = robot.coupling.qadr[moving] >= 0
     low = np.where(scalar, robot.coupling.low, low[moving])
     high = np.where(scalar, robot.coupling.high, high[moving])
     v, a = slower * v[moving], slower * a[moving]
     q0 = robot.coupling.reference(q0)
-    return Brief(robot.joints, low, high, v, a, q0, rate, robot.coupling, tau[moving])
+    return DesignProblem(robot.joints, low, high, v, a, q0, rate, robot.coupling, tau[moving])

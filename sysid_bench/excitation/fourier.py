@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import Brief, is_count
-from sysid_bench.excitation.scale_to_limits import dense_grid, fit
+from sysid_bench.excitation.design_problem import DesignProblem, is_count
+from sysid_bench.excitation.scale_to_limits import dense_grid, scale_to_limits
 from sysid_bench.types import Array, Trajectory
 
 
@@ -26,12 +26,14 @@ class Fourier:
         if not (is_count(self.harmonics) and is_count(self.cycles) and self.period > 0):
             raise UsageError(f"{self}: harmonics and cycles count from 1, the period is positive.")
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         """A motion of `cycles` periods."""
         a, b = rng.normal(size=(2, self.harmonics, brief.nv))
         unit = np.ones(brief.nv), np.zeros(brief.nv)
         grid = dense_grid(self.period, self.harmonics / self.period)
-        scale, offset = fit(lambda t: series(t, self.period, a, b, *unit), grid, brief, rng)
+        scale, offset = scale_to_limits(
+            lambda t: series(t, self.period, a, b, *unit), grid, brief, rng
+        )
         t = brief.times(self.cycles * self.period)
         x, dx, ddx = series(t, self.period, a, b, scale, offset)
         return brief.trajectory(t, x, dx, ddx, "fourier", self.period)

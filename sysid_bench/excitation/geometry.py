@@ -49,7 +49,7 @@ POSTURES: Final = 20
 
 
 @dataclass(eq=False)
-class Scene:
+class CollisionModel:
     """A robot's shapes, and a floor if there is one. Links that share a joint are not watched, nor
     are the pairs `ignored`: closer than CLOSE in the reference configuration, as hulls around
     wrists are. The world's own shapes, a floor above all, are ignored by those alone that touch
@@ -134,7 +134,7 @@ class Scene:
         return slope
 
 
-def scene_of(robot: RobotModel, floor: float | None = None) -> Scene:
+def collision_model(robot: RobotModel, floor: float | None = None) -> CollisionModel:
     """The scene of a robot; `floor`: the height (m) of a plane that nothing may touch."""
     spec = robot.spec.copy()
     if robot.format == "urdf":
@@ -145,10 +145,10 @@ def scene_of(robot: RobotModel, floor: float | None = None) -> Scene:
         )
     mj = spec.compile()
     watched = (mj.geom_contype != 0) | (mj.geom_conaffinity != 0)
-    return Scene(mj, int(watched.sum()) - (floor is not None))
+    return CollisionModel(mj, int(watched.sum()) - (floor is not None))
 
 
-def collision_limit(scene: Scene, clearance: float) -> Limit:
+def collision_limit(scene: CollisionModel, clearance: float) -> Limit:
     """Nothing comes closer than `clearance` (m)."""
     if not 0.0 <= clearance < REACH:
         raise UsageError(f"A clearance lies between 0 and {REACH} m; got {clearance}.")
@@ -184,7 +184,7 @@ def collision_limit(scene: Scene, clearance: float) -> Limit:
     )
 
 
-def box_limit(scene: Scene, boxes: Mapping[str, Sequence[Sequence[float]]]) -> Limit:
+def box_limit(scene: CollisionModel, boxes: Mapping[str, Sequence[Sequence[float]]]) -> Limit:
     """Origins of bodies stay inside boxes {body: [[x, x], [y, y], [z, z]]} (m, world)."""
     names = [scene.mj.body(b).name for b in range(1, scene.mj.nbody)]
     bodies, edges = [], []

@@ -9,7 +9,7 @@ import numpy as np
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.derivatives import Slopes
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import Cut, instruments_of
+from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.regressors.coupled_adjoint import pull_back, pull_back_torque, smoothed
@@ -18,7 +18,7 @@ from sysid_bench.types import Array, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class InformationModel:
     """The base regressor of a task: the chosen `columns` of `regression` at the measured rows
     `places`; `seen` gives a motion the places of sensors."""
 
@@ -38,7 +38,7 @@ class Question:
         blocks = self.regression.blocks(self.seen(motion))
         return np.concatenate([block.dense()[:, rows][:, :, columns] for block in blocks])
 
-    def slopes(self, motion: Trajectory, G: Array) -> Slopes:
+    def gradient(self, motion: Trajectory, G: Array) -> Slopes:
         """Slopes of sum(G * Y) by q, v, a (N, nv); G (N, rows, r)."""
         size = len(motion), len(self.regression.rows), len(self.regression.columns)
         whole = np.zeros(size)
@@ -48,18 +48,18 @@ class Question:
         nv = motion.v.shape[1]  # sensors come after all joints
         return q[:, :nv], v[:, :nv], a[:, :nv]
 
-    def only(self, names: tuple[str, ...]) -> "Question":
+    def subset_of_rows(self, names: tuple[str, ...]) -> "InformationModel":
         """The same about some of the parameters."""
         return replace(self, columns=tuple(self.regression.columns.index(name) for name in names))
 
     @cached_property
-    def smooth(self) -> "Question":
+    def smooth(self) -> "InformationModel":
         """The same with a smooth sign(v): what a search can follow."""
         return replace(self, regression=smoothed(self.regression))
 
 
 @dataclass(frozen=True, eq=False)
-class Torque:
+class TorqueModel:
     """Torques of the joints that move by the numbers at hand: `theta` of `regression`, and `links`
     (n_links, 10)."""
 
@@ -76,7 +76,7 @@ class Torque:
             tau = self.coupling.reduced(motion.q, tau)
         return tau + self.regression.torque(motion, self.theta)
 
-    def slopes(self, motion: Trajectory, U: Array) -> Slopes:
+    def gradient(self, motion: Trajectory, U: Array) -> Slopes:
         """Slopes of sum(U * tau) by q, v, a (N, nv); U (N, n)."""
         parts = [pull_back_torque(self.tree, self.coupling, self.links, motion, U)]
         if self.theta.any():
@@ -85,25 +85,25 @@ class Torque:
         return q, v, a
 
 
-def question(
+def information_model(
     robot: RobotModel,
     base_names: tuple[str, ...],
     rows: tuple[str, ...] | None = None,
-    cuts: tuple[Cut, ...] = (),
-) -> Question:
+    cuts: tuple[SensorCut, ...] = (),
+) -> InformationModel:
     """The question after the parameters named; `rows`: what is measured (None: the torques of all
     joints that move, and all that the sensors `cuts` do)."""
     instruments = instruments_of(robot, cuts)
     measured = instruments.measured if rows is None else rows
     places = tuple(instruments.measured.index(row) for row in measured)
     columns = torque_regression(robot, base_names, instruments)
-    return Question(columns, places, tuple(range(len(base_names))), instruments.motion)
+    return InformationModel(columns, places, tuple(range(len(base_names))), instruments.motion)
 
 
-def torque_of(robot: RobotModel) -> Torque:
+def torque_model(robot: RobotModel) -> TorqueModel:
     """Torques by the numbers of the robot's own file, with what is mounted on it."""
     between = np.argwhere(robot.joint_terms.viscous_coupling)
     terms = (*SUFFIX, *(f"{robot.rows[i]}.fv.{robot.rows[j]}" for i, j in between))
     columns = torque_regression(robot, robot.term_columns(terms))
-    links = robot.tree.lumped(robot.phi)
-    return Torque(columns, robot.term_values(terms), links, robot.tree, robot.coupling)
+    links = robot.tree.composite_links(robot.phi)
+    return TorqueModel(columns, robot.term_values(terms), links, robot.tree, robot.coupling)

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from sysid_bench.excitation.design_problem import Brief
+from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.models.coupling.derivatives import Slopes
 from sysid_bench.models.robot import Joint
 from sysid_bench.types import Array, Trajectory
@@ -39,7 +39,7 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Used:
+class LimitUse:
     """The worst moment of one kind of limit: `margin` = |limit - value|, negative beyond it."""
 
     kind: str
@@ -59,7 +59,7 @@ class Used:
         }  # fmt: skip
 
 
-def joint_limits(brief: Brief, dofs: Array, share: float = 1.0) -> tuple[Limit, ...]:
+def joint_limits(brief: DesignProblem, dofs: Array, share: float = 1.0) -> tuple[Limit, ...]:
     """Position, velocity and acceleration of the profiles `dofs`, and of the joints that follow
     where somebody states them; a motion may use a share."""
     v, a = brief.v[dofs], brief.a[dofs]
@@ -72,7 +72,7 @@ def joint_limits(brief: Brief, dofs: Array, share: float = 1.0) -> tuple[Limit, 
 
 
 def _bounded(
-    brief: Brief, dofs: Array, bounds: Array, share: float, whose: str, split: Split
+    brief: DesignProblem, dofs: Array, bounds: Array, share: float, whose: str, split: Split
 ) -> list[Limit]:
     """Limits of degrees of freedom of the tree; bounds (4, k): lowest, highest, v, a."""
     scalar = {j.vadr: j for j in brief.joints if j.kind in ("hinge", "slide")}
@@ -114,7 +114,7 @@ def _between(kind: str, joints: list[Joint], low: Array, high: Array, share: flo
     )
 
 
-def torque_limits(brief: Brief, share: float = 1.0) -> tuple[Limit, ...]:
+def torque_limits(brief: DesignProblem, share: float = 1.0) -> tuple[Limit, ...]:
     """Torques of every joint that moves and has a limit; none where nothing is known of them."""
     limited = np.flatnonzero(np.isfinite(brief.tau))
     torque = brief.torque
@@ -128,7 +128,7 @@ def torque_limits(brief: Brief, share: float = 1.0) -> tuple[Limit, ...]:
     def slopes(motion: Trajectory, G: Array) -> Slopes:
         U = np.zeros((len(motion), brief.nv))
         U[:, limited] = G / (share * reach)
-        return torque.slopes(motion, U)
+        return torque.gradient(motion, U)
 
     return (
         Limit(
@@ -155,7 +155,7 @@ def smooth_max(use: Array, sharpness: float) -> tuple[Array, Array]:
     return top + np.log(total) / sharpness, (up - down) / total
 
 
-def worst(limit: Limit, motion: Trajectory) -> Used:
+def largest_use(limit: Limit, motion: Trajectory) -> LimitUse:
     """The moment of a motion that uses most of a limit."""
     use = np.abs(limit.use(motion))
     k, j = np.unravel_index(int(np.argmax(use)), use.shape)
@@ -163,7 +163,7 @@ def worst(limit: Limit, motion: Trajectory) -> Used:
     value, allowed = float(values[k, j]), float(limit.allowed(values)[k, j])
     share = float(use[k, j])
     name = limit.names[j] if limit.label is None else limit.label(motion, int(k), int(j))
-    return Used(
+    return LimitUse(
         limit.kind, name, limit.units[j], value, allowed,
         float(np.copysign(abs(allowed - value), 1.0 - share)), share, float(motion.t[k]),
     )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import Brief, is_count
+from sysid_bench.excitation.design_problem import DesignProblem, is_count
 from sysid_bench.types import Array, Trajectory
 
 FAINT: Final = 1e-8
@@ -38,7 +38,7 @@ class MotionFile:
         if self.period is None and self.cycles != 1:
             raise UsageError(f"{self}: a motion without a period has one cycle.")
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         """The motion; raises UsageError where it is not one of this robot within its limits."""
         t, x = _read(Path(self.file), _names(brief, self.file))
         name = Path(self.file).stem
@@ -57,7 +57,7 @@ class MotionFile:
         return brief.trajectory(grid, *motion, name, self.period)
 
 
-def _names(brief: Brief, file: str) -> list[str]:
+def _names(brief: DesignProblem, file: str) -> list[str]:
     if any(joint.kind not in ("hinge", "slide") for joint in brief.joints):
         raise UsageError(f"{file}: a motion file moves hinges and slides alone.")
     return [joint.name for joint in brief.joints]
@@ -105,7 +105,7 @@ def _series(x: Array, period: float, grid: Array) -> tuple[Array, Array, Array]:
     return c[0].real + parts[0], parts[1], parts[2]
 
 
-def _check(brief: Brief, motion: tuple[Array, Array, Array], file: str) -> None:
+def _check(brief: DesignProblem, motion: tuple[Array, Array, Array], file: str) -> None:
     x, dx, ddx = motion
     reach = brief.high - brief.low
     worst = {

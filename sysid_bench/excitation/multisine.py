@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import Brief, is_count
-from sysid_bench.excitation.scale_to_limits import dense_grid, fit
+from sysid_bench.excitation.design_problem import DesignProblem, is_count
+from sysid_bench.excitation.scale_to_limits import dense_grid, scale_to_limits
 from sysid_bench.types import Array, Trajectory
 
 
@@ -27,7 +27,7 @@ class MultiSine:
                 f"{self}: sines from 1 on, 0 < lowest <= highest, a positive duration."
             )
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         """A motion of `duration`."""
         size = (self.sines, brief.nv)
         w = 2 * np.pi * rng.uniform(self.lowest, self.highest, size)
@@ -40,7 +40,7 @@ class MultiSine:
             sin, cos = amplitude * np.sin(angle), amplitude * np.cos(angle)
             return sin.sum(axis=1), (w * cos).sum(axis=1), (-w * w * sin).sum(axis=1)
 
-        scale, offset = fit(shape, dense_grid(self.duration, self.highest), brief, rng)
+        scale, offset = scale_to_limits(shape, dense_grid(self.duration, self.highest), brief, rng)
         t = brief.times(self.duration)
         x, dx, ddx = shape(t)
         return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, "multisine")

@@ -7,14 +7,20 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
-from sysid_bench.excitation.criteria import Criterion, weights_of
+from sysid_bench.excitation.criteria import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
-from sysid_bench.excitation.design_problem import MARGIN, Brief, is_count
-from sysid_bench.excitation.information import Question
-from sysid_bench.excitation.limit_use import Limit, Used, joint_limits, torque_limits, worst
-from sysid_bench.excitation.search import Search, Space, Tell
+from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_count
+from sysid_bench.excitation.information import InformationModel
+from sysid_bench.excitation.limit_use import (
+    Limit,
+    LimitUse,
+    joint_limits,
+    largest_use,
+    torque_limits,
+)
+from sysid_bench.excitation.search import DesignSpace, Search, Tell
 from sysid_bench.identifiability.base_map import base_map
-from sysid_bench.regressors.qr_accumulation import triangle
+from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.types import Array, Trajectory
 
 DRAWS: Final = 20
@@ -63,7 +69,7 @@ class Optimised:
 
     def __post_init__(self) -> None:
         """Raises UsageError for settings that make no motion."""
-        weights_of(self.objective)
+        criterion_weights(self.objective)
         if self.family not in FAMILIES:
             raise unknown_name("family of curves", self.family, FAMILIES)
         for name in ("harmonics", "cycles", "iterations", "starts"):
@@ -77,11 +83,11 @@ class Optimised:
                 f"{100 * self.torque_share:g} %."
             )
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         """The motion of `solve`, `cycles` times."""
         return self.motion(self.solve(brief, rng).C, brief)
 
-    def motion(self, C: Array, brief: Brief) -> Trajectory:
+    def motion(self, C: Array, brief: DesignProblem) -> Trajectory:
         """The motion of coefficients C, sampled at the brief's rate. A family that rests at its
         ends is played once more for each cycle."""
         space = self.space(brief)
@@ -89,7 +95,7 @@ class Optimised:
         own = space.motion(C, t % self.period if not space.curves.periodic else t)
         return replace(own, t=t, name="optimised", period=self.period)
 
-    def space(self, brief: Brief) -> Space:
+    def space(self, brief: DesignProblem) -> DesignSpace:
         """The motions to choose from; raises UsageError for a joint that is not there, or that
         follows others."""
         place = {int(dof): k for k, dof in enumerate(brief.dofs)}
@@ -97,7 +103,7 @@ class Optimised:
         scalar = {name: place[j.vadr] for name, j in joints.items() if j.vadr in place}
         for name in self.joints:
             if name in joints and name not in scalar and brief.coupling is not None:
-                drivers = brief.coupling.drivers(joints[name].vadr)
+                drivers = brief.coupling.independent_of(joints[name].vadr)
                 told = ", ".join(brief.coupling.names[dof] for dof in drivers) or "constraints"
                 raise UsageError(f"The joint {name!r} follows {told}; name that in its place.")
             if name not in scalar:
@@ -105,14 +111,16 @@ class Optimised:
         if not scalar:
             raise UnsupportedError("This robot has no hinge and no slide that a design could move.")
         dofs = [scalar[name] for name in self.joints] or list(scalar.values())
-        return Space(brief, curves_of(self.family, self.period, self.harmonics), np.array(dofs))
+        return DesignSpace(
+            brief, curves_of(self.family, self.period, self.harmonics), np.array(dofs)
+        )
 
     @staticmethod
-    def draws(space: Space, rng: np.random.Generator) -> list[Array]:
+    def draws(space: DesignSpace, rng: np.random.Generator) -> list[Array]:
         """The random motions that a search starts from and is compared with."""
         return [space.random(rng, 0.99 * MARGIN) for _ in range(DRAWS)]
 
-    def limits(self, brief: Brief, share: float = 1.0) -> tuple[Limit, ...]:
+    def limits(self, brief: DesignProblem, share: float = 1.0) -> tuple[Limit, ...]:
         """Everything that the motion has to keep; `share` of positions, rates and torques."""
         space = self.space(brief)
         limits = [
@@ -135,7 +143,7 @@ class Optimised:
 
     def solve(
         self,
-        brief: Brief,
+        brief: DesignProblem,
         rng: np.random.Generator,
         known: Sequence[Trajectory] = (),
         tell: Tell = lambda count, value: None,
@@ -151,33 +159,37 @@ class Optimised:
             )
         space = self.space(brief)
         draws = self.draws(space, rng)
-        asked = told_by(space, brief.regress, draws)
-        criterion = criterion_of(self.objective, asked, space, draws, known)
+        asked = torque_prior(space, brief.regress, draws)
+        criterion = design_criterion(self.objective, asked, space, draws, known)
         search = Search(space, asked.smooth, criterion, self.limits(brief, MARGIN), tell)
-        values = np.array([search.value(C) for C in draws])
-        over = np.array([search.violation(C) for C in draws])
+        values = np.array([search.objective(C) for C in draws])
+        over = np.array([search.largest_use(C) for C in draws])
         order = np.lexsort((values, np.maximum(over, 1.0)))
-        best = search.begin([draws[i] for i in order[: self.starts]], self.iterations)
+        best = search.start([draws[i] for i in order[: self.starts]], self.iterations)
         # Where a short search does not come back inside, a long one only takes longer.
         if search.kept and not search.interrupted:
-            search.go_on(best, self.iterations)
+            search.resume(best, self.iterations)
         if not search.interrupted and not (search.kept and search.kept[-1][0] <= values.min()):
             # From outside of all limits no way led in, or to nothing good: begin small, inside.
-            search.creep(tamed(search, space, draws[order[0]], rng), self.iterations)
+            search.short_steps(
+                _scaled_to_limits(search, space, draws[order[0]], rng), self.iterations
+            )
         C, value = self._checked(brief, space, search)
         median = float(np.median(values))
         return Design(C, value, median, search.evaluations, search.interrupted)
 
-    def report(self, C: Array, brief: Brief) -> dict[str, Used]:
+    def report(self, C: Array, brief: DesignProblem) -> dict[str, LimitUse]:
         """The worst moment of each kind of limit, on the finer grid; true limits, none shared."""
         motion = self._fine(C, self.space(brief))
         strict = replace(self, torque_share=1.0).limits(brief)
-        return {limit.kind: worst(limit, motion) for limit in strict}
+        return {limit.kind: largest_use(limit, motion) for limit in strict}
 
-    def _fine(self, C: Array, space: Space) -> Trajectory:
+    def _fine(self, C: Array, space: DesignSpace) -> Trajectory:
         return space.motion(C, space.curves.grid(DENSER))
 
-    def _checked(self, brief: Brief, space: Space, search: Search) -> tuple[Array, float]:
+    def _checked(
+        self, brief: DesignProblem, space: DesignSpace, search: Search
+    ) -> tuple[Array, float]:
         """The best of the kept motions that keeps the limits on the finer grid as well."""
         limits = self.limits(brief)
         nearest = search.nearest
@@ -200,10 +212,12 @@ class Optimised:
         )
 
 
-def tamed(search: Search, space: Space, C: Array, rng: np.random.Generator) -> Array:
+def _scaled_to_limits(
+    search: Search, space: DesignSpace, C: Array, rng: np.random.Generator
+) -> Array:
     """A random motion made smaller, about its own place and then about others, until it keeps
     torques, clearances and boxes too; the least violating where none does."""
-    best, least = C, search.violation(C)
+    best, least = C, search.largest_use(C)
     low, high = (edge[space.dofs] for edge in (space.brief.low, space.brief.high))
     # The reference posture is the one that whoever drew the model has looked at.
     room = 0.1 * (high - low)
@@ -218,51 +232,53 @@ def tamed(search: Search, space: Space, C: Array, rng: np.random.Generator) -> A
             *rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high, (6, len(low))),
         ):
             small[0] = place
-            over = search.violation(small)
+            over = search.largest_use(small)
             if over < least:
                 best, least = small.copy(), over
     return best
 
 
-def told_by(space: Space, question: Question, draws: Sequence[Array]) -> Question:
+def torque_prior(
+    space: DesignSpace, question: InformationModel, draws: Sequence[Array]
+) -> InformationModel:
     """The part of a question that these motions can answer at all: held joints, a held base and
     short reaches leave fewer base parameters, again taken from left to right."""
     t = space.curves.grid()
-    R = triangle(_stacked(question, space.motion(C, t)) for C in draws[: 1 + len(draws) // 4])
+    R = upper_factor(_stacked(question, space.motion(C, t)) for C in draws[: 1 + len(draws) // 4])
     base = base_map(R, question.names)
     if base.rank == 0:
         raise UnsupportedError("These motions tell nothing of what is asked.")
-    return question.only(base.names)
+    return question.subset_of_rows(base.names)
 
 
-def criterion_of(
+def design_criterion(
     objective: str | Mapping[str, float],
-    question: Question,
-    space: Space,
+    question: InformationModel,
+    space: DesignSpace,
     draws: Sequence[Array],
     known: Sequence[Trajectory] = (),
 ) -> Criterion:
     """The criterion of an objective; `predict` is about the torques of the random motions `draws`,
     each row in units of its own largest column so that strong joints do not drown the weak."""
-    weights, r = weights_of(objective), len(question.names)
+    weights, r = criterion_weights(objective), len(question.names)
     rows = [_stacked(question, motion) for motion in known]
-    before = triangle([*rows, np.zeros((1, r))]) if rows else np.zeros((0, r))
+    before = upper_factor([*rows, np.zeros((1, r))]) if rows else np.zeros((0, r))
     whiten = np.eye(r)
     if "predict" in weights:
         t = space.curves.grid()
-        R = triangle(_stacked(question, space.motion(C, t)) for C in draws)
+        R = upper_factor(_stacked(question, space.motion(C, t)) for C in draws)
         whiten = np.linalg.inv(R / np.sqrt(len(draws)))
     return Criterion(weights, before, whiten)
 
 
-def _stacked(question: Question, motion: Trajectory) -> Array:
+def _stacked(question: InformationModel, motion: Trajectory) -> Array:
     Y = question.rows(motion)
     return Y.reshape(-1, Y.shape[2])
 
 
-def figures(question: Question, motion: Trajectory) -> dict[str, Any]:
+def design_figures(question: InformationModel, motion: Trajectory) -> dict[str, Any]:
     """What a motion tells, with the true sign of Coulomb friction: rank, condition, log det."""
-    R = triangle([_stacked(question, motion)])
+    R = upper_factor([_stacked(question, motion)])
     s = np.linalg.svd(R, compute_uv=False)
     unit = np.linalg.svd(R / np.linalg.norm(R, axis=0), compute_uv=False)
     return {

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import MARGIN, Brief, is_count
+from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_count
 from sysid_bench.types import Array, Trajectory
 
 # Peaks of the quintic s(u) = 10 u^3 - 15 u^4 + 6 u^5 on [0, 1]: of s' and of s''.
@@ -36,7 +36,7 @@ class PointToPoint:
         """What its trajectories are called."""
         return "ptp"
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         """A motion through `moves` random postures; it starts and ends at rest."""
         margin = 0.5 * (1 - MARGIN) * (brief.high - brief.low)
         points = rng.uniform(brief.low + margin, brief.high - margin, (self.moves + 1, brief.nv))
@@ -73,7 +73,7 @@ class Static(PointToPoint):
         return "static"
 
 
-def _durations(steps: Array, brief: Brief, share: float) -> Array:
+def _durations(steps: Array, brief: DesignProblem, share: float) -> Array:
     by_velocity = (_PEAK_RATE * np.abs(steps) / (share * brief.v)).max(axis=1)
     by_acceleration = np.sqrt(_PEAK_CHANGE * np.abs(steps) / (share * brief.a)).max(axis=1)
     return np.maximum(by_velocity, by_acceleration)

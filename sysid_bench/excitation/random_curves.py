@@ -6,8 +6,8 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.curves import Curves, curves_of
-from sysid_bench.excitation.design_problem import Brief, is_count
-from sysid_bench.excitation.scale_to_limits import dense_grid, fit
+from sysid_bench.excitation.design_problem import DesignProblem, is_count
+from sysid_bench.excitation.scale_to_limits import dense_grid, scale_to_limits
 from sysid_bench.types import Array, Trajectory
 
 
@@ -29,7 +29,7 @@ class FourierPolynomial:
         """The family that the motion is drawn from."""
         return curves_of("fourier-polynomial", self.period, self.harmonics)
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         """A motion of one period."""
         curves = self.curves
         C = rng.normal(size=(curves.size, brief.nv))
@@ -39,7 +39,7 @@ class FourierPolynomial:
             x, dx, ddx = (B @ C for B in curves.at(t))
             return x, dx, ddx
 
-        scale, offset = fit(shape, dense_grid(self.period, curves.fastest), brief, rng)
+        scale, offset = scale_to_limits(shape, dense_grid(self.period, curves.fastest), brief, rng)
         t = brief.times(self.period)
         x, dx, ddx = shape(t)
         return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, curves.kind)

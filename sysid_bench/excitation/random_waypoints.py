@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.excitation.design_problem import MARGIN, Brief
+from sysid_bench.excitation.design_problem import MARGIN, DesignProblem
 from sysid_bench.types import Array, Trajectory
 
 # s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7 on [0, 1], whose jerk is zero at both ends: peaks of s'
@@ -20,7 +20,7 @@ SHARES: Final = (0.6, 1.4)
 
 
 @dataclass(frozen=True)
-class Wander:
+class RandomWaypoints:
     """Each joint goes from one random point of its range to the next, in a time of its own and
     without rests; `joints` move (none named: all), the others stand in the middle of their range.
     The motion starts after `rest`; a move takes about `move`, or as long as the limits want it."""
@@ -40,7 +40,7 @@ class Wander:
         if isinstance(self.joints, str) or not all(isinstance(j, str) for j in self.joints):
             raise UsageError(f"{self}: joints is a list of names.")
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         """The motion; raises UsageError for a joint that there is not."""
         t = brief.times(self.duration)
         x = np.tile(0.5 * (brief.low + brief.high), (len(t), 1))
@@ -49,7 +49,7 @@ class Wander:
             x[:, i], dx[:, i], ddx[:, i] = self._profile(brief, i, t, rng)
         return brief.trajectory(t, x, dx, ddx, "wander")
 
-    def _moving(self, brief: Brief) -> list[int]:
+    def _moving(self, brief: DesignProblem) -> list[int]:
         """Places of the profiles that move."""
         names = [joint.name for joint in brief.joints]
         for name in self.joints:
@@ -65,7 +65,7 @@ class Wander:
         return [i for i, dof in enumerate(own) if int(dof) in dofs]
 
     def _profile(
-        self, brief: Brief, i: int, t: Array, rng: np.random.Generator
+        self, brief: DesignProblem, i: int, t: Array, rng: np.random.Generator
     ) -> tuple[Array, Array, Array]:
         middle = 0.5 * (brief.low[i] + brief.high[i])
         reach = 0.5 * MARGIN * (brief.high[i] - brief.low[i])

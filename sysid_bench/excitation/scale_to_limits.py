@@ -4,14 +4,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sysid_bench.excitation.design_problem import MARGIN, Brief
+from sysid_bench.excitation.design_problem import MARGIN, DesignProblem
 from sysid_bench.types import Array
 
 Shape = Callable[[Array], tuple[Array, Array, Array]]
 """t (N,) to x, dx, ddx (N, nv), in closed form."""
 
 
-def fit(shape: Shape, grid: Array, brief: Brief, rng: np.random.Generator) -> tuple[Array, Array]:
+def scale_to_limits(
+    shape: Shape, grid: Array, brief: DesignProblem, rng: np.random.Generator
+) -> tuple[Array, Array]:
     """Scale and offset (nv,): scale * x + offset stays inside the limits on the dense `grid`.
 
     The scale is the largest that a joint allows; where velocity or acceleration bind before the

@@ -15,10 +15,10 @@ from scipy.optimize import Bounds, minimize
 from sysid_bench.errors import ModelError
 from sysid_bench.excitation.criteria import Criterion
 from sysid_bench.excitation.curves import Curves
-from sysid_bench.excitation.design_problem import Brief
-from sysid_bench.excitation.information import Question
+from sysid_bench.excitation.design_problem import DesignProblem
+from sysid_bench.excitation.information import InformationModel
 from sysid_bench.excitation.limit_use import Limit, smooth_max
-from sysid_bench.models.coupling.derivatives import Slopes, pulled
+from sysid_bench.models.coupling.derivatives import Slopes, pull_back
 from sysid_bench.types import Array, Trajectory
 
 Tell = Callable[[int, float], None]
@@ -51,20 +51,20 @@ STEP: Final = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Space:
+class DesignSpace:
     """Motions of some degrees of freedom along curves: coefficients C (m, k) of the k `dofs`; the
     others are held at the reference configuration, or follow. `dofs` are places among the profiles
     of the brief."""
 
-    brief: Brief
+    brief: DesignProblem
     curves: Curves
     dofs: Array
 
     def motion(self, C: Array, t: Array) -> Trajectory:
         """The motion of coefficients C at times t (N,)."""
-        return self.played(C, t, self.curves.at(t))
+        return self.sampled_motion(C, t, self.curves.at(t))
 
-    def played(
+    def sampled_motion(
         self,
         C: Array,
         t: Array,
@@ -75,13 +75,13 @@ class Space:
         x, dx, ddx = (B @ C for B in bases)
         q = np.tile(self.brief.q0, (len(t), 1))
         v, a = np.zeros((2, len(t), sum(len(joint.dofs) for joint in self.brief.joints)))
-        moving = self.moving
+        moving = self.moving_joints
         q[:, self.places], v[:, moving], a[:, moving] = x, dx, ddx
         period = self.curves.duration if self.curves.periodic else None
         return self.brief.completed(Trajectory(t, q, v, a, self.curves.kind, period), near)
 
     @property
-    def moving(self) -> Array:
+    def moving_joints(self) -> Array:
         """Places of the moving degrees of freedom in v."""
         return self.brief.dofs[self.dofs]
 
@@ -89,13 +89,13 @@ class Space:
     def places(self) -> list[int]:
         """Places of the moving degrees of freedom in q."""
         where = {joint.vadr: joint.qadr for joint in self.brief.joints}
-        return [where[int(dof)] for dof in self.moving]
+        return [where[int(dof)] for dof in self.moving_joints]
 
-    def by_profiles(self, motion: Trajectory, slopes: Slopes) -> Slopes:
+    def _by_profiles(self, motion: Trajectory, slopes: Slopes) -> Slopes:
         """Slopes by x, dx, ddx (N, k) of what is chosen, from those by q, v, a of every joint."""
         if self.brief.coupling is not None:
-            slopes = pulled(self.brief.coupling, motion, slopes)
-        x, dx, ddx = (slope[:, self.moving] for slope in slopes)
+            slopes = pull_back(self.brief.coupling, motion, slopes)
+        x, dx, ddx = (slope[:, self.moving_joints] for slope in slopes)
         return x, dx, ddx
 
     def bounds(self) -> tuple[Array, Array]:
@@ -134,7 +134,7 @@ class Space:
         return C
 
 
-class Stopped(Exception):
+class SearchStopped(Exception):
     """The budget of evaluations is used up."""
 
 
@@ -142,8 +142,8 @@ class Stopped(Exception):
 class Search:
     """One search; it keeps count and the best feasible coefficients, so that it can be stopped."""
 
-    space: Space
-    question: Question
+    space: DesignSpace
+    question: InformationModel
     criterion: Criterion
     limits: tuple[Limit, ...]
     tell: Tell = lambda count, value: None
@@ -163,11 +163,11 @@ class Search:
 
     def run(self, starts: list[Array], iterations: int) -> None:
         """A short search from every start, a long one from the best of their ends."""
-        best = self.begin(starts, iterations)
+        best = self.start(starts, iterations)
         if not self.interrupted:
-            self.go_on(best, iterations)
+            self.resume(best, iterations)
 
-    def begin(self, starts: list[Array], iterations: int) -> Array:
+    def start(self, starts: list[Array], iterations: int) -> Array:
         """The best end (m, k) of short searches, a fifth of the iterations from every start."""
         ends = [(np.inf, starts[0])]
         with self._stopped_in_order():
@@ -175,7 +175,7 @@ class Search:
                 ends.append(self._descend(C, SHARPNESS[0], max(iterations // 5, 1)))
         return min(ends[1:] or ends, key=lambda end: end[0])[1]
 
-    def go_on(self, C: Array, iterations: int) -> None:
+    def resume(self, C: Array, iterations: int) -> None:
         """A long search from C, stage by stage."""
         with self._stopped_in_order():
             for sharpness in SHARPNESS:
@@ -186,17 +186,17 @@ class Search:
         """What was kept stays, whoever ends the search."""
         try:
             yield
-        except Stopped:
+        except SearchStopped:
             pass
         except KeyboardInterrupt:
             self.interrupted = True
 
-    def value(self, C: Array) -> float:
+    def objective(self, C: Array) -> float:
         """The criterion alone, for ranking starts."""
         motion = self._motion_or_none(C)
         return np.inf if motion is None else self.criterion.value(self._rows(motion))
 
-    def violation(self, C: Array) -> float:
+    def largest_use(self, C: Array) -> float:
         """The largest use of any limit on the grid of the search."""
         motion = self._motion_or_none(C)
         if motion is None:
@@ -205,7 +205,7 @@ class Search:
             float(np.abs(limit.use(_thinned(motion, limit.every))).max()) for limit in self.limits
         )
 
-    def creep(self, C: Array, iterations: int) -> None:
+    def short_steps(self, C: Array, iterations: int) -> None:
         """A search that stays near what it has kept: short searches, each within a box around the
         best coefficients so far, wider after one that gained and narrower after one that did not.
         Where many limits bind at once, slopes tell too little of what is far."""
@@ -255,8 +255,8 @@ class Search:
             options={"maxiter": iterations, "ftol": 1e-5 * unit},  # type: ignore[call-overload]
         )
         end = self._restored(result.x.reshape(self.shape) * scale, sharpness)
-        over = max(self.violation(end) - 1.0, 0.0)
-        return self.value(end) + 100 * over, end
+        over = max(self.largest_use(end) - 1.0, 0.0)
+        return self.objective(end) + 100 * over, end
 
     def _restored(self, C: Array, sharpness: float) -> Array:
         """The nearest coefficients within the limits, by Newton steps of least length: a search
@@ -283,7 +283,7 @@ class Search:
         return self.space.brief.v[self.space.dofs]
 
     def _motion(self, C: Array) -> Trajectory:
-        return self.space.played(C, self.t, self.bases, self._near)
+        return self.space.sampled_motion(C, self.t, self.bases, self._near)
 
     def _motion_or_none(self, C: Array) -> Trajectory | None:
         try:
@@ -300,7 +300,7 @@ class Search:
         if self._at is not None and np.array_equal(self._at, C):
             return
         if self.evaluations >= self.most:
-            raise Stopped
+            raise SearchStopped
         self.evaluations += 1
         motion = self._motion_or_none(C)
         if motion is None and self._at is not None:
@@ -330,13 +330,13 @@ class Search:
 
     def _slope_at(self, C: Array) -> Array:
         self._visit(C)
-        by_W = self.criterion.slope(self._W)
+        by_W = self.criterion.gradient(self._W)
         G = by_W.reshape(len(self.t), -1, by_W.shape[1])
-        return self._coefficients(self._here, self.question.slopes(self._here, G))
+        return self._coefficients(self._here, self.question.gradient(self._here, G))
 
     def _coefficients(self, motion: Trajectory, slopes: Slopes, every: int = 1) -> Array:
         """Slopes by C (m, k) from those by q, v, a (N, nv) of one sample of `every`."""
-        own = zip(self.bases, self.space.by_profiles(motion, slopes), strict=True)
+        own = zip(self.bases, self.space._by_profiles(motion, slopes), strict=True)
         return np.asarray(sum(B[::every].T @ slope for B, slope in own))
 
     def _limits_at(self, C: Array, sharpness: float) -> tuple[Array, Array]:
@@ -384,7 +384,7 @@ class Search:
         part = _at(motion, samples)
         G = np.zeros((len(samples), weight.shape[1]))
         G[np.arange(len(samples)), columns] = weight[samples, columns]
-        by_profiles = self.space.by_profiles(part, limit.slopes(part, G))
+        by_profiles = self.space._by_profiles(part, limit.slopes(part, G))
         for column in np.unique(columns):
             own = columns == column
             for B, slope in zip(self.bases, by_profiles, strict=True):

@@ -6,22 +6,22 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.experiments.robot_cache import Subject, subject
-from sysid_bench.experiments.simulated.online_curves import curves_of
+from sysid_bench.experiments.robot_cache import LoadedRobot, cached_robot
+from sysid_bench.experiments.simulated.online_curves import online_curves
 from sysid_bench.experiments.simulated.prepare import Prepared, prepare
-from sysid_bench.experiments.simulated.problem import recorded
+from sysid_bench.experiments.simulated.problem import measured_signals
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.normal_qr import compress
+from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.models.random.random_states import random_states
-from sysid_bench.models.visuals import poses, shapes_of
+from sysid_bench.models.visuals import body_poses, shapes_of
 from sysid_bench.naming import build
 from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
 from sysid_bench.regressors.wrench import sub_tree
-from sysid_bench.types import Array, Estimate, CellData, Row
+from sysid_bench.types import Array, CellData, Estimate, Row
 
 
-def evidence(argument: Mapping[str, Any], row: Row) -> CellData:
+def cell_data(argument: Mapping[str, Any], row: Row) -> CellData:
     """The evidence of the first estimator of `argument` (see harness/job.py), beside its row.
 
     Raises the error that the cell itself ended with, where it never came to an estimate.
@@ -33,7 +33,7 @@ def evidence(argument: Mapping[str, Any], row: Row) -> CellData:
             "what was measured and predicted."
         )
     places = argument["robots_dir"], argument["folder"]
-    robot = subject(spec.robot, spec.payload, *places, spec.free_base)
+    robot = cached_robot(spec.robot, spec.payload, *places, spec.free_base)
     ready = prepare(spec, robot)
     (estimator, *_) = argument["estimators"]
     settings = {key: value for key, value in estimator.items() if key not in ("cell", "label")}
@@ -44,10 +44,10 @@ def evidence(argument: Mapping[str, Any], row: Row) -> CellData:
     return _evidence(row, ready, robot, estimate)
 
 
-def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> CellData:
+def _evidence(row: Row, ready: Prepared, robot: LoadedRobot, estimate: Estimate) -> CellData:
     recording, model = ready.experiment.recording, ready.robot
     motion = recording.motion
-    positions, quaternions = poses(model, motion.q)
+    positions, quaternions = body_poses(model, motion.q)
     r = ready.problem.base.rank
     names = (*model.torque_rows, *recording.wrench_rows)
     places = [names.index(row) for row in ready.problem.rows]
@@ -55,10 +55,10 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
     return CellData(
         row=row,
         motion=motion,
-        measured=recorded(recording)[:, places],
+        measured=measured_signals(recording)[:, places],
         predicted=_predicted(ready, estimate),
         rows=ready.problem.rows,
-        singular_values=np.linalg.svd(compress(ready.problem)[:r, :r], compute_uv=False),
+        singular_values=np.linalg.svd(stacked_factor(ready.problem)[:r, :r], compute_uv=False),
         **_gap(robot, ready),
         estimate=estimate,
         base=ready.problem.base,
@@ -67,11 +67,11 @@ def _evidence(row: Row, ready: Prepared, robot: Subject, estimate: Estimate) -> 
         positions=positions,
         quaternions=quaternions,
         shapes=shapes_of(model),
-        curves=curves_of(ready),
+        curves=online_curves(ready),
     )
 
 
-def _gap(robot: Subject, ready: Prepared) -> dict[str, Any]:
+def _gap(robot: LoadedRobot, ready: Prepared) -> dict[str, Any]:
     """Where our regressor and Pinocchio's differ, on the rows that are measured."""
     rows, check = ready.problem.rows, robot.check
     if not ready.task.cuts:

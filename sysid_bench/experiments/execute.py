@@ -8,19 +8,23 @@ from typing import Any
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
-from sysid_bench.evaluation.covariance import Spread, spreads
+from sysid_bench.evaluation.covariance import StandardError, standard_errors
 from sysid_bench.evaluation.score import score
-from sysid_bench.experiments.recorded.prepared_logs import Posed
+from sysid_bench.experiments.recorded.prepared_logs import PreparedLogs
 from sysid_bench.experiments.recorded.rows import (
-    found_parameters,
-    posed_spec,
-    recorded_facts,
+    log_fields,
+    parameter_table,
+    prepare_recorded,
     recorded_score,
-    true_mass,
+    stated_mass,
 )
-from sysid_bench.experiments.robot_cache import Subject, subject
-from sysid_bench.experiments.simulated.ft_evaluation import Trial, excited, trial_of
-from sysid_bench.experiments.simulated.ft_evaluation import figures as sub_tree_figures
+from sysid_bench.experiments.robot_cache import LoadedRobot, cached_robot
+from sysid_bench.experiments.simulated.ft_evaluation import (
+    ContactTest,
+    contact_test,
+    sensor_excitation,
+)
+from sysid_bench.experiments.simulated.ft_evaluation import sensor_scores as sub_tree_figures
 from sysid_bench.experiments.simulated.prepare import Prepared, prepare
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation
@@ -38,7 +42,7 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
     try:
         spec = ExperimentSpec.from_json(argument["experiment"])
         places = argument["robots_dir"], argument["folder"]
-        robot = subject(spec.robot, spec.payload, *places, spec.free_base)
+        robot = cached_robot(spec.robot, spec.payload, *places, spec.free_base)
         verdict = _verdict(robot, argument["crosscheck"])
     except SysidBenchError as error:
         _emit_all(argument, emit, {"status": "failed", "reason": str(error)})
@@ -49,15 +53,15 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
         return
     start = time.perf_counter()
     try:
-        ready = prepare(spec, robot) if spec.log is None else posed_spec(spec, *places)
+        ready = prepare(spec, robot) if spec.log is None else prepare_recorded(spec, *places)
     except SysidBenchError as error:
         status = "unsupported" if isinstance(error, UnsupportedError) else "failed"
         _emit_all(argument, emit, verdict | {"status": status, "reason": str(error)})
         return
-    if isinstance(ready, Posed):
+    if isinstance(ready, PreparedLogs):
         verdict["seconds_experiment"] = time.perf_counter() - start
         for estimator in argument["estimators"]:
-            answer = _answer_of_logs(estimator, ready, true_mass(spec))
+            answer = _answer_of_logs(estimator, ready, stated_mass(spec))
             emit(_header(argument, estimator) | verdict | answer)
         return
     sensed = _Sensed.of(spec, ready) if spec.task == "wrench" else None
@@ -71,11 +75,11 @@ class _Sensed:
     """What estimators behind a sensor are judged by beside their scores."""
 
     excitation: Excitation
-    trial: Trial | None
+    trial: ContactTest | None
 
     @classmethod
     def of(cls, spec: ExperimentSpec, ready: Prepared) -> "_Sensed":
-        return cls(excited(ready), trial_of(spec, ready))
+        return cls(sensor_excitation(ready), contact_test(spec, ready))
 
     def judged(self, estimate: Estimate, ready: Prepared) -> Row:
         """The part of a row that is about the sub-tree."""
@@ -83,7 +87,7 @@ class _Sensed:
         return sub_tree_figures(self.excitation, errors)
 
 
-def _verdict(robot: Subject, rule: Mapping[str, Any]) -> Row:
+def _verdict(robot: LoadedRobot, rule: Mapping[str, Any]) -> Row:
     """What is known of the robot before anything is identified."""
     check = robot.check
     figures: Row = {
@@ -122,7 +126,7 @@ def _answer(spec: Mapping[str, Any], ready: Prepared, sensed: _Sensed | None) ->
     return _with_sub_tree(row, Estimate(status="failed"), ready, sensed)
 
 
-def _answer_of_logs(spec: Mapping[str, Any], posed: Posed, mass: float | None) -> Row:
+def _answer_of_logs(spec: Mapping[str, Any], posed: PreparedLogs, mass: float | None) -> Row:
     """The same for what was recorded."""
     try:
         method = build("estimator", _settings(spec))
@@ -136,9 +140,9 @@ def _answer_of_logs(spec: Mapping[str, Any], posed: Posed, mass: float | None) -
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
     }
-    outcome |= vars(score) | recorded_facts(posed)
+    outcome |= vars(score) | log_fields(posed)
     outcome["stats"] = stats
-    outcome["parameters_table"] = found_parameters(estimate, posed.problem)
+    outcome["parameters_table"] = parameter_table(estimate, posed.problem)
     return dict(plain(outcome))
 
 
@@ -170,17 +174,19 @@ def _judged(estimate: Estimate, ready: Prepared) -> Row:
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
     }
-    problem, truth, sure = ready.problem, ready.truth, spreads(ready.problem, estimate)
+    problem, truth, sure = ready.problem, ready.truth, standard_errors(ready.problem, estimate)
     told = sure if ready.noisy else None
     outcome |= vars(
-        score(estimate, problem, ready.held_out, truth, ready.reach, ready.figures, told)
+        score(estimate, problem, ready.held_out, truth, ready.extents, ready.figures, told)
     )
     outcome["stats"] = stats
     outcome["parameters_table"] = list(_parameters(estimate, ready, sure))
     return dict(plain(outcome))
 
 
-def _parameters(estimate: Estimate, ready: Prepared, sure: Mapping[str, Spread]) -> Iterator[Row]:
+def _parameters(
+    estimate: Estimate, ready: Prepared, sure: Mapping[str, StandardError]
+) -> Iterator[Row]:
     """True and estimated base parameters, named by their pivots; all parameters where the method
     claims all of them, with the verdict on each, so that no claim passes for knowledge.
 

@@ -13,8 +13,8 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import Cut
-from sysid_bench.naming import build, located
+from sysid_bench.models.sensor import SensorCut
+from sysid_bench.naming import build, resolve_paths
 from sysid_bench.types import BaseMap
 
 KEPT = 16
@@ -22,16 +22,16 @@ KEPT = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class LoadedRobot:
     """A loaded robot with its payload, cross-checked once; `folder` is where the suite lies, from
     which the files of its plug-ins are found."""
 
     robot: RobotModel
     folder: Path | None = None
 
-    def build(self, kind: str, spec: Mapping[str, Any]) -> Any:
+    def build_plugin(self, kind: str, spec: Mapping[str, Any]) -> Any:
         """The plug-in that a suite names, made with its settings."""
-        return build(kind, located(spec, self.folder))
+        return build(kind, resolve_paths(spec, self.folder))
 
     @cached_property
     def check(self) -> CrossCheck:
@@ -42,11 +42,11 @@ class Subject:
     def _bases(self) -> dict[tuple[Any, ...], BaseMap]:
         return {}
 
-    def base(
+    def base_map(
         self,
         parameters: tuple[str, ...],
         rows: tuple[str, ...] | None = None,
-        cuts: tuple[Cut, ...] = (),
+        cuts: tuple[SensorCut, ...] = (),
     ) -> BaseMap:
         """The base parameters of a task; `rows`: whose torque is measured (None: all), or those of
         the sensors `cuts`."""
@@ -56,13 +56,13 @@ class Subject:
         return self._bases[key]
 
 
-def subject(
+def cached_robot(
     source: str,
     payload: str | Mapping[str, Any],
     robots_dir: str | None,
     folder: str | None,
     free_base: bool | None = None,
-) -> Subject:
+) -> LoadedRobot:
     """The robot called `source` with a payload, loaded at most once per worker; `free_base`
     overrides its manifest."""
     return _subject(source, canonical(payload), robots_dir, folder, free_base)
@@ -75,9 +75,9 @@ def _subject(
     robots_dir: str | None,
     folder: str | None,
     free_base: bool | None,
-) -> Subject:
+) -> LoadedRobot:
     import json
 
     extra, place = (None if path is None else Path(path) for path in (robots_dir, folder))
     manifest = find_manifest(source, extra, place)
-    return Subject(load_robot(manifest, parse_payload(json.loads(payload)), free_base), place)
+    return LoadedRobot(load_robot(manifest, parse_payload(json.loads(payload)), free_base), place)

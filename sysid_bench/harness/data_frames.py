@@ -100,7 +100,7 @@ class Frames:
             beside.replace(path)
 
 
-def frames_of(rows: Iterable[Row]) -> Frames:
+def data_frames(rows: Iterable[Row]) -> Frames:
     """Frames of rows; nested tables of a cell become columns with dotted names."""
     rows = list(rows)
     cells = [_flat({key: value for key, value in row.items() if key not in _LONG}) for row in rows]

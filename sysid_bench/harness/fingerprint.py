@@ -13,7 +13,7 @@ from sysid_bench import naming
 from sysid_bench.canonical_json import digest
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.plan import Cell
-from sysid_bench.naming import located
+from sysid_bench.naming import resolve_paths
 from sysid_bench.versions import PACKAGE_FOLDER, source_hash, versions
 
 _INCLUDE = re.compile(rb"""<include\s+file\s*=\s*["']([^"']+)["']""")
@@ -43,7 +43,7 @@ def cell_fingerprint(cell: Cell, robots_dir: Path | None, folder: Path | None) -
     if not files:
         return ""
     targets = [_target(kind, plugin, folder) for kind, some in plugins.items() for plugin in some]
-    specs = [located(plugin, folder) for some in plugins.values() for plugin in some]
+    specs = [resolve_paths(plugin, folder) for some in plugins.values() for plugin in some]
     read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
     if spec.log is not None:
         from sysid_bench.experiments.recorded.rows import log_files
@@ -65,7 +65,7 @@ def _model_files(robot: str, robots_dir: Path | None, folder: Path | None) -> tu
 
 
 def _target(kind: str, plugin: Mapping[str, Any], folder: Path | None) -> str:
-    use = str(located(plugin, folder)["use"])
+    use = str(resolve_paths(plugin, folder)["use"])
     return use if ":" in use else naming.known(kind).get(use, use)
 
 

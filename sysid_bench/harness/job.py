@@ -6,11 +6,11 @@ from typing import Any
 
 from sysid_bench.harness.plan import Cell
 from sysid_bench.harness.suite.model import Suite
-from sysid_bench.naming import located
+from sysid_bench.naming import resolve_paths
 from sysid_bench.units import quantity
 
 
-def argument_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict[str, Any]:
+def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict[str, Any]:
     """The argument that asks for these cells, all of one experiment.
 
     Plug-in files and robots are found from the suite's folder; `labels` begin every row.
@@ -21,7 +21,7 @@ def argument_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) ->
         "seed": suite.seed,
         "estimators": [
             {
-                **located(cell.estimator, suite.folder),
+                **resolve_paths(cell.estimator, suite.folder),
                 "cell": cell.id,
                 "label": cell.labels["estimator"],
             }

@@ -13,7 +13,7 @@ BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}
 """What follows the name of a robot whose suite says what its base does."""
 
 
-def distinct(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
+def distinct_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
     """canonical(value) -> label, from (value, short text, long text).
 
     The short text serves where it tells the values apart, then the long one, then a hash.
@@ -28,7 +28,7 @@ def distinct(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
     return labels
 
 
-def plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
+def _plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
     """Short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
     use = str(spec["use"])
     short = label or use.rpartition(":")[2]
@@ -50,13 +50,13 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     axes = suite.defaults
     plugins = {"plant": axes.plant, "excitation": axes.excitation, "simulation": axes.simulation}
     labels = {
-        axis: distinct((p.spec, *plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
+        axis: distinct_labels((p.spec, *_plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
         for axis, specs in plugins.items()
     }
-    labels["estimator"] = distinct(
-        (e.spec, *plugin_texts(e.spec, e.label)) for e in suite.estimator
+    labels["estimator"] = distinct_labels(
+        (e.spec, *_plugin_texts(e.spec, e.label)) for e in suite.estimator
     )
-    labels["robot"] = distinct(
+    labels["robot"] = distinct_labels(
         (
             robot_key(source, entry.free_base, entry.sensor),
             *_robot_texts(names, suite, source, entry),
@@ -64,12 +64,12 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         for entry, source in suite.robots
     )
     payloads = [payload for entry in suite.robot for payload in entry.payloads]
-    labels["payload"] = distinct(
+    labels["payload"] = distinct_labels(
         (normal_payload(p), names.payload(p).name, table_text(p, "none")) for p in payloads
     )
-    labels["noise"] = distinct(_noise_texts(noise) for noise in axes.noise)
-    labels["prior"] = distinct(_prior_texts(prior) for prior in axes.prior)
-    labels["held_out"] = distinct(_motion_texts(motions) for motions in axes.held_out)
+    labels["noise"] = distinct_labels(_noise_texts(noise) for noise in axes.noise)
+    labels["prior"] = distinct_labels(_prior_texts(prior) for prior in axes.prior)
+    labels["held_out"] = distinct_labels(_motion_texts(motions) for motions in axes.held_out)
     return labels
 
 
@@ -100,6 +100,6 @@ def _prior_texts(prior: Prior | str) -> tuple[Any, str, str]:
 
 
 def _motion_texts(motions: Sequence[Plugin]) -> tuple[Any, str, str]:
-    texts = [plugin_texts(motion.spec) for motion in motions]
+    texts = [_plugin_texts(motion.spec) for motion in motions]
     value = [motion.spec for motion in motions]
     return value, ", ".join(short for short, _ in texts), ", ".join(long for _, long in texts)

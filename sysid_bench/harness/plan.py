@@ -108,7 +108,7 @@ class Plan:
         condition = Expression.parse(text, self.fields)
         return tuple(cell for cell in self.cells if condition.matches(fields(cell)))
 
-    def unmet(self, text: str) -> list[str]:
+    def uncovered(self, text: str) -> list[str]:
         """In words, the texts of an expression that no cell has at that field."""
         flats = [fields(cell) for cell in self.cells]
         told = []

@@ -17,14 +17,14 @@ from typing import Any, Final, Literal
 from sysid_bench import places
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.fingerprint import cell_fingerprint
-from sysid_bench.harness.job import argument_of
+from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Cell, expand
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names, installed_names
 from sysid_bench.harness.work.supervisor import Ending, OnEvent, supervise
-from sysid_bench.harness.work.worker_handle import Task, Workplace
+from sysid_bench.harness.work.worker_handle import Task, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 from sysid_bench.versions import environment
@@ -88,17 +88,17 @@ def run(
             folder.write_env(environment())
         if on_event is not None:
             on_event("plan", _announcement(selected, todo, tasks))
-        place = Workplace(
+        place = WorkerSettings(
             folder.path,
             limit_seconds,
             suite.run.threads,
             () if descriptor is None else (descriptor,),
         )
         ending = supervise(tasks, place, jobs or os.cpu_count() or 1, fail_fast, on_event)
-        folder.consolidate()
+        folder.write_frames()
     result = _result(folder, selected, todo, ending)
     if select and not selected:
-        return replace(result, notes=(*result.notes, *plan.unmet(select)))
+        return replace(result, notes=(*result.notes, *plan.uncovered(select)))
     return result
 
 
@@ -188,7 +188,7 @@ def _task(
     fingerprint: Callable[[Cell], str],
 ) -> Task:
     prints = {cell.id: fingerprint(cell) for cell in cells}
-    argument = argument_of(cells, suite, robots_dir) | {"fingerprints": prints}
+    argument = job_of(cells, suite, robots_dir) | {"fingerprints": prints}
     return Task(call, argument, tuple({**c.head, "fingerprint": prints[c.id]} for c in cells))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.data_frames import Frames, frames_of
+from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.plan import Plan
 from sysid_bench.harness.suite.load_suite import Suite, dump_suite, parse_frozen
 from sysid_bench.harness.work.row_files import RowWriter, StoredRows, new_row_file, read_rows
@@ -99,9 +99,9 @@ class RunFolder:
         """The planned cells that have a row, with the labels of the present plan."""
         stored = self.rows().rows
         planned = (cell for cell in self.plan.cells if cell.id in stored)
-        return frames_of({**stored[cell.id], **cell.head} for cell in planned)
+        return data_frames({**stored[cell.id], **cell.head} for cell in planned)
 
-    def consolidate(self) -> None:
+    def write_frames(self) -> None:
         """Writes cells.parquet, parameters.parquet and joints.parquet."""
         self.frames().write(self.path)
 

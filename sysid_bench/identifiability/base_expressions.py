@@ -20,10 +20,10 @@ def combinations(base: BaseMap, digits: int = DIGITS) -> tuple[str, ...]:
 
     Pivots are those of `base`: greedy from left to right unless it was rebased (rebase.py).
     """
-    return tuple(expression(terms, digits) for terms in combined(base))
+    return tuple(expression(terms, digits) for terms in base_expressions(base))
 
 
-def combined(base: BaseMap) -> tuple[dict[str, float], ...]:
+def base_expressions(base: BaseMap) -> tuple[dict[str, float], ...]:
     """The coefficient of every parameter in each base parameter, its pivot (1.0) first."""
     rows = []
     for pivot, row in zip(base.pivots, coefficients(base), strict=True):

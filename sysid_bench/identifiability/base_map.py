@@ -39,7 +39,7 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     rank = int((values > RANK_TOLERANCE * largest).sum())
     dropped = values[rank:]
     gap = float(values[rank - 1] / dropped[0]) if dropped.any() else np.inf
-    pivots = left_to_right_pivots(R, rank)
+    pivots = _left_to_right_pivots(R, rank)
     return BaseMap(
         K=_combinations(R, pivots),
         pivots=pivots,
@@ -51,7 +51,7 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     )
 
 
-def left_to_right_pivots(R: Array, rank: int) -> Array:
+def _left_to_right_pivots(R: Array, rank: int) -> Array:
     """Columns (rank,) that are independent of the columns picked to the left of them, and bear
     data: their condition is below `CONDITION`, or the best that any floor, or QR, gives.
 

@@ -32,7 +32,9 @@ def lower_bound(terms: Mapping[str, float], bodies: Sequence[Body]) -> float:
     return 0.0 if fine else -np.inf
 
 
-def impossible(terms: Mapping[str, float], value: float, bodies: Sequence[Body]) -> str | None:
+def infeasible_signs(
+    terms: Mapping[str, float], value: float, bodies: Sequence[Body]
+) -> str | None:
     """Why a printed value cannot come from a physical robot; None where it can, by itself."""
     if value < 0 and lower_bound(terms, bodies) == 0.0:
         return "cannot be negative"
@@ -42,7 +44,7 @@ def impossible(terms: Mapping[str, float], value: float, bodies: Sequence[Body])
     return None
 
 
-def smallest_change(
+def smallest_feasible_change(
     K: Array, values: Array, parameters: Sequence[str], bodies: Sequence[Body]
 ) -> float:
     """The smallest number by which all values (r,) of K theta may have to be changed, at most, so

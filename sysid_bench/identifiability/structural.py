@@ -7,10 +7,10 @@ import numpy as np
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import Cut, instruments_of
+from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.models.tree import Tree
-from sysid_bench.regressors.nested_sensors import sensed_regression
-from sysid_bench.regressors.qr_accumulation import triangle
+from sysid_bench.regressors.nested_sensors import measured_regression
+from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.types import Array, BaseMap, Trajectory
 
 NARROWEST = 1.0
@@ -24,7 +24,7 @@ def structural_base(
     robot: RobotModel,
     parameters: tuple[str, ...],
     rows: tuple[str, ...] | None = None,
-    cuts: tuple[Cut, ...] = (),
+    cuts: tuple[SensorCut, ...] = (),
 ) -> BaseMap:
     """The base map of the named parameters over all motions of the robot; `rows`: what is measured
     (None: `robot.torque_rows`), among the rows of the sensors `cuts` too. `robot.uncoupled` has the
@@ -36,14 +36,14 @@ def structural_factor(
     robot: RobotModel,
     parameters: tuple[str, ...],
     rows: tuple[str, ...] | None = None,
-    cuts: tuple[Cut, ...] = (),
+    cuts: tuple[SensorCut, ...] = (),
     beside: Callable[[Trajectory], Array] | None = None,
 ) -> Array:
     """R (m, p) of the regressor over random states, whose column space is that of all motions;
     `beside` gives more columns (N, rows, k) along a motion, which come last: R (m, p + k)."""
     instruments = instruments_of(robot, cuts)
     carried, X = _carried(robot, instruments.tree, parameters)
-    columns = sensed_regression(robot, carried, instruments, rows)
+    columns = measured_regression(robot, carried, instruments, rows)
     own = instruments.measured
     measured = [own.index(row) for row in (own if rows is None else rows)]
     count = 64 + 3 * len(carried) // len(measured)
@@ -52,8 +52,8 @@ def structural_factor(
     factors = []
     for block in columns.blocks(instruments.motion(motion)):
         both = np.concatenate([block.dense()[:, measured], more[block.samples]], axis=2)
-        factors.append(triangle([both.reshape(-1, both.shape[2])]))
-    R, m = triangle(factors), len(carried)
+        factors.append(upper_factor([both.reshape(-1, both.shape[2])]))
+    R, m = upper_factor(factors), len(carried)
     return np.hstack([R[:, :m] @ X, R[:, m:]])
 
 

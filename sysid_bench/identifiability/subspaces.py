@@ -17,8 +17,8 @@ from sysid_bench.identifiability.base_map import RANK_TOLERANCE
 from sysid_bench.identifiability.structural import NARROWEST
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import Cut, Floating, floating
-from sysid_bench.regressors.qr_accumulation import triangle
+from sysid_bench.models.sensor import FloatingSubtree, SensorCut, floating_subtree
+from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.regressors.wrench import SubTree, floating_sub_tree
 from sysid_bench.types import Array, Trajectory
 
@@ -49,33 +49,36 @@ class Subspaces:
         return self.wrench.shape[1]
 
     @property
-    def lemma(self) -> float:
+    def sensor_subspace(self) -> float:
         """Lemma 1: the largest sine of an angle between I_Yn of two bases (1: of other size)."""
-        return max((apart(self.wrench, other) for other in self.wrenches.values()), default=0.0)
+        return max(
+            (complement_directions(self.wrench, other) for other in self.wrenches.values()),
+            default=0.0,
+        )
 
     @property
-    def proposition(self) -> float:
+    def joint_subspace(self) -> float:
         """Proposition 1: the largest part of a unit vector of I_Yc, any base, outside of I_Yn."""
-        return max((outside(self.wrench, other) for other in self.torques.values()), default=0.0)
+        return max((outside_of(self.wrench, other) for other in self.torques.values()), default=0.0)
 
 
 def structural_subspaces(
-    robot: RobotModel, cut: Cut, bases: tuple[str, ...] | None = None
+    robot: RobotModel, cut: SensorCut, bases: tuple[str, ...] | None = None
 ) -> Subspaces:
     """The subspaces of all motions: random poses, twists and accelerations of the sensor's link and
     random joint states, for the base at every body that moves on its own (or only at `bases`)."""
-    alone = floating(robot, cut)
+    alone = floating_subtree(robot, cut)
     p = 10 * len(cut.bodies)
-    motion = floating_states(robot, alone, 40 + p // 5, np.random.default_rng(SEED))
+    motion = _floating_states(robot, alone, 40 + p // 5, np.random.default_rng(SEED))
     made = floating_sub_tree(robot, alone, motion)
-    all_of_it, _ = span(np.concatenate([made.Y_n, made.Y_c], axis=1))
+    all_of_it, _ = orthonormal_span(np.concatenate([made.Y_n, made.Y_c], axis=1))
     Y_n, Y_c = made.Y_n @ all_of_it, made.Y_c @ all_of_it
-    wrench, values = span(Y_n)[0], span(made.Y_n)[1]
+    wrench, values = orthonormal_span(Y_n)[0], orthonormal_span(made.Y_n)[1]
     factors = _joint_factors(robot, made, Y_n, Y_c)
-    chosen = leaders(robot, cut) if bases is None else bases
+    chosen = _leaders(robot, cut) if bases is None else bases
     wrenches, torques = {}, {}
     for base in chosen:
-        wrenches[base] = all_of_it @ span(made.transform(base) @ Y_n)[0]
+        wrenches[base] = all_of_it @ orthonormal_span(made.transform(base) @ Y_n)[0]
         behind = _dofs_before(robot, cut, base)
         parts = [factor[dof in behind] for dof, factor in zip(made.dofs, factors, strict=True)]
         torques[base] = all_of_it @ _span_of(parts, Y_n.shape[-1])
@@ -94,13 +97,13 @@ def _joint_factors(
     factors = []
     for i, dof in enumerate(made.dofs):
         link = next(k for k, link in enumerate(made.tree.links) if dof in link.dofs)
-        M = made.along(link, (dof,))
+        M = made.project_onto_axis(link, (dof,))
         rows = Y_c[:, i], Y_c[:, i] - (M @ Y_n)[:, 0]
-        factors.append((triangle([rows[0]]), triangle([rows[1]])))
+        factors.append((upper_factor([rows[0]]), upper_factor([rows[1]])))
     return factors
 
 
-def _dofs_before(robot: RobotModel, cut: Cut, base: str) -> set[int]:
+def _dofs_before(robot: RobotModel, cut: SensorCut, base: str) -> set[int]:
     """Degrees of freedom between the world and a body of the sub-tree."""
     body = robot.body_names.index(base)
     link = int(robot.tree.carrier[body])
@@ -108,11 +111,11 @@ def _dofs_before(robot: RobotModel, cut: Cut, base: str) -> set[int]:
 
 
 def _span_of(factors: Sequence[Array], size: int) -> Array:
-    return span(np.concatenate([np.zeros((1, size)), *factors]))[0]
+    return orthonormal_span(np.concatenate([np.zeros((1, size)), *factors]))[0]
 
 
-def floating_states(
-    robot: RobotModel, alone: Floating, count: int, rng: np.random.Generator
+def _floating_states(
+    robot: RobotModel, alone: FloatingSubtree, count: int, rng: np.random.Generator
 ) -> Trajectory:
     """Random states of a sub-tree on its own: joints within their limits (narrow ones beyond, as
     for the ranks of joint torques), any base motion."""
@@ -130,23 +133,23 @@ def floating_states(
     )
 
 
-def leaders(robot: RobotModel, cut: Cut) -> tuple[str, ...]:
+def _leaders(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
     """The bodies of a sub-tree that joints move, the sensor's first: welded ones tell no more."""
     moving = {link.body for link in robot.tree.links}
     return tuple(robot.body_names[b] for b in cut.bodies if b == cut.body or b in moving)
 
 
-def span(Y: Array) -> tuple[Array, Array]:
+def orthonormal_span(Y: Array) -> tuple[Array, Array]:
     """An orthonormal basis (p, r) of the row space of Y (..., p), and the singular values (SI
     columns, relative to the largest: see `RANK_TOLERANCE`)."""
     p = Y.shape[-1]
-    R = triangle([np.zeros((1, p)), Y.reshape(-1, p)])
+    R = upper_factor([np.zeros((1, p)), Y.reshape(-1, p)])
     _, values, Vt = np.linalg.svd(R, full_matrices=False)
     rank = int((values > RANK_TOLERANCE * values.max(initial=0.0)).sum())
     return Vt[:rank].T, values
 
 
-def outside(basis: Array, other: Array) -> float:
+def outside_of(basis: Array, other: Array) -> float:
     """The largest part of a unit vector of `other` (p, k) that lies outside of `basis` (p, r)."""
     if other.shape[1] == 0:
         return 0.0
@@ -154,11 +157,11 @@ def outside(basis: Array, other: Array) -> float:
     return float(np.linalg.norm(rest, 2))
 
 
-def apart(left: Array, right: Array) -> float:
+def complement_directions(left: Array, right: Array) -> float:
     """The sine of the largest principal angle of two subspaces; 1 where their sizes differ."""
     if left.shape != right.shape:
         return 1.0
-    return max(outside(left, right), outside(right, left))
+    return max(outside_of(left, right), outside_of(right, left))
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +203,6 @@ def excitation_of(data: SubTree | Array, subspaces: Subspaces) -> Excitation:
         raise UsageError(
             f"The data have {rows.shape[-1]} columns; the sub-tree has {len(subspaces.columns)}."
         )
-    told, _ = span(rows)
-    missing = {joint: outside(told, basis) for joint, basis in subspaces.joints.items()}
+    told, _ = orthonormal_span(rows)
+    missing = {joint: outside_of(told, basis) for joint, basis in subspaces.joints.items()}
     return Excitation(told.shape[1], subspaces.rank, missing)

@@ -19,7 +19,7 @@ AGREES: Final = 1e-7
 """Relative; K at generic lengths is right to 1e-10 or so."""
 
 
-def generic_lengths(symbols: Mapping[str, float], count: int = 3) -> list[dict[str, float]]:
+def lengths_of(symbols: Mapping[str, float], count: int = 3) -> list[dict[str, float]]:
     """Sets of lengths near the given ones in which no two expressions agree by chance."""
     rng = np.random.default_rng(20170924)
     return [
@@ -28,7 +28,9 @@ def generic_lengths(symbols: Mapping[str, float], count: int = 3) -> list[dict[s
     ]
 
 
-def symbolic(values: Sequence[float], lengths: Sequence[Mapping[str, float]]) -> str | None:
+def symbolic_coefficient(
+    values: Sequence[float], lengths: Sequence[Mapping[str, float]]
+) -> str | None:
     """The simplest expression that has these values at these sets of lengths; None without any.
 
     Tried are monomials of degree -2 to 2 in up to three lengths with a number before them, then

@@ -25,7 +25,7 @@ class Calibration:
     G: Array  # (6, 6)
     offset: Array  # (6,)
 
-    def corrected(self, reading: Array) -> Array:
+    def apply(self, reading: Array) -> Array:
         """The wrench (N, 6) behind a reading (N, 6)."""
         return np.linalg.solve(self.G, (reading - self.offset).T).T
 

@@ -23,7 +23,7 @@ HOUSING: Final = 0.1
 """m around the joints; what is further out is too little to hold much mass."""
 
 
-def extents(robot: RobotModel) -> Mapping[str, Extent]:
+def body_extents(robot: RobotModel) -> Mapping[str, Extent]:
     """Of each body the box around its frame, its joints, its shapes (MJCF), the frames of bodies
     that it carries and all of those that are welded to it, widened by margins.
 

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
-from sysid_bench.models.checks.finite_checks import LARGEST_TREE, check_numbers
-from sysid_bench.models.checks.mujoco_warnings import heard, kept
-from sysid_bench.models.checks.unit_checks import doubts_of
+from sysid_bench.models.checks.finite_checks import LARGEST_TREE, check_finite_model
+from sysid_bench.models.checks.mujoco_warnings import captured_warnings, warnings_from
+from sysid_bench.models.checks.unit_checks import unit_warnings
 from sysid_bench.models.coupling.build import Dofs, coupling_of
 from sysid_bench.models.coupling.equalities import equalities_of, keep_equalities
 from sysid_bench.models.coupling.mimic import add_mimics
@@ -47,7 +47,7 @@ def load_robot(
     """
     manifest = source if isinstance(source, Manifest) else find_manifest(str(source), robots_dir)
     free = manifest.free_base if free_base is None else free_base
-    heard()
+    warnings_from()
     data = read_bytes(manifest.path) if manifest.text is None else manifest.text.encode()
     root = parse_xml(data, manifest.path.name).tag
     if root == "robot":
@@ -102,7 +102,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
     _check_rows(manifest, joints)
     _check_known(manifest, joints)
     _check_bodies(manifest, _body_names(mj))
-    repairs = (*source.repairs, *mended, *heard(), *doubts_of(mj))
+    repairs = (*source.repairs, *mended, *warnings_from(), *unit_warnings(mj))
     coupling = None
     if equalities is not None:
         repairs += equalities.left_out
@@ -177,7 +177,7 @@ def _urdf_spec(urdf: Urdf, manifest: Manifest) -> mujoco.MjSpec:
 
 def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
     try:
-        with kept():
+        with captured_warnings():
             mj = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         advice = "; give that body an <inertial>" if "mjMINVAL" in str(error) else ""
@@ -193,7 +193,7 @@ def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
             f"{manifest.path.name} has {mj.nbody - 1} bodies and {mj.nv} degrees of freedom; "
             f"their product may be {LARGEST_TREE} at most."
         )
-    check_numbers(mj, manifest.path.name)
+    check_finite_model(mj, manifest.path.name)
     return mj
 
 
@@ -223,7 +223,7 @@ def _free_the_base(spec: mujoco.MjSpec, manifest: Manifest) -> tuple[str, ...]:
 def _give_mass_to_root(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> tuple[str, ...]:
     """A body that moves needs mass, of its own or welded to it; before it floats it needs none."""
     try:
-        with kept():
+        with captured_warnings():
             mj = spec.compile()
     except (ValueError, mujoco.FatalError):
         return ()  # told where the whole model is compiled

@@ -256,7 +256,7 @@ def is_model(source: str) -> bool:
 
 
 def _random(source: str, rest: str) -> Manifest:
-    from sysid_bench.models.random.random_mechanism import random_coupled
+    from sysid_bench.models.random.random_mechanism import random_mechanism
     from sysid_bench.models.random.random_tree import random_robot
 
     kind, _, seed = rest.rpartition(":")
@@ -265,7 +265,7 @@ def _random(source: str, rest: str) -> Manifest:
             f"{source!r}: a random robot goes by a whole number; write 'random:7' for a tree, "
             "'random:four-bar:7' for one with a mechanism."
         )
-    text = random_coupled(kind, int(seed)) if kind else random_robot(int(seed))
+    text = random_mechanism(kind, int(seed)) if kind else random_robot(int(seed))
     title = f"A random {kind or 'tree'}, seed {int(seed)}"
     return Manifest(source, Path(source), title=title, text=text)
 

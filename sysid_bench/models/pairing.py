@@ -69,7 +69,7 @@ class Pairing:
         return rows
 
 
-def pair(mj: mujoco.MjModel) -> Pairing:
+def pair_engines(mj: mujoco.MjModel) -> Pairing:
     """The pairing of a compiled model with Pinocchio."""
     model = pin.Model()
     model.gravity = pin.Motion(gravity_of(mj), np.zeros(3))

@@ -100,7 +100,7 @@ class RobotModel:
         return tuple(name for joint in self.joints for name in joint.dofs)
 
     @property
-    def row_kinds(self) -> tuple[str, ...]:
+    def _row_kinds(self) -> tuple[str, ...]:
         """What each row is (nv,), so that like is compared with like: forces of slides, torques of
         hinges and balls, force and moment on a floating base."""
         kinds = {
@@ -129,7 +129,7 @@ class RobotModel:
     @property
     def torque_kinds(self) -> tuple[str, ...]:
         """`row_kinds` of `torque_rows` (n,)."""
-        return tuple(self.row_kinds[dof] for dof in self.torque_dofs)
+        return tuple(self._row_kinds[dof] for dof in self.torque_dofs)
 
     @cached_property
     def uncoupled(self) -> "RobotModel":
@@ -173,11 +173,11 @@ class RobotModel:
             if term in SUFFIX:
                 columns += (f"{self.rows[dof]}.{SUFFIX[term]}" for dof in self.scalar_dofs)
             else:
-                self.term_place(term)
+                self.term_index(term)
                 columns.append(term)
         return tuple(dict.fromkeys(columns))
 
-    def term_place(self, name: str) -> tuple[str, int, int | None]:
+    def term_index(self, name: str) -> tuple[str, int, int | None]:
         """A joint term's parameter as (term, its degree of freedom, the one whose rate it is
         multiplied with where that is another); raises UsageError for an unknown name."""
         joints = {self.rows[dof]: int(dof) for dof in self.scalar_dofs}
@@ -197,7 +197,7 @@ class RobotModel:
 
     def term_values(self, terms: tuple[str, ...]) -> Array:
         """The true values of `term_columns(terms)`."""
-        places = [self.term_place(name) for name in self.term_columns(terms)]
+        places = [self.term_index(name) for name in self.term_columns(terms)]
         return np.array(
             [
                 getattr(self.joint_terms, term)[dof if other is None else (dof, other)]
@@ -213,6 +213,6 @@ class RobotModel:
     @cached_property
     def pairing(self) -> "Pairing":
         """The same robot for Pinocchio."""
-        from sysid_bench.models.pairing import pair
+        from sysid_bench.models.pairing import pair_engines
 
-        return pair(self.mj)
+        return pair_engines(self.mj)

@@ -26,7 +26,7 @@ KINDS: Final = ("wrench N m",) * 3 + ("wrench N",) * 3
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
+class SensorCut:
     """A sensor between `body` and what carries it; R (3, 3), p (3,): the sensor frame in the body.
     `bodies`: the sub-tree, from `body` down to where `stops`, the next sensors, cut it off."""
 
@@ -36,7 +36,7 @@ class Cut:
     R: Array
     p: Array
     bodies: tuple[int, ...]
-    stops: tuple[str, ...] = ()
+    end_sensors: tuple[str, ...] = ()
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -61,7 +61,7 @@ class Instruments:
     along them is its wrench, so that one kernel serves every row.
     """
 
-    cuts: tuple[Cut, ...]
+    cuts: tuple[SensorCut, ...]
     tree: Tree
     rows: tuple[str, ...]  # of the tree: every degree of freedom, then the sensors
     measured: tuple[
@@ -77,13 +77,13 @@ class Instruments:
         q, v, a = (np.hstack([x, still]) for x in (motion.q, motion.v, motion.a))
         return replace(motion, q=q, v=v, a=a)
 
-    def root(self, cut: Cut) -> range:
+    def root(self, cut: SensorCut) -> range:
         """The six places of a cut's wrench among the rows of the tree."""
         first = self.rows.index(cut.rows[0])
         return range(first, first + 6)
 
 
-def instruments_of(robot: RobotModel, cuts: Sequence[Cut] = ()) -> Instruments:
+def instruments_of(robot: RobotModel, cuts: Sequence[SensorCut] = ()) -> Instruments:
     """The instruments of a robot with these sensors."""
     more = {
         cut.body: _still_joints(cut, robot.mj.nq + 6 * k, robot.nv + 6 * k)
@@ -104,7 +104,7 @@ def instruments_of(robot: RobotModel, cuts: Sequence[Cut] = ()) -> Instruments:
     )
 
 
-def _still_joints(cut: Cut, qadr: int, vadr: int) -> tuple[TreeJoint, ...]:
+def _still_joints(cut: SensorCut, qadr: int, vadr: int) -> tuple[TreeJoint, ...]:
     axes = [(HINGE, axis) for axis in cut.R.T] + [(SLIDE, axis) for axis in cut.R.T]
     return tuple(
         TreeJoint(kind, qadr + k, vadr + k, axis, cut.p, 0.0) for k, (kind, axis) in enumerate(axes)
@@ -112,11 +112,11 @@ def _still_joints(cut: Cut, qadr: int, vadr: int) -> tuple[TreeJoint, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Floating:
+class FloatingSubtree:
     """The sub-tree of a cut on its own, its first body flying freely: any base pose, twist and
     acceleration. `root` are the places of the six free degrees of freedom in v."""
 
-    cut: Cut
+    cut: SensorCut
     tree: Tree
     rows: tuple[str, ...]
     free: TreeJoint
@@ -133,7 +133,7 @@ class Floating:
         return tuple(sorted(inside - set(self.root)))
 
 
-def floating(robot: RobotModel, cut: Cut) -> Floating:
+def floating_subtree(robot: RobotModel, cut: SensorCut) -> FloatingSubtree:
     """The sub-tree of a cut as a free-flying robot; places in q and v stay, the free base is last.
 
     What an arbitrary motion of the base can tell is asked of it (Traversaro et al. 2015, eq. 6).
@@ -157,10 +157,12 @@ def floating(robot: RobotModel, cut: Cut) -> Floating:
     carrier = [places.get(int(c), -1) if own else -1
                for c, own in zip(whole.carrier, inside, strict=True)]  # fmt: skip
     tree = replace(whole, links=tuple(links), carrier=np.array(carrier, dtype=int))
-    return Floating(cut, tree, robot.rows + tuple(f"{cut.name}.free{k}" for k in range(6)), free)
+    return FloatingSubtree(
+        cut, tree, robot.rows + tuple(f"{cut.name}.free{k}" for k in range(6)), free
+    )
 
 
-def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) -> Cut:
+def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) -> SensorCut:
     """The cut of a sensor: one of the robot's manifest by name, or any fixed joint, site or body.
 
     `others`: sensors that end the sub-tree where they are downstream (None: those of the manifest).
@@ -178,7 +180,7 @@ def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) 
     bodies = _downstream(robot, body, set(ends))
     reached = {int(robot.mj.body_parentid[end + 1]) - 1 for end in ends} & set(bodies)
     stops = [name for end, name in ends.items() if robot.mj.body_parentid[end + 1] - 1 in reached]
-    return Cut(sensor, at, body, R, p, bodies, tuple(stops))
+    return SensorCut(sensor, at, body, R, p, bodies, tuple(stops))
 
 
 def sensor_names(text: str) -> list[str]:
@@ -206,7 +208,7 @@ def the_sensor(robot: RobotModel, sensor: str | None) -> str:
     )
 
 
-def last_body(robot: RobotModel, cut: Cut) -> int:
+def last_body(robot: RobotModel, cut: SensorCut) -> int:
     """The tool where it is behind the sensor, else the body with the most joints before it."""
     if robot.tool_body in cut.bodies:
         return robot.tool_body

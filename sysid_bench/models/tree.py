@@ -75,7 +75,7 @@ class Tree:
         """All joints in tree order."""
         return tuple(joint for link in self.links for joint in link.joints)
 
-    def lumped(self, phi: Array) -> Array:
+    def composite_links(self, phi: Array) -> Array:
         """Parameters (n_links, 10) of each link with all its riders, from phi (nb, 10)."""
         total = np.zeros((len(self.links), 10))
         for b, link in enumerate(self.carrier):

@@ -38,7 +38,7 @@ def shapes_of(robot: RobotModel) -> tuple[Shape, ...]:
     return ()
 
 
-def poses(robot: RobotModel, q: Array) -> tuple[Array, Array]:
+def body_poses(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     """Positions (N, nb, 3) and quaternions (N, nb, 4), w first, of every body in the world."""
     import mujoco
 

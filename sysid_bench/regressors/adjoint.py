@@ -45,7 +45,7 @@ def pull_back(regression: Regression, motion: Trajectory, G: Array) -> Slopes:
         mixed = own if columns.mix is None else np.einsum("cr,kcn->krn", columns.mix, own)
         raw[:, list(columns.raw)] = mixed
         weights[columns.link] = raw
-    slopes = pull_back_links(regression.tree, motion, weights)
+    slopes = _pull_back_links(regression.tree, motion, weights)
     for term in regression.terms:
         for slope, own in zip(slopes, _SLOPE[term.kind](motion.v[:, term.rate]), strict=True):
             slope[:, term.rate] += G[:, term.row, term.place] * own
@@ -60,10 +60,10 @@ def pull_back_torque(tree: Tree, phi: Array, motion: Trajectory, U: Array) -> Sl
         for i, link in enumerate(tree.links)
         if phi[i].any()
     }
-    return pull_back_links(tree, motion, weights)
+    return _pull_back_links(tree, motion, weights)
 
 
-def pull_back_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array]) -> Slopes:
+def _pull_back_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array]) -> Slopes:
     """As `pull_back`, from weights (k, 10, N) on the raw columns of links, one for each of the k
     degrees of freedom that move the link."""
     q, v, a = motion.q.T, motion.v.T, motion.a.T

@@ -42,7 +42,7 @@ class CoupledRegression:
     def sources(self) -> tuple[tuple[int, ...], ...]:
         """For each row the dependent ones, as places among them, that act on it."""
         return tuple(
-            tuple(int(d) for d in np.flatnonzero(column)) for column in self.coupling.touches.T
+            tuple(int(d) for d in np.flatnonzero(column)) for column in self.coupling.depends_on.T
         ) + ((),) * (len(self.places) - len(self.coupling.independent))
 
     @cached_property

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sysid_bench.models.coupling.coupling import Coupling
-from sysid_bench.models.coupling.derivatives import Slopes, pulled_follow
+from sysid_bench.models.coupling.derivatives import Slopes, pull_back_follow
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors import adjoint
 from sysid_bench.regressors.coupled import AnyRegression, CoupledRegression
@@ -37,7 +37,7 @@ def pull_back(regression: AnyRegression, motion: Trajectory, G: Array) -> Slopes
     q, v, a = adjoint.pull_back(tree, motion, weights)
     if not coupling.constant:
         Y = tree.dense(motion).Y[:, coupling.dependent]
-        own = pulled_follow(coupling, motion, np.einsum("ndp,nip->ndi", Y, G[:, :moving]))
+        own = pull_back_follow(coupling, motion, np.einsum("ndp,nip->ndi", Y, G[:, :moving]))
         q[:, : own.shape[1]] += own
     return q, v, a
 
@@ -53,5 +53,5 @@ def pull_back_torque(
     q, v, a = adjoint.pull_back_torque(tree, phi, motion, whole)
     if not coupling.constant:
         tau = newton_euler(tree, phi, motion)[:, coupling.dependent]
-        q += pulled_follow(coupling, motion, tau[:, :, None] * U[:, None])
+        q += pull_back_follow(coupling, motion, tau[:, :, None] * U[:, None])
     return q, v, a

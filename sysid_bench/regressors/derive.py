@@ -30,12 +30,12 @@ PHI = sp.Matrix(sp.symbols(NAMES))
 def body_regressor() -> sp.Matrix:
     """A (6, 10) in w, v, dw, dv: rows n then f, columns m hx hy hz Ixx Ixy Ixz Iyy Iyz Izz."""
     twist, rate = sp.Matrix([W, V]), sp.Matrix([DW, DV])
-    G = spatial_inertia()
-    wrench = G * rate - adjoint_transpose() * G * twist
+    G = _spatial_inertia()
+    wrench = G * rate - _adjoint_transpose() * G * twist
     return wrench.jacobian(PHI).applyfunc(sp.expand)
 
 
-def spatial_inertia() -> sp.Matrix:
+def _spatial_inertia() -> sp.Matrix:
     """G (6, 6) of phi for V = [w; v]."""
     m, hx, hy, hz, xx, xy, xz, yy, yz, zz = PHI
     inertia = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -43,7 +43,7 @@ def spatial_inertia() -> sp.Matrix:
     return sp.Matrix(sp.BlockMatrix([[inertia, h], [-h, m * sp.eye(3)]]))
 
 
-def adjoint_transpose() -> sp.Matrix:
+def _adjoint_transpose() -> sp.Matrix:
     """ad(V)^T (6, 6) as the seed prints it."""
     return sp.Matrix(sp.BlockMatrix([[-skew(W), -skew(V)], [sp.zeros(3), -skew(W)]]))
 

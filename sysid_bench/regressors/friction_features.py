@@ -48,7 +48,7 @@ class Play:
 
 
 @dataclass(frozen=True)
-class PlacedPlay:
+class PositionPlay:
     """Hysteresis that is not everywhere the same, as where a cable bends more: play times the
     position and its square, -1 to 1 over the joint's reach."""
 

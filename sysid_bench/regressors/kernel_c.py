@@ -20,7 +20,7 @@ import numpy as np
 from sysid_bench.c_library import c_library
 from sysid_bench.errors import UsageError
 from sysid_bench.regressors.columns import Columns
-from sysid_bench.regressors.kernel_layout import Program, columns_program
+from sysid_bench.regressors.kernel_layout import KernelLayout, columns_layout
 from sysid_bench.types import Array, Trajectory
 
 VARIABLE: Final = "SYSID_BENCH_KERNEL"
@@ -34,7 +34,7 @@ SOURCE: Final = Path(__file__).with_name("kernel.c")
 
 
 @dataclass(frozen=True)
-class Choice:
+class KernelChoice:
     """Which kernel works in this process; `reason`: why it is NumPy where it is."""
 
     library: "Library | None"
@@ -47,18 +47,18 @@ class Choice:
 
 
 @cache
-def chosen() -> Choice:
+def selected_kernel() -> KernelChoice:
     """The kernel of this process; UsageError for a name in the variable that is none."""
     wanted = os.environ.get(VARIABLE, "")
     if wanted not in ("", "numpy", "compiled", *LEVELS):
         known = ", ".join(("numpy", "compiled", *LEVELS))
         raise UsageError(f"{VARIABLE} is {wanted!r}; it is unset or one of {known}.")
     if wanted == "numpy":
-        return Choice(None, f"{VARIABLE} asks for it")
+        return KernelChoice(None, f"{VARIABLE} asks for it")
     try:
-        return Choice(_load(wanted))
+        return KernelChoice(_load(wanted))
     except OSError as error:
-        return Choice(None, str(error))
+        return KernelChoice(None, str(error))
 
 
 def _load(wanted: str) -> "Library":
@@ -89,31 +89,31 @@ class Library:
     dll: Any
     level: str
 
-    def rows(self, program: Program, motion: Trajectory) -> Array:
+    def rows(self, program: KernelLayout, motion: Trajectory) -> Array:
         """The values (program.size, N): rows of Y without their zeros."""
         out = np.empty((program.size, len(motion)))
         self._call("rows", program, motion, out)
         return out
 
-    def dense(self, program: Program, motion: Trajectory, out: Array) -> Array:
+    def dense(self, program: KernelLayout, motion: Trajectory, out: Array) -> Array:
         """Y (N, rows, p) with its zeros, into `out`."""
         self._call("dense", program, motion, program.runs, out, width=out.shape[2])
         return out
 
-    def fold(self, program: Program, motion: Trajectory, b: Array, R: Sequence[Array]) -> None:
+    def fold(self, program: KernelLayout, motion: Trajectory, b: Array, R: Sequence[Array]) -> None:
         """R (k + 1, k + 1) of each of the program's rows absorbs its rows of [Y | b], b (N, nv)."""
         factors = np.array([part.ctypes.data for part in R], dtype=np.uintp)
         to = (program.at, program.count + 1, program.rows)
         self._call("fold", program, motion, _plain(b), len(R), *to, factors)
 
-    def torque(self, program: Program, motion: Trajectory, phi: Array) -> Array:
+    def torque(self, program: KernelLayout, motion: Trajectory, phi: Array) -> Array:
         """Rigid-body torque (N, nv) of the program's links with parameters phi (links, 10)."""
         out = np.empty(motion.v.shape)
         self._call("torque", program, motion, _plain(phi), out)
         return out
 
     def _call(
-        self, name: str, program: Program, motion: Trajectory, *args: Any, width: int = 0
+        self, name: str, program: KernelLayout, motion: Trajectory, *args: Any, width: int = 0
     ) -> None:
         q, v, a = (_plain(x) for x in (motion.q, motion.v, motion.a))
         span = _Motion(len(motion), *(x.ctypes.data for x in (q, v, a)))
@@ -149,15 +149,15 @@ def _plain(x: Array) -> Array:
     return np.ascontiguousarray(x, dtype=float)
 
 
-_PROGRAMS: Final[weakref.WeakKeyDictionary[Any, dict[tuple[int, ...], Program]]] = (
+_PROGRAMS: Final[weakref.WeakKeyDictionary[Any, dict[tuple[int, ...], KernelLayout]]] = (
     weakref.WeakKeyDictionary()
 )
 
 
-def program_of(columns: Columns, rows: Sequence[int] | None = None) -> Program:
+def layout_of(columns: Columns, rows: Sequence[int] | None = None) -> KernelLayout:
     """The program of some rows of the columns (None: all), made once."""
     wanted = tuple(range(len(columns.rows)) if rows is None else rows)
     made = _PROGRAMS.setdefault(columns, {})
     if wanted not in made:
-        made[wanted] = columns_program(columns, wanted)
+        made[wanted] = columns_layout(columns, wanted)
     return made[wanted]

@@ -40,7 +40,7 @@ CRuns: Final = _structure("CRuns", "rows", "width", "*first", "*value", "*column
 
 
 @dataclass(frozen=True, eq=False)
-class Program:
+class KernelLayout:
     """What the kernel is to compute: a struct of the tree and one of the columns, with the arrays
     that they point into, the number of values, and where each of its rows is among them."""
 
@@ -54,7 +54,7 @@ class Program:
     runs: Any  # struct of how dense rows are put together
 
 
-def columns_program(wanted: Columns, rows: Sequence[int]) -> Program:
+def columns_layout(wanted: Columns, rows: Sequence[int]) -> KernelLayout:
     """The program of the rows of some columns, given as places in v."""
     chosen = np.array(rows, dtype=np.int64)
     count = np.array([len(wanted.touched[i]) for i in rows], dtype=np.int64)
@@ -74,7 +74,7 @@ def columns_program(wanted: Columns, rows: Sequence[int]) -> Program:
     return _program(plan, size, chosen, at, count, _runs(places, at, len(wanted.columns)))
 
 
-def torque_program(tree: Tree, links: Sequence[int]) -> Program:
+def torque_layout(tree: Tree, links: Sequence[int]) -> KernelLayout:
     """The program of the rigid-body torque of some links: a pair's value is its place in v."""
     plan = _Plan(tree, {})
     for link in links:
@@ -163,7 +163,7 @@ def _program(
     at: Array,
     count: Array,
     runs: list[list[tuple[int, int, int]]],
-) -> Program:
+) -> KernelLayout:
     tree, of_tree = _tree(plan.tree)
     pairs = np.array(plan.pairs, dtype=np.int64).reshape(-1, 3).T
     terms = list(zip(*plan.terms, strict=True)) or [()] * 5
@@ -180,7 +180,7 @@ def _program(
     of_runs = [_whole(np.cumsum([0, *(len(row) for row in runs)])), *(_whole(x) for x in flat)]
     laid = CRuns(len(runs), width, *(x.ctypes.data for x in of_runs))
     places, at, count = (_whole(x) for x in (rows, at, count))
-    return Program(tree, struct, (*of_tree, *of_plan, *of_runs), size, places, at, count, laid)
+    return KernelLayout(tree, struct, (*of_tree, *of_plan, *of_runs), size, places, at, count, laid)
 
 
 def _tree(tree: Tree) -> tuple[Any, list[Array]]:

@@ -15,8 +15,8 @@ import numpy as np
 
 from sysid_bench.models.tree import BALL, FREE, HINGE, Link, Tree, TreeJoint
 from sysid_bench.regressors.body import entries
-from sysid_bench.regressors.kernel_c import chosen
-from sysid_bench.regressors.kernel_layout import torque_program
+from sysid_bench.regressors.kernel_c import selected_kernel
+from sysid_bench.regressors.kernel_layout import torque_layout
 from sysid_bench.spatial.rotation import matrix_of_quaternion, skew
 from sysid_bench.types import Array, Trajectory
 
@@ -66,10 +66,10 @@ def body_columns(state: LinkMotion, wanted: tuple[int, ...]) -> Array:
 
 def newton_euler(tree: Tree, phi: Array, motion: Trajectory) -> Array:
     """Rigid-body torque (N, nv) of links with parameters phi (n_links, 10)."""
-    library = chosen().library
+    library = selected_kernel().library
     if library is not None:
         heavy = np.flatnonzero(phi.any(axis=1))
-        return library.torque(torque_program(tree, heavy.tolist()), motion, phi[heavy])
+        return library.torque(torque_layout(tree, heavy.tolist()), motion, phi[heavy])
     tau = np.zeros((len(motion), tree.nv))
     for part in blocks(motion):
         states = sweep(tree, motion.q[part].T, motion.v[part].T, motion.a[part].T)

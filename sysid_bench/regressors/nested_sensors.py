@@ -11,21 +11,21 @@ from functools import cached_property
 import numpy as np
 
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import Cut, Instruments
+from sysid_bench.models.sensor import Instruments, SensorCut
 from sysid_bench.regressors.coupled import AnyRegression, CoupledBlock, torque_regression
 from sysid_bench.regressors.regression import Block
-from sysid_bench.regressors.wrench import moved_along
+from sysid_bench.regressors.wrench import moved_frame
 from sysid_bench.types import Array, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Ended:
+class NestedSensorRegressor:
     """The regression `whole` with the constants of `stops` in the rows of `cut`."""
 
     whole: AnyRegression
     instruments: Instruments
-    cut: Cut
-    stops: tuple[Cut, ...]
+    cut: SensorCut
+    stops: tuple[SensorCut, ...]
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -43,15 +43,17 @@ class Ended:
         return {self.rows.index(name): k for k, name in enumerate(self.cut.rows)}
 
     @cached_property
-    def asked(self) -> Array:
+    def columns_asked(self) -> Array:
         """Which of the stops' constants (6 stops,) are columns."""
         named = set(self.columns)
-        return np.array([c in named for stop in self.stops for c in constants_of(stop)])
+        return np.array([c in named for stop in self.stops for c in _constants_of(stop)])
 
     @cached_property
     def constants(self) -> Array:
         """Places in Y of the stops' constants that are columns."""
-        names = np.array([c for stop in self.stops for c in constants_of(stop)])[self.asked]
+        names = np.array([c for stop in self.stops for c in _constants_of(stop)])[
+            self.columns_asked
+        ]
         return np.array([self.columns.index(name) for name in names], dtype=int)
 
     @cached_property
@@ -62,21 +64,21 @@ class Ended:
             for i, places in enumerate(self.whole.touched)
         )
 
-    def blocks(self, motion: Trajectory) -> Iterator["EndedBlock"]:
+    def blocks(self, motion: Trajectory) -> Iterator["NestedSensorBlock"]:
         """Y of consecutive samples, along motions with the places of all sensors."""
         for block in self.whole.blocks(motion):
             X = [
-                moved_along(self.instruments, _part(motion, block.samples), self.cut, stop)
+                moved_frame(self.instruments, _part(motion, block.samples), self.cut, stop)
                 for stop in self.stops
             ]
-            yield EndedBlock(self, block, np.concatenate(X, axis=2)[..., self.asked])
+            yield NestedSensorBlock(self, block, np.concatenate(X, axis=2)[..., self.columns_asked])
 
 
 @dataclass(frozen=True, eq=False)
-class EndedBlock:
+class NestedSensorBlock:
     """The samples of one block; X (n, 6, k): unit constants of the stops, moved to the cut."""
 
-    regression: Ended
+    regression: NestedSensorRegressor
     whole: Block | CoupledBlock
     X: Array
 
@@ -108,15 +110,15 @@ class EndedBlock:
         return Y
 
 
-Sensed = AnyRegression | Ended
+MeasuredRegressor = AnyRegression | NestedSensorRegressor
 
 
-def sensed_regression(
+def measured_regression(
     robot: RobotModel,
     columns: Sequence[str],
     instruments: Instruments,
     rows: Sequence[str] | None = None,
-) -> Sensed:
+) -> MeasuredRegressor:
     """The regression of all that is measured on the parameters named in `columns`; constants of a
     sensor that is none of the measured `rows` act through the first one, which it ends."""
     whole = torque_regression(robot, columns, instruments)
@@ -124,12 +126,12 @@ def sensed_regression(
     stops = tuple(
         cut
         for cut in instruments.cuts[1:]
-        if rows is not None and cut.rows[0] not in rows and named.intersection(constants_of(cut))
+        if rows is not None and cut.rows[0] not in rows and named.intersection(_constants_of(cut))
     )
-    return Ended(whole, instruments, instruments.cuts[0], stops) if stops else whole
+    return NestedSensorRegressor(whole, instruments, instruments.cuts[0], stops) if stops else whole
 
 
-def constants_of(cut: Cut) -> tuple[str, ...]:
+def _constants_of(cut: SensorCut) -> tuple[str, ...]:
     """Names of a sensor's six constants."""
     return tuple(f"{row}.{SUFFIX['offset']}" for row in cut.rows)
 

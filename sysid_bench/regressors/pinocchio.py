@@ -29,7 +29,7 @@ def reduced_regressor(robot: RobotModel, motion: Trajectory, tree: Regressor) ->
     regressor for."""
     coupling = robot.coupling
     assert coupling is not None
-    J = closure_jacobian(robot, motion)
+    J = _closure_jacobian(robot, motion)
     moving, following = coupling.independent, coupling.dependent
     Y = tree.Y[:, moving]
     for k in range(len(motion)):
@@ -38,7 +38,7 @@ def reduced_regressor(robot: RobotModel, motion: Trajectory, tree: Regressor) ->
     return Regressor(Y, robot.torque_rows, tree.columns)
 
 
-def closure_jacobian(robot: RobotModel, motion: Trajectory) -> Array:
+def _closure_jacobian(robot: RobotModel, motion: Trajectory) -> Array:
     """J (N, m, nv) of a robot's equalities, J v = 0 at closed q: of loops by the Jacobians of the
     joints that carry their ends, in world axes."""
     pairing, mj = robot.pairing, robot.mj

@@ -44,7 +44,7 @@ class _Native:
         return self.model.joints[self.model.getJointId(called)]
 
 
-def native_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
+def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     """Y (N, nv, 10 nb) of the bodies and joints that Pinocchio reads itself.
 
     Raises UnsupportedError where its parser cannot serve: MJCF, a mounted payload (no text has it),

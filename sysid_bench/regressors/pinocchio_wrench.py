@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from sysid_bench.models.pairing import FROM_PINOCCHIO
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import Cut
+from sysid_bench.models.sensor import SensorCut
 from sysid_bench.models.tree import BALL, HINGE
 from sysid_bench.spatial.inertia import transport
 from sysid_bench.spatial.rotation import matrix_of_quaternion
@@ -57,7 +57,7 @@ class _Rooted:
 
 
 def pinocchio_wrench_regressor(
-    robot: RobotModel, cut: Cut, motion: Trajectory, base: str
+    robot: RobotModel, cut: SensorCut, motion: Trajectory, base: str
 ) -> tuple[Regressor, Regressor]:
     """(Y_n (N, 6, p) [n; f] at the body `base`, Y_c (N, k, p)) of what is behind a sensor."""
     graph = _graph(robot, cut)
@@ -75,7 +75,7 @@ def pinocchio_wrench_regressor(
     return Regressor(Y[:, MOMENT_FIRST], base_rows, columns), Regressor(Y_c, names, columns)
 
 
-def _graph(robot: RobotModel, cut: Cut) -> _Graph:
+def _graph(robot: RobotModel, cut: SensorCut) -> _Graph:
     node, pose, edges = {cut.body: 0}, {cut.body: pin.SE3.Identity()}, []
     mj, count = robot.mj, 0
     for b in cut.bodies:
@@ -189,7 +189,7 @@ def _fixed(position: Array, quaternion: Array) -> pin.SE3:
     return pin.SE3(matrix_of_quaternion(np.array(quaternion)), np.array(position))
 
 
-def _body_columns(Y: Array, cut: Cut, graph: _Graph, rooted: _Rooted) -> Array:
+def _body_columns(Y: Array, cut: SensorCut, graph: _Graph, rooted: _Rooted) -> Array:
     per_joint = Y.reshape(*Y.shape[:2], -1, 10)[..., FROM_PINOCCHIO]
     parts = []
     for b in cut.bodies:

@@ -9,21 +9,21 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from scipy.linalg import lapack
 
-from sysid_bench.regressors.kernel_c import program_of
-from sysid_bench.regressors.nested_sensors import Sensed
+from sysid_bench.regressors.kernel_c import layout_of
+from sysid_bench.regressors.nested_sensors import MeasuredRegressor
 from sysid_bench.regressors.regression import Regression
 from sysid_bench.types import Array, Factor, Trajectory
 
 
-def fold(
-    regression: Sensed, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
+def accumulate(
+    regression: MeasuredRegressor, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> tuple[Factor, ...]:
     """One Factor per row for the right-hand side b (N, n); `rows`: only these (None: all)."""
-    return fold_all(regression, [(motion, b)], rows)
+    return accumulate_all(regression, [(motion, b)], rows)
 
 
-def fold_all(
-    regression: Sensed,
+def accumulate_all(
+    regression: MeasuredRegressor,
     parts: Iterable[tuple[Trajectory, Array]],
     rows: Sequence[int] | None = None,
 ) -> tuple[Factor, ...]:
@@ -38,7 +38,7 @@ def fold_all(
         # Fewer samples than columns leave a factor with fewer rows, which the kernel's has not.
         if library and isinstance(regression, Regression) and len(motion) >= widest:
             factors = [_square(R) for R in factors]
-            library.fold(program_of(regression, chosen_rows), motion, b, factors)
+            library.fold(layout_of(regression, chosen_rows), motion, b, factors)
         else:
             factors = _folded(regression, motion, b, chosen_rows, factors)
         samples += len(motion)
@@ -56,7 +56,7 @@ def _square(R: Array) -> Array:
 
 
 def _folded(
-    regression: Sensed,
+    regression: MeasuredRegressor,
     motion: Trajectory,
     b: Array,
     rows: Sequence[int],
@@ -75,7 +75,7 @@ def _absorb(R: Array, rows: Array) -> Array:
     """R of [R; rows], rows (n, k) in Fortran order, which are overwritten."""
     m, k = R.shape
     if m < k:
-        return triangle([R, rows])
+        return upper_factor([R, rows])
     if k == 0:
         return R
     # Of LAPACK's ways the fastest, measured at 12 to 44 columns: 10 to 20 % before dgeqrf.
@@ -85,7 +85,7 @@ def _absorb(R: Array, rows: Array) -> Array:
     return R
 
 
-def triangle(parts: Iterable[Array]) -> Array:
+def upper_factor(parts: Iterable[Array]) -> Array:
     """R of all rows of the given matrices (m_i, k) on top of each other."""
     stack = np.asfortranarray(np.concatenate(list(parts)))
     return _triangle(stack)
@@ -103,7 +103,7 @@ def _triangle(stack: Array) -> Array:
 
 
 def dense_blocks(
-    regression: Sensed, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
+    regression: MeasuredRegressor, motion: Trajectory, b: Array, rows: Sequence[int] | None = None
 ) -> Iterator[tuple[Array, Array]]:
     """The rows themselves again: (Y (n, rows, p), b (n, rows)) block by block; as for `fold`."""
     chosen = slice(None) if rows is None else list(rows)

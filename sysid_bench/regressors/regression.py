@@ -12,7 +12,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Measured
 from sysid_bench.regressors.columns import Columns, LinkColumns, TermColumn
-from sysid_bench.regressors.kernel_c import Library, chosen, program_of
+from sysid_bench.regressors.kernel_c import Library, layout_of, selected_kernel
 from sysid_bench.regressors.kernel_layout import TERM_CODES
 from sysid_bench.regressors.kernel_numpy import blocks, body_columns, sweep
 from sysid_bench.types import Array, Regressor, Trajectory
@@ -42,14 +42,14 @@ class Regression(Columns):
     def library(self) -> Library | None:
         """The compiled kernel, where this process has one and it knows all of these columns."""
         known = all(term.kind in TERM_CODES for term in self.terms)
-        return chosen().library if known else None
+        return selected_kernel().library if known else None
 
     def blocks(self, motion: Trajectory) -> Iterator["Block"]:
         """Y of consecutive samples, a cacheful at a time, by the kernel of this process."""
         library = self.library
         for part in blocks(motion):
             span = _cut(motion, part)
-            values = library.rows(program_of(self), span) if library else self._values(span)
+            values = library.rows(layout_of(self), span) if library else self._values(span)
             yield Block(self, part, values)
 
     def _values(self, motion: Trajectory) -> Array:
@@ -80,7 +80,7 @@ class Regression(Columns):
             out = np.empty((len(motion), len(self.rows), len(self.columns)))
         library = self.library
         if library is not None:
-            library.dense(program_of(self), motion, out)
+            library.dense(layout_of(self), motion, out)
         else:
             for block in self.blocks(motion):
                 block.dense(out[block.samples])
@@ -182,7 +182,7 @@ def regression(
 
 def _term_column(robot: RobotModel, place: int, name: str) -> TermColumn:
     try:
-        term, dof, other = robot.term_place(name)
+        term, dof, other = robot.term_index(name)
     except UsageError as error:
         raise unknown_name(
             "parameter", name, [*robot.inertial_columns, *_term_names(robot)]

@@ -25,7 +25,7 @@ import numpy as np
 
 from sysid_bench.errors import unknown_name
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import Cut, Floating, Instruments, instruments_of
+from sysid_bench.models.sensor import FloatingSubtree, Instruments, SensorCut, instruments_of
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, sweep
 from sysid_bench.regressors.regression import regression
@@ -39,7 +39,7 @@ class SubTree:
     are the k degrees of freedom of the sub-tree, `columns` its p parameters."""
 
     robot: RobotModel
-    cut: Cut
+    cut: SensorCut
     tree: Tree
     root: range
     motion: Trajectory  # with the places of the root
@@ -74,9 +74,9 @@ class SubTree:
         """M (N, k, 6): what a wrench at the root is on every joint between the root and `base`;
         zero rows for the others."""
         body = body_of(self.robot, self.cut, base)
-        return self.along(int(self.tree.carrier[body]), self.dofs)
+        return self.project_onto_axis(int(self.tree.carrier[body]), self.dofs)
 
-    def along(self, link: int, dofs: Sequence[int]) -> Array:
+    def project_onto_axis(self, link: int, dofs: Sequence[int]) -> Array:
         """M (N, len(dofs), 6) of degrees of freedom before a link; zero rows for the others."""
         own = self.tree.links[link].dofs.tolist()
         M = np.zeros((len(self.motion), len(dofs), 6))
@@ -92,7 +92,7 @@ class SubTree:
         """T (N, 6, 6): the twist of a body at its origin, in its axes, per unit of the root's."""
         link = int(self.tree.carrier[body])
         own = self.tree.links[link].dofs.tolist()
-        R, p = pose_in_link(self.robot, body, self.tree.links[link].body)
+        R, p = _pose_in_link(self.robot, body, self.tree.links[link].body)
         to_body = np.zeros((6, 6))
         to_body[:3, :3] = to_body[3:, 3:] = R.T
         to_body[3:, :3] = -R.T @ skew(p)
@@ -103,21 +103,21 @@ class SubTree:
         return np.concatenate(parts)
 
 
-def sub_tree(robot: RobotModel, cut: Cut, motion: Trajectory) -> SubTree:
+def sub_tree(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> SubTree:
     """The regressors of a cut along a motion (N, nq) (N, nv) of the whole robot: base pose, twist
     and acceleration are those that the motion gives the sensor, on a fixed or floating base."""
     instruments = instruments_of(robot, (cut,))
     return _sub_tree(robot, cut, instruments, instruments.root(cut), instruments.motion(motion))
 
 
-def floating_sub_tree(robot: RobotModel, alone: Floating, motion: Trajectory) -> SubTree:
+def floating_sub_tree(robot: RobotModel, alone: FloatingSubtree, motion: Trajectory) -> SubTree:
     """The same of the sub-tree on its own: motions (N, nq + 7) (N, nv + 6) with its free base. The
     rows of Y_n are then the free joint's: force in world axes, then moment in body axes."""
     return _sub_tree(robot, alone.cut, alone, alone.root, motion)
 
 
 def base_wrench_regressor(
-    robot: RobotModel, cut: Cut, motion: Trajectory, base: str | None = None
+    robot: RobotModel, cut: SensorCut, motion: Trajectory, base: str | None = None
 ) -> Regressor:
     """Y_n (N, 6, p) [n; f] of the parameters behind a sensor, at the sensor or at any body there.
 
@@ -130,7 +130,7 @@ def base_wrench_regressor(
 
 
 def joint_torque_regressor(
-    robot: RobotModel, cut: Cut, motion: Trajectory, base: str | None = None
+    robot: RobotModel, cut: SensorCut, motion: Trajectory, base: str | None = None
 ) -> Regressor:
     """Y_c (N, k, p) of the k degrees of freedom behind a sensor, base at the sensor or at any body
     there. Traversaro et al. (2015), eq. 12."""
@@ -138,15 +138,17 @@ def joint_torque_regressor(
     return Regressor(made.joint_torque(base), made.rows, made.columns)
 
 
-def handed_on(
-    instruments: Instruments, motion: Trajectory, cut: Cut, stop: Cut, wrench: Array
+def transferred_wrench(
+    instruments: Instruments, motion: Trajectory, cut: SensorCut, stop: SensorCut, wrench: Array
 ) -> Array:
     """What a wrench (N, 6) at the sensor `stop` is at the sensor `cut` before it (N, 6)."""
-    X = moved_along(instruments, instruments.motion(motion), cut, stop)
+    X = moved_frame(instruments, instruments.motion(motion), cut, stop)
     return np.asarray(np.einsum("nij,nj->ni", X, wrench))
 
 
-def moved_along(instruments: Instruments, motion: Trajectory, cut: Cut, stop: Cut) -> Array:
+def moved_frame(
+    instruments: Instruments, motion: Trajectory, cut: SensorCut, stop: SensorCut
+) -> Array:
     """X (N, 6, 6) of wrenches at the sensor `stop`, moved to the sensor `cut` before it; along a
     motion with the places of all sensors."""
     link = int(instruments.tree.carrier[stop.body])
@@ -161,15 +163,15 @@ def moved_along(instruments: Instruments, motion: Trajectory, cut: Cut, stop: Cu
     return X
 
 
-def columns_of(robot: RobotModel, cut: Cut) -> tuple[str, ...]:
+def columns_of(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
     """Names of the parameters behind a sensor, ten per body."""
     return tuple(column for body in cut.bodies for column in robot.bodies[body].columns)
 
 
 def _sub_tree(
     robot: RobotModel,
-    cut: Cut,
-    measured: Instruments | Floating,
+    cut: SensorCut,
+    measured: Instruments | FloatingSubtree,
     root: range,
     motion: Trajectory,
 ) -> SubTree:
@@ -185,7 +187,7 @@ def _sub_tree(
     )  # fmt: skip
 
 
-def dofs_behind(robot: RobotModel, cut: Cut) -> tuple[int, ...]:
+def dofs_behind(robot: RobotModel, cut: SensorCut) -> tuple[int, ...]:
     """Places in v of the degrees of freedom inside of the sub-tree of a cut."""
     return tuple(
         dof
@@ -196,7 +198,7 @@ def dofs_behind(robot: RobotModel, cut: Cut) -> tuple[int, ...]:
     )
 
 
-def body_of(robot: RobotModel, cut: Cut, base: str) -> int:
+def body_of(robot: RobotModel, cut: SensorCut, base: str) -> int:
     """The index of a body of the sub-tree; UsageError for any other name."""
     names = [robot.body_names[b] for b in cut.bodies]
     if base not in names:
@@ -204,7 +206,7 @@ def body_of(robot: RobotModel, cut: Cut, base: str) -> int:
     return cut.bodies[names.index(base)]
 
 
-def pose_in_link(robot: RobotModel, body: int, link_body: int) -> tuple[Array, Array]:
+def _pose_in_link(robot: RobotModel, body: int, link_body: int) -> tuple[Array, Array]:
     """R (3, 3), p (3,) of a body in the one that carries it rigidly."""
     R, p, b = np.eye(3), np.zeros(3), body + 1
     while b != link_body + 1:

@@ -13,13 +13,13 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.evaluation.comparison import (
+    failures_last,
     interquartile_mean,
     performance_profile,
     robot_bootstrap,
     wilcoxon_holm,
     wilcoxon_holm_against,
     win_rates,
-    with_failures_last,
 )
 from sysid_bench.reporting.metrics import Metric, metric_of
 from sysid_bench.reporting.tables import Choose, Entry, Key, Table, label, selected
@@ -184,7 +184,7 @@ def _ranking(cells: "pd.DataFrame", spec: Mapping[str, Any], values: Sequence[st
     title = str(spec.get("title") or f"Methods by {metric.title}")
     cases = _cases(cells, metric)
     ratios = cases.errors / np.fmin.reduce(cases.errors, axis=1)[:, None]
-    logs = _by_robot(np.log(with_failures_last(ratios)), cases.robots, cases.motions)
+    logs = _by_robot(np.log(failures_last(ratios)), cases.robots, cases.motions)
     mean = interquartile_mean(np.exp(logs).reshape(-1, logs.shape[-1]))
     low, high = robot_bootstrap(np.exp(logs))
     order = np.argsort(mean, kind="stable")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.scene import Scene, log_scene, scene_of
+from sysid_bench.reporting.scene import RecordingScene, log_scene, scene_of
 from sysid_bench.reporting.summary import summary
 from sysid_bench.types import CellData
 
@@ -85,7 +85,7 @@ def _thinned(evidence: CellData, max_hz: float) -> np.ndarray:
     return np.arange(0, count, max(int(np.ceil(rate / max_hz - 1e-9)), 1))
 
 
-def _log(stream: "rr.RecordingStream", scene: Scene, picked: np.ndarray) -> None:
+def _log(stream: "rr.RecordingStream", scene: RecordingScene, picked: np.ndarray) -> None:
     import rerun as rr
 
     evidence = scene.evidence

@@ -16,13 +16,15 @@ _SETTING = (
 )
 
 
-def figure_of(metric: str, cells: "pd.DataFrame", parameters: "pd.DataFrame") -> Figure | None:
+def repeat_statistic(
+    metric: str, cells: "pd.DataFrame", parameters: "pd.DataFrame"
+) -> Figure | None:
     """A figure of all repeats of some cells; of several settings together where there are several.
 
     None where fewer than ENOUGH_REPEATS gave numbers, where all of them gave the same, or, for what
     is measured by the bound, where a parameter has none.
     """
-    errors, bound = errors_of(cells, parameters)
+    errors, bound = repeat_errors(cells, parameters)
     if len(errors) < ENOUGH_REPEATS or errors.shape[1] == 0 or (np.ptp(errors, axis=0) == 0).any():
         return None
     if metric == "bias":
@@ -30,7 +32,7 @@ def figure_of(metric: str, cells: "pd.DataFrame", parameters: "pd.DataFrame") ->
     return WITH_BOUND[metric](errors, bound) if np.isfinite(bound).all() else None
 
 
-def errors_of(cells: "pd.DataFrame", parameters: "pd.DataFrame") -> tuple[Array, Array]:
+def repeat_errors(cells: "pd.DataFrame", parameters: "pd.DataFrame") -> tuple[Array, Array]:
     """Errors (n, r) of each base parameter of each setting (r) in the repeats (n) that all of them
     have, and the bound (r,), NaN where there is none: the root mean square of those of single
     repeats, which differ where noise disturbs the motion."""

@@ -22,7 +22,7 @@ _SHORTEST_STICK = 1e-6  # m
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class RecordingScene:
     """Which shapes of an Evidence can be drawn, and in words why others cannot."""
 
     evidence: CellData
@@ -30,13 +30,13 @@ class Scene:
     complaints: tuple[str, ...]
 
     @property
-    def bare(self) -> list[int]:
+    def bodies_without_shape(self) -> list[int]:
         """Bodies that have nothing to draw: they become joints and sticks."""
         dressed = {shape.body for shape in self.shapes}
         return [i for i in range(len(self.evidence.bodies)) if i not in dressed]
 
 
-def scene_of(evidence: CellData) -> Scene:
+def scene_of(evidence: CellData) -> RecordingScene:
     """Meshes count only where all of them exist, can be read and fit into `MESH_BUDGET` bytes."""
     meshes = [shape for shape in evidence.shapes if shape.kind == "mesh"]
     files = [Path(shape.file) for shape in meshes]
@@ -53,11 +53,11 @@ def scene_of(evidence: CellData) -> Scene:
     drawn = evidence.shapes
     if complaints:
         drawn = tuple(shape for shape in evidence.shapes if shape.kind != "mesh")
-    return Scene(evidence, drawn, tuple(complaints))
+    return RecordingScene(evidence, drawn, tuple(complaints))
 
 
 def log_scene(
-    stream: "rr.RecordingStream", scene: Scene, picked: np.ndarray, times: "rr.TimeColumn"
+    stream: "rr.RecordingStream", scene: RecordingScene, picked: np.ndarray, times: "rr.TimeColumn"
 ) -> None:
     """Logs the samples `picked` of the robot: `robot/<body>` and, for bare bodies, `sticks`."""
     import rerun as rr
@@ -68,7 +68,7 @@ def log_scene(
     stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     positions = evidence.positions[picked]
     quaternions = evidence.quaternions[picked][..., _XYZW]
-    for i, path in enumerate(body_paths(evidence.bodies)):
+    for i, path in enumerate(_body_paths(evidence.bodies)):
         pose = rr.Transform3D.columns(translation=positions[:, i], quaternion=quaternions[:, i])
         stream.send_columns(path, indexes=[times], columns=pose)
     for number, shape in enumerate(scene.shapes):
@@ -76,7 +76,7 @@ def log_scene(
     _log_sticks(stream, scene, positions, times)
 
 
-def body_paths(bodies: Sequence[str]) -> list[str]:
+def _body_paths(bodies: Sequence[str]) -> list[str]:
     """Entity paths of the bodies; names may hold spaces, slashes and dots."""
     import rerun as rr
 
@@ -86,7 +86,7 @@ def body_paths(bodies: Sequence[str]) -> list[str]:
 def _log_shape(stream: "rr.RecordingStream", evidence: CellData, shape: Shape, number: int) -> None:
     import rerun as rr
 
-    path = f"{body_paths(evidence.bodies)[shape.body]}/shape{number}"
+    path = f"{_body_paths(evidence.bodies)[shape.body]}/shape{number}"
     scale = shape.size if shape.kind == "mesh" else None
     colour = _PAYLOAD if "payload" in evidence.bodies[shape.body].lower() else _BODY
     pose = rr.Transform3D(
@@ -119,16 +119,19 @@ def _geometry(shape: Shape, colour: tuple[int, int, int]) -> "rr.AsComponents":
 
 
 def _log_sticks(
-    stream: "rr.RecordingStream", scene: Scene, positions: np.ndarray, times: "rr.TimeColumn"
+    stream: "rr.RecordingStream",
+    scene: RecordingScene,
+    positions: np.ndarray,
+    times: "rr.TimeColumn",
 ) -> None:
     """Thick lines between the origins of bare bodies and their neighbours, balls at the joints."""
     import rerun as rr
 
-    bare, radius = scene.bare, _stick_radius(positions)
+    bare, radius = scene.bodies_without_shape, _stick_radius(positions)
     pairs = _neighbours(scene, positions)
     for i in bare:
         ball = rr.Points3D([(0, 0, 0)], radii=[1.6 * radius], colors=[_JOINT])
-        stream.log(f"{body_paths(scene.evidence.bodies)[i]}/joint", ball, static=True)
+        stream.log(f"{_body_paths(scene.evidence.bodies)[i]}/joint", ball, static=True)
     if not pairs:
         return
     ends = np.stack([_ends(positions, child, parent) for child, parent in pairs], axis=1)
@@ -140,9 +143,9 @@ def _log_sticks(
     )
 
 
-def _neighbours(scene: Scene, positions: np.ndarray) -> list[tuple[int, int]]:
+def _neighbours(scene: RecordingScene, positions: np.ndarray) -> list[tuple[int, int]]:
     """(child, parent) pairs to join; a root that stands still is joined to the world (-1)."""
-    bare = set(scene.bare)
+    bare = set(scene.bodies_without_shape)
     pairs = []
     for child, parent in enumerate(scene.evidence.parents):
         fixed_root = parent < 0 and np.ptp(positions[:, child], axis=0).max() < _SHORTEST_STICK

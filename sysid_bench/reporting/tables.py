@@ -13,7 +13,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.evaluation.repeats import ENOUGH_REPEATS
 from sysid_bench.reporting.metrics import METRICS, Metric, metric_of
 from sysid_bench.reporting.notation import ABSENT, Notation, notation
-from sysid_bench.reporting.repeat_errors import figure_of
+from sysid_bench.reporting.repeat_errors import repeat_statistic
 from sysid_bench.reporting.statistics import INTERVALS, STATISTICS, interval_of, statistic_of
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ class Table:
         return f"{self.metric.heading}: {STATISTICS[self.stat]}{spread}."
 
     @cached_property
-    def marks(self) -> dict[str, str]:
+    def best_marks(self) -> dict[str, str]:
         """A letter for every note that an entry carries."""
         found = (self.entries[key].note for key in self.keys if key in self.entries)
         return {note: _letters(i) for i, note in enumerate(dict.fromkeys(filter(None, found)))}
@@ -150,7 +150,7 @@ def make_table(
     wanted = spec["cells"]
     metric, stat = metric_of(wanted["metric"]), wanted.get("stat", "median")
     interval = wanted.get("interval", "none")
-    chosen = labelled(selected(cells, spec, choose))
+    chosen = with_labels(selected(cells, spec, choose))
     rows, columns = tuple(spec.get("rows", ())), tuple(spec.get("columns", ()))
     judge = partial(_entry, metric=metric.name, stat=stat, interval=interval)
     if metric.repeated:
@@ -189,7 +189,7 @@ def label(value: Any) -> str:
     return f"{value:g}" if isinstance(value, (float, np.floating)) else str(value)
 
 
-def labelled(cells: "pd.DataFrame") -> "pd.DataFrame":
+def with_labels(cells: "pd.DataFrame") -> "pd.DataFrame":
     """The same cells with text in every field that can make a row or column."""
     texts = [
         name
@@ -295,7 +295,7 @@ def _repeated(
 ) -> Entry:
     """The figure of all repeats of a group, its cells each one repeat of one setting."""
     ok = group[group["status"] == "ok"]
-    figure = None if parameters is None else figure_of(metric, ok, parameters)
+    figure = None if parameters is None else repeat_statistic(metric, ok, parameters)
     if figure is None:
         return Entry(None, None, None, 0, _failures(group), len(ok))
     value, low, high = figure

@@ -19,7 +19,7 @@ from sysid_bench.signals.log_checks import (
     lost_steps,
 )
 from sysid_bench.signals.log_description import NO_JOINT, UNITS, LogDescription, Signal, scales
-from sysid_bench.signals.log_table import folded, read_table
+from sysid_bench.signals.log_table import normalised_name, read_table
 from sysid_bench.types import Array, Recording
 
 LONGEST_GAP: Final = 0.2
@@ -80,14 +80,14 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     held, standing = held_rows(q[good], rate)
     findings += _held(held, standing)
     grid = np.arange(t[good[0]], t[good[-1]] + 0.5 / rate, 1.0 / rate)
-    q = bridged(grid, t[good], q[good])
+    q = interpolate_gaps(grid, t[good], q[good])
     if stamps is None:
         lost = int(lost_steps(q).sum())
         findings += [Finding("lost", lost, f"{lost} samples seem to be lost")] if lost else []
-    tau = bridged(grid, t[good], tau[good])
+    tau = interpolate_gaps(grid, t[good], tau[good])
     measured = None
     if v is not None:
-        v = bridged(grid, t[good], v[good])
+        v = interpolate_gaps(grid, t[good], v[good])
         told, measured = check_rates(q, v, rate, joints)
         findings += told
     findings += _ranges(robot, joints, q, v, tau)
@@ -95,7 +95,9 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     recording = replace(recording, period=description.period)
     coordinates = None
     if description.transmission is not None:
-        whole, rates = (None if x is None else bridged(grid, t[good], x[good]) for x in every)
+        whole, rates = (
+            None if x is None else interpolate_gaps(grid, t[good], x[good]) for x in every
+        )
         assert whole is not None
         coordinates = Recording(
             recording.t, whole, np.zeros_like(whole), rate, description.joints, rates
@@ -103,7 +105,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     return Log(description, recording, joints, tuple(findings), measured, samples, coordinates)
 
 
-def bridged(grid: Array, t: Array, x: Array) -> Array:
+def interpolate_gaps(grid: Array, t: Array, x: Array) -> Array:
     """x (N, k) at the times `grid`, linear between its samples; held rows are no samples."""
     kept = ~held_rows(x, 1.0 / np.median(np.diff(t)))[0]
     return np.stack([np.interp(grid, t[kept], column[kept]) for column in x.T], axis=1)
@@ -136,10 +138,10 @@ def _signals(log: LogDescription, kinds: Sequence[str]) -> tuple[Array, Array | 
         q = q @ G.T
         v = None if v is None else v @ G.T
         tau = np.linalg.solve(G.T, tau.T).T  # tau_motor = G' tau
-    q = q + log.wide("q.offset", log.q.offset)
-    tau = tau + log.wide("tau.offset", log.tau.offset)
+    q = q + log.column_count("q.offset", log.q.offset)
+    tau = tau + log.column_count("tau.offset", log.tau.offset)
     if v is not None and log.v is not None:
-        v = v + log.wide("v.offset", log.v.offset)
+        v = v + log.column_count("v.offset", log.v.offset)
     chosen = _chosen(log, shortest)
     q, tau = q[chosen], tau[chosen]
     return q, (None if v is None else v[chosen]), tau, max(cut, more, last)
@@ -150,7 +152,7 @@ def _columns(
 ) -> tuple[Array, int]:
     table = read_table(log.file_of(part))
     if part.per_row is not None:
-        table = folded(table, part.per_row)
+        table = normalised_name(table, part.per_row)
     values = table.columns(part.columns)
     if values.shape[1] != len(log.joints):
         raise UsageError(

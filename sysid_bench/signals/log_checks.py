@@ -51,7 +51,7 @@ class Finding:
     contradiction: bool = False
 
 
-def refuse(findings: Sequence[Finding], accepted: Sequence[str], where: str) -> None:
+def refuse_findings(findings: Sequence[Finding], accepted: Sequence[str], where: str) -> None:
     """Raises UsageError for contradictions that were not accepted, or for an unknown name."""
     for name in accepted:
         if name not in NAMES:
@@ -106,7 +106,7 @@ def lost_steps(q: Array) -> Array:
     return lost
 
 
-def speed_ratios(q: Array, v: Array, rate: float) -> Array:
+def _speed_ratios(q: Array, v: Array, rate: float) -> Array:
     """(k,): how many times as far each joint moves as its rate says at this sampling rate; NaN
     where the two do not agree well enough to tell.
 
@@ -136,7 +136,7 @@ def check_rates(
     q: Array, v: Array, rate: float, joints: Sequence[str]
 ) -> tuple[list[Finding], float | None]:
     """What v against the differences of q tells, and the rate (Hz) at which they agree."""
-    ratios = speed_ratios(q, v, rate)
+    ratios = _speed_ratios(q, v, rate)
     sure = np.isfinite(ratios)
     found = _of_others(q, v, rate, joints, np.flatnonzero(~sure))
     if not sure.any():
@@ -175,7 +175,7 @@ def _of_others(
     """Joints whose q does not go with their own v, but with that of another: columns exchanged."""
     found = []
     for j in doubtful:
-        told = speed_ratios(np.repeat(q[:, [j]], v.shape[1], axis=1), v, rate)
+        told = _speed_ratios(np.repeat(q[:, [j]], v.shape[1], axis=1), v, rate)
         others = np.flatnonzero(np.isfinite(told))
         if len(others):
             text = (

@@ -132,7 +132,7 @@ class LogDescription:
         parts = [part for part in (self.q, self.v, self.tau, self.time) if part is not None]
         return tuple(dict.fromkeys(self.file_of(part) for part in parts))
 
-    def wide(self, name: str, numbers: Sequence[float]) -> Array:
+    def column_count(self, name: str, numbers: Sequence[float]) -> Array:
         """One number per joint (k,) of a setting that may hold one for all."""
         k = len(self.joints)
         if len(numbers) not in (1, k):
@@ -145,10 +145,10 @@ class LogDescription:
 
 def read_description(source: Path) -> LogDescription:
     """The description in a TOML file; UsageError with all its mistakes."""
-    return described(read_text(source), source)
+    return parse_description(read_text(source), source)
 
 
-def described_log(written: str | Mapping[str, Any], folder: Path) -> LogDescription:
+def log_description(written: str | Mapping[str, Any], folder: Path) -> LogDescription:
     """A description as suites write it, relative to their folder: a file, a table with the keys of
     one, or a table { use = "run1.toml", ... } whose keys replace those of a file.
 
@@ -158,13 +158,13 @@ def described_log(written: str | Mapping[str, Any], folder: Path) -> LogDescript
         return read_description(folder / written)
     own = {key: value for key, value in written.items() if key not in ("use", "name")}
     if "use" not in written:
-        return described(own, folder / "[[log]]")
+        return parse_description(own, folder / "[[log]]")
     source = folder / str(written["use"])
     text = dict(read_text(source))
     for key, value in own.items():
         both = isinstance(value, Mapping) and isinstance(text.get(key), Mapping)
         text[key] = {**text[key], **value} if both and key in ("q", "v", "tau") else value
-    return described(text, source)
+    return parse_description(text, source)
 
 
 def name_of(written: str | Mapping[str, Any]) -> str:
@@ -190,7 +190,7 @@ def read_text(source: Path) -> dict[str, Any]:
         raise UsageError(f"{source} is no TOML: {error}.") from error
 
 
-def described(text: Mapping[str, Any], source: Path) -> LogDescription:
+def parse_description(text: Mapping[str, Any], source: Path) -> LogDescription:
     """The description of these keys, files relative to `source`; UsageError with all mistakes."""
     try:
         written = _Text.model_validate(text)
@@ -282,7 +282,7 @@ def _check_joints(log: LogDescription) -> None:
         if part is None:
             continue
         for setting in ("gain", "ratio", "offset"):
-            values = log.wide(f"{name}.{setting}", getattr(part, setting))
+            values = log.column_count(f"{name}.{setting}", getattr(part, setting))
             if not np.isfinite(values).all() or (setting != "offset" and (values == 0).any()):
                 raise UsageError(
                     f"{log.source}: {name}.{setting} must be finite"
@@ -301,7 +301,7 @@ def scales(log: LogDescription, name: str, part: Signal, kinds: Sequence[str]) -
 
     Raises UsageError for a unit that the joint cannot have, or a current without a gain.
     """
-    gain, ratio = (log.wide(f"{name}.{s}", getattr(part, s)) for s in ("gain", "ratio"))
+    gain, ratio = (log.column_count(f"{name}.{s}", getattr(part, s)) for s in ("gain", "ratio"))
     own = gain * ratio if name == "tau" else gain / ratio
     if part.unit is None:
         return own

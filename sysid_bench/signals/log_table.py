@@ -81,7 +81,7 @@ def read_table(path: Path) -> LogTable:
         raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
 
 
-def folded(table: LogTable, per_row: int) -> LogTable:
+def normalised_name(table: LogTable, per_row: int) -> LogTable:
     """A file with one number a line, `per_row` consecutive numbers a sample; what is left over at
     its end was broken off."""
     flat = table.values.ravel() if table.values.shape[1] == 1 else None

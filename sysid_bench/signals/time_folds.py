@@ -11,16 +11,16 @@ SAME: Final = 0.02
 motion counts as repeated (measured on recorded arms: 0.0002 to 0.002)."""
 
 
-def parts_of(motion: Trajectory, count: int) -> tuple[Array, str]:
+def time_folds(motion: Trajectory, count: int) -> tuple[Array, str]:
     """Labels (N,) 0 ... count - 1 of the samples, and in words what the parts are."""
-    period = repeats_after(motion.q)
+    period = repetition_period(motion.q)
     k = np.arange(len(motion))
     if period is None:
         return k * count // len(motion), f"{count} stretches of time"
     return (k % period) * count // period, f"{count} stretches of a period of {period} samples"
 
 
-def repeats_after(q: Array) -> int | None:
+def repetition_period(q: Array) -> int | None:
     """Samples after which a motion q (N, nq) repeats itself; None where it does not."""
     spread = q.std(axis=0)
     x = (q - q.mean(axis=0))[:, spread > 0] / spread[spread > 0]

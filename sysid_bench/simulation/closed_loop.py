@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel
-from sysid_bench.simulation.compiled_steps import stepped
+from sysid_bench.simulation.compiled_steps import simulate_steps
 from sysid_bench.simulation.gravity import measured_gravity_rms
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
@@ -125,7 +125,10 @@ class ClosedLoop:
         between, and its dampers act in each."""
         if plant.robot.coupling is not None:
             return False
-        return fastest_decay(plant.bench, kd + plant.terms.viscous) <= EXPLICIT * self.rate
+        return (
+            _fastest_decay(plant.fixed_contact_free_model, kd + plant.terms.viscous)
+            <= EXPLICIT * self.rate
+        )
 
     def _declared(self, robot: RobotModel) -> tuple[Array, Array] | None:
         if self.kp is None or self.kd is None:
@@ -134,10 +137,10 @@ class ClosedLoop:
 
     def _designed(self, plant: Plant) -> tuple[Array, Array]:
         """Gains (n,) from the bandwidth, the damping and the load."""
-        J, load = _own_inertia(plant), typical_load(plant)
+        J, load = _own_inertia(plant), _typical_load(plant)
         reach = np.minimum(_range(plant.robot), 2 * np.pi)
         kp = np.maximum((2 * np.pi * self.bandwidth) ** 2 * J, load / (self.droop * reach))
-        viscous = on_motors(plant.robot, plant.terms.viscous, 2)
+        viscous = _on_motors(plant.robot, plant.terms.viscous, 2)
         # Beyond this the sampled loop rings: half a radian per sample of the inertia, or of the lag
         # that the joint's own viscous friction makes.
         kp = np.minimum(kp, np.maximum(J * (0.5 * self.rate) ** 2, viscous * 0.5 * self.rate))
@@ -170,7 +173,7 @@ def _one_digit(gains: Array) -> Array:
     return np.round(gains / size) * size
 
 
-def on_motors(robot: RobotModel, values: Array, power: int) -> Array:
+def _on_motors(robot: RobotModel, values: Array, power: int) -> Array:
     """Figures (nv,) of single joints as the motors (n,) feel them at the reference posture, through
     |G| (power 1: forces) or its square (2: what times a rate or acceleration makes a force)."""
     if robot.coupling is None:
@@ -188,7 +191,7 @@ def _range(robot: RobotModel) -> Array:
 
 def _own_inertia(plant: Plant) -> Array:
     """Diagonal of M (n,) at the reference posture, kg m^2 or kg."""
-    return np.diag(_mass_matrix(plant.bench, plant.robot.coupling)).copy()
+    return np.diag(_mass_matrix(plant.fixed_contact_free_model, plant.robot.coupling)).copy()
 
 
 def _mass_matrix(mj: mujoco.MjModel, coupling: Coupling | None = None) -> Array:
@@ -205,13 +208,13 @@ def _mass_matrix(mj: mujoco.MjModel, coupling: Coupling | None = None) -> Array:
     return G.T @ M @ G
 
 
-def typical_load(plant: Plant) -> Array:
+def _typical_load(plant: Plant) -> Array:
     """RMS gravity torque plus friction at half the velocity limit (n,)."""
     robot, terms = plant.robot, plant.terms
-    load = measured_gravity_rms(robot, plant.bench)
+    load = measured_gravity_rms(robot, plant.fixed_contact_free_model)
     moving = terms.viscous * 0.5 * robot.limits.v
     for force in (moving, terms.coulomb, np.abs(terms.offset)):
-        load = load + on_motors(robot, force, 1)
+        load = load + _on_motors(robot, force, 1)
     return load
 
 
@@ -245,7 +248,7 @@ def controlled_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
     return mj
 
 
-def fastest_decay(mj: mujoco.MjModel, damping: Array) -> float:
+def _fastest_decay(mj: mujoco.MjModel, damping: Array) -> float:
     """Largest rate (1/s) at which damping (nv,) alone brings a velocity to rest, at the reference
     posture."""
     root = np.sqrt(damping)
@@ -260,7 +263,7 @@ def _close(mj: mujoco.MjModel, plant: Plant, controller: Controller) -> None:
     mj.opt.disableflags |= int(bits.mjDSBL_EULERDAMP)
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_EULER)
     # Explicit dampers are stable up to 2 per step, and smooth far below.
-    damping = on_motors(plant.robot, plant.terms.viscous, 2) + controller.kd
+    damping = _on_motors(plant.robot, plant.terms.viscous, 2) + controller.kd
     fastest = float((damping / _own_inertia(plant)).max()) / controller.rate
     mj.opt.timestep /= max(1, min(MOST_STEPS, int(np.ceil(fastest / DAMPED))))
 
@@ -337,7 +340,7 @@ def _steps_with_laws(
     """The same, step by step, since the force laws of effects look at each state."""
     data = mujoco.MjData(mj)
     data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
-    return stepped(plant, mj, data, commanded.t, control, _steps_per_sample(mj, commanded))
+    return simulate_steps(plant, mj, data, commanded.t, control, _steps_per_sample(mj, commanded))
 
 
 def _check_saturation(robot: RobotModel, dof: int, name: str, tau: Array) -> None:

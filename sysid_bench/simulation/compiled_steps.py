@@ -35,7 +35,7 @@ class _Record(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in ("q", "v", "a", "tau"))
 
 
-def stepped(
+def simulate_steps(
     plant: Plant, mj: mujoco.MjModel, data: mujoco.MjData, t: Array, control: Array, each: int
 ) -> Signals:
     """q (N, nq), v, a and motor torque (N, nv) at times t (N,) under inputs control (N, nu), held

@@ -7,7 +7,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.models.sensor import Cut
+from sysid_bench.models.sensor import SensorCut
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.spatial.rotation import (
     matrix_of_quaternion,
@@ -23,7 +23,7 @@ SITE: Final = "force/torque sensor {}"
 
 
 @dataclass(frozen=True, eq=False)
-class Touch:
+class Contact:
     """An external wrench (N, 6) [n; f] on `body`, about its origin, in its axes."""
 
     body: int
@@ -31,7 +31,7 @@ class Touch:
 
 
 def sensor_wrench(
-    plant: Plant, cuts: Sequence[Cut], motion: Trajectory, touch: Touch | None = None
+    plant: Plant, cuts: Sequence[SensorCut], motion: Trajectory, touch: Contact | None = None
 ) -> Array:
     """What ideal sensors measure (N, 6 sensors), [n; f] each, along an exact motion.
 
@@ -55,9 +55,9 @@ def sensor_wrench(
     return check_finite(plant.robot.name, out, "sensor wrench")
 
 
-def touch_torque(plant: Plant, touch: Touch, motion: Trajectory) -> Array:
+def contact_torque(plant: Plant, touch: Contact, motion: Trajectory) -> Array:
     """Generalised force (N, nv) of an external wrench: what it takes off the joints."""
-    mj = plant.bench
+    mj = plant.fixed_contact_free_model
     data = mujoco.MjData(mj)
     out = np.zeros((len(motion), mj.nv))
     for k in np.flatnonzero(touch.wrench.any(axis=1)):
@@ -70,13 +70,13 @@ def touch_torque(plant: Plant, touch: Touch, motion: Trajectory) -> Array:
     return out
 
 
-def swaying(motion: Trajectory, force: float, rng: np.random.Generator) -> Array:
+def random_wrench(motion: Trajectory, force: float, rng: np.random.Generator) -> Array:
     """A wrench (N, 6) with forces of up to `force` (N) and moments of a tenth of it (N m)."""
     phase = rng.normal(size=6)
     return np.repeat([0.1, 1.0], 3) * force * np.sin(2 * motion.t[:, None] + phase)
 
 
-def _add_sensor(spec: mujoco.MjSpec, body: str, cut: Cut, name: str) -> None:
+def _add_sensor(spec: mujoco.MjSpec, body: str, cut: SensorCut, name: str) -> None:
     spec.body(body).add_site(name=name, pos=cut.p, quat=quaternion_of_matrix(cut.R))
     for kind in (mujoco.mjtSensor.mjSENS_TORQUE, mujoco.mjtSensor.mjSENS_FORCE):
         spec.add_sensor(
@@ -136,19 +136,19 @@ def wrench_noise(noise: Mapping[str, float]) -> WrenchNoise:
 
 
 @dataclass(frozen=True, eq=False)
-class Fault:
+class SensorError:
     """One sensor as it was made: it reads A f + offset + slope t (6,)."""
 
     A: Array
     offset: Array
     slope: Array
 
-    def reads(self, wrench: Array, t: Array) -> Array:
+    def measure(self, wrench: Array, t: Array) -> Array:
         """The reading (N, 6) of an exact wrench (N, 6)."""
         return np.asarray(wrench @ self.A.T + self.offset + t[:, None] * self.slope)
 
 
-def fault_of(noise: WrenchNoise, rng: np.random.Generator) -> Fault:
+def sensor_error(noise: WrenchNoise, rng: np.random.Generator) -> SensorError:
     """A sensor drawn with these errors. Levels share their draws: comparisons are paired."""
     z_gain, z_cross = rng.normal(size=6), rng.normal(size=(6, 6))
     z_axis, z_offset, z_slope = rng.normal(size=3), rng.normal(size=6), rng.normal(size=6)
@@ -159,4 +159,4 @@ def fault_of(noise: WrenchNoise, rng: np.random.Generator) -> Fault:
     turn = np.kron(np.eye(2), R)
     offset = np.repeat([noise.moment_offset, noise.force_offset], 3) * z_offset
     slope = np.repeat([noise.moment_drift, noise.force_drift], 3) * z_slope
-    return Fault(cross @ turn, offset, slope)
+    return SensorError(cross @ turn, offset, slope)

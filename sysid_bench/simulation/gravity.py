@@ -15,16 +15,16 @@ POSTURES = 50
 
 def gravity_rms(robot: RobotModel, mj: mujoco.MjModel) -> Array:
     """RMS gravity torque (nv,) of a compiled model of the robot over random postures."""
-    return _rms(gravity_torque(robot, mj)[1])
+    return _rms(_gravity_torque(robot, mj)[1])
 
 
 def measured_gravity_rms(robot: RobotModel, mj: mujoco.MjModel) -> Array:
     """The same on the joints that have torques of their own (n,)."""
-    postures, tau = gravity_torque(robot, mj)
+    postures, tau = _gravity_torque(robot, mj)
     return _rms(robot.reduced(postures.q, tau))
 
 
-def gravity_torque(robot: RobotModel, mj: mujoco.MjModel) -> tuple[Trajectory, Array]:
+def _gravity_torque(robot: RobotModel, mj: mujoco.MjModel) -> tuple[Trajectory, Array]:
     """Random postures and the gravity torque (N, nv) at each."""
     postures = random_states(robot, POSTURES, np.random.default_rng(0))
     still = replace(postures, v=np.zeros_like(postures.v), a=np.zeros_like(postures.a))

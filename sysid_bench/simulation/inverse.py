@@ -26,7 +26,9 @@ class Inverse:
         self, plant: Plant, commanded: Trajectory, encoder: Array
     ) -> tuple[Oracle, Controller | None]:
         """What happens along the motion; encoder noise (N, n) has no controller to disturb."""
-        tree = rigid_torque(plant.bench, commanded) + passive_torque(plant, commanded)
+        tree = rigid_torque(plant.fixed_contact_free_model, commanded) + _passive_torque(
+            plant, commanded
+        )
         tau = plant.robot.reduced(commanded.q, tree)
         return Oracle(commanded, check_finite(plant.robot.name, tau, "torque")), None
 
@@ -48,7 +50,7 @@ def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
     return tau
 
 
-def passive_torque(plant: Plant, motion: Trajectory) -> Array:
+def _passive_torque(plant: Plant, motion: Trajectory) -> Array:
     """Friction, offset, spring and effects (N, nv): what the motors supply beyond M a + bias."""
     terms, robot = plant.terms, plant.robot
     tau = terms.viscous * motion.v + terms.coulomb * np.sign(motion.v) + terms.offset

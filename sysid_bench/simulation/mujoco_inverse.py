@@ -6,9 +6,9 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.models.checks.mujoco_warnings import kept
+from sysid_bench.models.checks.mujoco_warnings import captured_warnings
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.plant import bench_flags
+from sysid_bench.simulation.plant import contact_free_flags
 from sysid_bench.types import Array, Trajectory
 
 _BIT: Final = mujoco.mjtDisableBit
@@ -16,8 +16,8 @@ _BIT: Final = mujoco.mjtDisableBit
 
 def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
     """M a + bias (N, nv) from `mj_inverse`, passive and constraint forces taken out."""
-    with kept():
-        mj = bench_flags(robot.spec.copy().compile())
+    with captured_warnings():
+        mj = contact_free_flags(robot.spec.copy().compile())
     # Off, not subtracted: a damping of 1e11, which holds a joint still, would drown the rest.
     for bit in (_BIT.mjDSBL_SPRING, _BIT.mjDSBL_DAMPER, _BIT.mjDSBL_FRICTIONLOSS):
         mj.opt.disableflags |= int(bit)
@@ -31,7 +31,7 @@ def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Constrained:
+class ConstrainedTorque:
     """What MuJoCo says of closed chains along a motion: `tau` (N, n) on the independent joints, and
     the largest `violation` (rad, m) of any constraint."""
 
@@ -39,13 +39,13 @@ class Constrained:
     violation: float
 
 
-def constrained_torque(robot: RobotModel, motion: Trajectory) -> Constrained:
+def constrained_torque(robot: RobotModel, motion: Trajectory) -> ConstrainedTorque:
     """The torques with which the independent joints alone make the motion: M a + bias less the
     constraint forces that hold the joints that follow, by MuJoCo's own constraint Jacobian."""
     coupling = robot.coupling
     assert coupling is not None
-    with kept():
-        mj = bench_flags(robot.spec.copy().compile())
+    with captured_warnings():
+        mj = contact_free_flags(robot.spec.copy().compile())
     mj.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
     mj.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
     data = mujoco.MjData(mj)
@@ -59,4 +59,4 @@ def constrained_torque(robot: RobotModel, motion: Trajectory) -> Constrained:
         violation = max(violation, float(np.abs(data.efc_pos[closes]).max(initial=0.0)))
         force = np.linalg.lstsq(J[:, coupling.dependent].T, tree[k, coupling.dependent])[0]
         tau[k] -= J[:, coupling.independent].T @ force
-    return Constrained(tau, violation)
+    return ConstrainedTorque(tau, violation)

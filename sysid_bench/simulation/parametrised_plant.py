@@ -11,7 +11,7 @@ from sysid_bench.types import Array, Body
 
 
 @dataclass(frozen=True, eq=False)
-class Declared:
+class KnownModel:
     """What a method is told of a robot: a bare `robot`, the names of its unknowns and the parts
     that the task takes as known. Nothing of the unknowns' values can be reached from here."""
 
@@ -23,7 +23,7 @@ class Declared:
     known_coupling: Array  # (nv, nv), viscous
 
 
-def candidate(told: Declared, theta: Array) -> Plant:
+def parametrised_plant(told: KnownModel, theta: Array) -> Plant:
     """A plant with the unknowns at theta (p,) and the rest as it is declared known."""
     robot = told.robot
     places = {name: i for i, name in enumerate(told.parameters)}
@@ -37,7 +37,7 @@ def candidate(told: Declared, theta: Array) -> Plant:
     return Plant(robot, terms, coupling_laws(terms), phi)
 
 
-def _terms(told: Declared, theta: Array, places: dict[str, int]) -> JointTerms:
+def _terms(told: KnownModel, theta: Array, places: dict[str, int]) -> JointTerms:
     robot, values = told.robot, {}
     for term, suffix in SUFFIX.items():
         known = told.known_terms.get(term)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError
-from sysid_bench.models.checks.mujoco_warnings import kept
+from sysid_bench.models.checks.mujoco_warnings import captured_warnings
 from sysid_bench.models.robot import JointTerms, RobotModel
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array
@@ -38,7 +38,7 @@ class Plant:
     phi: Array | None = None
 
     @cached_property
-    def bench(self) -> mujoco.MjModel:
+    def fixed_contact_free_model(self) -> mujoco.MjModel:
         """The plant's model on the bench."""
         return self.compiled(self.robot.spec.copy())
 
@@ -47,11 +47,11 @@ class Plant:
         if self.phi is not None:
             for body in spec.bodies:
                 body.simple = 0  # a body flagged simple may not get another centre of mass
-        with kept():
-            mj = bench_flags(spec.compile())
+        with captured_warnings():
+            mj = contact_free_flags(spec.compile())
         if self.phi is not None:
             set_inertias(mj, self.phi)
-            set_joint_terms(mj, self)
+            _set_joint_terms(mj, self)
             mujoco.mj_setConst(mj, mujoco.MjData(mj))
         return mj
 
@@ -88,7 +88,7 @@ class Coupled:
         return v @ self.numbers.T
 
 
-def bench_flags(mj: mujoco.MjModel) -> mujoco.MjModel:
+def contact_free_flags(mj: mujoco.MjModel) -> mujoco.MjModel:
     """Contacts, joint limits and equality constraints off: a robot on an identification bench
     moves freely, and coupled joints are actuated one by one. Forces that are no joint terms are off
     as well: tendons, gravity compensation, the medium, non-linear springs and dampers."""
@@ -130,7 +130,7 @@ def set_inertias(mj: mujoco.MjModel, phi: Array) -> None:
         mj.body_inertia[b] = np.maximum(moments, 0.0)
 
 
-def set_joint_terms(mj: mujoco.MjModel, plant: "Plant") -> None:
+def _set_joint_terms(mj: mujoco.MjModel, plant: "Plant") -> None:
     """Writes viscous and Coulomb friction, armature and springs of hinges and slides."""
     terms = plant.terms
     for j, joint in enumerate(plant.robot.joints):

@@ -51,20 +51,20 @@ class Noise:
 
 
 @dataclass(frozen=True, eq=False)
-class Draws:
+class NoiseDraws:
     """Standard normal draws of one repeat, (N, rows) each: shared by all noise levels."""
 
     encoder: Array
     torque: Array
 
 
-def draw(count: int, recorded: int, rows: int, rng: np.random.Generator) -> Draws:
+def draw_noise(count: int, recorded: int, rows: int, rng: np.random.Generator) -> NoiseDraws:
     """Draws for `count` control steps and `recorded` samples."""
-    return Draws(rng.normal(size=(count, rows)), rng.normal(size=(recorded, rows)))
+    return NoiseDraws(rng.normal(size=(count, rows)), rng.normal(size=(recorded, rows)))
 
 
 def encoder_error(
-    noise: Noise, draws: Draws, q: Array | None = None, rounded: Array | slice = slice(None)
+    noise: Noise, draws: NoiseDraws, q: Array | None = None, rounded: Array | slice = slice(None)
 ) -> Array:
     """Error of every encoder reading (N, rows); with positions q (N, rows) that of rounding too, in
     the degrees of freedom `rounded` (an orientation has no encoder that counts)."""
@@ -75,7 +75,7 @@ def encoder_error(
     return error
 
 
-def sense(
+def measure(
     robot: RobotModel,
     oracle: Oracle,
     error: Array,
@@ -95,7 +95,7 @@ def sense(
     step = motion.t[1] - motion.t[0]
     if robot.coupling is not None:
         error = robot.coupling.spread(error)
-    q = displaced(robot, motion.q[kept], error[kept])
+    q = with_position_error(robot, motion.q[kept], error[kept])
     read = robot.completed(Trajectory(motion.t[kept], q, motion.v[kept], motion.a[kept]))
     return Recording(
         t=motion.t[kept],
@@ -111,7 +111,7 @@ def sense(
     )
 
 
-def displaced(robot: RobotModel, q: Array, error: Array) -> Array:
+def with_position_error(robot: RobotModel, q: Array, error: Array) -> Array:
     """Configurations (N, nq) moved by (N, nv): added to positions, turned onto quaternions."""
     out = q.copy()
     for joint in robot.joints:

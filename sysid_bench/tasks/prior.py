@@ -45,7 +45,7 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
     return Prior(theta, std)
 
 
-def misknown(task: Task, share: float, rng: np.random.Generator) -> Task:
+def with_known_errors(task: Task, share: float, rng: np.random.Generator) -> Task:
     """The task with its known parts told with errors: masses, inertias and joint terms of this
     share (standard deviation), centres of mass of the same share of LENGTH."""
     spread = PriorSpread(share, share * LENGTH, share, share)

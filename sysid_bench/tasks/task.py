@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.models.sensor import Cut, cut_at, instruments_of, sensor_names, the_sensor
+from sysid_bench.models.sensor import SensorCut, cut_at, instruments_of, sensor_names, the_sensor
 from sysid_bench.spatial.inertia import transport
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Body, Truth
@@ -35,7 +35,7 @@ class Task:
     rows: tuple[str, ...] | None = None
     """Names of the degrees of freedom whose torque is measured, or of a sensor's six components;
     None: all degrees of freedom."""
-    cuts: tuple[Cut, ...] = ()
+    cuts: tuple[SensorCut, ...] = ()
     """The force/torque sensors that are looked at; where one is measured alone, those that end its
     sub-tree come after it."""
     known_coupling: Array | None = None
@@ -46,12 +46,12 @@ class Task:
         return self.truth.parameters
 
     @property
-    def stops(self) -> tuple[Cut, ...]:
+    def end_sensors(self) -> tuple[SensorCut, ...]:
         """The sensors whose wrench is taken from that of the first."""
         return self.cuts[1:] if self.name in SENSOR_TASKS else ()
 
     @property
-    def knows_something(self) -> bool:
+    def has_known_part(self) -> bool:
         """Whether a known torque has to be taken from the measured one."""
         terms = (*self.known_terms.values(), self.known_coupling)
         return bool(self.known_links.any() or any(v is not None and v.any() for v in terms))
@@ -120,7 +120,7 @@ def _with_payload(robot: RobotModel) -> Array:
 def _behind_sensor(robot: RobotModel, sensor: str, all_bodies: bool) -> Task:
     """All bodies behind a sensor, or the payload alone with the others known."""
     cut = cut_at(robot, sensor)
-    cuts = (cut, *(cut_at(robot, stop) for stop in cut.stops))
+    cuts = (cut, *(cut_at(robot, stop) for stop in cut.end_sensors))
     own = [b for b in cut.bodies if b != robot.payload_body]
     known, phi = np.zeros_like(robot.phi), _with_payload(robot)
     if not all_bodies:
@@ -136,7 +136,7 @@ def _behind_sensor(robot: RobotModel, sensor: str, all_bodies: bool) -> Task:
         "wrench" if all_bodies else "wrench-payload",
         bodies,
         Truth(columns, phi[own].ravel()),
-        instruments_of(robot, cuts).tree.lumped(known),
+        instruments_of(robot, cuts).tree.composite_links(known),
         {},
         cut.rows,
         cuts,
@@ -153,7 +153,7 @@ def _beside_sensors(robot: RobotModel, task: Task, sensor: str | None) -> Task:
     known = known * [[float(name not in asked)] for name in robot.body_names]
     if robot.payload_body is not None:
         known[robot.payload_body] = 0.0  # asked for, or a part of the tool's body
-    lumped = instruments_of(robot, cuts).tree.lumped(known)
+    lumped = instruments_of(robot, cuts).tree.composite_links(known)
     rows = robot.torque_rows + tuple(row for cut in cuts for row in cut.rows)
     return replace(task, rows=rows, cuts=cuts, known_links=lumped)
 
@@ -175,7 +175,7 @@ def _with_offset(task: Task, terms: tuple[str, ...], offset: Callable[[int], Arr
 
 def _robot(robot: RobotModel, terms: tuple[str, ...]) -> Task:
     phi = _with_payload(robot)
-    asked = {body.name for body in asked_bodies(robot)}
+    asked = {body.name for body in unknown_bodies(robot)}
     own = [i for i, name in enumerate(robot.body_names) if name in asked]
     bodies = tuple(robot.bodies[i] for i in own)
     columns = tuple(column for body in bodies for column in body.columns) + robot.term_columns(
@@ -186,11 +186,11 @@ def _robot(robot: RobotModel, terms: tuple[str, ...]) -> Task:
     rest[own] = 0.0
     if robot.payload_body is not None:
         rest[robot.payload_body] = 0.0  # it is part of the tool's body
-    known = robot.tree.lumped(rest)
+    known = robot.tree.composite_links(rest)
     return Task("robot", bodies, Truth(columns, theta), known, _terms_without(robot, terms))
 
 
-def asked_bodies(robot: RobotModel) -> tuple[Body, ...]:
+def unknown_bodies(robot: RobotModel) -> tuple[Body, ...]:
     """The bodies whose parameters the task "robot" asks for: all but the payload and those that
     the manifest calls massless, which weigh what the model says."""
     names = robot.body_names
@@ -207,7 +207,9 @@ def _payload(robot: RobotModel) -> Task:
     known[robot.payload_body] = 0.0
     body = robot.bodies[robot.payload_body]
     truth = Truth(body.columns, robot.phi[robot.payload_body])
-    return Task("payload", (body,), truth, robot.tree.lumped(known), _terms_without(robot, ()))
+    return Task(
+        "payload", (body,), truth, robot.tree.composite_links(known), _terms_without(robot, ())
+    )
 
 
 def _link(robot: RobotModel) -> Task:
@@ -216,7 +218,7 @@ def _link(robot: RobotModel) -> Task:
     if link < 0:
         raise UnsupportedError(f"The tool {robot.body_names[robot.tool_body]!r} does not move.")
     body = robot.bodies[robot.tree.links[link].body]
-    lumped = robot.tree.lumped(robot.phi)
+    lumped = robot.tree.composite_links(robot.phi)
     known = lumped.copy()
     known[link] = 0.0
     return Task(
@@ -230,7 +232,7 @@ def _terminal(robot: RobotModel, terms: tuple[str, ...]) -> Task:
     link = _link(robot)
     dofs = _last_measured(robot)
     rows = tuple(robot.rows[dof] for dof in dofs)
-    asked = tuple(c for c in robot.term_columns(terms) if robot.term_place(c)[1] in dofs)
+    asked = tuple(c for c in robot.term_columns(terms) if robot.term_index(c)[1] in dofs)
     truth = Truth(
         link.parameters + asked,
         np.concatenate([link.truth.theta, robot.term_values(asked)]),
@@ -249,7 +251,7 @@ def _last_measured(robot: RobotModel) -> Sequence[int]:
             if moving.issuperset(joint.dofs):
                 return joint.dofs
             assert robot.coupling is not None
-            drivers = robot.coupling.drivers(joint.vadr)
+            drivers = robot.coupling.independent_of(joint.vadr)
             if len(drivers):
                 return [int(drivers[-1])]
         at = link.parent
@@ -263,7 +265,7 @@ def _terms_without(robot: RobotModel, identified: tuple[str, ...]) -> dict[str, 
     """The terms (nv,) that methods are given; identified ones are unknown, and zero here."""
     known = {term: getattr(robot.joint_terms, term).copy() for term in SUFFIX}
     for name in robot.term_columns(identified):
-        term, dof, other = robot.term_place(name)
+        term, dof, other = robot.term_index(name)
         if other is None:
             known[term][dof] = 0.0
     return known
@@ -275,7 +277,7 @@ def _coupling_without(
     """The viscous coupling (nv, nv) that methods are given."""
     known = robot.joint_terms.viscous_coupling.copy()
     for name in set(identified).intersection(unknown):
-        _, dof, other = robot.term_place(name)
+        _, dof, other = robot.term_index(name)
         if other is not None:
             known[dof, other] = 0.0
     return known

@@ -33,12 +33,12 @@ def paper_table(
     they are printed here or by the first parameter in them; `missing` are the rows without a value.
     Raises UsageError.
     """
-    from sysid_bench.identifiability.base_expressions import combined, expression
+    from sysid_bench.identifiability.base_expressions import base_expressions, expression
     from sysid_bench.identifiability.base_map import base_map
-    from sysid_bench.identifiability.sign_bounds import impossible, smallest_change
+    from sysid_bench.identifiability.sign_bounds import infeasible_signs, smallest_feasible_change
     from sysid_bench.identifiability.structural import structural_factor
     from sysid_bench.models.load import load_robot
-    from sysid_bench.tasks.task import asked_bodies, task_of
+    from sysid_bench.tasks.task import task_of, unknown_bodies
 
     robot = load_robot(source, robots_dir=robots_dir)
     manifest = robot.manifest
@@ -48,26 +48,26 @@ def paper_table(
     parameters = _ordered(robot, manifest, asked.parameters, left_out)
     base = base_map(structural_factor(robot, parameters), parameters)
     symbols = _symbols(robot, base)
-    inertial = {column for body in asked_bodies(robot) for column in body.columns}
+    inertial = {column for body in unknown_bodies(robot) for column in body.columns}
     rows: list[dict[str, Any]] = [
         {
             "terms": own,
             "symbols": {name: symbols[i][name] for name in own if name in symbols[i]},
             "numbers": expression(own),
         }
-        for i, own in enumerate(combined(base))
+        for i, own in enumerate(base_expressions(base))
     ]
     for row in rows:
         row["expression"] = _expression(row["terms"], row["symbols"])
     told = None if values is None else _values(values, rows, base)
-    bodies = asked_bodies(robot)
+    bodies = unknown_bodies(robot)
     for i, row in enumerate(rows):
         value = None if told is None or np.isnan(told[i]) else float(told[i])
         row["value"] = value
-        row["impossible"] = None if value is None else impossible(row["terms"], value, bodies)
+        row["impossible"] = None if value is None else infeasible_signs(row["terms"], value, bodies)
     change = None
     if told is not None and (known := np.isfinite(told)).any():
-        change = smallest_change(base.K[known], told[known], parameters, bodies)
+        change = smallest_feasible_change(base.K[known], told[known], parameters, bodies)
     missing = [] if told is None else [r["expression"] for r in rows if r["value"] is None]
     return {
         "robot": robot.name,
@@ -115,9 +115,9 @@ def _ordered(
     robot: "RobotModel", manifest: "Manifest", asked: Sequence[str], left_out: Sequence[str]
 ) -> tuple[str, ...]:
     """Parameters (p,), body after body as the paper has them, joint terms last."""
-    from sysid_bench.tasks.task import asked_bodies
+    from sysid_bench.tasks.task import unknown_bodies
 
-    bodies = {body.name: body.columns for body in asked_bodies(robot)}
+    bodies = {body.name: body.columns for body in unknown_bodies(robot)}
     first = () if manifest.paper is None else manifest.paper.order
     for name in first:
         if name not in bodies:
@@ -131,7 +131,7 @@ def _ordered(
 def _symbols(robot: "RobotModel", base: "BaseMap") -> list[dict[str, str]]:
     """For each row the coefficients that lengths of the robot's table explain."""
     from sysid_bench.identifiability.structural import structural_factor
-    from sysid_bench.identifiability.symbols import generic_lengths, symbolic
+    from sysid_bench.identifiability.symbols import lengths_of, symbolic_coefficient
     from sysid_bench.identifiability.verdicts import coefficients
     from sysid_bench.models.dh.dh_robot import mjcf_of
     from sysid_bench.models.dh.dh_table import read_table
@@ -145,7 +145,7 @@ def _symbols(robot: "RobotModel", base: "BaseMap") -> list[dict[str, str]]:
     names = read_table(table).symbols
     if not names:
         return empty
-    sets = generic_lengths(names)
+    sets = lengths_of(names)
     massless = [body.removeprefix("link") for body in robot.manifest.massless]
     maps = []
     for lengths in sets:
@@ -160,7 +160,7 @@ def _symbols(robot: "RobotModel", base: "BaseMap") -> list[dict[str, str]]:
     for i, j in np.argwhere(coefficients(base) != 0.0):
         values = tuple(float(np.round(K[i, j], 9)) for K in maps)
         if values not in cache:
-            cache[values] = symbolic(values, sets)
+            cache[values] = symbolic_coefficient(values, sets)
         if (words := cache[values]) is not None:
             found[i][base.parameters[j]] = words
     return found

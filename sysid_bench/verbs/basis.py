@@ -23,7 +23,11 @@ def basis(
     Raises UsageError for unknown words, ModelError for a file that cannot be used, and
     UnsupportedError where the robot has no such task.
     """
-    from sysid_bench.identifiability.base_expressions import combined, expression, near_degenerate
+    from sysid_bench.identifiability.base_expressions import (
+        base_expressions,
+        expression,
+        near_degenerate,
+    )
     from sysid_bench.identifiability.base_map import base_map
     from sysid_bench.identifiability.structural import structural_factor
     from sysid_bench.identifiability.verdicts import verdicts
@@ -57,7 +61,7 @@ def basis(
             for value, parts in near_degenerate(R, base)
         ],
         "combinations": [
-            {"expression": expression(parts), "terms": parts} for parts in combined(base)
+            {"expression": expression(parts), "terms": parts} for parts in base_expressions(base)
         ],
         "verdicts": dict(zip(base.parameters, verdicts(base), strict=True)),
     }

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from sysid_bench.conformance import World
+    from sysid_bench.conformance import TestProblem
 
 WORLDS: Final[tuple[Mapping[str, Any], ...]] = (
     {"robot": "random:7"},
@@ -33,7 +33,7 @@ def check_plugin(name: str | Mapping[str, Any], robots_dir: Path | None = None) 
     from sysid_bench.naming import build
 
     estimator = build("estimator", name)
-    findings = check(estimator, worlds(not hasattr(estimator, "solve"), robots_dir))
+    findings = check(estimator, problems_of_kind(not hasattr(estimator, "solve"), robots_dir))
     return {
         "estimator": name if isinstance(name, str) else name["use"],
         "ok": all(finding.kept for finding in findings),
@@ -45,7 +45,9 @@ def check_plugin(name: str | Mapping[str, Any], robots_dir: Path | None = None) 
     }
 
 
-def worlds(simulating: bool = False, robots_dir: Path | None = None) -> list["World"]:
+def problems_of_kind(
+    simulating: bool = False, robots_dir: Path | None = None
+) -> list["TestProblem"]:
     """The worlds of a method; `simulating`: those with a controller alone."""
     if simulating:
         noisy = {**LOOP, "noise": {"tau_relative": 0.01}}
@@ -53,9 +55,9 @@ def worlds(simulating: bool = False, robots_dir: Path | None = None) -> list["Wo
     return [_world(places, robots_dir) for places in WORLDS]
 
 
-def _world(changes: Mapping[str, Any], robots_dir: Path | None) -> "World":
-    from sysid_bench.conformance import World
-    from sysid_bench.experiments.robot_cache import subject
+def _world(changes: Mapping[str, Any], robots_dir: Path | None) -> "TestProblem":
+    from sysid_bench.conformance import TestProblem
+    from sysid_bench.experiments.robot_cache import cached_robot
     from sysid_bench.experiments.simulated.prepare import prepare
     from sysid_bench.experiments.spec import ExperimentSpec
 
@@ -76,9 +78,9 @@ def _world(changes: Mapping[str, Any], robots_dir: Path | None) -> "World":
     }
     spec = ExperimentSpec(**{**base, **changes})
     robots = None if robots_dir is None else str(robots_dir)
-    ready = prepare(spec, subject(spec.robot, spec.payload, robots, None))
+    ready = prepare(spec, cached_robot(spec.robot, spec.payload, robots, None))
     name = f"{spec.robot}, task {spec.task}, {'noise of 1 %' if spec.noise else 'exact'}"
-    return World(name, ready.problem, ready.truth.theta, not spec.noise, ready.experiment)
+    return TestProblem(name, ready.problem, ready.truth.theta, not spec.noise, ready.experiment)
 
 
 def summary(answer: Mapping[str, Any]) -> list[str]:

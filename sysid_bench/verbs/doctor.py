@@ -78,9 +78,9 @@ def _latex() -> dict[str, Any]:
 
 
 def _kernel() -> dict[str, Any]:
-    from sysid_bench.regressors.kernel_c import chosen
+    from sysid_bench.regressors.kernel_c import selected_kernel
 
-    choice = chosen()
+    choice = selected_kernel()
     return _check("regressor kernel", choice.library is not None, str(choice), needed=False)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from sysid_bench.errors import UsageError, unknown_name
 
 if TYPE_CHECKING:
-    from sysid_bench.excitation.design_problem import Brief
+    from sysid_bench.excitation.design_problem import DesignProblem
     from sysid_bench.excitation.export.commands import Commands
     from sysid_bench.excitation.optimised import Optimised
     from sysid_bench.models.robot import RobotModel
@@ -51,10 +51,10 @@ def excite(
     import numpy as np
 
     from sysid_bench.canonical_json import plain
-    from sysid_bench.excitation.design_problem import brief_of
-    from sysid_bench.excitation.geometry import scene_of
-    from sysid_bench.excitation.information import question, torque_of
-    from sysid_bench.excitation.optimised import Optimised, figures, told_by
+    from sysid_bench.excitation.design_problem import design_problem
+    from sysid_bench.excitation.geometry import collision_model
+    from sysid_bench.excitation.information import information_model, torque_model
+    from sysid_bench.excitation.optimised import Optimised, design_figures, torque_prior
     from sysid_bench.identifiability.structural import structural_base
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.payload import parse_payload
@@ -68,10 +68,10 @@ def excite(
     base = structural_base(model, asked.parameters, asked.rows, asked.cuts)
     scenes: dict[float | None, Any] = {}
     brief = replace(
-        brief_of(model, rate),
-        regress=question(model, base.names, asked.rows, asked.cuts),
-        torque=torque_of(model),
-        scene=lambda floor: scenes.setdefault(floor, scene_of(model, floor)),
+        design_problem(model, rate),
+        regress=information_model(model, base.names, asked.rows, asked.cuts),
+        torque=torque_model(model),
+        scene=lambda floor: scenes.setdefault(floor, collision_model(model, floor)),
         **_limits(model.torque_rows, limits or {}),
     )
     options: dict[str, Any] = {"clearance": 0.01, **(settings or {})}
@@ -87,10 +87,10 @@ def excite(
     rng = np.random.default_rng(seed)  # the draws that the search began with
     draws = made.draws(space, rng)
     assert brief.regress is not None
-    told = told_by(space, brief.regress, draws)
+    told = torque_prior(space, brief.regress, draws)
     grid = space.curves.grid()
-    told_figures = figures(told, space.motion(design.C, grid))
-    random = [figures(told, space.motion(C, grid)) for C in draws]
+    told_figures = design_figures(told, space.motion(design.C, grid))
+    random = [design_figures(told, space.motion(C, grid)) for C in draws]
     used = made.report(design.C, brief)
     violations = [
         {"kind": one.kind, "at": one.name, "share": one.use}
@@ -170,7 +170,7 @@ def _export(export: str | None, out: str | Path | None) -> str:
     return kind
 
 
-def _names(brief: "Brief", dofs: "Array") -> tuple[str, ...]:
+def _names(brief: "DesignProblem", dofs: "Array") -> tuple[str, ...]:
     names = {joint.vadr: joint.name for joint in brief.joints}
     return tuple(names[int(dof)] for dof in brief.dofs[dofs])
 
@@ -195,7 +195,7 @@ def _limits(rows: tuple[str, ...], told: Mapping[str, Sequence[float]]) -> dict[
 def _drives(
     kind: str, joints: tuple[str, ...], motors: Mapping[str, Mapping[str, Any]] | None
 ) -> tuple[Any, ...]:
-    from sysid_bench.excitation.export.damiao import MOTORS, drives_of
+    from sysid_bench.excitation.export.damiao import MOTORS, damiao_drives
 
     if kind not in ("damiao", "can"):
         return ()
@@ -210,10 +210,12 @@ def _drives(
         raise UsageError(
             f"{len(motors)} motor(s) for {len(joints)} joints: {', '.join(joints)}; name one each."
         )
-    return drives_of(joints, {by_place[k]: m for k, m in motors.items()} if numbered else motors)
+    return damiao_drives(
+        joints, {by_place[k]: m for k, m in motors.items()} if numbered else motors
+    )
 
 
-def _geometry(brief: "Brief", made: "Optimised") -> dict[str, Any]:
+def _geometry(brief: "DesignProblem", made: "Optimised") -> dict[str, Any]:
     if (made.clearance is None and made.floor is None) or brief.scene is None:
         return {"shapes": None, "ignored": [], "note": "collisions were not asked for"}
     scene = brief.scene(made.floor)
@@ -229,7 +231,7 @@ def _geometry(brief: "Brief", made: "Optimised") -> dict[str, Any]:
 
 
 def _recorded(
-    file: Path, brief: "Brief", joints: tuple[str, ...], made: "Optimised"
+    file: Path, brief: "DesignProblem", joints: tuple[str, ...], made: "Optimised"
 ) -> "Trajectory":
     """A motion that has been recorded: columns t, <joint>.q, .v, .a, as a CSV export has them."""
     import numpy as np
@@ -249,7 +251,7 @@ def _recorded(
     space = made.space(brief)
     q = np.tile(brief.q0, (len(table), 1))
     v, a = np.zeros((2, len(table), sum(len(joint.dofs) for joint in brief.joints)))
-    moving = space.moving
+    moving = space.moving_joints
     for array, places, key in ((q, space.places, "q"), (v, moving, "v"), (a, moving, "a")):
         array[:, places] = table[[f"{joint}.{key}" for joint in joints]].to_numpy()
     t = table["t"].to_numpy() if "t" in table else np.arange(len(table)) / brief.rate
@@ -269,18 +271,18 @@ def _write(
     """Writes the motion; the answer tells what an export had to change. Warnings in words."""
     from sysid_bench.excitation.export import damiao, ros2
     from sysid_bench.excitation.export.commands import commands_of, csv_text
-    from sysid_bench.excitation.information import torque_of
+    from sysid_bench.excitation.information import torque_model
 
     where = {joint.name: joint for joint in model.joints}
     commands: Commands = commands_of(
         motion,
-        torque_of(model).of(motion)[:, [model.torque_rows.index(name) for name in joints]],
+        torque_model(model).of(motion)[:, [model.torque_rows.index(name) for name in joints]],
         joints,
         [where[name].qadr for name in joints],
         [where[name].vadr for name in joints],
     )
     warnings = []
-    if not commands.rests:
+    if not commands.starts_at_rest:
         warnings.append(
             "the motion starts and ends in full swing; a motion for hardware should rest there: "
             f"--family {RESTING}"
@@ -290,7 +292,7 @@ def _write(
     elif kind == "ros2":
         text = (ros2.json_text if out.suffix == ".json" else ros2.yaml_text)(commands)
     else:
-        commands, report = damiao.clamped(commands, drives, clamp)
+        commands, report = damiao.within_range(commands, drives, clamp)
         answer["export"] = [
             {**drive.to_json(), **entry} for drive, entry in zip(drives, report, strict=True)
         ]
@@ -326,19 +328,19 @@ def motors_of(text: str) -> dict[str, dict[str, Any]]:
     return table
 
 
-def chosen_objective(text: str) -> str | dict[str, float]:
+def parse_objective(text: str) -> str | dict[str, float]:
     """An objective's name, or the weights of "D=1,cond=0.2"."""
     if "=" not in text:
         return text
     return {name.strip(): _number(value) for name, value in _pairs(text.split(","))}
 
 
-def chosen_limits(words: Sequence[str]) -> dict[str, list[float]]:
+def parse_limits(words: Sequence[str]) -> dict[str, list[float]]:
     """The numbers of "v=1.7,1.7,2.2" and so on."""
     return {key: [_number(x) for x in values.split(",")] for key, values in _pairs(words)}
 
 
-def chosen_settings(given: Mapping[str, Any], boxes: Sequence[str]) -> dict[str, Any]:
+def parse_settings(given: Mapping[str, Any], boxes: Sequence[str]) -> dict[str, Any]:
     """Settings of the excitation from the words of options; what is not given is left out."""
     from sysid_bench.units import quantity
 

@@ -9,17 +9,17 @@ if TYPE_CHECKING:
     from sysid_bench.types import Estimate
 
 
-def excited(ready: "Prepared") -> dict[str, Any]:
+def excitation_fields(ready: "Prepared") -> dict[str, Any]:
     """The sensor, its sub-tree, what its data tell of the structure, and the degrees of freedom
     whose torque they cannot foretell."""
-    from sysid_bench.experiments.simulated.ft_evaluation import excited as excitation
+    from sysid_bench.experiments.simulated.ft_evaluation import sensor_excitation as excitation
 
     cut, told = ready.task.cuts[0], excitation(ready)
     return {
         "name": cut.name,
         "at": cut.at,
         "bodies": [ready.robot.body_names[b] for b in cut.bodies],
-        "ends_at": list(cut.stops),
+        "ends_at": list(cut.end_sensors),
         "structural_rank": told.structural,
         "excited_rank": told.rank,
         "unpredictable": list(told.unpredictable),
@@ -27,20 +27,20 @@ def excited(ready: "Prepared") -> dict[str, Any]:
     }
 
 
-def compared(
+def comparison_fields(
     spec: "ExperimentSpec", ready: "Prepared", estimate: "Estimate"
 ) -> dict[str, dict[str, float]] | None:
     """RMS errors of joint torques and of a touch on the last body, with true, CAD and identified
     parameters side by side, on a motion that was not trained on; None where a further sensor ends
     the sub-tree."""
-    from sysid_bench.experiments.simulated.ft_evaluation import trial_of
+    from sysid_bench.experiments.simulated.ft_evaluation import contact_test
 
-    trial = trial_of(spec, ready)
+    trial = contact_test(spec, ready)
     errors = None if trial is None else trial.errors(ready, estimate)
     return None if errors is None else {name: asdict(c) for name, c in errors.items()}
 
 
-def told(sensor: dict[str, Any]) -> list[str]:
+def sensor_lines(sensor: dict[str, Any]) -> list[str]:
     """The same in a few lines."""
     lines = [
         f"  sensor {sensor['name']} at {sensor['at']}: {len(sensor['bodies'])} bodies behind it, "

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError
-from sysid_bench.verbs.ft_summary import told as sensor_lines
+from sysid_bench.verbs.ft_summary import sensor_lines as sensor_lines
 
 if TYPE_CHECKING:
     from sysid_bench.experiments.spec import ExperimentSpec
@@ -55,40 +55,40 @@ def identify(
     EstimationError where the method fails.
     """
     from sysid_bench.canonical_json import plain
-    from sysid_bench.evaluation.covariance import spreads
+    from sysid_bench.evaluation.covariance import standard_errors
     from sysid_bench.evaluation.score import score
-    from sysid_bench.experiments.robot_cache import subject
-    from sysid_bench.experiments.simulated.prepare import prepare, terms_of
+    from sysid_bench.experiments.robot_cache import cached_robot
+    from sysid_bench.experiments.simulated.prepare import identified_terms, prepare
     from sysid_bench.identification.feasibility.completion import completed_estimate
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.naming import build
-    from sysid_bench.verbs.ft_summary import compared, excited
+    from sysid_bench.verbs.ft_summary import comparison_fields, excitation_fields
     from sysid_bench.verbs.option_parsing import refuse_ignored_terms
     from sysid_bench.verbs.result import (
         base_of,
         bodies_of,
+        changed_parameters,
         joints_of,
-        moved_of,
         std_from,
         warnings_of,
     )
-    from sysid_bench.verbs.write_model import check_answer, check_target, write_model
+    from sysid_bench.verbs.write_model import check_estimate, check_target, write_model
 
     refuse_ignored_terms(task, terms)
     name = estimator or ESTIMATOR.get(task, "ols")
     method = build("estimator", name)
     spec = _spec(str(model), task, payload, terms, noise or {}, seed, sensor, free_base, contacts)
     folder = None if robots_dir is None else str(robots_dir)
-    robot = subject(spec.robot, spec.payload, folder, None, free_base)
+    robot = cached_robot(spec.robot, spec.payload, folder, None, free_base)
     if model_out is not None:
         check_target(robot.robot, task, Path(model_out))
     if json_out is not None:
-        check_answer(robot.robot, Path(json_out), None if model_out is None else Path(model_out))
+        check_estimate(robot.robot, Path(json_out), None if model_out is None else Path(model_out))
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
     ready = prepare(spec, robot)
     estimate = solve(method, ready.problem, ready.experiment)
-    told = excited(ready) if task == "wrench" else None
+    told = excitation_fields(ready) if task == "wrench" else None
     missing = [told["warning"]] if told and told["warning"] else []
     if estimate.status != "ok":
         raise EstimationError(
@@ -96,14 +96,14 @@ def identify(
         )
     if complete is not None:
         estimate = completed_estimate(estimate, ready.problem, complete)
-    figures = score(estimate, ready.problem, ready.held_out, ready.truth, ready.reach)
-    sure = spreads(ready.problem, estimate)
+    figures = score(estimate, ready.problem, ready.held_out, ready.truth, ready.extents)
+    sure = standard_errors(ready.problem, estimate)
     bodies = bodies_of(estimate, ready.problem, sure)
     answer = {
         "model": robot.robot.name,
         "file": str(robot.robot.manifest.path),
         "task": task,
-        "terms": list(terms_of(spec, robot.robot)),
+        "terms": list(identified_terms(spec, robot.robot)),
         "rows": list(ready.problem.rows),
         "estimator": name,
         "rank": figures.rank,
@@ -127,12 +127,12 @@ def identify(
         "warnings": [
             *robot.robot.repairs,
             *warnings_of(estimate, ready.problem),
-            *moved_of(estimate, ready.problem),
+            *changed_parameters(estimate, ready.problem),
             *missing,
         ],
     }
     if told is not None:
-        answer["sensor"] = told | {"estimation": compared(spec, ready, estimate)}
+        answer["sensor"] = told | {"estimation": comparison_fields(spec, ready, estimate)}
     if model_out is not None:
         whole = complete is not None
         write_model(robot.robot, task, estimate, ready.problem, Path(model_out), whole)

@@ -10,9 +10,9 @@ import numpy as np
 from sysid_bench.errors import EstimationError
 
 if TYPE_CHECKING:
-    from sysid_bench.experiments.recorded.prepared_logs import Posed
-    from sysid_bench.experiments.recorded.preprocess import Processed, Treatment
-    from sysid_bench.experiments.recorded.term_selection import Selection
+    from sysid_bench.experiments.recorded.prepared_logs import PreparedLogs
+    from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog
+    from sysid_bench.experiments.recorded.term_selection import TermSelection
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as told, over the same samples"
 
@@ -44,17 +44,17 @@ def identify_logs(
     does not name; EstimationError where the method fails.
     """
     from sysid_bench.canonical_json import plain
-    from sysid_bench.evaluation.covariance import spreads
-    from sysid_bench.evaluation.recorded_score import eigenvalues, overall, torque_error
-    from sysid_bench.experiments.recorded.payload_mass import mass_of
-    from sysid_bench.experiments.recorded.prepare import Asked, posed_logs
-    from sysid_bench.experiments.recorded.repeatability import replayed
+    from sysid_bench.evaluation.covariance import standard_errors
+    from sysid_bench.evaluation.recorded_score import eigenvalues, pooled_error, torque_error
+    from sysid_bench.experiments.recorded.payload_mass import payload_mass
+    from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_logs
+    from sysid_bench.experiments.recorded.repeatability import repeatability_error
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.manifest import find_manifest
     from sysid_bench.naming import build
     from sysid_bench.signals.log_description import read_description
-    from sysid_bench.verbs.log_warnings import doubts
+    from sysid_bench.verbs.log_warnings import log_warnings
     from sysid_bench.verbs.result import base_of, bodies_of, joints_of, std_from, warnings_of
     from sysid_bench.verbs.write_model import check_target, write_model
 
@@ -64,21 +64,24 @@ def identify_logs(
     manifest = find_manifest(str(model), robots_dir)
     if model_out is not None:
         check_target(load_robot(manifest), task, Path(model_out))
-    asked = Asked(
+    asked = LogOptions(
         task, None if terms is None else tuple(terms), filter, derivatives, moving,
         tuple(candidates), position_given, tuple(accept),
     )  # fmt: skip
     named = dict(zip(_labels(tests), descriptions[len(logs) :], strict=True))
-    posed = posed_logs(manifest, descriptions[: len(logs)], named, asked)
+    posed = prepare_logs(manifest, descriptions[: len(logs)], named, asked)
     training, testing = posed.training, posed.testing
     read = (*training, *testing.values())
-    robot, treatment = training[0].robot, posed.posing.treatment
+    robot, treatment = training[0].robot, posed.builder.preprocessing
     estimate = solve(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
         raise EstimationError(f"{name} on {manifest.name}: {estimate.reason}")
     beta = estimate.beta
-    again = {label: replayed(training, test, posed.problem.rows) for label, test in testing.items()}
-    sure = spreads(posed.problem, estimate)
+    again = {
+        label: repeatability_error(training, test, posed.problem.rows)
+        for label, test in testing.items()
+    }
+    sure = standard_errors(posed.problem, estimate)
     bodies = bodies_of(estimate, posed.problem, sure)
     told, terms_told = _joint_table(posed.problem, beta), joints_of(estimate, posed.problem, sure)
     answer = {
@@ -93,8 +96,8 @@ def identify_logs(
         "denominator": DENOMINATOR,
         "selection": None if posed.selection is None else _selection(posed.selection),
         **_data_figures(posed.problem),
-        "rmse_train": overall(posed.problem, beta),
-        "rmse_test": _mean([overall(test, beta) for test in posed.tests.values()]),
+        "rmse_train": pooled_error(posed.problem, beta),
+        "rmse_test": _mean([pooled_error(test, beta) for test in posed.tests.values()]),
         "torque_error": torque_error(posed.tests, beta),
         "training": told,
         "tests": {label: _joint_table(test, beta) for label, test in posed.tests.items()},
@@ -106,14 +109,14 @@ def identify_logs(
         "joints": terms_told,
         "payload": None
         if task != "payload"
-        else asdict(mass_of(method, posed, beta))
+        else asdict(payload_mass(method, posed, beta))
         if position_given
         else list(bodies.values())[-1],
         "feasible": eigenvalues(estimate, posed.problem).get("feasible"),
         "warnings": [
             *robot.repairs,
             *_findings(read),
-            *doubts(told, terms_told),
+            *log_warnings(told, terms_told),
             *_repeated(again),
             *warnings_of(estimate, posed.problem),
         ],
@@ -153,7 +156,7 @@ def summary(answer: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _selection(selection: "Selection") -> dict[str, Any]:
+def _selection(selection: "TermSelection") -> dict[str, Any]:
     return {
         "added": [{"parameter": name, "error": error} for name, error in selection.added],
         "error_before": selection.error_before,
@@ -172,12 +175,12 @@ def _selection_lines(told: Mapping[str, Any] | None) -> list[str]:
     ]
 
 
-def _draw(path: Path, posed: "Posed", beta: Any) -> None:
+def _draw(path: Path, posed: "PreparedLogs", beta: Any) -> None:
     """Measured and predicted torque of the first test log, or of the training one."""
-    from sysid_bench.experiments.recorded.rows import prediction
+    from sysid_bench.experiments.recorded.rows import predict_test
     from sysid_bench.reporting.torque_figure import torque_figure
 
-    t, measured, found, problem = prediction(posed, beta, None)
+    t, measured, found, problem = predict_test(posed, beta, None)
     units = [kind.removeprefix("joint ") for kind in problem.kinds]
     torque_figure(path, t, problem.rows, measured, found, units)
 
@@ -214,7 +217,7 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 
-def _told(treatment: "Treatment") -> dict[str, Any]:
+def _told(treatment: "Preprocessing") -> dict[str, Any]:
     return {
         "filter": treatment.filter,
         "derivatives": treatment.derivatives,
@@ -248,7 +251,7 @@ def _mean(values: Sequence[float]) -> float | None:
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
 
-def _segment(one: "Processed", trains: bool) -> dict[str, Any]:
+def _segment(one: "ProcessedLog", trains: bool) -> dict[str, Any]:
     """Which part of which file was used, and what was found in it."""
     log, used = one.log, one.recording
     return {
@@ -269,7 +272,7 @@ def _segment(one: "Processed", trains: bool) -> dict[str, Any]:
     }
 
 
-def _findings(read: "Sequence[Processed]") -> list[str]:
+def _findings(read: "Sequence[ProcessedLog]") -> list[str]:
     return [
         f"{one.log.description.source.name}: {finding.text}"
         for one in read

@@ -63,7 +63,7 @@ def init_robot(
     }
 
 
-def chosen_numbers(text: str, what: str) -> tuple[float, float, float]:
+def parse_numbers(text: str, what: str) -> tuple[float, float, float]:
     """Three numbers of "0 pi/2 0"; raises UsageError."""
     from sysid_bench.models.dh.dh_expression import read_expression
 

@@ -10,7 +10,7 @@ SURE: Final = 3.0
 """Standard deviations that make a negative friction one."""
 
 
-def doubts(
+def log_warnings(
     training: Mapping[str, Mapping[str, Any]], joints: Mapping[str, Mapping[str, Any]]
 ) -> Iterator[str]:
     """Sentences on torques that are nothing, that no model explains, or that push with the motion;

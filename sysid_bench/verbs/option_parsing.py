@@ -6,7 +6,7 @@ from typing import Any
 from sysid_bench.errors import UsageError, unknown_name
 
 
-def chosen_terms(text: str | None) -> tuple[str, ...] | None:
+def parse_terms(text: str | None) -> tuple[str, ...] | None:
     """Joint terms of "viscous,coulomb,j1.k"; "none" is no term, and None leaves the choice to the
     robot.
 
@@ -37,7 +37,7 @@ def refuse_ignored_terms(task: str, terms: Sequence[str] | None) -> None:
         )
 
 
-def chosen_payload(text: str) -> str | dict[str, Any]:
+def parse_payload_option(text: str) -> str | dict[str, Any]:
     """A payload's name, or the table that a text in braces holds, as TOML writes it."""
     import tomllib
 
@@ -52,7 +52,7 @@ def chosen_payload(text: str) -> str | dict[str, Any]:
         ) from error
 
 
-def chosen_noise(text: str | None) -> dict[str, str]:
+def parse_noise(text: str | None) -> dict[str, str]:
     """The [noise] table of "tau=0.5 %,q=1e-4 rad". Raises UsageError for another key."""
     from sysid_bench.experiments.spec import NOISE_UNITS
 
@@ -69,7 +69,7 @@ def chosen_noise(text: str | None) -> dict[str, str]:
     return table
 
 
-def chosen_contacts(text: str | None) -> list[str] | str | None:
+def parse_contacts(text: str | None) -> list[str] | str | None:
     """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raises UsageError for others."""
     from sysid_bench.units import interval
 

@@ -8,7 +8,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
 
 if TYPE_CHECKING:
-    from sysid_bench.experiments.recorded.prepared_logs import Posed
+    from sysid_bench.experiments.recorded.prepared_logs import PreparedLogs
     from sysid_bench.harness.plan import Cell
     from sysid_bench.harness.store import RunFolder
     from sysid_bench.harness.suite.model import Paper
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sysid_bench.types import Array, Estimate
 
 
-def papers_of(run: "RunFolder", name: str | None = None) -> tuple[Listing, ...]:
+def paper_outputs(run: "RunFolder", name: str | None = None) -> tuple[Listing, ...]:
     """The listings of a run (None: all), of cells that have a row; a cell is executed again for its
     values."""
     asked = [entry for entry in run.suite.paper if entry.show != "torques"]
@@ -35,7 +35,7 @@ def draw_papers(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
     asked = [entry for entry in run.suite.paper if entry.show == "torques"]
     if not asked:
         return []
-    from sysid_bench.experiments.recorded.rows import prediction
+    from sysid_bench.experiments.recorded.rows import predict_test
     from sysid_bench.reporting.torque_figure import torque_figure
 
     files = []
@@ -45,7 +45,7 @@ def draw_papers(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
             continue
         posed, estimate = _again(run, entry, cell)
         beta = _beta(entry, estimate)
-        t, measured, found, problem = prediction(posed, beta, entry.test)
+        t, measured, found, problem = predict_test(posed, beta, entry.test)
         units = [kind.removeprefix("joint ") for kind in problem.kinds]
         for kind in ("pdf", "svg"):
             path = folder / f"{entry.name}.{kind}"
@@ -75,11 +75,11 @@ def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
     return next((cell for cell in found if rows.get(cell.id, {}).get("status") == "ok"), None)
 
 
-def _again(run: "RunFolder", entry: "Paper", cell: "Cell") -> "tuple[Posed, Estimate]":
+def _again(run: "RunFolder", entry: "Paper", cell: "Cell") -> "tuple[PreparedLogs, Estimate]":
     """The cell's problem and estimate."""
-    from sysid_bench.experiments.recorded.rows import posed_spec
+    from sysid_bench.experiments.recorded.rows import prepare_recorded
     from sysid_bench.identification.identify import identify
-    from sysid_bench.naming import build, located
+    from sysid_bench.naming import build, resolve_paths
 
     if cell.spec.log is None:
         raise UsageError(
@@ -88,8 +88,8 @@ def _again(run: "RunFolder", entry: "Paper", cell: "Cell") -> "tuple[Posed, Esti
         )
     suite = run.suite
     robots = None if suite.robots_dir is None else str(suite.robots_dir)
-    posed = posed_spec(cell.spec, robots, str(suite.folder))
-    method = build("estimator", located(cell.estimator, suite.folder))
+    posed = prepare_recorded(cell.spec, robots, str(suite.folder))
+    method = build("estimator", resolve_paths(cell.estimator, suite.folder))
     return posed, identify(method, posed.problem, posed.experiment)
 
 
@@ -101,14 +101,14 @@ def _beta(entry: "Paper", estimate: "Estimate") -> "Array":
 
 def _base_parameters(run: "RunFolder", entry: "Paper", cell: "Cell") -> Listing:
     """The sums as the robot's manifest orders them, with the values of a cell."""
-    from sysid_bench.evaluation.covariance import spreads
+    from sysid_bench.evaluation.covariance import standard_errors
     from sysid_bench.verbs.base_table import paper_table
     from sysid_bench.verbs.result import base_of
 
     posed, estimate = _again(run, entry, cell)
     _beta(entry, estimate)
-    values = {"base": base_of(estimate, posed.problem, spreads(posed.problem, estimate))}
-    ask = posed.posing.ask
+    values = {"base": base_of(estimate, posed.problem, standard_errors(posed.problem, estimate))}
+    ask = posed.builder.unknowns
     table = paper_table(cell.spec.robot, ask.terms, None, values, run.suite.robots_dir)
     rows = tuple(
         (

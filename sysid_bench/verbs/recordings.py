@@ -116,13 +116,13 @@ def _path(run_folder: "RunFolder", cell: str) -> Path:
 def _write(
     run_folder: "RunFolder", cell: str, row: Mapping[str, Any], max_hz: Any, robots_dir: Path | None
 ) -> Path:
-    from sysid_bench.experiments.cell_data import evidence
-    from sysid_bench.harness.job import argument_of
+    from sysid_bench.experiments.cell_data import cell_data
+    from sysid_bench.harness.job import job_of
     from sysid_bench.reporting.recording import record as write
     from sysid_bench.units import quantity
 
     (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
-    argument = argument_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_dir)
+    argument = job_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_dir)
     path = _path(run_folder, cell)
     path.parent.mkdir(parents=True, exist_ok=True)
-    return write(evidence(argument, dict(row)), path, quantity(max_hz, "Hz"))
+    return write(cell_data(argument, dict(row)), path, quantity(max_hz, "Hz"))

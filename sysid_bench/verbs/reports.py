@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.verbs.folders import open_run
-from sysid_bench.verbs.paper_output import draw_papers, papers_of, text_of
+from sysid_bench.verbs.paper_output import draw_papers, paper_outputs, text_of
 
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
@@ -51,7 +51,7 @@ def report(folder: str | Path) -> Path:
                 figure(table, run_folder.path / "figures" / f"{table.name}.{suffix}")
         for ranking in ranked:
             profile(ranking, run_folder.path / "figures" / f"{ranking.name}.{suffix}")
-    listings = papers_of(run_folder)
+    listings = paper_outputs(run_folder)
     for listing in listings:
         for form, suffix in zip(FORMATS, ("md", "csv", "tex"), strict=True):
             text = text_of(listing, form, origin)
@@ -82,7 +82,7 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     run_folder = open_run(folder)
     tables = {made.name: made for made in _tables(run_folder)}
     if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
-        listings = {made.name: made for made in papers_of(run_folder, name)}
+        listings = {made.name: made for made in paper_outputs(run_folder, name)}
         if name not in listings:
             raise UsageError(f"{name!r} has no sound cell yet, or is a figure: see figures/.")
         return text_of(listings[name], form, _origin(run_folder))

@@ -5,14 +5,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.covariance import Spread
-from sysid_bench.identifiability.base_expressions import combined, expression
+from sysid_bench.evaluation.covariance import StandardError
+from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial.inertia import NAMES, mass_com_inertia, six_of_matrix
 from sysid_bench.types import Array, Estimate, Problem
 
-Sure = Mapping[str, Spread]
+Sure = Mapping[str, StandardError]
 """How sure an estimate is, the way that is told first."""
 
 TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
@@ -52,10 +52,10 @@ def bodies_of(estimate: Estimate, problem: Problem, sure: Sure) -> dict[str, dic
 def base_of(estimate: Estimate, problem: Problem, sure: Sure) -> list[dict[str, Any]]:
     """[{expression, terms, value, std}] of the base parameters, in the order of their pivots."""
     assert estimate.beta is not None
-    std = deviations(sure, problem.base.rank)
+    std = standard_deviations(sure, problem.base.rank)
     return [
         {"expression": expression(terms), "terms": terms, "value": float(value), "std": float(s)}
-        for terms, value, s in zip(combined(problem.base), estimate.beta, std, strict=True)
+        for terms, value, s in zip(base_expressions(problem.base), estimate.beta, std, strict=True)
     ]
 
 
@@ -108,12 +108,12 @@ def std_from(sure: Sure) -> str | None:
     return next(iter(sure), None)
 
 
-def deviations(sure: Sure, rank: int) -> Array:
+def standard_deviations(sure: Sure, rank: int) -> Array:
     """Standard deviations (r,) of the base parameters; NaN where the method tells none."""
     return next((spread.std for spread in sure.values()), np.full(rank, np.nan))
 
 
-def moved_of(estimate: Estimate, problem: Problem) -> list[str]:
+def changed_parameters(estimate: Estimate, problem: Problem) -> list[str]:
     """What a completion had to change of the base parameters, where it had to."""
     if "moved" not in estimate.stats:
         return []
@@ -128,5 +128,5 @@ def moved_of(estimate: Estimate, problem: Problem) -> list[str]:
 def _std(problem: Problem, sure: Sure) -> Array:
     """Standard deviations (p,) of the parameters that are identifiable, NaN elsewhere."""
     std = np.full(len(problem.parameters), np.nan)
-    std[problem.base.pivots] = deviations(sure, problem.base.rank)
+    std[problem.base.pivots] = standard_deviations(sure, problem.base.rank)
     return np.where(np.array(verdicts(problem.base)) == "identifiable", std, np.nan)

@@ -43,7 +43,7 @@ def check_target(robot: RobotModel, task: str, target: Path) -> None:
         )
 
 
-def check_answer(robot: RobotModel, target: Path, model: Path | None) -> None:
+def check_estimate(robot: RobotModel, target: Path, model: Path | None) -> None:
     """Raises UsageError for a file that the answer must not be written to; `model`: where the
     model goes."""
     _check_place(robot, target)
@@ -110,4 +110,4 @@ def _riders(robot: RobotModel, name: str) -> Array:
     phi[own] = 0.0
     if robot.payload_body is not None:
         phi[robot.payload_body] = 0.0
-    return tree.lumped(phi)[tree.carrier[own]]
+    return tree.composite_links(phi)[tree.carrier[own]]

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.regressors.kernel_c import chosen
+from sysid_bench.regressors.kernel_c import selected_kernel
 
 Function = Callable[[], Any]
 TABLE = "SYSID_BENCH_SPEED"
@@ -123,7 +123,7 @@ def table() -> Iterator[str]:
     yield "targets."
     yield ""
     yield f"- machine: {processor()}, {os.cpu_count()} cores, {platform.system()}"
-    yield f"- regressor kernel: {chosen()}"
+    yield f"- regressor kernel: {selected_kernel()}"
     yield f"- versions: {versions()}"
     yield ""
     rows = [("quantity", "measured", "must", "aim", "met"), *(line.words() for line in LINES)]

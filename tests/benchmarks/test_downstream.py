@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import lapack, solve_triangular
 
 from sysid_bench.identifiability.structural import structural_base
-from sysid_bench.regressors.kernel_c import chosen
-from sysid_bench.regressors.qr_accumulation import fold, fold_all, triangle
+from sysid_bench.regressors.kernel_c import selected_kernel
+from sysid_bench.regressors.qr_accumulation import accumulate, accumulate_all, upper_factor
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Factor, Trajectory
 from tests.robots import named_robot, states
@@ -46,7 +46,7 @@ def test_kernel_and_factors_against_a_dense_factorisation(
         {
             "copy": lambda: np.copyto(again, stack),
             "dense": dense,
-            "fold": lambda: fold(arm.columns, arm.motion, arm.b),
+            "fold": lambda: accumulate(arm.columns, arm.motion, arm.b),
         },
         5,
     )
@@ -62,7 +62,7 @@ def solution(factors: tuple[Factor, ...], r: int) -> Array:
         wide = np.zeros((len(factor.R), r + 1))
         wide[:, [*factor.columns, r]] = factor.R
         parts.append(wide)
-    R = triangle(parts)
+    R = upper_factor(parts)
     return solve_triangular(R[:r, :r], R[:r, r])
 
 
@@ -77,9 +77,9 @@ def test_ten_million_samples(benchmark: Any, line: Line) -> None:
         for _ in range(passes):
             yield arm.motion, tau
 
-    fold_all(arm.columns, [(arm.motion, tau)])
+    accumulate_all(arm.columns, [(arm.motion, tau)])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    factors = benchmark.pedantic(lambda: fold_all(arm.columns, stream()), rounds=1)
+    factors = benchmark.pedantic(lambda: accumulate_all(arm.columns, stream()), rounds=1)
     growth = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
     error = np.linalg.norm(solution(factors, arm.base.rank) - beta) / np.linalg.norm(beta)
     assert factors[0].samples == passes * 65_536
@@ -99,10 +99,10 @@ def test_time_per_sample_is_flat(compare: Compare, line: Line) -> None:
         times = max(samples // part, 1)
         repeats = max(100_000 // samples, 1)
         return lambda: [
-            fold_all(arm.columns, [(cut, arm.b[:part])] * times) for _ in range(repeats)
+            accumulate_all(arm.columns, [(cut, arm.b[:part])] * times) for _ in range(repeats)
         ]
 
-    counts = [10**k for k in range(3, 8 if chosen().library else 7)]
+    counts = [10**k for k in range(3, 8 if selected_kernel().library else 7)]
     seconds = compare({str(n): of(n) for n in counts}, 3)
     each = {n: seconds[str(n)] / max(n, 100_000) for n in counts}
     for n in counts[1:]:

@@ -20,11 +20,11 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import Bounds, minimize
 
-from sysid_bench.excitation.design_problem import brief_of
-from sysid_bench.excitation.information import question
+from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.excitation.information import information_model
 from sysid_bench.excitation.limit_use import joint_limits
-from sysid_bench.excitation.optimised import Optimised, criterion_of
-from sysid_bench.excitation.search import Search, Stopped
+from sysid_bench.excitation.optimised import Optimised, design_criterion
+from sysid_bench.excitation.search import Search, SearchStopped
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.types import Array
@@ -42,18 +42,18 @@ class Arm:
     def __init__(self, objective: str) -> None:
         self.robot = load_robot(Path(str(DATA)) / "robots" / "kuka_iiwa_14__iiwa14.xml")
         self.base = structural_base(self.robot, self.robot.inertial_columns)
-        brief = brief_of(self.robot, 200.0)
+        brief = design_problem(self.robot, 200.0)
         self.brief = replace(
             brief,
             v=np.array([1.71, 1.71, 1.75, 2.27, 2.44, 3.14, 3.14]),
             a=np.full(7, 10.0),
-            regress=question(self.robot, self.base.names),
+            regress=information_model(self.robot, self.base.names),
         )
         self.made = Optimised(objective)
         self.space = self.made.space(self.brief)
         assert self.brief.regress is not None
         self.asked = self.brief.regress.smooth
-        self.criterion = criterion_of(objective, self.asked, self.space, [])
+        self.criterion = design_criterion(objective, self.asked, self.space, [])
 
     def search(self) -> Search:
         """A search that keeps the best feasible coefficients, with time stamps."""
@@ -96,24 +96,24 @@ def timed(search: Search, work: Callable[[], None], budget: float) -> list[tuple
     def tell(count: int, value: float) -> None:
         course.append((time.process_time() - start, value))
         if course[-1][0] > budget:
-            raise Stopped
+            raise SearchStopped
 
     search.tell = tell
-    with suppress(Stopped):
+    with suppress(SearchStopped):
         work()
     return course
 
 
 def ours(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     draws = arm.made.draws(arm.space, rng)
-    values = [search.value(C) for C in draws]
+    values = [search.objective(C) for C in draws]
     search.run([draws[int(np.argmin(values))]], arm.made.iterations)
 
 
 def by_differences(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     """The same solver, slopes of the objective by finite differences."""
     draws = arm.made.draws(arm.space, rng)
-    C = draws[int(np.argmin([search.value(C) for C in draws]))]
+    C = draws[int(np.argmin([search.objective(C) for C in draws]))]
     low, high = arm.space.bounds()
     scale = np.tile(arm.brief.v, (11, 1))
 
@@ -139,7 +139,7 @@ def by_differences(arm: Arm, search: Search, rng: np.random.Generator) -> None:
 def by_evolution(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     """CMA-ES (Hansen 2016) with a penalty on the limits, in its plain form."""
     draws = arm.made.draws(arm.space, rng)
-    C = draws[int(np.argmin([search.value(C) for C in draws]))]
+    C = draws[int(np.argmin([search.objective(C) for C in draws]))]
     scale = np.tile(arm.brief.v, (11, 1))
     mean, n, sigma = (C / scale).ravel(), C.size, 0.05
     lam = 4 + int(3 * np.log(n))
@@ -200,10 +200,10 @@ def test_searches_side_by_side(objective: str) -> None:
     arm = Arm(objective)
     budget = EVALUATIONS * arm.pinocchio_seconds()
     search, rng = arm.search(), np.random.default_rng(99)
-    apart = [search.value(arm.space.random(rng, 0.97)) for _ in range(400)]
-    one = [search.value(arm.by_one_factor(rng)) for _ in range(400)]
+    apart = [search.objective(arm.space.random(rng, 0.97)) for _ in range(400)]
+    one = [search.objective(arm.by_one_factor(rng)) for _ in range(400)]
     shown = np.exp if objective == "cond" else (lambda x: -43 * np.asarray(x))
-    gentle = [search.value(0.8 * arm.by_one_factor(rng)) for _ in range(400)]
+    gentle = [search.objective(0.8 * arm.by_one_factor(rng)) for _ in range(400)]
     print(f"\n{objective}: budget {budget:.1f} CPU s ({EVALUATIONS} evaluations of Pinocchio)")
     for words, values in (
         ("each joint scaled", apart),

@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 from scipy.linalg import lapack, qr, solve_triangular
 
 from sysid_bench.evaluation.score import data_figures
-from sysid_bench.excitation.design_problem import brief_of
+from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.identifiability.structural import structural_base
@@ -47,7 +47,7 @@ class Bench:
         self.plant = plant_of(self.robot)
         self.loop = ClosedLoop()
         rng = np.random.default_rng(0)
-        self.motion = Fourier().design(brief_of(self.robot, 1000.0), rng)
+        self.motion = Fourier().design(design_problem(self.robot, 1000.0), rng)
         self.silence = np.zeros_like(self.motion.v)
         controller = self.loop.controller(self.plant)
         self.mj = controlled_model(self.plant, controller)
@@ -63,7 +63,7 @@ class Bench:
     def experiment(self) -> None:
         """Simulation, regressor, R factors, OLS, WLS, rank and condition."""
         oracle, _ = self.loop.run(self.plant, self.motion, self.silence)
-        problem = self.posing.pose(oracle.motion, oracle.tau)
+        problem = self.posing.build(oracle.motion, oracle.tau)
         assert OLS().solve(problem).beta is not None
         assert WLS().solve(problem).beta is not None
         assert data_figures(problem, {})["condition"] > 1

@@ -13,7 +13,7 @@ import pytest
 
 from sysid_bench.identification.estimators.entropic import Entropic
 from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.identification.feasibility.feasible_set import BASIS, physical_of
+from sysid_bench.identification.feasibility.feasible_set import BASIS, feasible_set_of
 from sysid_bench.identification.feasibility.required_prior import start_of
 from sysid_bench.identification.linear.base_coordinates import weighted_coordinates
 from sysid_bench.types import Problem
@@ -60,13 +60,13 @@ def problem_of(links: int, branches: int, folder: Path) -> Problem:
 def by_cvxpy(problem: Problem) -> Callable[[], None]:
     """The fit of `lmi`, as cvxpy is told it."""
     cp = pytest.importorskip("cvxpy", reason="cvxpy, the peer of feasible fits, is not installed")
-    of = physical_of(problem)
+    of = feasible_set_of(problem)
     rows = weighted_coordinates(of, problem, start_of(of, problem.prior))
     seen = np.linalg.inv(rows.T)[: rows.rank]
 
     def solve() -> None:
         x = cp.Variable(len(problem.parameters))
-        constraints = [x[i] >= 0 for i in of.not_negative]
+        constraints = [x[i] >= 0 for i in of.nonnegative]
         for place in of.places:
             J = sum(x[int(i)] * E for i, E in zip(place, BASIS, strict=True))
             constraints.append(J - 1e-7 * cp.trace(J) * np.eye(4) >> 0)

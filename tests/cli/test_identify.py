@@ -13,11 +13,11 @@ from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.spatial.inertia import NAMES
-from sysid_bench.tasks.task import asked_bodies
+from sysid_bench.tasks.task import unknown_bodies
 from sysid_bench.verbs.basis import basis, paper, summary
 from sysid_bench.verbs.identify import identify
 from sysid_bench.verbs.identify import summary as describe
-from sysid_bench.verbs.option_parsing import chosen_noise, chosen_payload, chosen_terms
+from sysid_bench.verbs.option_parsing import parse_noise, parse_payload_option, parse_terms
 from tests.robots import NAMED, named_robot
 
 from .conftest import Run, one_sentence
@@ -57,7 +57,7 @@ def test_basis_prints_sums_single_ones_first(cli: Run) -> None:
 def test_basis_agrees_with_the_base_map(name: str) -> None:
     told = basis(name, terms=())
     robot = named_robot(name)
-    columns = [column for body in asked_bodies(robot) for column in body.columns]
+    columns = [column for body in unknown_bodies(robot) for column in body.columns]
     base = structural_base(robot, tuple(columns))
     assert told["base_parameters"] == told["inertial"] == base.rank
     assert [next(iter(entry["terms"])) for entry in told["combinations"]] == list(base.names)
@@ -140,9 +140,11 @@ def test_a_link_is_written_with_its_load_and_moves_as_the_loaded_robot(
     loaded = named_robot(name, payload)
     again = load_robot(target)
     link = int(loaded.tree.carrier[loaded.tool_body])
-    wanted = loaded.tree.lumped(loaded.phi)
+    wanted = loaded.tree.composite_links(loaded.phi)
     scale = np.abs(wanted[link]).max()
-    np.testing.assert_allclose(again.tree.lumped(again.phi), wanted, rtol=0, atol=1e-9 * scale)
+    np.testing.assert_allclose(
+        again.tree.composite_links(again.phi), wanted, rtol=0, atol=1e-9 * scale
+    )
     assert body["mass"] == pytest.approx(wanted[link][0], abs=1e-9)
     if payload == "none":
         np.testing.assert_allclose(again.phi, loaded.phi, rtol=0, atol=1e-9 * scale)
@@ -155,7 +157,9 @@ def test_an_mjcf_is_written_with_its_load(data_folder: Path, tmp_path: Path) -> 
         identify(source, "link", "box-2kg", model_out=target)
         loaded, again = load_robot(source, PAYLOADS["box-2kg"]), load_robot(target)
         np.testing.assert_allclose(
-            again.tree.lumped(again.phi), loaded.tree.lumped(loaded.phi), atol=1e-9
+            again.tree.composite_links(again.phi),
+            loaded.tree.composite_links(loaded.phi),
+            atol=1e-9,
         )
 
 
@@ -182,7 +186,7 @@ def test_noise_has_a_spread_and_its_seed_a_draw() -> None:
     truth = named_robot("ur5", "box-2kg")
     link = int(truth.tree.carrier[truth.tool_body])
     for told in (body, different):
-        error = abs(told["mass"] - truth.tree.lumped(truth.phi)[link][0])
+        error = abs(told["mass"] - truth.tree.composite_links(truth.phi)[link][0])
         assert 0 < error < 5 * told["std"]["m"]
 
 
@@ -289,18 +293,21 @@ def test_a_random_robot_is_written_from_its_own_text(name: str, tmp_path: Path) 
     assert told["rank"] == 10
     robot, again = load_robot(name), load_robot(target)
     np.testing.assert_allclose(
-        again.tree.lumped(again.phi), robot.tree.lumped(robot.phi), rtol=0, atol=1e-9
+        again.tree.composite_links(again.phi),
+        robot.tree.composite_links(robot.phi),
+        rtol=0,
+        atol=1e-9,
     )
 
 
 def test_words_of_options() -> None:
-    assert chosen_terms(None) is None
-    assert chosen_terms("none") == chosen_terms("") == ()
-    assert chosen_terms("viscous, coulomb") == ("viscous", "coulomb")
-    assert chosen_noise(None) == {}
-    assert chosen_noise("tau=0.5 %, q=1e-4 rad") == {"tau": "0.5 %", "q": "1e-4 rad"}
-    assert chosen_payload("box-2kg") == "box-2kg"
-    assert chosen_payload(" { mass = 1, com = [0, 0, 1] }") == {"mass": 1, "com": [0, 0, 1]}
+    assert parse_terms(None) is None
+    assert parse_terms("none") == parse_terms("") == ()
+    assert parse_terms("viscous, coulomb") == ("viscous", "coulomb")
+    assert parse_noise(None) == {}
+    assert parse_noise("tau=0.5 %, q=1e-4 rad") == {"tau": "0.5 %", "q": "1e-4 rad"}
+    assert parse_payload_option("box-2kg") == "box-2kg"
+    assert parse_payload_option(" { mass = 1, com = [0, 0, 1] }") == {"mass": 1, "com": [0, 0, 1]}
 
 
 @pytest.mark.parametrize("distance", ["entropic", "euclidean", "pullback"])

@@ -98,18 +98,18 @@ def test_a_known_payload_is_taken_off_an_unknown_one_is_found(folder: Path) -> N
 def test_blocks_are_the_factors(folder: Path) -> None:
     """What methods may read again and again is what was folded, slow rows left out of both."""
     from sysid_bench.experiments.recorded.locked_joints import locked_manifest
-    from sysid_bench.experiments.recorded.prepared_logs import pose_logs
-    from sysid_bench.experiments.recorded.preprocess import Treatment, processed
-    from sysid_bench.identification.linear.normal_qr import compress
+    from sysid_bench.experiments.recorded.prepared_logs import build_problems
+    from sysid_bench.experiments.recorded.preprocess import Preprocessing, process_log
+    from sysid_bench.identification.linear.normal_qr import stacked_factor
     from sysid_bench.signals.log_description import read_description
     from sysid_bench.signals.processing import processing_of
 
     logs = [read_description(folder / f"{name}.toml") for name in ("run", "loaded")]
     manifest = locked_manifest(find_manifest("ur5"), named_robot("ur5"), logs)
-    treatment = Treatment(processing_of({"derivatives": "from v"}), moving=0.3)
-    read = [processed(log, manifest, treatment) for log in logs]
-    posed = pose_logs("payload", ("viscous", "offset"), read, {}, treatment)
-    R = compress(posed.problem)
+    treatment = Preprocessing(processing_of({"derivatives": "from v"}), moving=0.3)
+    read = [process_log(log, manifest, treatment) for log in logs]
+    posed = build_problems("payload", ("viscous", "offset"), read, {}, treatment)
+    R = stacked_factor(posed.problem)
     both = np.column_stack([posed.problem.W, posed.problem.b])
     np.testing.assert_allclose(R.T @ R, both.T @ both, rtol=0, atol=1e-9 * (both**2).sum())
     assert all(f.samples < posed.problem.samples for f in posed.problem.factors)

@@ -4,8 +4,8 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.verbs.identify import identify
-from sysid_bench.verbs.log_warnings import doubts
-from sysid_bench.verbs.option_parsing import chosen_noise
+from sysid_bench.verbs.log_warnings import log_warnings
+from sysid_bench.verbs.option_parsing import parse_noise
 
 SOUND = {"rms": 3.0, "relative": 0.1}
 
@@ -21,7 +21,7 @@ def friction(
 
 def test_a_sound_answer_raises_no_doubt() -> None:
     joints = {"a": friction(1.0, 2.0), "b": friction(-0.1, -0.1), "c": friction(-5.0, 2.0)}
-    assert list(doubts({"a": SOUND, "b": SOUND, "c": SOUND}, joints)) == []
+    assert list(log_warnings({"a": SOUND, "b": SOUND, "c": SOUND}, joints)) == []
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,9 @@ def test_a_sound_answer_raises_no_doubt() -> None:
     ],
 )
 def test_what_cannot_be_is_told(told: dict, joint: dict, word: str) -> None:  # type: ignore[type-arg]
-    (said,) = doubts({"elbow": told, "wrist": SOUND}, {"elbow": joint, "wrist": friction(1, 1)})
+    (said,) = log_warnings(
+        {"elbow": told, "wrist": SOUND}, {"elbow": joint, "wrist": friction(1, 1)}
+    )
     assert "elbow" in said
     assert "wrist" not in said
     assert word in said
@@ -48,4 +50,4 @@ def test_noise_that_cannot_be_is_refused(noise: dict[str, str]) -> None:
 
 def test_noise_is_said_once() -> None:
     with pytest.raises(UsageError, match="twice"):
-        chosen_noise("tau=1 %,tau=5 %")
+        parse_noise("tau=1 %,tau=5 %")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UnsupportedError, UsageError
-from sysid_bench.experiments.cell_data import evidence
+from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.models.load import load_robot
 from sysid_bench.spatial.inertia import smallest_eigenvalue
 from sysid_bench.verbs import basis as bases
@@ -81,7 +81,7 @@ def test_unknown_noise_lists_the_kinds() -> None:
 def test_a_recording_shows_torques_and_convergence_on_line() -> None:
     made = spec(robot="icub", task="wrench", sensor="l_arm", noise={"force": 0.15, "moment": 0.008})
     (row,) = executed(made, "wls")
-    shown = evidence(argument(made, "wls"), row)
+    shown = cell_data(argument(made, "wls"), row)
     names = [curve.name for curve in shown.curves]
     assert names[-1] == "relative parameter error"
     assert "torque of l_elbow" in names

@@ -110,8 +110,8 @@ def test_every_posture_within_reach_closes_and_stays_regular(kind: str) -> None:
         motion = states(robot, 100, seed)
         (group,) = robot.coupling.groups
         x = motion.q[:, robot.coupling.qadr[group.dofs]] - robot.coupling.q0[group.dofs]
-        least = group.regularity(group.reference[None])[0]
-        assert (group.regularity(x) > 0.1 * least).all()
+        least = group.condition(group.reference[None])[0]
+        assert (group.condition(x) > 0.1 * least).all()
 
 
 def test_joints_that_follow_keep_their_limits() -> None:
@@ -136,9 +136,9 @@ def test_a_motion_closes_alike_at_once_and_sample_by_sample() -> None:
     assert robot.coupling is not None
     (group,) = robot.coupling.groups
     turns = np.linspace(-3.0, 3.0, 2000)[:, None]
-    together, good = group.closed(turns)
+    together, good = group.is_closed(turns)
     assert good.all()
-    apart, _ = group.closed(turns[::97][np.random.default_rng(0).permutation(21)])
+    apart, _ = group.is_closed(turns[::97][np.random.default_rng(0).permutation(21)])
     order = np.argsort(apart[:, group.independent[0]])
     np.testing.assert_allclose(apart[order], together[::97], atol=1e-9)
 

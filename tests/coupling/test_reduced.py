@@ -13,9 +13,9 @@ from sysid_bench.models.coupling.group import Group
 from sysid_bench.models.load import load_robot
 from sysid_bench.naming import build
 from sysid_bench.regressors.coupled import torque_regression
-from sysid_bench.regressors.qr_accumulation import fold
+from sysid_bench.regressors.qr_accumulation import accumulate
 from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.kinematics_only import bare_robot
+from sysid_bench.simulation.kinematics_only import kinematics_only
 from sysid_bench.simulation.mujoco_inverse import constrained_torque
 from sysid_bench.simulation.plant import plant_of
 from tests.coupling.mechanisms import KINDS, LOOPS, chain, four_bar, mechanism, mjcf
@@ -88,7 +88,7 @@ def test_folded_rows_hold_what_the_dense_rows_hold(kind: str) -> None:
     regression = torque_regression(robot, robot.inertial_columns + robot.term_columns(("viscous",)))
     Y = regression.dense(motion).Y
     b = np.random.default_rng(0).normal(size=Y.shape[:2])
-    for i, factor in enumerate(fold(regression, motion, b)):
+    for i, factor in enumerate(accumulate(regression, motion, b)):
         assert factor.row == robot.torque_rows[i]
         W = np.column_stack([Y[:, i, factor.columns], b[:, i]])
         np.testing.assert_allclose(factor.R.T @ factor.R, W.T @ W, atol=1e-9 * (W**2).sum())
@@ -126,7 +126,7 @@ def test_a_method_simulates_the_same_closed_robot(kind: str) -> None:
     assert again.tau.shape == raw.tau.shape
     assert relative_gap(again.tau, raw.tau) <= 1e-6
     motion = states(made.robot, 10)
-    assert constrained_torque(bare_robot(made.robot), motion).violation <= 1e-12
+    assert constrained_torque(kinematics_only(made.robot), motion).violation <= 1e-12
 
 
 @pytest.mark.parametrize("kind", LOOPS)

@@ -10,7 +10,7 @@ import pytest
 from sysid_bench.evaluation import crosscheck as room
 from sysid_bench.evaluation.crosscheck import CLOSURE, GAP, CrossCheck, crosscheck
 from sysid_bench.regressors import kernel_numpy as kernel
-from sysid_bench.regressors.kernel_c import Choice
+from sysid_bench.regressors.kernel_c import KernelChoice
 from sysid_bench.types import Array
 from tests.experiments.experiment_world import OWN, SHIPPED, robot_of
 
@@ -66,7 +66,9 @@ def test_a_tampered_body_regressor_is_caught(
         return tuple(columns)
 
     monkeypatch.setattr(kernel, "entries", tampered)
-    monkeypatch.setattr("sysid_bench.regressors.regression.chosen", lambda: Choice(None, "a test"))
+    monkeypatch.setattr(
+        "sysid_bench.regressors.regression.chosen", lambda: KernelChoice(None, "a test")
+    )
     check = crosscheck(robot_of(name), samples=10)
     assert not check.ok()
     assert "gap" in check.reason()

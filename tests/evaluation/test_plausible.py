@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.plausibility import implausible, oddities
+from sysid_bench.evaluation.plausibility import implausible_bodies, plausibility_findings
 from sysid_bench.evaluation.score import score
 from sysid_bench.identification.estimators.lmi import LMI
-from sysid_bench.models.bounding_boxes import extents
+from sysid_bench.models.bounding_boxes import body_extents
 from sysid_bench.spatial.inertia import phi_of
 from sysid_bench.types import Estimate, Extent, Score
 from tests.experiments.experiment_world import SHIPPED, ready, ready_once
@@ -22,10 +22,10 @@ SOLID = np.diag([0.02, 0.02, 0.02])
 @pytest.mark.parametrize("name", SHIPPED)
 def test_every_body_of_a_shipped_robot_is_plausible(name: str) -> None:
     robot = named_robot(name)
-    boxes = extents(robot)
+    boxes = body_extents(robot)
     assert set(boxes) == set(robot.body_names)
     assert all((box.low < box.high).all() and box.volume > 0 for box in boxes.values())
-    assert oddities(dict(zip(robot.body_names, robot.phi, strict=True)), boxes) == {}
+    assert plausibility_findings(dict(zip(robot.body_names, robot.phi, strict=True)), boxes) == {}
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -33,30 +33,34 @@ def test_a_tonne_in_a_link_is_seen_and_named(name: str) -> None:
     robot = named_robot(name)
     heavy = dict.fromkeys(robot.body_names, 2000.0)
     bodies = {body: phi_of(mass, np.zeros(3), mass * SOLID) for body, mass in heavy.items()}
-    said = oddities(bodies, extents(robot))
+    said = plausibility_findings(bodies, body_extents(robot))
     assert all("more than steel" in words for words in said.values())
     assert len(said) > 0.5 * len(bodies)
 
 
 def test_what_is_odd_is_said() -> None:
     centre = np.array([0.0, 0.1, 0.5])
-    assert implausible(phi_of(3.0, centre, SOLID), BOX) == ""
-    assert "0.3 m outside" in implausible(phi_of(3.0, np.array([0.0, 0.5, 0.0]), SOLID), BOX)
-    assert "more than steel" in implausible(phi_of(100.0, centre, SOLID), BOX)
-    assert "cannot exist" in implausible(phi_of(3.0, centre, -SOLID), BOX)
-    assert implausible(phi_of(100.0, 9 * centre, SOLID), None) == ""  # nothing is known of it
-    assert implausible(np.zeros(10), BOX) == ""  # a frame
+    assert implausible_bodies(phi_of(3.0, centre, SOLID), BOX) == ""
+    assert "0.3 m outside" in implausible_bodies(phi_of(3.0, np.array([0.0, 0.5, 0.0]), SOLID), BOX)
+    assert "more than steel" in implausible_bodies(phi_of(100.0, centre, SOLID), BOX)
+    assert "cannot exist" in implausible_bodies(phi_of(3.0, centre, -SOLID), BOX)
+    assert (
+        implausible_bodies(phi_of(100.0, 9 * centre, SOLID), None) == ""
+    )  # nothing is known of it
+    assert implausible_bodies(np.zeros(10), BOX) == ""  # a frame
 
 
 def test_a_payload_has_no_extent() -> None:
     robot = named_robot("ur5", "box-2kg")
     assert robot.payload_body is not None
-    assert set(extents(robot)) == set(robot.body_names) - {robot.body_names[robot.payload_body]}
+    assert set(body_extents(robot)) == set(robot.body_names) - {
+        robot.body_names[robot.payload_body]
+    }
 
 
 def test_the_score_says_what_is_feasible_and_what_is_plausible() -> None:
     made = ready_once("ur5")
-    boxes = extents(made.robot)
+    boxes = body_extents(made.robot)
 
     def figures(factor: float, boxes: Mapping[str, Extent] | None) -> Score:
         theta = factor * made.truth.theta
@@ -77,7 +81,7 @@ def test_a_feasible_fit_without_a_prior_may_be_implausible() -> None:
         estimate = LMI().solve(problem)
         assert estimate.theta is not None
         estimate = replace(estimate, beta=problem.base.K @ estimate.theta)
-        figures = score(estimate, problem, made.held_out, made.truth, extents(made.robot))
+        figures = score(estimate, problem, made.held_out, made.truth, body_extents(made.robot))
         assert figures.feasible
         found.add(figures.plausible)
     assert False in found

@@ -18,12 +18,12 @@ from sysid_bench.evaluation.comparison import (
     win_rates,
 )
 from sysid_bench.evaluation.covariance import (
-    Spread,
+    StandardError,
     bandwidth,
-    period_spread,
+    period_standard_error,
     quantile,
-    sandwich_spread,
-    spreads,
+    residual_standard_error,
+    standard_errors,
 )
 from sysid_bench.evaluation.cramer_rao import (
     coverage,
@@ -39,7 +39,7 @@ from sysid_bench.evaluation.distances import (
 from sysid_bench.evaluation.repeats import bias, bound_ratio, efficiency, spread
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.weights import own_sigmas
+from sysid_bench.identification.linear.weights import row_sigmas
 from sysid_bench.spatial.inertia import pseudo_inertia, transport
 from sysid_bench.types import Array, Estimate, Trajectory
 from tests.identification.test_least_squares import problem_of
@@ -73,13 +73,13 @@ def covered(kind: str) -> dict[str, float]:
     for _ in range(REPEATS):
         W = regressor()
         problem = problem_of(W, W @ TRUTH + noise(kind, rng))
-        estimate, sigma = WLS().solve(problem), own_sigmas(problem)
+        estimate, sigma = WLS().solve(problem), row_sigmas(problem)
         assert estimate.beta is not None
         assert estimate.covariance is not None
         for name, made in (
-            ("textbook", Spread(estimate.covariance)),
-            ("sandwich", sandwich_spread(problem, estimate.beta, sigma)),
-            ("periods", period_spread(problem, estimate.beta, sigma, PERIOD)),
+            ("textbook", StandardError(estimate.covariance)),
+            ("sandwich", residual_standard_error(problem, estimate.beta, sigma)),
+            ("periods", period_standard_error(problem, estimate.beta, sigma, PERIOD)),
         ):
             ends[name].append(made.interval(estimate.beta))
     found = {}
@@ -109,16 +109,16 @@ def test_two_periods_are_needed_to_see_a_spread() -> None:
     problem = problem_of(W, W @ TRUTH)
     for samples in (PERIOD * PERIODS, 10 * PERIOD * PERIODS, 0):
         with pytest.raises(UsageError, match="two at least"):
-            period_spread(problem, TRUTH, np.ones(2), samples)
-    assert period_spread(problem, TRUTH, np.ones(2), PERIOD * PERIODS // 2).freedom == 1
+            period_standard_error(problem, TRUTH, np.ones(2), samples)
+    assert period_standard_error(problem, TRUTH, np.ones(2), PERIOD * PERIODS // 2).freedom == 1
 
 
 def test_a_spread_of_exact_data_is_nothing() -> None:
     W = regressor()
     problem = problem_of(W, W @ TRUTH)
     for made in (
-        period_spread(problem, TRUTH, np.ones(2), PERIOD),
-        sandwich_spread(problem, TRUTH, np.ones(2)),
+        period_standard_error(problem, TRUTH, np.ones(2), PERIOD),
+        residual_standard_error(problem, TRUTH, np.ones(2)),
     ):
         assert np.abs(made.std).max() < 1e-12
 
@@ -138,9 +138,9 @@ def test_periods_are_told_first_where_there_are_enough(period: int, kinds: list[
         problem_of(W, W @ TRUTH + noise("slow", np.random.default_rng(1))), period=period
     )
     estimate = WLS().solve(problem)
-    assert list(spreads(problem, estimate)) == kinds
-    assert list(spreads(problem, replace(estimate, sigma=None))) == ["textbook"]
-    assert spreads(problem, Estimate(estimate.beta)) == {}
+    assert list(standard_errors(problem, estimate)) == kinds
+    assert list(standard_errors(problem, replace(estimate, sigma=None))) == ["textbook"]
+    assert standard_errors(problem, Estimate(estimate.beta)) == {}
 
 
 @pytest.mark.parametrize("method", [OLS(), WLS()])
@@ -150,7 +150,7 @@ def test_deviations_have_the_units_of_torque_over_those_of_columns(method: OLS |
     plain, scaled = (
         replace(problem_of(w, t), period=PERIOD) for w, t in ((W, tau), (W * factor, 7.0 * tau))
     )
-    told, other = (spreads(one, method.solve(one)) for one in (plain, scaled))
+    told, other = (standard_errors(one, method.solve(one)) for one in (plain, scaled))
     for kind in told:
         np.testing.assert_allclose(other[kind].std, 7.0 * told[kind].std / factor, rtol=1e-6)
 
@@ -167,7 +167,7 @@ def test_windows_are_bartlett_weights() -> None:
         middle += (1 - k / (lags + 1)) * (shifted + shifted.T)
     inverse = np.linalg.inv(np.einsum("nir,nis->rs", W / sigma[:, None] ** 2, W))
     np.testing.assert_allclose(
-        sandwich_spread(problem, beta, sigma, lags).covariance, inverse @ middle @ inverse
+        residual_standard_error(problem, beta, sigma, lags).covariance, inverse @ middle @ inverse
     )
 
 

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import Brief, brief_of
-from sysid_bench.excitation.geometry import scene_of
-from sysid_bench.excitation.information import question, torque_of
-from sysid_bench.excitation.optimised import Optimised, criterion_of, figures, told_by
+from sysid_bench.excitation.design_problem import DesignProblem, design_problem
+from sysid_bench.excitation.geometry import collision_model
+from sysid_bench.excitation.information import information_model, torque_model
+from sysid_bench.excitation.optimised import (
+    Optimised,
+    design_criterion,
+    design_figures,
+    torque_prior,
+)
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.robot import RobotModel
@@ -31,15 +36,15 @@ def robot_called(name: str) -> RobotModel:
 
 def briefed(
     robot: RobotModel, terms: tuple[str, ...] = (), room: float = 1.1
-) -> tuple[Brief, Trajectory]:
+) -> tuple[DesignProblem, Trajectory]:
     """A brief in which torques are limited, and all that followers do: to what a random motion
     does, times `room`; and that motion."""
     base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
     told = replace(
-        brief_of(robot, 100.0),
-        regress=question(robot, base.names),
-        torque=torque_of(robot),
-        scene=partial(scene_of, robot),
+        design_problem(robot, 100.0),
+        regress=information_model(robot, base.names),
+        torque=torque_model(robot),
+        scene=partial(collision_model, robot),
     )
     made = Optimised(**QUICK)  # type: ignore[arg-type]
     space = made.space(told)
@@ -66,10 +71,10 @@ def test_slopes_pass_through_the_joints_that_follow(name: str) -> None:
     space, rng = made.space(told), np.random.default_rng(1)
     draws = [space.random(rng, 0.8) for _ in range(8)]
     assert told.regress is not None
-    asked = told_by(space, told.regress, draws).smooth
+    asked = torque_prior(space, told.regress, draws).smooth
     limits = made.limits(told)
     assert {"follower position", "follower acceleration", "torque"} <= {x.kind for x in limits}
-    search = Search(space, asked, criterion_of(made.objective, asked, space, draws), limits)
+    search = Search(space, asked, design_criterion(made.objective, asked, space, draws), limits)
     C, step = draws[0], 1e-6
     slope = search._slope_at(C)
     values, by_C = search._limits_at(C, 60.0)
@@ -94,9 +99,9 @@ def test_a_design_closes_and_keeps_the_limits_of_all_joints(name: str) -> None:
     design = made.solve(told, np.random.default_rng(0))
     space = made.space(told)
     assert told.regress is not None
-    asked = told_by(space, told.regress, made.draws(space, np.random.default_rng(0)))
+    asked = torque_prior(space, told.regress, made.draws(space, np.random.default_rng(0)))
     best = space.motion(design.C, space.curves.grid())
-    assert figures(asked, best)["log_det"] > figures(asked, known)["log_det"]
+    assert design_figures(asked, best)["log_det"] > design_figures(asked, known)["log_det"]
     assert all(used.use <= 1.0 for used in made.report(design.C, told).values())
     fine = made.motion(design.C, told.at(500.0))
     assert told.coupling is not None
@@ -127,21 +132,22 @@ def test_a_design_is_for_what_a_sensor_sees_too(name: str, sensor: str) -> None:
     asked = task_of(robot, "wrench", (), sensor)
     base = structural_base(robot, asked.parameters, asked.rows, asked.cuts)
     told = replace(
-        brief_of(robot, 100.0), regress=question(robot, base.names, asked.rows, asked.cuts)
+        design_problem(robot, 100.0),
+        regress=information_model(robot, base.names, asked.rows, asked.cuts),
     )
     made = Optimised("D", harmonics=2, period=5.0, iterations=10)
     space, rng = made.space(told), np.random.default_rng(1)
     draws = [space.random(rng, 0.8) for _ in range(3)]
     assert told.regress is not None
-    seen = told_by(space, told.regress, draws).smooth
-    search = Search(space, seen, criterion_of("D", seen, space, draws), made.limits(told))
+    seen = torque_prior(space, told.regress, draws).smooth
+    search = Search(space, seen, design_criterion("D", seen, space, draws), made.limits(told))
     C, step = draws[0], 1e-6
     slope = search._slope_at(C)
     for i, j in [(1, 0), (3, -1)]:
         up, down = C.copy(), C.copy()
         up[i, j] += step
         down[i, j] -= step
-        difference = (search.value(up) - search.value(down)) / (2 * step)
+        difference = (search.objective(up) - search.objective(down)) / (2 * step)
         assert abs(slope[i, j] - difference) <= 1e-5 * np.abs(slope).max() + 1e-6
     design = made.solve(told, np.random.default_rng(0))
     assert design.value < design.start

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.criteria import CRITERIA, Criterion, weights_of
+from sysid_bench.excitation.criteria import CRITERIA, Criterion, criterion_weights
 from sysid_bench.types import Array
 
 
@@ -52,7 +52,7 @@ def test_a_criterion_is_its_definition(name: str, known: int, seed: int) -> None
 @settings(max_examples=10, deadline=None)
 def test_the_slope_is_the_difference(weights: dict[str, float], known: int, seed: int) -> None:
     asked, W = criterion(weights, seed, known), rows_of(seed)
-    slope, step = asked.slope(W), 1e-6
+    slope, step = asked.gradient(W), 1e-6
     for i, j in np.ndindex(*W.shape):
         up, down = W.copy(), W.copy()
         up[i, j] += step
@@ -80,4 +80,4 @@ def test_rows_that_miss_a_parameter_are_infinitely_bad() -> None:
 @pytest.mark.parametrize("bad", ["C", {}, {"D": 0.0}, {"D": "much"}, {"D": True}, {"dee": 1.0}])
 def test_other_objectives_are_refused_in_words(bad: object) -> None:
     with pytest.raises(UsageError):
-        weights_of(bad)  # type: ignore[arg-type]
+        criterion_weights(bad)  # type: ignore[arg-type]

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import FLOATING_REACH, Brief, brief_of
+from sysid_bench.excitation.design_problem import FLOATING_REACH, DesignProblem, design_problem
 from sysid_bench.excitation.fourier import series
-from sysid_bench.excitation.scale_to_limits import dense_grid, fit
+from sysid_bench.excitation.scale_to_limits import dense_grid, scale_to_limits
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import build, known
 from sysid_bench.spatial.rotation import conjugate, product
@@ -204,7 +204,7 @@ BAD: tuple[dict[str, Any], ...] = (
 
 @pytest.mark.parametrize("spec", BAD, ids=str)
 def test_settings_that_make_no_motion_are_refused_in_words(spec: dict[str, Any]) -> None:
-    brief = brief_of(robot_of("ur5"), 90.0)
+    brief = design_problem(robot_of("ur5"), 90.0)
     with pytest.raises(UsageError):
         build("excitation", spec).design(brief, np.random.default_rng(0))
 
@@ -215,7 +215,7 @@ def test_a_fitted_shape_touches_a_limit_and_passes_none(seed: int, nv: int) -> N
     rng = np.random.default_rng(seed)
     low, room = rng.normal(size=nv), rng.uniform(0.01, 5.0, size=nv)
     v, a = rng.uniform(0.1, 5.0, size=(2, nv))
-    brief = Brief((), low, low + room, v, a, np.zeros(nv), 100.0)
+    brief = DesignProblem((), low, low + room, v, a, np.zeros(nv), 100.0)
     amplitude, w, phase = rng.uniform(0.2, 3.0, size=(3, nv))
 
     def shape(t: Array) -> tuple[Array, Array, Array]:
@@ -227,7 +227,7 @@ def test_a_fitted_shape_touches_a_limit_and_passes_none(seed: int, nv: int) -> N
         )
 
     grid = dense_grid(20.0, float(w.max()))
-    scale, offset = fit(shape, grid, brief, rng)
+    scale, offset = scale_to_limits(shape, grid, brief, rng)
     x, dx, ddx = shape(np.linspace(0.0, 20.0, 20_001))
     use = np.array(
         [

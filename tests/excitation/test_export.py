@@ -16,10 +16,10 @@ from sysid_bench.excitation.export.commands import Commands, csv_text
 from sysid_bench.excitation.export.damiao import (
     MOTORS,
     can_log,
-    clamped,
-    drives_of,
+    damiao_drives,
+    decode_frame,
     table_text,
-    unframe,
+    within_range,
 )
 from sysid_bench.excitation.export.ros2 import json_text, yaml_text
 
@@ -42,13 +42,13 @@ def test_every_frame_says_what_was_commanded_within_a_quantum(
 ) -> None:
     told = {"motor": name, "kp": 37.0, "kd": 1.3, **(OWN_LIMITS if name in SECRET else {})}
     asked = commands(seed, size=size)
-    drives = drives_of(asked.joints, {"all": told})
-    inside, _ = clamped(asked, drives, most=1.0)
+    drives = damiao_drives(asked.joints, {"all": told})
+    inside, _ = within_range(asked, drives, most=1.0)
     text = can_log(inside, drives)
     frames = [bytes.fromhex(line.split("#")[1]) for line in text.splitlines()]
     data = np.array([list(f) for f in frames], dtype=np.uint8).reshape(len(asked), 3, 8)
     for j, drive in enumerate(drives):
-        said = unframe(drive, data[:, j])
+        said = decode_frame(drive, data[:, j])
         s = drive.scaling
         for key, values, span, bits in (
             ("q", inside.q[:, j], 2 * s.p, 16),
@@ -64,7 +64,7 @@ def test_every_frame_says_what_was_commanded_within_a_quantum(
 
 def test_known_frames_are_those_of_the_protocol() -> None:
     """The corners of the ranges, by hand: all zeros, all ones, and the middle."""
-    drives = drives_of(("j",), {"j": {"motor": "DM4310", "id": 5, "kp": 500, "kd": 5, "v": 90,
+    drives = damiao_drives(("j",), {"j": {"motor": "DM4310", "id": 5, "kp": 500, "kd": 5, "v": 90,
                                       "tau": 90}})  # fmt: skip
     s = drives[0].scaling
     q, v, tau = (np.array([[-x], [x], [0.0]]) for x in (s.p, s.v, s.tau))
@@ -77,8 +77,8 @@ def test_known_frames_are_those_of_the_protocol() -> None:
 
 def test_python_can_reads_the_log_back(tmp_path: Path) -> None:
     asked = commands(1)
-    drives = drives_of(asked.joints, {"all": {"motor": "DM4340"}})
-    inside, _ = clamped(asked, drives, most=1.0)
+    drives = damiao_drives(asked.joints, {"all": {"motor": "DM4340"}})
+    inside, _ = within_range(asked, drives, most=1.0)
     file = tmp_path / "motion.log"
     file.write_text(can_log(inside, drives))
     with can.LogReader(str(file)) as reader:
@@ -89,15 +89,15 @@ def test_python_can_reads_the_log_back(tmp_path: Path) -> None:
         assert message.arbitration_id == drives[j].id
         assert not message.is_extended_id
         assert abs(message.timestamp - asked.t[sample]) < 1e-6
-        said = unframe(drives[j], np.array([list(message.data)], dtype=np.uint8))
+        said = decode_frame(drives[j], np.array([list(message.data)], dtype=np.uint8))
         assert abs(said["q"][0] - inside.q[sample, j]) <= 25.0 / (2**16 - 1)
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_clamping_counts_what_it_clamps(name: str) -> None:
     asked = commands(3, count=400, size=MOTORS[name].speed or 1.0)
-    drives = drives_of(asked.joints, {"all": {"motor": name, "share": 0.5}})
-    inside, report = clamped(asked, drives, most=1.0)
+    drives = damiao_drives(asked.joints, {"all": {"motor": name, "share": 0.5}})
+    inside, report = within_range(asked, drives, most=1.0)
     for j, (drive, entry) in enumerate(zip(drives, report, strict=True)):
         assert drive.speed == pytest.approx(0.5 * (MOTORS[name].speed or 0.0))
         for key, limit in (("v", drive.speed), ("tau", drive.torque)):
@@ -110,16 +110,16 @@ def test_clamping_counts_what_it_clamps(name: str) -> None:
     some = max(share for entry in report for share in entry["clamped"].values())
     assert some > 0
     with pytest.raises(UsageError, match="limit of its motor"):
-        clamped(asked, drives, most=0.99 * some)
+        within_range(asked, drives, most=0.99 * some)
 
 
 def test_scaling_never_stands_in_for_a_limit() -> None:
     for name in SECRET:
         with pytest.raises(UsageError, match="no physical limits"):
-            drives_of(("j",), {"j": {"motor": name}})
-        (drive,) = drives_of(("j",), {"j": {"motor": name, **OWN_LIMITS}})
+            damiao_drives(("j",), {"j": {"motor": name}})
+        (drive,) = damiao_drives(("j",), {"j": {"motor": name, **OWN_LIMITS}})
         assert drive.speed <= 3.0
-    (drive,) = drives_of(("j",), {"j": {"motor": "DM4340"}})
+    (drive,) = damiao_drives(("j",), {"j": {"motor": "DM4340"}})
     assert drive.speed < 5.5 < drive.scaling.v  # 52.5 rpm is what it can do, 10 rad/s what bits say
 
 
@@ -137,12 +137,12 @@ def test_scaling_never_stands_in_for_a_limit() -> None:
 )
 def test_drives_that_cannot_be_are_refused_in_words(bad: dict[str, object]) -> None:
     with pytest.raises(UsageError):
-        drives_of(("j",), {"j": bad})
+        damiao_drives(("j",), {"j": bad})
 
 
 def test_two_motors_never_share_an_id() -> None:
     with pytest.raises(UsageError, match="same CAN id"):
-        drives_of(("a", "b"), {"all": {"motor": "DM4310", "id": 3}})
+        damiao_drives(("a", "b"), {"all": {"motor": "DM4310", "id": 3}})
 
 
 def test_csv_and_the_table_read_back() -> None:
@@ -151,8 +151,8 @@ def test_csv_and_the_table_read_back() -> None:
     for key in ("q", "v", "a", "tau"):
         names = [f"{joint}.{key}" for joint in asked.joints]
         np.testing.assert_array_equal(table[names].to_numpy(), getattr(asked, key))
-    drives = drives_of(asked.joints, {"all": {"motor": "DM4310"}})
-    inside, report = clamped(asked, drives, most=1.0)
+    drives = damiao_drives(asked.joints, {"all": {"motor": "DM4310"}})
+    inside, report = within_range(asked, drives, most=1.0)
     text = table_text(inside, drives, report)
     table = pd.read_csv(io.StringIO(text), comment="#")
     np.testing.assert_allclose(table["j1.v"], inside.v[:, 1], rtol=1e-8)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import brief_of
+from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.excitation.motion_file import MotionFile
 from sysid_bench.excitation.point_to_point import PointToPoint
@@ -32,7 +32,10 @@ def written(folder: Path, robot: str, motion: Trajectory, turned: bool = False) 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_periodic_motion_is_exact_between_its_rows(tmp_path: Path, robot: str) -> None:
     """25 rows per second hold a series of 1.6 Hz; everything else is that series again."""
-    series, brief = Fourier(harmonics=8, period=5.0, cycles=1), brief_of(robot_of(robot), 25.0)
+    series, brief = (
+        Fourier(harmonics=8, period=5.0, cycles=1),
+        design_problem(robot_of(robot), 25.0),
+    )
     file = written(tmp_path, robot, series.design(brief, np.random.default_rng(1)), turned=True)
     fine = brief.at(400.0)
     found = MotionFile(str(file), 5.0).design(fine, RNG)
@@ -48,7 +51,7 @@ def test_a_periodic_motion_is_exact_between_its_rows(tmp_path: Path, robot: str)
 def test_a_motion_without_a_period_is_a_smooth_curve_through_its_rows(
     tmp_path: Path, robot: str
 ) -> None:
-    moves, brief = PointToPoint(moves=2), brief_of(robot_of(robot), 100.0)
+    moves, brief = PointToPoint(moves=2), design_problem(robot_of(robot), 100.0)
     exact = moves.design(brief, np.random.default_rng(1))
     found = MotionFile(str(written(tmp_path, robot, exact))).design(brief, RNG)
     N = len(found)
@@ -90,7 +93,7 @@ def test_what_is_no_motion_of_this_robot_is_told(tmp_path: Path, case: str) -> N
         ]
         file.write_text("\n".join(wide))
     with pytest.raises(UsageError, match=told):
-        MotionFile(str(file), **settings).design(brief_of(robot, 100.0), RNG)
+        MotionFile(str(file), **settings).design(design_problem(robot, 100.0), RNG)
 
 
 @pytest.mark.parametrize(
@@ -105,4 +108,4 @@ def test_an_orientation_has_no_column(tmp_path: Path) -> None:
     file = tmp_path / "motion.csv"
     file.write_text(table(EVEN))
     with pytest.raises(UsageError, match="hinges and slides"):
-        MotionFile(str(file)).design(brief_of(robot_of("solo12"), 100.0), RNG)
+        MotionFile(str(file)).design(design_problem(robot_of("solo12"), 100.0), RNG)

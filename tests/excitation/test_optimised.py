@@ -8,11 +8,11 @@ import pytest
 
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.excitation.curves import FAMILIES, curves_of
-from sysid_bench.excitation.design_problem import Brief, brief_of
-from sysid_bench.excitation.geometry import scene_of
-from sysid_bench.excitation.information import question, torque_of
+from sysid_bench.excitation.design_problem import DesignProblem, design_problem
+from sysid_bench.excitation.geometry import collision_model
+from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.limit_use import smooth_max
-from sysid_bench.excitation.optimised import Optimised, criterion_of, told_by
+from sysid_bench.excitation.optimised import Optimised, design_criterion, torque_prior
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
@@ -24,13 +24,13 @@ QUICK = {"harmonics": 2, "period": 5.0, "iterations": 6}
 TREES = RandomRobot(bodies=(4, 4), ball=0.0, free_root=0.0, welded=0.0)
 
 
-def brief(robot: RobotModel, rate: float = 100.0, terms: tuple[str, ...] = ()) -> Brief:
+def brief(robot: RobotModel, rate: float = 100.0, terms: tuple[str, ...] = ()) -> DesignProblem:
     base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
     return replace(
-        brief_of(robot, rate),
-        regress=question(robot, base.names),
-        torque=torque_of(robot),
-        scene=partial(scene_of, robot),
+        design_problem(robot, rate),
+        regress=information_model(robot, base.names),
+        torque=torque_model(robot),
+        scene=partial(collision_model, robot),
     )
 
 
@@ -76,8 +76,9 @@ def test_slopes_of_a_search_are_its_differences(family: str, objective: object, 
     space, rng = made.space(told), np.random.default_rng(seed)
     draws = [space.random(rng, 0.5) for _ in range(8)]
     assert told.regress is not None
-    asked = told_by(space, told.regress, draws).smooth
-    search = Search(space, asked, criterion_of(objective, asked, space, draws), made.limits(told))  # type: ignore[arg-type]
+    asked = torque_prior(space, told.regress, draws).smooth
+    criterion = design_criterion(objective, asked, space, draws)  # type: ignore[arg-type]
+    search = Search(space, asked, criterion, made.limits(told))
     C, step = draws[0], 1e-6
     slope = search._slope_at(C)
     _, limits = search._limits_at(C, 60.0)
@@ -97,7 +98,7 @@ def test_slopes_of_a_search_are_its_differences(family: str, objective: object, 
 def test_a_design_beats_random_motions_and_keeps_every_limit(name: str) -> None:
     robot = named_robot(name, "box-2kg")
     told = brief(robot)
-    tau = np.abs(torque_of(robot).of(_random(told))).max(axis=0) * 2.5
+    tau = np.abs(torque_model(robot).of(_random(told))).max(axis=0) * 2.5
     told = replace(told, tau=tau)
     made = Optimised("D", harmonics=2, period=5.0, iterations=15, clearance=0.01)
     design = made.solve(told, np.random.default_rng(0))
@@ -105,7 +106,7 @@ def test_a_design_beats_random_motions_and_keeps_every_limit(name: str) -> None:
     fine = made.motion(design.C, told.at(2000.0))
     assert (np.abs(fine.v) <= robot.limits.v).all()
     assert (np.abs(fine.a) <= robot.limits.a).all()
-    assert (np.abs(torque_of(robot).of(fine)) <= tau).all()
+    assert (np.abs(torque_model(robot).of(fine)) <= tau).all()
     scalar = [joint.qadr for joint in robot.joints]
     assert (fine.q[:, scalar] >= robot.limits.q_low).all()
     assert (fine.q[:, scalar] <= robot.limits.q_high).all()
@@ -115,7 +116,7 @@ def test_a_design_beats_random_motions_and_keeps_every_limit(name: str) -> None:
     assert used["collision"].value >= 0.01
 
 
-def _random(told: Brief) -> Trajectory:
+def _random(told: DesignProblem) -> Trajectory:
     space = Optimised(**QUICK).space(told)  # type: ignore[arg-type]
     return space.motion(space.random(np.random.default_rng(9), 0.7), np.linspace(0, 5, 50))
 
@@ -148,7 +149,7 @@ def test_boxes_hold_a_named_body() -> None:
     box = {body: [[-2, 2], [-2, 2], [0.1, 2]]}
     made = Optimised(boxes=box, **QUICK)  # type: ignore[arg-type]
     design = made.solve(told, np.random.default_rng(0))
-    scene = scene_of(robot)
+    scene = collision_model(robot)
     motion = made.motion(design.C, told)
     place = [robot.body_names.index(body) + 1]
     assert min(scene.positions(q, place)[0][0, 2] for q in motion.q) >= 0.1
@@ -196,7 +197,7 @@ def test_what_cannot_be_designed_is_said() -> None:
     robot = named_robot("ur5")
     told = brief(robot)
     with pytest.raises(UsageError, match="no regressor"):
-        Optimised(**QUICK).design(brief_of(robot, 100.0), np.random.default_rng(0))  # type: ignore[arg-type]
+        Optimised(**QUICK).design(design_problem(robot, 100.0), np.random.default_rng(0))  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="elbow_joint"):
         Optimised(joints=("elbo_joint",)).design(told, np.random.default_rng(0))
     weak = replace(told, tau=np.full(robot.nv, 1e-3))
@@ -216,7 +217,7 @@ def test_a_start_outside_of_its_bounds_is_brought_inside(seed: int) -> None:
 def test_a_floor_is_watched_by_all_that_can_leave_it(name: str, height: float) -> None:
     """An arm that lies on it in the reference configuration is not there by construction."""
     robot = named_robot(name)
-    scene = scene_of(robot, height)
+    scene = collision_model(robot, height)
     excused = {b for a, b in scene.ignored if a == "world"}
     moving = [robot.body_names[link.body] for link in robot.tree.links]
     assert excused.isdisjoint(moving[2:])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import brief_of
-from sysid_bench.excitation.random_waypoints import Wander
+from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.excitation.random_waypoints import RandomWaypoints
 from tests.robots import named_robot
 
 
@@ -14,8 +14,8 @@ def test_named_joints_alone_move_and_only_after_the_rest(name: str) -> None:
     robot = named_robot(name)
     scalar = [joint for joint in robot.joints if joint.kind == "hinge"]
     chosen = [joint.name for joint in scalar[::2]]
-    motion = Wander(duration=12.0, rest=2.0, joints=chosen).design(
-        brief_of(robot, 100.0), np.random.default_rng(0)
+    motion = RandomWaypoints(duration=12.0, rest=2.0, joints=chosen).design(
+        design_problem(robot, 100.0), np.random.default_rng(0)
     )
     assert len(motion) == 1200
     moves = np.abs(motion.v).max(axis=0) > 0.1
@@ -26,7 +26,7 @@ def test_named_joints_alone_move_and_only_after_the_rest(name: str) -> None:
 
 def test_all_joints_move_where_none_is_named() -> None:
     robot = named_robot("solo12")
-    motion = Wander().design(brief_of(robot, 50.0), np.random.default_rng(1))
+    motion = RandomWaypoints().design(design_problem(robot, 50.0), np.random.default_rng(1))
     assert (np.abs(motion.v).max(axis=0) > 0).all()
     assert (np.abs(motion.q - robot.mj.qpos0).max(axis=0) > 0).all()
 
@@ -34,7 +34,9 @@ def test_all_joints_move_where_none_is_named() -> None:
 def test_settings_that_make_no_motion_are_refused() -> None:
     robot = named_robot("ur5")
     with pytest.raises(UsageError, match=r"'shoulder_pan_join'.*'shoulder_pan_joint'"):
-        Wander(joints=["shoulder_pan_join"]).design(brief_of(robot, 50.0), np.random.default_rng(0))
+        RandomWaypoints(joints=["shoulder_pan_join"]).design(
+            design_problem(robot, 50.0), np.random.default_rng(0)
+        )
     for wrong in ({"duration": 1.0, "rest": 2.0}, {"move": 0.0}, {"joints": "elbow"}):
         with pytest.raises(UsageError):
-            Wander(**wrong)  # type: ignore[arg-type]
+            RandomWaypoints(**wrong)  # type: ignore[arg-type]

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench import places
-from sysid_bench.excitation.design_problem import brief_of
-from sysid_bench.experiments.robot_cache import Subject, subject
+from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.experiments.robot_cache import LoadedRobot, cached_robot
 from sysid_bench.experiments.simulated.prepare import Prepared, prepare
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.payload import PAYLOADS
@@ -51,8 +51,8 @@ def robot_of(source: str, payload: str | Mapping[str, Any] = "none") -> RobotMod
     return subject_of(source, payload).robot
 
 
-def subject_of(source: str, payload: str | Mapping[str, Any] = "none") -> Subject:
-    return subject(source, payload, None, str(MODELS))
+def subject_of(source: str, payload: str | Mapping[str, Any] = "none") -> LoadedRobot:
+    return cached_robot(source, payload, None, str(MODELS))
 
 
 def spec(**changes: Any) -> ExperimentSpec:
@@ -83,7 +83,7 @@ def motion_of(
 ) -> Trajectory:
     """A motion of a registered excitation."""
     made: Trajectory = build("excitation", excitation).design(
-        brief_of(robot, rate), np.random.default_rng(seed)
+        design_problem(robot, rate), np.random.default_rng(seed)
     )
     return made
 

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import Cut, cut_at
-from sysid_bench.simulation.force_torque import Touch, sensor_wrench
+from sysid_bench.models.sensor import SensorCut, cut_at
+from sysid_bench.simulation.force_torque import Contact, sensor_wrench
 from sysid_bench.simulation.plant import Plant, plant_of
 from sysid_bench.types import Array, Trajectory
 from tests.robots import named_robot
@@ -24,7 +24,7 @@ BASE: Final = "l_hand"
 
 
 @cache
-def arm() -> tuple[RobotModel, Cut, Plant]:
+def arm() -> tuple[RobotModel, SensorCut, Plant]:
     robot = named_robot("icub")
     return robot, cut_at(robot, "l_arm"), plant_of(robot)
 
@@ -51,7 +51,7 @@ def motion(seconds: float, rest: float, seed: int, joints: tuple[str, ...] = JOI
     return Trajectory(t, q, v, a, "random points")
 
 
-def touched(test: Trajectory) -> Touch:
+def touched(test: Trajectory) -> Contact:
     """5 to 8 N and 0.3 N m on the hand from 10 to 25 s."""
     robot, _, _ = arm()
     wrench, t = np.zeros((len(test), 6)), test.t
@@ -59,7 +59,7 @@ def touched(test: Trajectory) -> Touch:
     wrench[:, 3] = 5 * np.sin(0.6 * np.pi * t)
     wrench[:, 5] = -8 * np.cos(0.4 * np.pi * t)
     wrench[(t < 10) | (t >= 25)] = 0.0
-    return Touch(robot.body_names.index(BASE), wrench)
+    return Contact(robot.body_names.index(BASE), wrench)
 
 
 @cache

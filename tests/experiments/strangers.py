@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
-from sysid_bench.excitation.design_problem import MARGIN, Brief
+from sysid_bench.excitation.design_problem import MARGIN, DesignProblem
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import (
     Array,
@@ -38,7 +38,7 @@ class Hops:
 
     duration: float = field(default=4.0, metadata={"unit": "s"})
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         t = brief.times(self.duration)
         w = 2.0 + np.sqrt(np.arange(brief.nv)) + 0.1 * rng.uniform(size=brief.nv)
         room = 0.5 * (brief.high - brief.low)

@@ -6,13 +6,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.wrench_estimation import Reordered, compare, reordered, upstream_torque
+from sysid_bench.evaluation.wrench_estimation import (
+    SensorNewtonEuler,
+    sensor_newton_euler,
+    upstream_torque,
+    wrench_errors,
+)
 from sysid_bench.identifiability.subspaces import structural_subspaces
-from sysid_bench.identification.linear.online_estimation import Recursion, batch
+from sysid_bench.identification.linear.online_estimation import RecursiveEstimator, batch_estimate
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import sub_tree
 from sysid_bench.signals.processing import processing_of
-from sysid_bench.simulation.force_torque import sensor_wrench, touch_torque
+from sysid_bench.simulation.force_torque import contact_torque, sensor_wrench
 from sysid_bench.tasks.prior import PriorSpread, prior_of
 from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, Prior, Recording, Trajectory
@@ -44,14 +49,14 @@ def rows() -> Array:
 
 
 @cache
-def test_run() -> tuple[Reordered, Array, Array, Array]:
+def test_run() -> tuple[SensorNewtonEuler, Array, Array, Array]:
     """The method with its base at the hand, the sensor, the torques and the touch of the test."""
     robot, cut, plant = arm()
     made = motion(30.0, 1.0, 12)
     touch = touched(made)
-    method = reordered(robot, cut, made, BASE)
-    tau = newton_euler(robot.tree, robot.tree.lumped(robot.phi), made)
-    tau = (tau - touch_torque(plant, touch, made))[:, list(method.tree.dofs)]
+    method = sensor_newton_euler(robot, cut, made, BASE)
+    tau = newton_euler(robot.tree, robot.tree.composite_links(robot.phi), made)
+    tau = (tau - contact_torque(plant, touch, made))[:, list(method.tree.dofs)]
     return method, sensor_wrench(plant, (cut,), made, touch), tau, touch.wrench
 
 
@@ -80,7 +85,7 @@ def test_identified_parameters_serve_as_well_as_the_true_ones() -> None:
     for draw in range(DRAWS):
         beta = solved(rows(), noisy(training()[1], draw))
         sets = {"true": phi, "CAD": cad(draw).theta, "identified": B @ beta}
-        told = compare(method, sets, noisy(f_b, 1000 + draw), tau, contact)
+        told = wrench_errors(method, sets, noisy(f_b, 1000 + draw), tau, contact)
         true, found = told["true"], told["identified"]
         worst = max(worst, found.torque / true.torque, found.force / true.force,
                     found.moment / true.moment)  # fmt: skip
@@ -99,8 +104,8 @@ def test_joints_before_the_sensor_need_the_links_between() -> None:
     short = Trajectory(made.t, made.q[:, :-6], made.v[:, :-6], made.a[:, :-6])
     names, tau = upstream_torque(robot, cut, short, robot.phi, f_b)
     assert names[-3:] == ("l_shoulder_pitch", "l_shoulder_roll", "l_shoulder_yaw")
-    whole = newton_euler(robot.tree, robot.tree.lumped(robot.phi), short)
-    whole -= touch_torque(plant, touched(short), short)
+    whole = newton_euler(robot.tree, robot.tree.composite_links(robot.phi), short)
+    whole -= contact_torque(plant, touched(short), short)
     places = [robot.rows.index(name) for name in names[-3:]]
     np.testing.assert_allclose(tau[:, -3:], whole[:, places], atol=1e-11)
     _, without = upstream_torque(robot, cut, short, np.zeros_like(robot.phi), f_b)
@@ -115,10 +120,10 @@ def _prior_in_basis(prior: Prior) -> tuple[Array, Array]:
 def test_recursion_ends_where_the_batch_does() -> None:
     f = noisy(training()[1], 0)
     start, P = _prior_in_basis(cad(0))
-    track = Recursion().run(rows(), f, SIGMA, start, P)
-    whole = batch(rows(), f, SIGMA, start, P)
+    track = RecursiveEstimator().run(rows(), f, SIGMA, start, P)
+    whole = batch_estimate(rows(), f, SIGMA, start, P)
     np.testing.assert_allclose(track.last, whole, atol=1e-10)
-    weak = Recursion(every=1000).run(rows(), f, SIGMA, np.zeros(38), np.full(38, 10.0))
+    weak = RecursiveEstimator(every=1000).run(rows(), f, SIGMA, np.zeros(38), np.full(38, 10.0))
     np.testing.assert_allclose(weak.last, solved(rows(), f), atol=1e-7)
     assert track.used.all()
     assert track.gap[1000:].mean() == pytest.approx(1.0, abs=0.05)
@@ -130,7 +135,7 @@ def test_on_line_torques_start_at_cad_and_leave_it_behind(draw: int) -> None:
     made, f = training()
     tree = sub_tree(robot, cut, made)
     prior = cad(draw)
-    track = Recursion(every=20).run(rows(), noisy(f, draw), SIGMA, *_prior_in_basis(prior))
+    track = RecursiveEstimator(every=20).run(rows(), noisy(f, draw), SIGMA, *_prior_in_basis(prior))
     running = np.repeat(track.beta @ basis().T, 20, axis=0)[: len(made)]
     true = tree.Y_c @ task().truth.theta
     on_line = np.einsum("nkp,np->nk", tree.Y_c, running) - true
@@ -188,10 +193,12 @@ def test_contacts_are_left_out_where_they_are_known_and_where_they_stand_out() -
     start, P = _prior_in_basis(cad(5))
     free = np.asarray(~touch.wrench.any(axis=1))
     true = basis().T @ task().truth.theta
-    blind = Recursion().run(rows(), f, SIGMA, start, P)
-    told = Recursion().run(rows(), f, SIGMA, start, P, free)
-    alert = Recursion(reject=6.0, settled=900).run(rows(), f, SIGMA, start, P)
-    np.testing.assert_allclose(told.last, batch(rows(), f, SIGMA, start, P, free), atol=1e-10)
+    blind = RecursiveEstimator().run(rows(), f, SIGMA, start, P)
+    told = RecursiveEstimator().run(rows(), f, SIGMA, start, P, free)
+    alert = RecursiveEstimator(reject=6.0, settled=900).run(rows(), f, SIGMA, start, P)
+    np.testing.assert_allclose(
+        told.last, batch_estimate(rows(), f, SIGMA, start, P, free), atol=1e-10
+    )
     assert alert.used[free].mean() > 0.99
     assert alert.used[~free].mean() < 0.1
     error = [np.linalg.norm(x.last - true) for x in (blind, told, alert)]
@@ -204,8 +211,8 @@ def test_a_gate_keeps_what_is_not_excited_as_certain_as_the_prior() -> None:
     W, f = rows()[:400], noisy(training()[1], 0)[:400]  # the first four seconds: rest
     start, P = _prior_in_basis(cad(0))
     limit = np.sqrt(np.diag(P))
-    gated = Recursion(forgetting=0.98).run(W, f, SIGMA, start, P)
-    wild = Recursion(forgetting=0.98, gate=False).run(W, f, SIGMA, start, P)
+    gated = RecursiveEstimator(forgetting=0.98).run(W, f, SIGMA, start, P)
+    wild = RecursiveEstimator(forgetting=0.98, gate=False).run(W, f, SIGMA, start, P)
     assert (gated.std[-1] <= limit * (1 + 1e-9)).all()
     assert (wild.std[-1] > 10 * limit).any()
     np.testing.assert_array_equal(gated.last, start)
@@ -223,7 +230,7 @@ def test_the_kalman_version_follows_what_changes() -> None:
     start, P = _prior_in_basis(cad(0))
     new = basis().T @ (task().truth.theta + load)
     still, follows = (
-        Recursion(walk=walk).run(rows(), noisy(f + later, 0), SIGMA, start, P).last
+        RecursiveEstimator(walk=walk).run(rows(), noisy(f + later, 0), SIGMA, start, P).last
         for walk in (0.0, 0.02)
     )
     assert np.linalg.norm(follows - new) < 0.2 * np.linalg.norm(still - new)

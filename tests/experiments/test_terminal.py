@@ -11,7 +11,7 @@ import sympy as sp
 from sysid_bench import places
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
-from sysid_bench.experiments.cell_data import evidence
+from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.min_norm import MinNorm
@@ -203,7 +203,7 @@ def test_a_tool_that_stands_still_has_no_terminal_joint() -> None:
 def test_a_picture_shows_the_measured_row_alone() -> None:
     made = spec(robot="ur5", payload="box-2kg", task="terminal", terms=FRICTION)
     (row,) = executed(made, "min-norm")
-    shown = evidence(argument(made, "min-norm"), row)
+    shown = cell_data(argument(made, "min-norm"), row)
     assert shown.rows == ("wrist_3_joint",)
     assert shown.predicted is not None
     assert shown.predicted.shape == shown.measured.shape == (len(shown.motion), 1)

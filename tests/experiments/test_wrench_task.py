@@ -7,26 +7,26 @@ import pytest
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
-from sysid_bench.experiments.cell_data import evidence
+from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.estimators.rls import RLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.online_estimation import Recursion, rows_of
-from sysid_bench.identification.linear.weights import own_sigmas
+from sysid_bench.identification.linear.online_estimation import RecursiveEstimator, rows_of
+from sysid_bench.identification.linear.weights import row_sigmas
 from sysid_bench.models.manifest import Sensor, find_manifest
 from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.sensor import cut_at, instruments_of
-from sysid_bench.regressors.nested_sensors import sensed_regression
+from sysid_bench.regressors.nested_sensors import measured_regression
 from sysid_bench.regressors.wrench import sub_tree
 from sysid_bench.simulation.force_torque import (
-    Touch,
+    Contact,
     WrenchNoise,
-    fault_of,
+    contact_torque,
+    sensor_error,
     sensor_wrench,
-    touch_torque,
 )
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.task import task_of
@@ -49,12 +49,12 @@ def test_mujocos_sensor_feels_what_the_regressor_tells(seed: int) -> None:
         made = sub_tree(robot, cut, motion)
         free = made.Y_n @ robot.phi[list(cut.bodies)].ravel()
         assert relative_gap(free, sensor_wrench(plant_of(robot), (cut,), motion)) < 1e-12
-        touch = Touch(int(rng.choice(cut.bodies)), rng.normal(size=(5, 6)))
+        touch = Contact(int(rng.choice(cut.bodies)), rng.normal(size=(5, 6)))
         felt = sensor_wrench(plant_of(robot), (cut,), motion, touch)
         base = robot.body_names[touch.body]
         found = np.einsum("nij,nj->ni", made.transform(base), free - felt)
         np.testing.assert_allclose(found, touch.wrench, atol=1e-10 * (1 + np.abs(free).max()))
-        relief = touch_torque(plant_of(robot), touch, motion)[:, list(made.dofs)]
+        relief = contact_torque(plant_of(robot), touch, motion)[:, list(made.dofs)]
         there = np.einsum("nkc,nc->nk", made.projection(base), free - felt)
         np.testing.assert_allclose(there, relief, atol=1e-10 * (1 + np.abs(free).max()))
 
@@ -163,11 +163,11 @@ def test_exact_data_give_the_constants_of_every_sensor_of_a_tree(seed: int) -> N
     task = task_of(robot, "wrench", ("offset",), "s0", lambda n: true[: 6 * n])
     base = structural_base(robot, task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
-    columns = sensed_regression(robot, base.names, instruments, task.rows)
+    columns = measured_regression(robot, base.names, instruments, task.rows)
     motion = states(robot, 20, seed)
     wrench = sensor_wrench(plant_of(robot), task.cuts, motion) + true[: 6 * len(task.cuts)]
     measured = np.hstack([np.zeros((20, len(robot.torque_rows))), wrench])
-    problem = ProblemBuilder(robot, task, base, columns).pose(motion, measured)
+    problem = ProblemBuilder(robot, task, base, columns).build(motion, measured)
     W, b = (np.concatenate(parts) for parts in zip(*problem.blocks(), strict=True))
     beta = base.K @ task.truth.theta
     assert relative_gap(W @ beta, b) < 1e-11
@@ -181,8 +181,8 @@ def test_rls_is_the_on_line_recursion_from_a_prior_that_says_nothing(forgetting:
     problem = ready(**WRIST, noise=WHITE, rate=50.0, terms=("offset",)).problem
     W, f = rows_of(problem)
     start = np.zeros(16), np.full(16, 1e5)
-    recursion = Recursion(forgetting=forgetting, gate=False, every=10**6)
-    track = recursion.run(W, f, own_sigmas(problem), *start)
+    recursion = RecursiveEstimator(forgetting=forgetting, gate=False, every=10**6)
+    track = recursion.run(W, f, row_sigmas(problem), *start)
     told = RLS(forgetting).solve(problem)
     assert told.beta is not None
     assert told.covariance is not None
@@ -211,23 +211,23 @@ def test_a_fault_is_gain_crosstalk_and_a_turn(seed: int) -> None:
     rng = np.random.default_rng(seed)
     wrench = rng.normal(size=(50, 6)) * np.repeat([0.2, 8.0], 3)
     t = np.arange(50.0)
-    turned = fault_of(WrenchNoise(mounting=0.01), np.random.default_rng(seed))
+    turned = sensor_error(WrenchNoise(mounting=0.01), np.random.default_rng(seed))
     R = turned.A[:3, :3]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
     assert np.arccos((np.trace(R) - 1) / 2) == pytest.approx(0.01, rel=1e-3)
     np.testing.assert_array_equal(turned.A[3:, 3:], R)
-    gained = fault_of(WrenchNoise(gain=0.01), np.random.default_rng(seed))
+    gained = sensor_error(WrenchNoise(gain=0.01), np.random.default_rng(seed))
     assert np.count_nonzero(gained.A) == 6
     assert 0.002 < np.std(np.diag(gained.A)) < 0.02
-    crossed = fault_of(WrenchNoise(crosstalk=0.01), np.random.default_rng(seed))
+    crossed = sensor_error(WrenchNoise(crosstalk=0.01), np.random.default_rng(seed))
     np.testing.assert_array_equal(np.diag(crossed.A), np.ones(6))
-    added = crossed.reads(wrench, t) - wrench
+    added = crossed.measure(wrench, t) - wrench
     share = np.sqrt((added**2).mean(axis=0) / (wrench**2).mean(axis=0))
     assert ((share > 1e-4) & (share < 0.2)).all()
-    slow = fault_of(WrenchNoise(force_drift=0.1), np.random.default_rng(seed))
+    slow = sensor_error(WrenchNoise(force_drift=0.1), np.random.default_rng(seed))
     assert not slow.offset.any()
     assert not slow.slope[:3].any()
-    np.testing.assert_allclose(slow.reads(wrench, t)[-1] - wrench[-1], 49 * slow.slope)
+    np.testing.assert_allclose(slow.measure(wrench, t)[-1] - wrench[-1], 49 * slow.slope)
 
 
 def test_requests_that_make_no_sense_say_why() -> None:
@@ -248,7 +248,7 @@ def test_rows_and_pictures_are_of_the_sensor() -> None:
     assert row["mass_error"] < 0.01
     assert row["inertia_error"] < 0.5
     assert row["joints"][0]["name"] == "wrist.nx"
-    shown = evidence(argument(made, "wls"), row)
+    shown = cell_data(argument(made, "wls"), row)
     assert shown.rows[0] == "wrist.nx"
     assert shown.predicted is not None
     assert np.abs(shown.predicted - shown.measured).max() < 1.0

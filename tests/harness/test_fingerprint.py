@@ -11,9 +11,9 @@ from harness_world import NAMES, small
 from sysid_bench import versions
 from sysid_bench.harness import fingerprint as fingerprints
 from sysid_bench.harness.fingerprint import cell_fingerprint, fingerprint
-from sysid_bench.versions import environment
 from sysid_bench.harness.plan import Cell, expand
 from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.versions import environment
 
 CACHES = (
     *(
@@ -48,7 +48,8 @@ def test_the_environment_is_plain_and_complete() -> None:
 
 def test_looking_imports_nothing_heavy() -> None:
     code = (
-        "import sys; from sysid_bench.harness.fingerprint import *; from sysid_bench.versions import *; environment();"
+        "import sys; from sysid_bench.harness.fingerprint import *; "
+        "from sysid_bench.versions import *; environment();"
         "fingerprint([], ['numpy:array']);"
         "print([m for m in ('mujoco', 'pinocchio', 'pandas', 'clarabel', 'scipy', 'sympy') "
         "if m in sys.modules])"

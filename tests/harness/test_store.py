@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 
 from sysid_bench.canonical_json import canonical, plain
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.data_frames import frames_of
+from sysid_bench.harness.data_frames import data_frames
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.work.row_files import RowWriter, ids_in, new_row_file, read_rows
+from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_ids
 
 
 def make(folder: Path, text: str = FULL) -> RunFolder:
@@ -92,7 +92,7 @@ def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
     writer = RowWriter(new_row_file(tmp_path, "w"))
     for number in range(5):
         writer.append({"id": str(number)})
-        assert ids_in(writer.path) == {str(n) for n in range(number + 1)}
+        assert stored_ids(writer.path) == {str(n) for n in range(number + 1)}
     writer.close()
     writer.close()
 
@@ -103,7 +103,7 @@ def test_a_row_that_is_no_json_leaves_no_trace(tmp_path: Path) -> None:
             writer.append({"id": "a", "value": object()})
         writer.append({"id": "b"})
     assert read_rows(tmp_path).garbled == ()
-    assert ids_in(writer.path) == {"b"}
+    assert stored_ids(writer.path) == {"b"}
 
 
 def test_numbers_that_are_none_become_none() -> None:
@@ -138,7 +138,7 @@ def test_any_rows_make_frames_that_parquet_takes(rows: list[dict[str, Any]]) -> 
 
     rows = [{"id": str(number), **row} for number, row in enumerate(rows)]
     with tempfile.TemporaryDirectory() as name:
-        frames_of(rows).write(Path(name))
+        data_frames(rows).write(Path(name))
         back = pd.read_parquet(Path(name) / "cells.parquet")
     assert list(back["id"]) == [row["id"] for row in rows]
 
@@ -153,7 +153,7 @@ def test_consolidation_keeps_every_number(tmp_path: Path) -> None:
             more = {"versions": {"numpy": "2"}, "warnings": ["a"], "rank": number or None}
             writer.append({**row, **more, "joints": joints, "parameters_table": table})
         writer.append({"id": "of no plan", "status": "ok"})
-    run.consolidate()
+    run.write_frames()
     cells = pd.read_parquet(tmp_path / "cells.parquet")
     assert list(cells["id"]) == [cell.id for cell in run.plan.cells]
     assert list(cells["torque_error"]) == [n / 3 for n in reversed(range(len(cells)))]
@@ -196,13 +196,13 @@ def test_verdicts_by_parameter_lose_no_cell() -> None:
         return {"id": f"c{number}", "status": "ok", "parameters_table": table, **more}
 
     failed = {"id": "c0", "status": "failed", "reason": "why"}
-    frame = frames_of([failed, row(1, "mx"), row(2, "m"), row(3, "")]).by_parameter
+    frame = data_frames([failed, row(1, "mx"), row(2, "m"), row(3, "")]).by_parameter
     assert list(zip(frame["id"], frame["parameter"], strict=True)) == [
         ("c0", "m"), ("c0", "x"), ("c1", "m"), ("c1", "x"), ("c2", "m"), ("c3", "m"), ("c3", "x"),
     ]  # fmt: skip
     assert frame.loc[frame["id"] == "c1", "verdict"].tolist() == ["none", "none"]
     assert frame.loc[frame["id"] == "c0", "verdict"].isna().all()
-    assert frames_of([failed]).by_parameter["status"].tolist() == ["failed"]
+    assert data_frames([failed]).by_parameter["status"].tolist() == ["failed"]
 
 
 def test_coverage_has_a_line_for_every_way_to_tell_it_and_loses_no_cell() -> None:
@@ -218,7 +218,7 @@ def test_coverage_has_a_line_for_every_way_to_tell_it_and_loses_no_cell() -> Non
         cell(4, "mute", "crash"),
         cell(5, "silent"),
     ]
-    frame = frames_of(rows).by_std_from
+    frame = data_frames(rows).by_std_from
     found = {(row["id"], row["std_from"]): row["coverage"] for _, row in frame.iterrows()}
     assert found.keys() == {
         ("0", "periods"), ("0", "textbook"), ("1", "periods"), ("1", "textbook"),
@@ -229,6 +229,6 @@ def test_coverage_has_a_line_for_every_way_to_tell_it_and_loses_no_cell() -> Non
         0.5,
         0.7,
     )
-    exact = frames_of([cell(0, "wls"), cell(1, "wls", "failed")]).by_std_from
+    exact = data_frames([cell(0, "wls"), cell(1, "wls", "failed")]).by_std_from
     assert exact["std_from"].tolist() == ["none", "none"]
     assert exact["coverage"].isna().all()

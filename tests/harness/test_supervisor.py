@@ -15,7 +15,7 @@ import pytest
 
 from sysid_bench.harness.work.row_files import StoredRows, read_rows
 from sysid_bench.harness.work.supervisor import Ending, supervise
-from sysid_bench.harness.work.worker_handle import Task, Workplace
+from sysid_bench.harness.work.worker_handle import Task, WorkerSettings
 
 HERE = Path(__file__).parent
 CHECKOUT = HERE.parents[1]
@@ -35,7 +35,7 @@ def run(
     fail_fast: bool = False,
     on_event: Callable[[str, Mapping[str, Any]], None] | None = None,
 ) -> tuple[Ending, StoredRows]:
-    ending = supervise(tasks, Workplace(folder, timeout, 1), jobs, fail_fast, on_event)
+    ending = supervise(tasks, WorkerSettings(folder, timeout, 1), jobs, fail_fast, on_event)
     return ending, read_rows(folder / "cells")
 
 

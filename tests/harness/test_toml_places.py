@@ -8,7 +8,7 @@ from harness_world import FULL
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench.harness.suite.toml_lines import key_lines, line_of
+from sysid_bench.harness.suite.toml_lines import key_lines, toml_line
 from sysid_bench.harness.suite.toml_text import toml_text
 
 SAMPLE = '''# a comment = 1
@@ -63,8 +63,8 @@ def test_a_key_stands_on_the_line_where_it_was_written(key: tuple[Any, ...], lin
 
 def test_a_key_that_is_not_there_lies_near_what_holds_it() -> None:
     lines = key_lines(SAMPLE)
-    assert line_of(lines, ("robot", 1, "missing", 3)) == 20
-    assert line_of(lines, ("nowhere",)) is None
+    assert toml_line(lines, ("robot", 1, "missing", 3)) == 20
+    assert toml_line(lines, ("nowhere",)) is None
 
 
 def keys_of(value: Any, key: tuple[Any, ...] = ()) -> set[tuple[Any, ...]]:

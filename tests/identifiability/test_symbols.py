@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
-from sysid_bench.identifiability.sign_bounds import impossible, lower_bound, smallest_change
-from sysid_bench.identifiability.symbols import generic_lengths, symbolic
+from sysid_bench.identifiability.sign_bounds import (
+    infeasible_signs,
+    lower_bound,
+    smallest_feasible_change,
+)
+from sysid_bench.identifiability.symbols import lengths_of, symbolic_coefficient
 from sysid_bench.spatial.inertia import NAMES, pseudo_inertia
 from sysid_bench.types import Array, Body
 
 LENGTHS = {"a2": 0.279, "a2p": 0.1, "a3": 0.365, "d4": 0.151}
-SETS = generic_lengths(LENGTHS)
+SETS = lengths_of(LENGTHS)
 BODY = Body("b", tuple(f"b.{name}" for name in NAMES))
 
 
@@ -18,7 +22,7 @@ BODY = Body("b", tuple(f"b.{name}" for name in NAMES))
     ["a2", "-a2^2", "1/a3", "2 a2p", "-4 a2^2", "a2/a2p", "a2 a3/a2p", "0.5 d4", "a3 d4", "3"],
 )
 def test_a_monomial_is_found(words: str) -> None:
-    assert symbolic([_value(words, one) for one in SETS], SETS) == words
+    assert symbolic_coefficient([_value(words, one) for one in SETS], SETS) == words
 
 
 @pytest.mark.parametrize(
@@ -27,14 +31,14 @@ def test_a_monomial_is_found(words: str) -> None:
 )
 def test_a_sum_is_found_with_its_value(first: str, second: str, sign: int) -> None:
     values = [_value(first, one) + sign * _value(second, one) for one in SETS]
-    words = symbolic(values, SETS)
+    words = symbolic_coefficient(values, SETS)
     assert words is not None
     assert set(words.replace(" - ", " + ").removeprefix("-").split(" + ")) == {first, second}
 
 
 def test_what_no_lengths_explain_is_not_named() -> None:
-    assert symbolic([0.123, 0.234, 0.345], SETS) is None
-    assert symbolic([np.sin(one["a2"]) for one in SETS], SETS) is None
+    assert symbolic_coefficient([0.123, 0.234, 0.345], SETS) is None
+    assert symbolic_coefficient([np.sin(one["a2"]) for one in SETS], SETS) is None
 
 
 def _value(words: str, lengths: dict[str, float]) -> float:
@@ -56,17 +60,17 @@ def test_a_sum_that_cannot_be_negative_never_is(seed: int) -> None:
     lowest = min(float(coefficients @ _body(rng)) for _ in range(200))
     if possible:
         assert lowest >= -1e-9
-        assert impossible(terms, -1.0, [BODY]) is not None
+        assert infeasible_signs(terms, -1.0, [BODY]) is not None
     else:
-        assert impossible(terms, -1.0, [BODY]) is None
+        assert infeasible_signs(terms, -1.0, [BODY]) is None
 
 
 def test_joint_terms_that_give_energy_away_are_impossible() -> None:
-    assert impossible({"j.fv": 1.0}, -0.1, [BODY]) == "cannot be negative"
-    assert impossible({"j.fv": -1.0}, 0.1, [BODY]) == "cannot be positive"
-    assert impossible({"j.offset": 1.0}, -0.1, [BODY]) is None
-    assert impossible({"j.fv.k": 1.0}, -0.1, [BODY]) is None
-    assert impossible({"b.m": 1.0, "j.k": -1.0}, -0.1, [BODY]) is None
+    assert infeasible_signs({"j.fv": 1.0}, -0.1, [BODY]) == "cannot be negative"
+    assert infeasible_signs({"j.fv": -1.0}, 0.1, [BODY]) == "cannot be positive"
+    assert infeasible_signs({"j.offset": 1.0}, -0.1, [BODY]) is None
+    assert infeasible_signs({"j.fv.k": 1.0}, -0.1, [BODY]) is None
+    assert infeasible_signs({"b.m": 1.0, "j.k": -1.0}, -0.1, [BODY]) is None
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -74,10 +78,10 @@ def test_values_of_a_body_need_no_change_and_others_their_distance(seed: int) ->
     rng = np.random.default_rng(seed)
     K = np.eye(10)
     phi = _body(rng)
-    assert smallest_change(K, phi, BODY.columns, [BODY]) < 1e-6
+    assert smallest_feasible_change(K, phi, BODY.columns, [BODY]) < 1e-6
     wrong = phi.copy()
     wrong[0] = -1.0  # a mass: at least 1 away from any, and the rest has to follow
-    assert smallest_change(K, wrong, BODY.columns, [BODY]) >= 1.0 - 1e-6
+    assert smallest_feasible_change(K, wrong, BODY.columns, [BODY]) >= 1.0 - 1e-6
 
 
 def _body(rng: np.random.Generator) -> Array:

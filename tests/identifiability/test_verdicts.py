@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from sysid_bench import places
 from sysid_bench.errors import UsageError
 from sysid_bench.identifiability.base_expressions import (
+    base_expressions,
     combinations,
-    combined,
     expression,
     near_degenerate,
 )
@@ -170,7 +170,7 @@ def test_sums_are_printed_as_papers_do() -> None:
 def test_printed_sums_are_the_base_map(name: str) -> None:
     base = inertial_base(named_robot(name))
     again = np.zeros_like(base.K)
-    for i, terms in enumerate(combined(base)):
+    for i, terms in enumerate(base_expressions(base)):
         assert next(iter(terms)) == base.names[i]
         for parameter, value in terms.items():
             again[i, base.parameters.index(parameter)] = value

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.excitation.design_problem import Brief
+from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.types import Trajectory
 
 
@@ -12,7 +12,7 @@ from sysid_bench.types import Trajectory
 class OneJoint:
     """A sine on the last joint."""
 
-    def design(self, brief: Brief, rng: np.random.Generator) -> Trajectory:
+    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         t = brief.times(4.0)
         x, dx, ddx = np.zeros((3, len(t), brief.nv))
         amplitude = 0.2 * min(1.0, float(brief.high[-1] - brief.low[-1]))

@@ -5,7 +5,7 @@ import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.contact_detection import free_samples
-from sysid_bench.identification.linear.online_estimation import Recursion, batch
+from sysid_bench.identification.linear.online_estimation import RecursiveEstimator, batch_estimate
 from sysid_bench.identification.sensor_calibration import calibrate
 
 SIZE = np.repeat([1.0, 10.0], 3)
@@ -25,7 +25,7 @@ def test_rich_wrenches_tell_the_whole_matrix(seed: int) -> None:
     found = calibrate(reading, known)
     assert np.abs((found.G - G) / SIZE[:, None] * SIZE).max() < 2e-4
     fresh = SIZE * rng.normal(size=(100, 6))
-    error = (found.corrected(fresh @ G.T + offset) - fresh) / SIZE
+    error = (found.apply(fresh @ G.T + offset) - fresh) / SIZE
     assert np.abs(error).max() < 2e-3
 
 
@@ -38,11 +38,11 @@ def test_what_the_wrenches_do_not_tell_stays_ideal(seed: int) -> None:
     known = SIZE * (rng.normal(size=(3000, 3)) @ basis.T)
     reading = known @ G.T + offset + 0.001 * SIZE * rng.normal(size=known.shape)
     found = calibrate(reading, known)
-    inside = (found.corrected(reading) - known) / SIZE
+    inside = (found.apply(reading) - known) / SIZE
     assert np.sqrt((inside**2).mean()) < 2e-3
     other = SIZE * rng.normal(size=(500, 6))
     before = (other @ G.T - other) / SIZE
-    after = (found.corrected(other @ G.T + offset) - other) / SIZE
+    after = (found.apply(other @ G.T + offset) - other) / SIZE
     assert np.sqrt((after**2).mean()) < np.sqrt((before**2).mean())
 
 
@@ -62,8 +62,8 @@ def test_a_recursion_is_the_batch_for_any_rows(seed: int) -> None:
     root = rng.normal(size=(7, 7))
     P = root @ root.T + np.eye(7)
     prior = rng.normal(size=7)
-    track = Recursion().run(W, f, sigma, prior, P, free)
-    np.testing.assert_allclose(track.last, batch(W, f, sigma, prior, P, free), atol=1e-10)
+    track = RecursiveEstimator().run(W, f, sigma, prior, P, free)
+    np.testing.assert_allclose(track.last, batch_estimate(W, f, sigma, prior, P, free), atol=1e-10)
     assert track.places[-1] == 199
     np.testing.assert_array_equal(track.used, free)
 
@@ -94,6 +94,6 @@ def test_too_little_to_find_contacts_in_says_so() -> None:
 @pytest.mark.parametrize("wrong", [{"forgetting": 0.0}, {"forgetting": 1.1}, {"walk": -1.0}])
 def test_settings_that_make_no_filter_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(UsageError):
-        Recursion(**wrong).run(  # type: ignore[arg-type]
+        RecursiveEstimator(**wrong).run(  # type: ignore[arg-type]
             np.ones((5, 1, 1)), np.ones((5, 1)), np.ones(1), np.zeros(1), np.ones(1)
         )

@@ -19,9 +19,13 @@ from sysid_bench.identification.estimators.reconstruction import Reconstruction
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.feasibility.bregman import divergence
 from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates
-from sysid_bench.identification.feasibility.completion import DISTANCES, completed
-from sysid_bench.identification.feasibility.feasible_set import Physical, physical_of
-from sysid_bench.identification.feasibility.required_prior import existing, spread_of, start_of
+from sysid_bench.identification.feasibility.completion import DISTANCES, complete
+from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
+from sysid_bench.identification.feasibility.required_prior import (
+    feasible_point,
+    spread_of,
+    start_of,
+)
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.base_coordinates import WEAK, weighted_coordinates
 from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
@@ -45,7 +49,7 @@ def theta_of(estimate: Estimate) -> Array:
     return estimate.theta
 
 
-def objective(of: Physical, at: Problem, theta: Array) -> float:
+def objective(of: FeasibleSet, at: Problem, theta: Array) -> float:
     """Squares over the noise, as the fits weigh them, above those of least squares."""
     y = weighted_coordinates(of, at, theta / of.scale).y(theta / of.scale)
     return float(y[: at.base.rank] @ y[: at.base.rank])
@@ -55,12 +59,12 @@ def objective(of: Physical, at: Problem, theta: Array) -> float:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_every_answer_can_exist_and_says_so(robot: str, noise: float) -> None:
     at = problem(robot, noise)
-    of = physical_of(at)
+    of = feasible_set_of(at)
     for method in METHODS:
         estimate = identify(method, at)
         theta = theta_of(estimate)
         assert smallest_eigenvalue(theta[of.places]).min() >= 0
-        assert theta[of.not_negative].min(initial=0.0) >= 0
+        assert theta[of.nonnegative].min(initial=0.0) >= 0
         assert estimate.stats["roundness"] > 0
         if "duality_gap" in estimate.stats:
             assert estimate.stats["duality_gap"] <= 1e-4 * max(1.0, estimate.stats["excess"])
@@ -74,14 +78,14 @@ def test_single_bodies_can_exist_too(task: str, payload: str, noise: float) -> N
     at = problem("ur5", noise, task, payload)
     for method in METHODS:
         theta = theta_of(identify(method, at))
-        assert smallest_eigenvalue(theta[physical_of(at).places]).min() >= 0
+        assert smallest_eigenvalue(theta[feasible_set_of(at).places]).min() >= 0
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_no_step_towards_anything_that_can_exist_is_better(robot: str) -> None:
     """The optimum of a convex fit: every feasible direction goes up."""
     at = problem(robot)
-    of = physical_of(at)
+    of = feasible_set_of(at)
     best = theta_of(LMI().solve(at))
     value = objective(of, at, best)
     rng = np.random.default_rng(0)
@@ -105,7 +109,7 @@ def test_exact_data_are_kept_without_a_prior(robot: str) -> None:
 
 def test_limits_of_mass_and_centre_are_kept() -> None:
     at = problem("ur5", 0.3)
-    of = physical_of(at)
+    of = feasible_set_of(at)
     phi = theta_of(LMI(mass=(0.5, 4.0), com=0.2).solve(at))[of.places]
     assert phi[:, 0].min() >= 0.5 - 1e-6
     assert phi[:, 0].max() <= 4.0 + 1e-6
@@ -123,10 +127,10 @@ def test_bounds_of_single_parameters_are_weaker() -> None:
 @pytest.mark.parametrize("robot", ["ur5", "random:3"])
 def test_the_entropic_fit_is_where_its_gradient_vanishes(robot: str) -> None:
     at = problem(robot)
-    of = physical_of(at)
+    of = feasible_set_of(at)
     assert at.prior is not None
     std = spread_of(of, at.prior)
-    near = divergence(of, existing(of, at.prior.theta / of.scale, std), std)
+    near = divergence(of, feasible_point(of, at.prior.theta / of.scale, std), std)
     x = theta_of(Entropic(weight=3.0).solve(at)) / of.scale
 
     def value(x: Array) -> float:
@@ -160,7 +164,7 @@ def test_the_divergence_knows_no_frame_and_no_unit() -> None:
 
     rng = np.random.default_rng(2)
     phi, phi0 = random_phi(rng, 2)
-    of = physical_of(problem("ur10", 0.02, "payload", "box-2kg"))
+    of = feasible_set_of(problem("ur10", 0.02, "payload", "box-2kg"))
     X = transport(random_rotation(rng), rng.normal(size=3))
 
     def distance(phi: Array, phi0: Array) -> float:
@@ -174,9 +178,9 @@ def test_the_divergence_knows_no_frame_and_no_unit() -> None:
 
 def test_log_cholesky_coordinates_and_their_derivatives() -> None:
     at = problem("random:3")
-    of = physical_of(at)
+    of = feasible_set_of(at)
     assert at.prior is not None
-    x0 = existing(of, start_of(of, at.prior), spread_of(of, at.prior))
+    x0 = feasible_point(of, start_of(of, at.prior), spread_of(of, at.prior))
     made, rng = coordinates(of, x0), np.random.default_rng(3)
     np.testing.assert_allclose(made.x(made.eta0), x0, atol=1e-10)
     eta, d = made.eta0 + 0.2 * rng.normal(size=len(x0)), 1e-6 * rng.normal(size=len(x0))
@@ -192,13 +196,13 @@ def test_log_cholesky_coordinates_and_their_derivatives() -> None:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_completion_keeps_beta_and_lies_nearest(robot: str, distance: str) -> None:
     made = ready(robot=robot)
-    at, of = made.problem, physical_of(made.problem)
+    at, of = made.problem, feasible_set_of(made.problem)
     beta = at.base.K @ made.truth.theta
     assert at.prior is not None
-    theta = completed(of, at.base, beta, at.prior, distance)
+    theta = complete(of, at.base, beta, at.prior, distance)
     assert np.linalg.norm(at.base.K @ theta - beta) <= 1e-8 * np.linalg.norm(beta)
     assert smallest_eigenvalue(theta[of.places]).min() >= 0
-    x0 = existing(of, at.prior.theta / of.scale, spread_of(of, at.prior))
+    x0 = feasible_point(of, at.prior.theta / of.scale, spread_of(of, at.prior))
     near = divergence(of, x0, spread_of(of, at.prior))
     if distance == "entropic":
         solid = 0.999 * theta + 0.001 * made.truth.theta  # has beta too, and can exist
@@ -208,12 +212,12 @@ def test_completion_keeps_beta_and_lies_nearest(robot: str, distance: str) -> No
 @pytest.mark.parametrize("robot", ["ur5", "z1"])
 def test_a_prior_with_the_right_beta_is_its_own_completion(robot: str) -> None:
     made = ready(robot=robot)
-    at, of = made.problem, physical_of(made.problem)
+    at, of = made.problem, feasible_set_of(made.problem)
     assert at.prior is not None
-    x = existing(of, at.prior.theta / of.scale, spread_of(of, at.prior))
+    x = feasible_point(of, at.prior.theta / of.scale, spread_of(of, at.prior))
     prior = Prior(of.scale * x, at.prior.std)
     for distance in DISTANCES:
-        theta = completed(of, at.base, at.base.K @ prior.theta, prior, distance)
+        theta = complete(of, at.base, at.base.K @ prior.theta, prior, distance)
         np.testing.assert_allclose(theta / of.scale, x, atol=2e-3)
 
 
@@ -233,27 +237,27 @@ def test_without_a_prior_methods_that_need_one_say_so() -> None:
 
 
 def test_a_motion_that_tells_little_still_has_a_feasible_fit() -> None:
-    from sysid_bench.conformance import shortened
+    from sysid_bench.conformance import subset_of_rows
 
-    at = shortened(problem("ur5"), 2)
+    at = subset_of_rows(problem("ur5"), 2)
     assert identify(WLS(), at).status == "failed"
     for method in METHODS[:4]:  # log-Cholesky creeps along the valley of so few samples
         theta = theta_of(identify(method, at))
-        assert smallest_eigenvalue(theta[physical_of(at).places]).min() >= 0
+        assert smallest_eigenvalue(theta[feasible_set_of(at).places]).min() >= 0
 
 
 @pytest.mark.parametrize("robot", ["ur5", "random:17"])
 def test_cvxpy_finds_the_same_fit_and_takes_longer(robot: str) -> None:
     cp = pytest.importorskip("cvxpy", reason="the oracle of feasible fits is not installed")
     at = problem(robot)
-    of = physical_of(at)
+    of = feasible_set_of(at)
     mine = theta_of(LMI().solve(at))
     rows = weighted_coordinates(of, at, start_of(of, at.prior))
     inverse = np.linalg.inv(rows.T)
     inverse[rows.rank :] *= np.sqrt(WEAK)
     start = time.perf_counter()
     x = cp.Variable(len(mine))
-    constraints = [x[i] >= 0 for i in of.not_negative]
+    constraints = [x[i] >= 0 for i in of.nonnegative]
     from sysid_bench.identification.feasibility.feasible_set import BASIS
 
     for place in of.places:

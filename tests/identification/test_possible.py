@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.identification.feasibility.simulatable import possible
-from sysid_bench.identification.linear.normal_qr import compress
-from sysid_bench.experiments.simulated.method_model import declared
-from sysid_bench.simulation.parametrised_plant import candidate
+from sysid_bench.experiments.simulated.method_model import known_model
+from sysid_bench.identification.feasibility.simulatable import simulatable_set
+from sysid_bench.identification.linear.normal_qr import stacked_factor
+from sysid_bench.simulation.parametrised_plant import parametrised_plant
 from sysid_bench.spatial.inertia import smallest_eigenvalue
 from sysid_bench.types import Array, Problem
 from tests.experiments.experiment_world import RICH, SMOOTH, ready_once
@@ -17,7 +17,7 @@ ROBOTS = ("ur5", "tx40", SMOOTH, "random:1")
 
 
 def metric(problem: Problem) -> Array:
-    return compress(problem)[:-1, :-1]
+    return stacked_factor(problem)[:-1, :-1]
 
 
 def exists(problem: Problem, theta: Array) -> bool:
@@ -34,8 +34,10 @@ def test_bodies_that_explain_beta_are_found_where_there_are_some(robot: str, tol
     problem = made.problem if told else replace(made.problem, prior=None)
     K, prior = problem.base.K, made.problem.prior
     assert prior is not None
-    beta = K @ (0.5 * (prior.theta + possible(made.problem).centre))  # of a robot that exists
-    theta = possible(problem).nearest(beta, metric(problem))
+    beta = K @ (
+        0.5 * (prior.theta + simulatable_set(made.problem).centre)
+    )  # of a robot that exists
+    theta = simulatable_set(problem).nearest(beta, metric(problem))
     assert exists(problem, theta)
     np.testing.assert_allclose(K @ theta, beta, atol=1e-9 * np.abs(beta).max())
 
@@ -48,9 +50,12 @@ def test_for_any_beta_the_answer_exists_and_can_be_simulated(robot: str, seed: i
     rng = np.random.default_rng(seed)
     beta = problem.base.K @ made.truth.theta
     wild = beta * rng.normal(size=len(beta)) * 3
-    theta = possible(problem).nearest(wild, metric(problem))
+    theta = simulatable_set(problem).nearest(wild, metric(problem))
     assert exists(problem, theta)
-    assert candidate(declared(made.robot, made.task), theta).bench.nv == made.robot.nv
+    assert (
+        parametrised_plant(known_model(made.robot, made.task), theta).fixed_contact_free_model.nv
+        == made.robot.nv
+    )
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -62,34 +67,34 @@ def test_what_is_taken_for_an_impossible_beta_is_near_it(robot: str) -> None:
     beta = K @ truth
     step = np.random.default_rng(1).normal(size=len(beta))
     wild = beta + 0.5 * np.linalg.norm(R @ beta) / np.linalg.norm(R @ step) * step
-    room = possible(problem)
+    room = simulatable_set(problem)
     found = np.linalg.norm(R @ (K @ room.nearest(wild, R) - wild))
-    for other in (room.centre, possible(replace(problem, prior=None)).centre, truth):
+    for other in (room.centre, simulatable_set(replace(problem, prior=None)).centre, truth):
         assert found <= np.linalg.norm(R @ (K @ other - wild)) * (1 + 1e-4)
 
 
 def test_a_lift_moves_beta_alone_and_stays_inside_its_reach() -> None:
     problem = ready_once(RICH).problem
-    room = possible(problem)
-    lift = room.lift(room.centre)
+    room = simulatable_set(problem)
+    lift = room.lift_of(room.centre)
     K = problem.base.K
     rounding = 1e-11 * (np.abs(K) @ np.abs(lift)).max()
     np.testing.assert_allclose(K @ lift, np.eye(problem.base.rank), atol=rounding)
     for direction in lift.T:
         for sign in (1, -1):
-            end = room.centre + sign * room.reach(room.centre, direction) * direction
+            end = room.centre + sign * room.step_limit(room.centre, direction) * direction
             assert np.isfinite(room.divergence(end))
 
 
 def test_slopes_are_those_of_the_divergence() -> None:
     problem = ready_once(RICH).problem
-    first, prior = possible(replace(problem, prior=None)), possible(problem)
+    first, prior = simulatable_set(replace(problem, prior=None)), simulatable_set(problem)
     theta = 0.5 * (first.centre + prior.centre)
-    gradient, hessian = prior.slopes(theta)
+    gradient, hessian = prior.gradients(theta)
     for j in range(len(theta)):
         size = 1e-6 * max(abs(theta[j]), 1e-4)
         step = size * (np.arange(len(theta)) == j)
         rise = (prior.divergence(theta + step) - prior.divergence(theta - step)) / (2 * size)
-        bend = (prior.slopes(theta + step)[0] - prior.slopes(theta - step)[0]) / (2 * size)
+        bend = (prior.gradients(theta + step)[0] - prior.gradients(theta - step)[0]) / (2 * size)
         assert rise == pytest.approx(gradient[j], rel=1e-4, abs=1e-4 * np.abs(gradient).max())
         np.testing.assert_allclose(bend, hessian[j], atol=1e-4 * np.abs(hessian[j]).max())

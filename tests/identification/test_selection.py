@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid_bench.identification.linear.column_selection import FoldedRow, choose
+from sysid_bench.identification.linear.column_selection import FoldedRow, select_columns
 from sysid_bench.types import Array
 
 
@@ -23,10 +23,10 @@ def test_what_made_the_data_is_found_and_noise_is_not(seed: int) -> None:
     b = W @ beta + 0.05 * rng.normal(size=(2, N))
     labels = np.arange(N) * 5 // N
     folds = [[folded(W[i], b[i], labels == f) for i in range(2)] for f in range(5)]
-    choice = choose(folds, [0, 1], [((i % 2,), i) for i in range(2, k)])
+    choice = select_columns(folds, [0, 1], [((i % 2,), i) for i in range(2, k)])
     assert set(choice.columns) == {0, 1, 4, 7}
     assert {column for column, _ in choice.steps} == {4, 7}
     assert choice.error_after < 0.2 * choice.error_before
-    nothing = choose(folds, [0, 1, 4, 7], [((0,), 2), ((1,), 3)])
+    nothing = select_columns(folds, [0, 1, 4, 7], [((0,), 2), ((1,), 3)])
     assert nothing.steps == ()
     assert nothing.error_after == nothing.error_before

@@ -18,7 +18,7 @@ from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
-from sysid_bench.regressors.pinocchio_urdf import native_regressor
+from sysid_bench.regressors.pinocchio_urdf import urdf_regressor
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.mujoco_inverse import inverse_torque
 from sysid_bench.spatial.inertia import mass_com_inertia
@@ -61,7 +61,10 @@ def check(robot: RobotModel, count: int = 5, seed: int = 0) -> None:
     assert relative_gap(Y, pinocchio_regressor(robot, motion).Y) <= GAP
     armature = robot.joint_terms.armature * motion.a
     assert relative_gap(tau + armature, inverse_torque(robot, motion)) <= CLOSURE
-    assert relative_gap(newton_euler(robot.tree, robot.tree.lumped(robot.phi), motion), tau) <= GAP
+    assert (
+        relative_gap(newton_euler(robot.tree, robot.tree.composite_links(robot.phi), motion), tau)
+        <= GAP
+    )
     assert relative_gap(ours.torque(motion, theta), tau) <= GAP
     paired = rnea(robot.pairing.model, robot, motion)
     assert relative_gap(tau, paired) <= CLOSURE
@@ -97,7 +100,7 @@ def test_every_urdf_as_pinocchio_reads_it_itself(file: str) -> None:
     robot = urdf_robot(file)
     motion = states(robot, 3, seed=1)
     Y = regression(robot, robot.inertial_columns).dense(motion).Y
-    assert relative_gap(Y, native_regressor(robot, motion).Y) <= GAP
+    assert relative_gap(Y, urdf_regressor(robot, motion).Y) <= GAP
 
 
 @pytest.mark.parametrize("file", FLOATING)
@@ -108,7 +111,7 @@ def test_urdfs_that_float(file: str) -> None:
     check(robot)
     motion = states(robot, 3, seed=1)
     Y = regression(robot, robot.inertial_columns).dense(motion).Y
-    assert relative_gap(Y, native_regressor(robot, motion).Y) <= GAP
+    assert relative_gap(Y, urdf_regressor(robot, motion).Y) <= GAP
 
 
 @pytest.mark.parametrize("payload", ["none", "sphere-offset-1kg"])
@@ -145,7 +148,7 @@ def test_torque_is_linear_in_the_parameters(seed: int) -> None:
     together = ours.torque(motion, one + s * other)
     parts = ours.torque(motion, one) + s * ours.torque(motion, other)
     np.testing.assert_allclose(together, parts, atol=1e-9 * np.abs(parts).max())
-    lumped = [robot.tree.lumped(theta.reshape(-1, 10)) for theta in (one, other)]
+    lumped = [robot.tree.composite_links(theta.reshape(-1, 10)) for theta in (one, other)]
     ours_too = newton_euler(robot.tree, lumped[0] + s * lumped[1], motion)
     np.testing.assert_allclose(ours_too, parts, atol=1e-9 * np.abs(parts).max())
 
@@ -178,10 +181,10 @@ def respecified(robot: RobotModel, phi: Array) -> mujoco.MjSpec:
 def test_a_witness_that_cannot_serve_says_so() -> None:
     tree = random_robot(0)
     with pytest.raises(UnsupportedError, match="MJCF"):
-        native_regressor(tree, states(tree, 2))
+        urdf_regressor(tree, states(tree, 2))
     loaded = load_robot("ur5", PAYLOADS["box-2kg"])
     with pytest.raises(UnsupportedError, match="payload"):
-        native_regressor(loaded, states(loaded, 2))
+        urdf_regressor(loaded, states(loaded, 2))
 
 
 @pytest.mark.data

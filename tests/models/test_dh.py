@@ -16,7 +16,7 @@ from sysid_bench.models.dh.dh_table import DhTable, read_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.tasks.task import asked_bodies
+from sysid_bench.tasks.task import unknown_bodies
 from sysid_bench.types import Array
 from sysid_bench.verbs.init_robot import init_robot
 from tests.robots import robot_of, states
@@ -196,7 +196,7 @@ def test_closed_loops_follow_the_couplings_of_the_paper(
     G = loop.coupling.G(motion.q)[:, [loop.rows.index(row) for row in constant.rows]]
     wanted = constant.coupling.G(constant.mj.qpos0[None])
     np.testing.assert_allclose(G, np.broadcast_to(wanted, G.shape), rtol=0, atol=1e-11)
-    asked = [c for body in asked_bodies(constant) for c in body.columns]
+    asked = [c for body in unknown_bodies(constant) for c in body.columns]
     one, other = (structural_base(robot, tuple(asked)) for robot in (loop, constant))
     assert one.rank == other.rank
     assert same_space(one.K, other.K) < 1e-8

@@ -137,17 +137,19 @@ def check_composite(bare: RobotModel, loaded: RobotModel, payload: Payload) -> N
             np.testing.assert_array_equal(one, other)
     # The torque of both is the torque of the robot and that of the payload's masses at the tool.
     motion = states(bare, 3)
-    parts = bare.tree.lumped(bare.phi)
+    parts = bare.tree.composite_links(bare.phi)
     carrier = int(bare.tree.carrier[bare.tool_body])
-    alone = loaded.tree.lumped(np.where(np.arange(len(loaded.phi))[:, None] == b, loaded.phi, 0.0))
+    alone = loaded.tree.composite_links(
+        np.where(np.arange(len(loaded.phi))[:, None] == b, loaded.phi, 0.0)
+    )
     if carrier >= 0:
         R, p = tool_pose(bare, loaded)
         points, masses = cloud(payload)
         parts[carrier] += in_carrier(bare, masses, points @ R.T + p)
         assert np.count_nonzero(alone.any(axis=1)) == 1
-    np.testing.assert_allclose(loaded.tree.lumped(loaded.phi), parts, atol=1e-10)
-    tau = newton_euler(loaded.tree, loaded.tree.lumped(loaded.phi), motion)
-    sum_of_both = newton_euler(bare.tree, bare.tree.lumped(bare.phi), motion)
+    np.testing.assert_allclose(loaded.tree.composite_links(loaded.phi), parts, atol=1e-10)
+    tau = newton_euler(loaded.tree, loaded.tree.composite_links(loaded.phi), motion)
+    sum_of_both = newton_euler(bare.tree, bare.tree.composite_links(bare.phi), motion)
     sum_of_both = sum_of_both + newton_euler(loaded.tree, alone, motion)
     np.testing.assert_allclose(tau, sum_of_both, atol=1e-9 * np.abs(tau).max())
 

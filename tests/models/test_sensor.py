@@ -7,7 +7,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, Sensor
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.random.random_tree import random_robot
-from sysid_bench.models.sensor import cut_at, floating, instruments_of, the_sensor
+from sysid_bench.models.sensor import cut_at, floating_subtree, instruments_of, the_sensor
 from tests.robots import named_robot, robot_of, states
 
 ARM = """<mujoco><worldbody><body name="foot"><body name="upper"><joint name="a" axis="0 1 0"/>
@@ -59,10 +59,10 @@ def test_the_next_sensor_ends_the_sub_tree() -> None:
     )
     cut = cut_at(robot, "root")
     assert [robot.body_names[b] for b in cut.bodies] == ["upper", "plate"]
-    assert cut.stops == ("wrist",)
+    assert cut.end_sensors == ("wrist",)
     assert len(cut_at(robot, "root", others=()).bodies) == 3
     leg = cut_at(named_robot("icub"), "l_leg_ft_sensor", ("l_foot_ft_sensor",))
-    assert leg.stops == ("l_foot_ft_sensor",)
+    assert leg.end_sensors == ("l_foot_ft_sensor",)
 
 
 def test_a_mounted_payload_is_behind_the_wrist() -> None:
@@ -106,7 +106,7 @@ def test_sensors_leave_the_robot_its_own_places(seed: int) -> None:
         made = instruments_of(robot, (cut,))
         assert made.rows[: robot.nv] == robot.rows
         assert made.motion(motion).v.shape == (3, robot.nv + 6)
-        alone = floating(robot, cut)
+        alone = floating_subtree(robot, cut)
         assert len(alone.rows) == robot.nv + 6
         riders = [b for b, link in enumerate(alone.tree.carrier) if link >= 0]
         assert tuple(riders) == cut.bodies

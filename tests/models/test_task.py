@@ -10,7 +10,7 @@ from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.plant import bench_flags
+from sysid_bench.simulation.plant import contact_free_flags
 from sysid_bench.spatial.inertia import smallest_eigenvalue
 from sysid_bench.tasks.prior import PriorSpread, prior_of
 from sysid_bench.tasks.task import Task, task_of
@@ -39,7 +39,7 @@ def tasks(robot: RobotModel) -> list[Task]:
 def plant_torque(robot: RobotModel, motion: Trajectory) -> Array:
     """MuJoCo's inverse dynamics with its own springs, dampers and armature; what it does not know
     as a smooth force (Coulomb friction, offsets) is added by its definition."""
-    mj = bench_flags(robot.spec.copy().compile())
+    mj = contact_free_flags(robot.spec.copy().compile())
     mj.dof_frictionloss[:] = 0.0  # a constraint in MuJoCo
     data = mujoco.MjData(mj)
     tau = np.empty_like(motion.v)
@@ -77,16 +77,20 @@ def test_the_truths_of_all_tasks_are_one(loaded: RobotModel) -> None:
     phi = np.zeros_like(loaded.phi)
     own = [i for i in range(len(phi)) if i != loaded.payload_body]
     phi[own] = robot.truth.theta.reshape(-1, 10)
-    np.testing.assert_allclose(loaded.tree.lumped(phi), loaded.tree.lumped(loaded.phi), atol=1e-10)
+    np.testing.assert_allclose(
+        loaded.tree.composite_links(phi), loaded.tree.composite_links(loaded.phi), atol=1e-10
+    )
     np.testing.assert_array_equal(payload.truth.theta, loaded.phi[loaded.payload_body])
     if loaded.tree.carrier[loaded.tool_body] < 0:
         return
     link = task_of(loaded, "link", ())
     carrier = int(loaded.tree.carrier[loaded.tool_body])
-    np.testing.assert_allclose(link.truth.theta, loaded.tree.lumped(phi)[carrier], atol=1e-10)
+    np.testing.assert_allclose(
+        link.truth.theta, loaded.tree.composite_links(phi)[carrier], atol=1e-10
+    )
     with_link = link.known_links.copy()
     with_link[carrier] += link.truth.theta
-    np.testing.assert_allclose(with_link, loaded.tree.lumped(loaded.phi), atol=1e-10)
+    np.testing.assert_allclose(with_link, loaded.tree.composite_links(loaded.phi), atol=1e-10)
 
 
 def test_a_task_is_well_formed(loaded: RobotModel) -> None:
@@ -116,9 +120,9 @@ def test_a_term_is_asked_or_known_and_never_both(terms: tuple[str, ...]) -> None
 
 def test_only_a_bare_robot_asked_whole_knows_nothing() -> None:
     robot = named_robot("ur5")
-    assert not task_of(robot, "robot", TERMS).knows_something
-    assert task_of(robot, "robot", ()).knows_something  # its friction
-    assert task_of(robot, "link", ()).knows_something
+    assert not task_of(robot, "robot", TERMS).has_known_part
+    assert task_of(robot, "robot", ()).has_known_part  # its friction
+    assert task_of(robot, "link", ()).has_known_part
 
 
 def test_what_cannot_be_asked_is_refused() -> None:

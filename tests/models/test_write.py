@@ -165,7 +165,9 @@ def test_every_kind_of_body_is_written(mjcf: Path, name: str) -> None:
 def test_a_body_that_had_shapes_alone_keeps_them(mjcf: Path) -> None:
     text = updated_mjcf(mjcf, {"base": PHI})
     (root,) = [
-        e for e in elements_of(text.encode(), "x").walk() if e.attributes.get("name") == "base"
+        e
+        for e in elements_of(text.encode(), "x").descendants()
+        if e.attributes.get("name") == "base"
     ]
     assert [child.tag for child in root.children][:2] == ["inertial", "geom"]
 
@@ -319,8 +321,8 @@ def test_a_joint_is_written_without_what_its_actuators_add(tmp_path: Path, seed:
     own = {key: float(rng.random()) for key in added}
     total = {key: own[key] + added[key] for key in added}
     text = updated_mjcf(path, {}, {"ja": total, "jb": own})
-    joints = {e.attributes["name"]: e.attributes for e in elements_of(text.encode(), "").walk()
-              if e.tag == "joint"}  # fmt: skip
+    elements = elements_of(text.encode(), "").descendants()
+    joints = {e.attributes["name"]: e.attributes for e in elements if e.tag == "joint"}
     for joint in ("ja", "jb"):
         for key in added:
             assert float(joints[joint][key]) == pytest.approx(own[key], abs=1e-12)

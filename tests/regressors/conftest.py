@@ -5,21 +5,21 @@ from collections.abc import Iterator
 import pytest
 
 from sysid_bench.regressors import kernel_c as compiled
-from sysid_bench.regressors.kernel_c import VARIABLE, Choice, chosen
+from sysid_bench.regressors.kernel_c import VARIABLE, KernelChoice, selected_kernel
 
 
 @pytest.fixture
 def choose(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     """A function that makes a kernel, by its name in the variable, that of this process."""
 
-    def to(name: str) -> Choice:
+    def to(name: str) -> KernelChoice:
         monkeypatch.setenv(VARIABLE, name)
-        chosen.cache_clear()
-        return chosen()
+        selected_kernel.cache_clear()
+        return selected_kernel()
 
     yield to
     monkeypatch.undo()
-    chosen.cache_clear()
+    selected_kernel.cache_clear()
 
 
 @pytest.fixture(params=["numpy", *compiled.LEVELS])

@@ -16,16 +16,16 @@ from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors import kernel_c as compiled
 from sysid_bench.regressors.derive import c_source
-from sysid_bench.regressors.kernel_c import SOURCE, VARIABLE, Choice, chosen
+from sysid_bench.regressors.kernel_c import SOURCE, VARIABLE, KernelChoice, selected_kernel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
-from sysid_bench.regressors.qr_accumulation import fold, fold_all
+from sysid_bench.regressors.qr_accumulation import accumulate, accumulate_all
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.random_trees import random_texts
 from tests.robots import NAMED, named_robot, random_robot, relative_gap, robot_of, states
 
-Choose = Callable[[str], Choice]
+Choose = Callable[[str], KernelChoice]
 SAME = 1e-12
 """Largest difference of the two kernels, and to Pinocchio, relative to the largest number."""
 
@@ -60,7 +60,7 @@ def test_both_kernels_say_the_same(name: str | int, level: str, choose: Choose) 
     robot = named_robot(name) if isinstance(name, str) else random_robot(name, 12)
     motion = states(robot, 70)
     ours = regression(robot, every_column(robot))
-    phi = robot.tree.lumped(robot.phi)
+    phi = robot.tree.composite_links(robot.phi)
 
     def rows() -> Array:
         return np.concatenate([block.dense() for block in ours.blocks(motion)])
@@ -83,7 +83,7 @@ def test_both_kernels_and_pinocchio_agree_on_any_tree(choose: Choose, text: str,
     ours = regression(robot, robot.inertial_columns)
     for kernel in ("numpy", "compiled"):
         if choose(kernel).library is None and kernel == "compiled":
-            pytest.skip(chosen().reason)
+            pytest.skip(selected_kernel().reason)
         assert relative_gap(ours.dense(motion).Y, witness) <= SAME
 
 
@@ -153,7 +153,7 @@ def test_a_number_that_is_none_stays_in_its_sample(bad: float, level: str) -> No
     Y = ours.dense(motion).Y
     assert np.isnan(Y[17]).any()
     np.testing.assert_array_equal(np.delete(Y, 17, axis=0), np.delete(good, 17, axis=0))
-    factors = fold(ours, states(robot, 300), np.full((300, 6), np.nan))
+    factors = accumulate(ours, states(robot, 300), np.full((300, 6), np.nan))
     assert all(np.isnan(factor.R[:, -1]).any() for factor in factors)
 
 
@@ -174,9 +174,9 @@ def test_factors_are_those_of_lapack(count: int, level: str, choose: Choose) -> 
         motion = states(robot, count)
         b = np.random.default_rng(1).normal(size=motion.v.shape)
         choose("numpy")
-        expected = fold(ours, motion, b)
+        expected = accumulate(ours, motion, b)
         choose(level)
-        for one, other in zip(fold(ours, motion, b), expected, strict=True):
+        for one, other in zip(accumulate(ours, motion, b), expected, strict=True):
             np.testing.assert_array_equal(one.R, np.triu(one.R))
             np.testing.assert_array_equal(one.columns, other.columns)
             assert relative_gap(one.R.T @ one.R, other.R.T @ other.R) <= SAME
@@ -187,9 +187,9 @@ def test_only_the_rows_that_are_asked_for_are_folded(level: str) -> None:
     ours = regression(robot, every_column(robot))
     motion = states(robot, 200)
     b = np.random.default_rng(1).normal(size=motion.v.shape)
-    every = fold(ours, motion, b)
+    every = accumulate(ours, motion, b)
     for rows in ((5,), (4, 1), ()):
-        some = fold(ours, motion, b, rows)
+        some = accumulate(ours, motion, b, rows)
         assert [factor.row for factor in some] == [robot.rows[i] for i in rows]
         for factor, i in zip(some, rows, strict=True):
             np.testing.assert_allclose(factor.R, every[i].R, atol=1e-12)
@@ -208,8 +208,8 @@ def pieces(ours: Regression, count: int, cuts: list[int]) -> list[tuple[Trajecto
 def test_many_motions_are_folded_as_one(cuts: list[int], kernel_name: str) -> None:
     robot = named_robot("ur5")
     ours = regression(robot, robot.inertial_columns)
-    whole = fold_all(ours, pieces(ours, 1000, []))
-    parts = fold_all(ours, iter(pieces(ours, 1000, cuts)))
+    whole = accumulate_all(ours, pieces(ours, 1000, []))
+    parts = accumulate_all(ours, iter(pieces(ours, 1000, cuts)))
     for one, other in zip(parts, whole, strict=True):
         assert one.samples == other.samples == 1000
         assert relative_gap(one.R.T @ one.R, other.R.T @ other.R) <= SAME
@@ -218,7 +218,7 @@ def test_many_motions_are_folded_as_one(cuts: list[int], kernel_name: str) -> No
 def test_no_motion_at_all_has_factors_without_rows(kernel_name: str) -> None:
     robot = named_robot("ur5")
     ours = regression(robot, robot.inertial_columns)
-    for factor in fold_all(ours, []):
+    for factor in accumulate_all(ours, []):
         assert factor.samples == 0
         assert factor.R.shape == (0, len(factor.columns) + 1)
 
@@ -259,7 +259,7 @@ def test_a_library_of_another_source_is_not_used(
     choose: Choose, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     if choose("compiled").library is None:
-        pytest.skip(chosen().reason)
+        pytest.skip(selected_kernel().reason)
     other = tmp_path / "kernel.c"
     other.write_bytes(SOURCE.read_bytes() + b"\n")
     for library in SOURCE.parent.glob("libregressor.*"):

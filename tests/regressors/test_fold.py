@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors import kernel_numpy as kernel
-from sysid_bench.regressors.qr_accumulation import dense_blocks, fold, triangle
+from sysid_bench.regressors.qr_accumulation import accumulate, dense_blocks, upper_factor
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array
 from tests.robots import named_robot, random_robot, relative_gap, robot_of, states
@@ -33,7 +33,7 @@ def test_every_factor_has_the_gram_matrix_of_its_rows(
     motion = states(robot, count)
     b = np.random.default_rng(count).normal(size=(count, robot.nv))
     Y = ours.dense(motion).Y
-    factors = fold(ours, motion, b)
+    factors = accumulate(ours, motion, b)
     assert tuple(factor.row for factor in factors) == robot.rows
     for i, factor in enumerate(factors):
         rows = np.column_stack([Y[:, i, factor.columns], b[:, i]])
@@ -49,10 +49,10 @@ def test_block_sizes_do_not_matter(
     ours = regression(robot, robot.inertial_columns)
     motion = states(robot, 100)
     b = np.random.default_rng(0).normal(size=(100, robot.nv))
-    whole = fold(ours, motion, b)
+    whole = accumulate(ours, motion, b)
     for size in (1, 33, 99, 100, 101):
         monkeypatch.setattr(kernel.blocks, "__defaults__", (size,))
-        for one, other in zip(whole, fold(ours, motion, b), strict=True):
+        for one, other in zip(whole, accumulate(ours, motion, b), strict=True):
             np.testing.assert_array_equal(one.columns, other.columns)
             assert one.samples == other.samples
             assert relative_gap(gram(other.R), gram(one.R)) < 1e-12
@@ -72,7 +72,7 @@ def test_dense_blocks_are_the_rows_again(robot: RobotModel, kernel_name: str) ->
 @pytest.mark.parametrize("shape", [(0, 3), (1, 3), (2, 3), (3, 3), (50, 3), (5, 0), (4, 1)])
 def test_a_triangle_has_the_gram_matrix_of_its_parts(shape: tuple[int, int]) -> None:
     stack = np.random.default_rng(0).normal(size=shape)
-    R = triangle([stack[: len(stack) // 3], stack[len(stack) // 3 :]])
+    R = upper_factor([stack[: len(stack) // 3], stack[len(stack) // 3 :]])
     assert R.shape == (min(shape), shape[1])
     np.testing.assert_allclose(gram(R), gram(stack), atol=1e-12)
     np.testing.assert_array_equal(R, np.triu(R))
@@ -83,8 +83,8 @@ def test_folding_leaves_its_inputs_alone(kernel_name: str) -> None:
     motion = states(robot, 20)
     stack, b = np.random.default_rng(0).normal(size=(2, 20, 6))
     before = stack.copy(), b.copy(), motion.q.copy()
-    triangle([stack])
-    fold(regression(robot, robot.inertial_columns), motion, b)
+    upper_factor([stack])
+    accumulate(regression(robot, robot.inertial_columns), motion, b)
     for array, copy in zip((stack, b, motion.q), before, strict=True):
         np.testing.assert_array_equal(array, copy)
 
@@ -107,7 +107,7 @@ def _peak(ours: Regression, robot: RobotModel, count: int) -> int:
     b = np.zeros((count, 1))
     tracemalloc.start()
     try:
-        fold(ours, motion, b)
+        accumulate(ours, motion, b)
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors import kernel_numpy as kernel
 from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, newton_euler, sweep
-from sysid_bench.simulation.plant import bench_flags
+from sysid_bench.simulation.plant import contact_free_flags
 from sysid_bench.types import Trajectory
 from tests.robots import named_robot, random_robot, relative_gap, robot_of, states
 
@@ -39,7 +39,7 @@ def test_the_random_tree_has_every_kind_of_joint() -> None:
 def _engine_states(
     robot: RobotModel, motion: Trajectory
 ) -> Iterator[tuple[int, mujoco.MjModel, mujoco.MjData]]:
-    mj = bench_flags(robot.spec.copy().compile())
+    mj = contact_free_flags(robot.spec.copy().compile())
     data = mujoco.MjData(mj)
     for k in range(len(motion)):
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]
@@ -119,7 +119,7 @@ def test_newton_euler_does_not_depend_on_block_sizes(
 ) -> None:
     robot = named_robot("ur5")
     motion = states(robot, 100)
-    phi = robot.tree.lumped(robot.phi)
+    phi = robot.tree.composite_links(robot.phi)
     whole = newton_euler(robot.tree, phi, motion)
     for size in (1, 7, 99):
         monkeypatch.setattr(kernel.blocks, "__defaults__", (size,))

@@ -81,7 +81,7 @@ def test_torques_behind_the_sensor_are_those_of_the_whole_robot(seed: int) -> No
 
     robot = _random(seed)
     motion = states(robot, 5)
-    tau = newton_euler(robot.tree, robot.tree.lumped(robot.phi), motion)
+    tau = newton_euler(robot.tree, robot.tree.composite_links(robot.phi), motion)
     cut = cut_at(robot, robot.body_names[seed % len(robot.body_names)])
     made = sub_tree(robot, cut, motion)
     phi = robot.phi[list(cut.bodies)].ravel()

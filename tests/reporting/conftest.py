@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid_bench.types import BaseMap, Estimate, CellData, Trajectory
+from sysid_bench.types import BaseMap, CellData, Estimate, Trajectory
 
 ROBOTS = ("ur5", "panda", "anymal_c")
 PAYLOADS = ("none", "sphere-1kg", "box-2kg")

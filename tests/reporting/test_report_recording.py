@@ -115,7 +115,7 @@ def test_a_robot_without_its_meshes_is_drawn_with_sticks(
         (tmp_path / file).write_bytes(bytes(MESH_BUDGET + 1 if file == "huge.stl" else 10))
     mesh = Shape(0, "mesh", (1.0, 1.0, 1.0), ORIGIN, ONE, str(tmp_path / file))
     dressed = replace(evidence, shapes=(mesh,))
-    assert scene_of(dressed).bare == [0, 1, 2]
+    assert scene_of(dressed).bodies_without_shape == [0, 1, 2]
     assert scene_of(dressed).complaints
     path = record(dressed, tmp_path / "cell.rrd")
     assert "/sticks" in entities(path)
@@ -127,7 +127,7 @@ def test_meshes_that_can_be_read_are_drawn(evidence: CellData, tmp_path: Path) -
     file.write_text(TRIANGLE)
     mesh = [Shape(i, "mesh", (0.1, 0.1, 0.1), ORIGIN, ONE, str(file)) for i in range(3)]
     dressed = replace(evidence, shapes=tuple(mesh))
-    assert scene_of(dressed).bare == []
+    assert scene_of(dressed).bodies_without_shape == []
     path = record(dressed, tmp_path / "cell.rrd")
     assert "/sticks" not in entities(path)
     assert "/robot/shoulder/shape0" in entities(path)

@@ -13,7 +13,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.reporting.delimited import to_csv
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.tables import Table, label, make_table
-from sysid_bench.reporting.tables import labelled as with_labels
+from sysid_bench.reporting.tables import with_labels as with_labels
 
 STATS = ("median", "mean", "min", "max", "count")
 INTERVALS = ("none", "iqr", "std", "range", "ci95")
@@ -99,7 +99,7 @@ def test_a_group_with_some_failures_has_a_note_that_counts_them(cells: pd.DataFr
         assert not silent
         if entry.note:
             assert f"{entry.n_failed} of {entry.n_failed + entry.n}" in entry.note
-            assert entry.note in table.marks
+            assert entry.note in table.best_marks
 
 
 def test_ok_without_a_value_is_no_number_and_no_failure(cells: pd.DataFrame) -> None:

@@ -11,7 +11,7 @@ import pandas as pd
 import tomlkit
 from scipy.io import savemat
 
-from sysid_bench.excitation.design_problem import brief_of
+from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
@@ -35,7 +35,7 @@ class Recorded:
 def motion_of(robot: RobotModel, seed: int = 0, period: float = 4.0, rate: float = RATE) -> Oracle:
     """An exciting motion of a robot with its torque."""
     commanded = Fourier(period=period, cycles=1).design(
-        brief_of(robot, rate), np.random.default_rng(seed)
+        design_problem(robot, rate), np.random.default_rng(seed)
     )
     oracle, _ = Inverse().run(plant_of(robot), commanded, np.zeros_like(commanded.v))
     return oracle

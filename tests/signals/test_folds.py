@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid_bench.signals.time_folds import parts_of, repeats_after
+from sysid_bench.signals.time_folds import repetition_period, time_folds
 from sysid_bench.types import Array, Trajectory
 
 
@@ -21,7 +21,7 @@ def motion(seed: int, N: int = 3000, period: int | None = 700) -> Array:
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("period", [400, 700, 1296])
 def test_a_period_is_found(seed: int, period: int) -> None:
-    found = repeats_after(motion(seed, period=period))
+    found = repetition_period(motion(seed, period=period))
     assert found is not None
     assert found % period in (0, 1, period - 1)
 
@@ -29,8 +29,8 @@ def test_a_period_is_found(seed: int, period: int) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_motion_that_does_not_repeat_has_none(seed: int) -> None:
     q = motion(seed, period=None)
-    assert repeats_after(q) is None
-    labels, words = parts_of(Trajectory(np.arange(3000.0), q, q, q), 5)
+    assert repetition_period(q) is None
+    labels, words = time_folds(Trajectory(np.arange(3000.0), q, q, q), 5)
     assert words == "5 stretches of time"
     assert (np.diff(labels) >= 0).all()
 
@@ -38,11 +38,11 @@ def test_a_motion_that_does_not_repeat_has_none(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_left_out_is_not_seen_at_another_time(seed: int) -> None:
     q = motion(seed)
-    labels, words = parts_of(Trajectory(np.arange(3000.0), q, q, q), 5)
+    labels, words = time_folds(Trajectory(np.arange(3000.0), q, q, q), 5)
     assert "period" in words
     assert set(labels.tolist()) == set(range(5))
     middle = np.flatnonzero(labels == 2)[50:-50:40]
     others = q[labels != 2]
     again = [np.abs(others - q[k]).max(axis=1).min() for k in middle]
     assert np.median(again) > 0.02  # of positions of order one
-    assert repeats_after(np.zeros((100, 2))) is None
+    assert repetition_period(np.zeros((100, 2))) is None

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.simulation.sensors import Noise, displaced, draw, encoder_error
+from sysid_bench.simulation.sensors import Noise, draw_noise, encoder_error, with_position_error
 from sysid_bench.types import Array
 from tests.experiments.experiment_world import CLOSED_LOOP, SMOOTH, ready, robot_of
 
@@ -22,7 +22,7 @@ NOISE = {"q": 1e-4, "tau_relative": 0.01}
 def test_a_rounded_reading_is_on_the_grid_and_near(quantum: float, std: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(50, 3))
-    draws = draw(50, 50, 3, rng)
+    draws = draw_noise(50, 50, 3, rng)
     exact = encoder_error(Noise(q=std), draws, q)
     read = q + encoder_error(Noise(q=std, quantum=quantum), draws, q)
     steps = read / quantum
@@ -116,7 +116,7 @@ def test_displaced_orientations_stay_orientations(seed: int, size: float) -> Non
     rng = np.random.default_rng(seed)
     q = np.tile(robot.mj.qpos0, (4, 1))
     error = size * rng.normal(size=(4, robot.nv))
-    moved = displaced(robot, q, error)
+    moved = with_position_error(robot, q, error)
     np.testing.assert_allclose(norm(moved[:, 3:7]), 1.0, atol=1e-12)
     np.testing.assert_allclose(moved[:, :3] - q[:, :3], error[:, :3], atol=1e-15)
     angle = 2 * np.arccos(np.clip(np.abs((moved[:, 3:7] * q[:, 3:7]).sum(axis=1)), 0, 1))

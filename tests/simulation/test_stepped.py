@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_bench.excitation.design_problem import brief_of
+from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.simulation import compiled_steps as stepped
@@ -33,7 +33,7 @@ def plant_with_laws(robot_plant: Plant) -> Plant:
 
 def simulated(plant: Plant) -> Oracle:
     motion = Fourier(harmonics=3, period=1.0).design(
-        brief_of(plant.robot, 1000.0), np.random.default_rng(3)
+        design_problem(plant.robot, 1000.0), np.random.default_rng(3)
     )
     oracle, _ = ClosedLoop().run(
         plant, motion, np.zeros((len(motion), len(plant.robot.torque_dofs)))

@@ -22,7 +22,7 @@ class Commands:
         return len(self.t)
 
     @property
-    def rests(self) -> bool:
+    def starts_at_rest(self) -> bool:
         """Whether the motion starts and ends at rest."""
         return bool(np.abs(self.v[[0, -1]]).max() < 1e-3)
 

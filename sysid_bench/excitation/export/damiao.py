@@ -24,7 +24,7 @@ GAINS: Final = (500.0, 5.0)
 
 
 @dataclass(frozen=True)
-class Scaling:
+class MotorScale:
     """What the bits of a frame mean: positions in +-p (rad), velocities in +-v (rad/s), torques in
     +-tau (N m)."""
 
@@ -38,7 +38,7 @@ class Motor:
     """A motor type: its factory scaling, and its physical limits where they are published: no-load
     speed (rad/s), peak and rated torque (N m)."""
 
-    scaling: Scaling
+    scaling: MotorScale
     speed: float | None = None
     torque: float | None = None
     rated: float | None = None
@@ -46,8 +46,8 @@ class Motor:
 
 def _motor(p: float, v: float, tau: float, rpm: float = 0.0, peak: float = 0.0, rated: float = 0.0):  # type: ignore[no-untyped-def]
     if not rpm:
-        return Motor(Scaling(p, v, tau))
-    return Motor(Scaling(p, v, tau), rpm * 2 * np.pi / 60, peak, rated)
+        return Motor(MotorScale(p, v, tau))
+    return Motor(MotorScale(p, v, tau), rpm * 2 * np.pi / 60, peak, rated)
 
 
 MOTORS: Final[Mapping[str, Motor]] = {
@@ -71,7 +71,7 @@ MOTORS: Final[Mapping[str, Motor]] = {
 
 
 @dataclass(frozen=True)
-class Drive:
+class DamiaoDrive:
     """One joint's motor: its CAN id, gains, scaling, and the limits that commands are clamped to:
     position (low, high) rad, speed rad/s, torque N m."""
 
@@ -80,7 +80,7 @@ class Drive:
     id: int
     kp: float
     kd: float
-    scaling: Scaling
+    scaling: MotorScale
     position: tuple[float, float]
     speed: float
     torque: float
@@ -98,7 +98,7 @@ class Drive:
 KEYS: Final = ("motor", "id", "kp", "kd", "pmax", "vmax", "tmax", "q", "v", "tau", "share")
 
 
-def drive_of(joint: str, number: int, told: Mapping[str, Any]) -> Drive:
+def _drive_of(joint: str, number: int, told: Mapping[str, Any]) -> DamiaoDrive:
     """The drive of a joint from the user's table: `motor` (a type), `id` (default: the joint's
     number), gains `kp kd`, scaling `pmax vmax tmax`, physical limits `q` (two numbers), `v`, `tau`,
     of which commands may use `share`. Raises UsageError with what is missing."""
@@ -116,7 +116,7 @@ def drive_of(joint: str, number: int, told: Mapping[str, Any]) -> Drive:
             "v = rad/s and tau = N m. The scaling of its frames is no limit."
         )
     factory = motor.scaling
-    scaling = Scaling(
+    scaling = MotorScale(
         *(
             _positive(joint, key, told.get(key, usual))
             for key, usual in (("pmax", factory.p), ("vmax", factory.v), ("tmax", factory.tau))
@@ -132,7 +132,7 @@ def drive_of(joint: str, number: int, told: Mapping[str, Any]) -> Drive:
         raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {identifier!r}.")
     share = _positive(joint, "share", told.get("share", SHARE))
     low, high = (float(edge) for edge in told.get("q", (-scaling.p, scaling.p)))
-    return Drive(
+    return DamiaoDrive(
         joint, name, identifier, kp, kd, scaling,
         (max(low, -scaling.p), min(high, scaling.p)),
         min(share * _positive(joint, "v", speed), scaling.v),
@@ -141,14 +141,16 @@ def drive_of(joint: str, number: int, told: Mapping[str, Any]) -> Drive:
     )  # fmt: skip
 
 
-def drives_of(joints: tuple[str, ...], told: Mapping[str, Mapping[str, Any]]) -> tuple[Drive, ...]:
+def damiao_drives(
+    joints: tuple[str, ...], told: Mapping[str, Mapping[str, Any]]
+) -> tuple[DamiaoDrive, ...]:
     """The drives of all joints, from a table by joint name; "all" holds for every joint."""
     for name in told:
         if name not in (*joints, "all"):
             raise unknown_name("joint of this motion", name, (*joints, "all"))
     everywhere = told.get("all", {})
     drives = tuple(
-        drive_of(joint, number, {**everywhere, **told.get(joint, {})})
+        _drive_of(joint, number, {**everywhere, **told.get(joint, {})})
         for number, joint in enumerate(joints, 1)
     )
     ids = [drive.id for drive in drives]
@@ -157,8 +159,8 @@ def drives_of(joints: tuple[str, ...], told: Mapping[str, Mapping[str, Any]]) ->
     return drives
 
 
-def clamped(
-    commands: Commands, drives: tuple[Drive, ...], most: float
+def within_range(
+    commands: Commands, drives: tuple[DamiaoDrive, ...], most: float
 ) -> tuple[Commands, list[dict[str, Any]]]:
     """The commands within the limits of their motors, and per joint the share of samples at which
     position, velocity and torque were clamped. Raises UsageError where a share is above `most`."""
@@ -202,7 +204,7 @@ def clamped(
 _WORDS: Final = {"q": "position", "v": "velocity", "tau": "torque"}
 
 
-def frame(drive: Drive, q: Array, v: Array, tau: Array) -> Array:
+def encode_frame(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:
     """MIT frames (N, 8), bytes, of commands (N,) that lie within the scaling: position 16 bits,
     velocity, kp, kd and torque 12 bits each, the most significant first."""
     s = drive.scaling
@@ -219,7 +221,7 @@ def frame(drive: Drive, q: Array, v: Array, tau: Array) -> Array:
     ).astype(np.uint8)  # fmt: skip
 
 
-def unframe(drive: Drive, data: Array) -> dict[str, Array]:
+def decode_frame(drive: DamiaoDrive, data: Array) -> dict[str, Array]:
     """q v kp kd tau (N,) of frames (N, 8): what the drive understands."""
     b, s = data.astype(int).T, drive.scaling
     codes = {
@@ -235,12 +237,12 @@ def unframe(drive: Drive, data: Array) -> dict[str, Array]:
     }
 
 
-def can_log(commands: Commands, drives: tuple[Drive, ...], channel: str = "can0") -> str:
+def can_log(commands: Commands, drives: tuple[DamiaoDrive, ...], channel: str = "can0") -> str:
     """A log as `candump -l` writes it and `canplayer` replays it: at every sample one frame per
     motor, in the order of the drives."""
     frames = np.stack(
         [
-            frame(d, commands.q[:, j], commands.v[:, j], commands.tau[:, j])
+            encode_frame(d, commands.q[:, j], commands.v[:, j], commands.tau[:, j])
             for j, d in enumerate(drives)
         ],
         axis=1,
@@ -252,7 +254,9 @@ def can_log(commands: Commands, drives: tuple[Drive, ...], channel: str = "can0"
     )
 
 
-def table_text(commands: Commands, drives: tuple[Drive, ...], report: list[dict[str, Any]]) -> str:
+def table_text(
+    commands: Commands, drives: tuple[DamiaoDrive, ...], report: list[dict[str, Any]]
+) -> str:
     """A text table for a motor controller: what scaling and limits it was made with in comments,
     then time and for each motor position, velocity and torque."""
     lines = ["# Damiao MIT mode; t in s, then for each motor q (rad), v (rad/s), tau (N m)"]

@@ -6,7 +6,7 @@ from typing import Any
 from sysid_bench.excitation.export.commands import Commands
 
 
-def message(commands: Commands) -> dict[str, Any]:
+def ros2_message(commands: Commands) -> dict[str, Any]:
     """The message as nested values; `effort` is the feed-forward torque."""
     points = [
         {
@@ -24,12 +24,12 @@ def message(commands: Commands) -> dict[str, Any]:
 
 def json_text(commands: Commands) -> str:
     """The message as JSON."""
-    return json.dumps(message(commands)) + "\n"
+    return json.dumps(ros2_message(commands)) + "\n"
 
 
 def yaml_text(commands: Commands) -> str:
     """The message as YAML: a line per point, whose values are written as JSON, which YAML holds."""
-    whole = message(commands)
+    whole = ros2_message(commands)
     lines = [
         f"header: {json.dumps(whole['header'])}",
         f"joint_names: {json.dumps(whole['joint_names'])}",

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.experiments.recorded.preprocess import Processed
+from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.naming import build
 from sysid_bench.regressors.friction_features import JointFeatures, features_of
@@ -27,14 +27,14 @@ as "motor.play"."""
 
 
 @dataclass(frozen=True, eq=False)
-class Features:
+class ExtraColumns:
     """All columns that may be asked for by name."""
 
     joints: JointFeatures
     motors: MotorColumns | None = None
 
     @property
-    def plain(self) -> tuple[str, ...]:
+    def motor_terms(self) -> tuple[str, ...]:
         """The terms of motors among them."""
         return () if self.motors is None else self.motors.plain
 
@@ -90,9 +90,9 @@ def is_motor(word: str) -> bool:
     return word.startswith(f"{MOTOR}.")
 
 
-def features(
-    robot: RobotModel, rows: Sequence[str], words: Sequence[str], training: Sequence[Processed]
-) -> Features:
+def extra_columns(
+    robot: RobotModel, rows: Sequence[str], words: Sequence[str], training: Sequence[ProcessedLog]
+) -> ExtraColumns:
     """The features that words name, of joints ("play") and of motors ("motor.play").
 
     Raises UsageError for unknown names, and for motors where no transmission is told.
@@ -102,10 +102,10 @@ def features(
     motions = [log.recording.motion for log in training]
     table = features_of(_built(of_joints), rows, [places[row] for row in rows], motions)
     of_motors = [word.removeprefix(f"{MOTOR}.") for word in words if is_motor(word)]
-    return Features(table, _motors(of_motors, training) if of_motors else None)
+    return ExtraColumns(table, _motors(of_motors, training) if of_motors else None)
 
 
-def _motors(words: Sequence[str], training: Sequence[Processed]) -> MotorColumns:
+def _motors(words: Sequence[str], training: Sequence[ProcessedLog]) -> MotorColumns:
     first = training[0].log.description
     if any(log.motors is None for log in training):
         raise UsageError(

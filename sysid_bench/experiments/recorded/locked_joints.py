@@ -59,7 +59,7 @@ def _followers(robot: RobotModel, moving: set[str], log: LogDescription) -> set[
     dependent = {rows[dof]: int(dof) for dof in coupling.dependent}
     wrong = sorted(moving.intersection(dependent))
     if wrong:
-        drivers = [rows[dof] for dof in coupling.drivers(dependent[wrong[0]])]
+        drivers = [rows[dof] for dof in coupling.independent_of(dependent[wrong[0]])]
         raise UsageError(
             f"{log.source}: joint {wrong[0]!r} follows {', '.join(drivers)}; list that one in its "
             "place, or choose the joints that move in a manifest: [coupling] independent = [...]."
@@ -67,5 +67,5 @@ def _followers(robot: RobotModel, moving: set[str], log: LogDescription) -> set[
     return {
         name
         for name, dof in dependent.items()
-        if moving.intersection(rows[driver] for driver in coupling.drivers(dof))
+        if moving.intersection(rows[driver] for driver in coupling.independent_of(dof))
     }

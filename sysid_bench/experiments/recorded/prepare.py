@@ -8,11 +8,11 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
-from sysid_bench.experiments.recorded.prepared_logs import Posed, pose_logs
-from sysid_bench.experiments.recorded.preprocess import Treatment, processed
+from sysid_bench.experiments.recorded.prepared_logs import PreparedLogs, build_problems
+from sysid_bench.experiments.recorded.preprocess import Preprocessing, process_log
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
-from sysid_bench.signals.log_checks import refuse
+from sysid_bench.signals.log_checks import refuse_findings
 from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.signals.processing import processing_of
 
@@ -28,7 +28,7 @@ TERMS: Final = ("viscous", "coulomb", "offset")
 
 
 @dataclass(frozen=True)
-class Asked:
+class LogOptions:
     """`terms` None: the robot's own. `filter` None: FILTER, or none at low rates. `derivatives`
     None: from v where every log has v. `moving`: rows slower than this (rad/s, m/s) are left out.
     `candidates`, `position_given`: see `pose_logs`. `accept`: contradictions that may pass."""
@@ -43,12 +43,12 @@ class Asked:
     accept: tuple[str, ...] = ()
 
 
-def posed_logs(
+def prepare_logs(
     manifest: Manifest,
     training: Sequence[LogDescription],
     tests: Mapping[str, LogDescription],
-    asked: Asked,
-) -> Posed:
+    asked: LogOptions,
+) -> PreparedLogs:
     """The problems of training and test logs, joints locked that no log lists.
 
     Raises UsageError for files or words that cannot be, and for contradictions in the data that
@@ -57,26 +57,26 @@ def posed_logs(
     every = [*training, *tests.values()]
     manifest = locked_manifest(manifest, load_robot(manifest), every)
     treatment = _treatment(every, asked)
-    read = [processed(description, manifest, treatment) for description in every]
+    read = [process_log(description, manifest, treatment) for description in every]
     for one in read:
-        refuse(one.log.findings, asked.accept, str(one.log.description.source))
+        refuse_findings(one.log.findings, asked.accept, str(one.log.description.source))
     robot = read[0].robot
     terms = _own_terms(robot.manifest.terms, robot.rows) if asked.terms is None else asked.terms
     testing = dict(zip(tests, read[len(training) :], strict=True))
-    return pose_logs(
+    return build_problems(
         asked.task, terms, read[: len(training)], testing, treatment, asked.candidates,
         asked.position_given,
     )  # fmt: skip
 
 
-def _treatment(logs: Sequence[LogDescription], asked: Asked) -> Treatment:
+def _treatment(logs: Sequence[LogDescription], asked: LogOptions) -> Preprocessing:
     slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
     spec: dict[str, Any] = {
         "filter": asked.filter or (FILTER if slowest > SLOW else "none"),
         "derivatives": asked.derivatives
         or ("from v" if all(log.v is not None for log in logs) else "from q"),
     }
-    return Treatment(processing_of(spec), asked.moving, spec["filter"], spec["derivatives"])
+    return Preprocessing(processing_of(spec), asked.moving, spec["filter"], spec["derivatives"])
 
 
 def _own_terms(own: tuple[str, ...], rows: tuple[str, ...]) -> tuple[str, ...]:

@@ -6,41 +6,46 @@ from functools import partial
 from typing import Any
 
 from sysid_bench.errors import UnsupportedError, UsageError
-from sysid_bench.experiments.recorded.extra_columns import features, is_motor
-from sysid_bench.experiments.recorded.preprocess import Processed, Treatment
-from sysid_bench.experiments.recorded.problem import Posing, parts, regress, together
-from sysid_bench.experiments.recorded.term_selection import FOLDS, Selection, selected
-from sysid_bench.experiments.recorded.unknowns import MASS, Question
+from sysid_bench.experiments.recorded.extra_columns import extra_columns, is_motor
+from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog
+from sysid_bench.experiments.recorded.problem import (
+    LogProblemBuilder,
+    fold_factors,
+    merge_factors,
+    regressor_blocks,
+)
+from sysid_bench.experiments.recorded.term_selection import FOLDS, TermSelection, select_terms
+from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.tasks.task import asked_bodies
+from sysid_bench.tasks.task import unknown_bodies
 from sysid_bench.types import Experiment, Problem
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class PreparedLogs:
     """All that methods and scores need of some logs."""
 
     robot: RobotModel
     problem: Problem
     tests: dict[str, Problem]
     experiment: Experiment
-    posing: Posing
-    training: tuple[Processed, ...]
-    testing: dict[str, Processed]
+    builder: LogProblemBuilder
+    training: tuple[ProcessedLog, ...]
+    testing: dict[str, ProcessedLog]
     terms: tuple[str, ...]
-    selection: Selection | None = None
+    selection: TermSelection | None = None
 
 
-def pose_logs(
+def build_problems(
     task: str,
     terms: tuple[str, ...],
-    training: Sequence[Processed],
-    tests: Mapping[str, Processed],
-    treatment: Treatment,
+    training: Sequence[ProcessedLog],
+    tests: Mapping[str, ProcessedLog],
+    treatment: Preprocessing,
     candidates: tuple[str, ...] = (),
     position_given: bool = False,
-) -> Posed:
+) -> PreparedLogs:
     """The problem of all training logs together, and one of each test log.
 
     `robot`: links and terms, with the payloads that the logs state taken as known. `payload`: the
@@ -53,20 +58,20 @@ def pose_logs(
     ask = _question(task, terms, training, position_given)
     selection = None
     if candidates:
-        ask, selection = selected(ask, candidates, training, treatment)
+        ask, selection = select_terms(ask, candidates, training, treatment)
     base = ask.base()
-    posing = Posing(ask, base.names, treatment)
-    problem = posing.pose(training, base)
+    posing = LogProblemBuilder(ask, base.names, treatment)
+    problem = posing.build(training, base)
     experiment = Experiment(
         problem,
         training[0].recording,
         training[0].log.recording,
-        partial(regress, posing),
+        partial(regressor_blocks, posing),
         _no_simulation,
         _no_simulation,
     )
-    posed = {name: posing.pose([test], base) for name, test in tests.items()}
-    return Posed(
+    posed = {name: posing.build([test], base) for name, test in tests.items()}
+    return PreparedLogs(
         ask.robot,
         problem,
         posed,
@@ -79,15 +84,15 @@ def pose_logs(
     )
 
 
-def without_parts(posed: Posed, count: int = FOLDS) -> list[Problem]:
+def leave_one_fold_out(posed: PreparedLogs, count: int = FOLDS) -> list[Problem]:
     """The training problem again and again, each time without one part of every motion: what
     estimates differ by when other stretches had been recorded."""
-    every = parts(posed.posing, posed.training, count)
+    every = fold_factors(posed.builder, posed.training, count)
     return [
         replace(
             posed.problem,
             factors=tuple(
-                together([own for f in range(count) if f != part for own in every[f][k]])
+                merge_factors([own for f in range(count) if f != part for own in every[f][k]])
                 for k in range(len(posed.problem.rows))
             ),
         )
@@ -96,8 +101,8 @@ def without_parts(posed: Posed, count: int = FOLDS) -> list[Problem]:
 
 
 def _question(
-    task: str, terms: tuple[str, ...], training: Sequence[Processed], position_given: bool
-) -> Question:
+    task: str, terms: tuple[str, ...], training: Sequence[ProcessedLog], position_given: bool
+) -> Unknowns:
     if task not in ("robot", "payload"):
         raise UnsupportedError(
             f"The task {task!r} needs a robot that is known; with recordings there are 'robot' and "
@@ -113,12 +118,12 @@ def _question(
             "each, and the loaded one a payload."
         )
     robot = load_robot(training[0].robot.manifest) if unloaded is None else unloaded
-    bodies = tuple(column for body in asked_bodies(robot) for column in body.columns)
+    bodies = tuple(column for body in unknown_bodies(robot) for column in body.columns)
     rows = training[0].log.joints
     words = tuple(term for term in terms if is_motor(term))
-    own = features(robot, rows, words, training) if words else None
+    own = extra_columns(robot, rows, words, training) if words else None
     more = () if own is None or own.motors is None else own.motors.columns
-    return Question(
+    return Unknowns(
         robot,
         loaded if task == "payload" else None,
         bodies,

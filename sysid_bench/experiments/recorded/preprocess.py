@@ -18,7 +18,7 @@ from sysid_bench.types import Recording, Trajectory
 
 
 @dataclass(frozen=True)
-class Treatment:
+class Preprocessing:
     """What is done to every log alike: `processing` makes motion and torque; rows whose joint moves
     slower than `moving` (rad/s, m/s) are left out, as static friction is no model's business."""
 
@@ -29,7 +29,7 @@ class Treatment:
 
 
 @dataclass(frozen=True, eq=False)
-class Processed:
+class ProcessedLog:
     """A log after its treatment, with the robot that carried what it carried."""
 
     log: Log
@@ -43,7 +43,7 @@ class Processed:
         return self.robot.payload
 
 
-def processed(log: LogDescription, manifest: Manifest, treatment: Treatment) -> Processed:
+def process_log(log: LogDescription, manifest: Manifest, treatment: Preprocessing) -> ProcessedLog:
     """A log read and treated; its contradictions are still to be refused."""
     payload = PAYLOADS["none"] if log.payload is None else parse_payload(_payload_of(log))
     robot = load_robot(manifest, payload)
@@ -53,7 +53,7 @@ def processed(log: LogDescription, manifest: Manifest, treatment: Treatment) -> 
     except UsageError as error:
         raise UsageError(f"{log.source}: {error}") from error
     motion = robot.completed(recording.motion)
-    return Processed(
+    return ProcessedLog(
         read,
         robot,
         replace(recording, q=motion.q, v=motion.v, a=motion.a),
@@ -61,7 +61,7 @@ def processed(log: LogDescription, manifest: Manifest, treatment: Treatment) -> 
     )
 
 
-def _motors(log: Log, treatment: Treatment) -> Trajectory | None:
+def _motors(log: Log, treatment: Preprocessing) -> Trajectory | None:
     """Where the motors were, treated like the joints."""
     if log.coordinates is None or log.description.transmission is None:
         return None

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from sysid_bench.experiments.recorded.preprocess import Processed
+from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.types import Array
 
 if TYPE_CHECKING:
@@ -16,8 +16,8 @@ REPEATS: Final = 0.05
 states, in the median, is the training motion again (measured: 0.02 against 0.3 and more)."""
 
 
-def replayed(
-    training: Sequence[Processed], test: Processed, rows: Sequence[str]
+def repeatability_error(
+    training: Sequence[ProcessedLog], test: ProcessedLog, rows: Sequence[str]
 ) -> dict[str, float] | None:
     """{joint: relative error} of the training torque at the nearest state of the training, in place
     of a model: what no model of a state can be much better than. None where the test goes
@@ -39,14 +39,14 @@ def replayed(
     return {row: float(e / s) for row, e, s in zip(rows, errors, sizes, strict=True) if s > 0}
 
 
-def _nearest(one: Processed, other: Processed) -> tuple[Array, Array]:
+def _nearest(one: ProcessedLog, other: ProcessedLog) -> tuple[Array, Array]:
     """Distance of every state (q, v) of another log from the nearest of this one, and its place."""
     from scipy.spatial import cKDTree
 
     spread = np.concatenate([one.recording.q.std(axis=0), one.recording.motion.v.std(axis=0)])
     moves = spread > 0
 
-    def states(log: Processed) -> Any:
+    def states(log: ProcessedLog) -> Any:
         motion = log.recording.motion
         x = np.concatenate([motion.q, motion.v], axis=1)
         return x[:, moves] / spread[moves]

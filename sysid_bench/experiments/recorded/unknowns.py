@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.experiments.recorded.extra_columns import Features
+from sysid_bench.experiments.recorded.extra_columns import ExtraColumns
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.qr_accumulation import triangle
-from sysid_bench.tasks.task import asked_bodies
+from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.tasks.task import unknown_bodies
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
 
 MASS: Final = "payload.m"
@@ -20,7 +20,7 @@ MASS: Final = "payload.m"
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class Unknowns:
     """What is unknown: `inertial` parameters of the robot and its joint `terms`, those of the load
     where `loaded` carries an unknown one, and `extra` columns of `features`; `rows`: the joints
     that were recorded."""
@@ -30,7 +30,7 @@ class Question:
     inertial: tuple[str, ...]
     terms: tuple[str, ...]
     rows: tuple[str, ...]
-    features: Features | None = None
+    features: ExtraColumns | None = None
     motor_words: tuple[str, ...] = ()  # terms of motors that were asked for, not chosen
     extra: tuple[str, ...] = ()
     given: bool = False  # the load's shape is, and its mass one of the extra columns
@@ -42,39 +42,47 @@ class Question:
         return (name.partition(".")[0],)
 
     @property
-    def own(self) -> tuple[str, ...]:
+    def robot_parameters(self) -> tuple[str, ...]:
         """Parameters of the robot itself."""
         return self.inertial + self.terms
 
     @property
-    def load(self) -> tuple[str, ...]:
+    def payload_parameters(self) -> tuple[str, ...]:
         """Names of the load's ten parameters, or none."""
         if self.loaded is None or self.loaded.payload_body is None or self.given:
             return ()
         return self.loaded.bodies[self.loaded.payload_body].columns
 
     @property
-    def plain(self) -> tuple[str, ...]:
+    def motor_terms(self) -> tuple[str, ...]:
         """Terms of motors, linear in the state as those of joints are: they join the base."""
-        known = () if self.features is None else self.features.plain
+        known = () if self.features is None else self.features.motor_terms
         return tuple(name for name in self.extra if name in known)
 
     @property
-    def alone(self) -> tuple[str, ...]:
+    def extra_parameters(self) -> tuple[str, ...]:
         """Features, and a mass: they stand for themselves."""
-        return tuple(name for name in self.extra if name not in self.plain)
+        return tuple(name for name in self.extra if name not in self.motor_terms)
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """All unknowns (p,)."""
-        return self.own + self.load + self.plain + self.alone
+        return (
+            self.robot_parameters
+            + self.payload_parameters
+            + self.motor_terms
+            + self.extra_parameters
+        )
 
     def base(self) -> BaseMap:
         """The base parameters."""
-        base = base_map(self.structure(), self.own + self.load + self.plain)
-        if not self.alone:
+        base = base_map(
+            self.structural_factor(),
+            self.robot_parameters + self.payload_parameters + self.motor_terms,
+        )
+        if not self.extra_parameters:
             return base
-        r, p, k = base.rank, len(base.parameters), len(self.alone)
+        r, p, k = base.rank, len(base.parameters), len(self.extra_parameters)
         K = np.zeros((r + k, p + k))
         K[:r, :p], K[r:, p:] = base.K, np.eye(k)
         return replace(
@@ -86,21 +94,21 @@ class Question:
     def bodies(self) -> tuple[Body, ...]:
         """Bodies whose ten numbers are unknown."""
         if self.loaded is None or self.loaded.payload_body is None or self.given:
-            return asked_bodies(self.robot)
-        return (*asked_bodies(self.robot), self.loaded.bodies[self.loaded.payload_body])
+            return unknown_bodies(self.robot)
+        return (*unknown_bodies(self.robot), self.loaded.bodies[self.loaded.payload_body])
 
-    def structure(self) -> Array:
+    def structural_factor(self) -> Array:
         """R (m, p) over random states with and, where there is one, without the load."""
-        own, load, m = self.own, self.load, len(self.own)
+        own, load, m = self.robot_parameters, self.payload_parameters, len(self.robot_parameters)
         bare = structural_factor(self.robot, own, self.rows, beside=self._motor_terms(self.robot))
         if self.loaded is None:
             return bare
         beside = self._motor_terms(self.loaded)
         carried = structural_factor(self.loaded, own + load, self.rows, beside=beside)
         nothing = np.zeros((len(bare), len(load)))
-        return triangle([np.hstack([bare[:, :m], nothing, bare[:, m:]]), carried])
+        return upper_factor([np.hstack([bare[:, :m], nothing, bare[:, m:]]), carried])
 
     def _motor_terms(self, robot: RobotModel) -> Callable[[Trajectory], Array] | None:
-        if not self.plain or self.features is None:
+        if not self.motor_terms or self.features is None:
             return None
-        return partial(self.features.on_rows, robot, self.rows, self.plain)
+        return partial(self.features.on_rows, robot, self.rows, self.motor_terms)

@@ -17,24 +17,26 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.canonical_json import canonical
-from sysid_bench.excitation.design_problem import Brief
-from sysid_bench.experiments.robot_cache import Subject
+from sysid_bench.excitation.design_problem import DesignProblem
+from sysid_bench.experiments.robot_cache import LoadedRobot
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.versions import code_and_libraries
 
 _DESIGNS: dict[str, Array] = {}
 
 
-def designed(
-    excitation: Mapping[str, Any], subject: Subject, brief: Brief, seed: int
+def design_motion(
+    excitation: Mapping[str, Any], subject: LoadedRobot, brief: DesignProblem, seed: int
 ) -> Trajectory:
     """The motion of an excitation as a suite names it."""
-    made = subject.build("excitation", excitation)
+    made = subject.build_plugin("excitation", excitation)
     rng = np.random.default_rng(seed)
     if not hasattr(made, "solve"):
         motion: Trajectory = made.design(brief, rng)
         return motion
-    key = content([code_and_libraries(), canonical(excitation), seed, subject.robot.text, brief])
+    key = content_hash(
+        [code_and_libraries(), canonical(excitation), seed, subject.robot.text, brief]
+    )
     if key not in _DESIGNS:
         kept = _kept(key)
         _DESIGNS[key] = _keep(key, made.solve(brief, rng).C) if kept is None else kept
@@ -42,7 +44,7 @@ def designed(
     return again
 
 
-def content(value: Any) -> str:
+def content_hash(value: Any) -> str:
     """A hash of nested values by what they hold; functions, and a brief's rate, are left out."""
     digest = hashlib.sha256()
     _feed(digest, value)
@@ -57,7 +59,7 @@ def _feed(digest: Any, value: Any) -> None:
         )
     elif is_dataclass(value):
         for field in fields(value):
-            if not (isinstance(value, Brief) and field.name == "rate"):
+            if not (isinstance(value, DesignProblem) and field.name == "rate"):
                 digest.update(field.name.encode())
                 _feed(digest, getattr(value, field.name))
     elif isinstance(value, (list, tuple)):

@@ -5,8 +5,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.wrench_estimation import Comparison, Reordered, compare, reordered
-from sysid_bench.excitation.design_problem import brief_of
+from sysid_bench.evaluation.wrench_estimation import (
+    SensorNewtonEuler,
+    WrenchErrors,
+    sensor_newton_euler,
+    wrench_errors,
+)
+from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.point_to_point import PointToPoint
 from sysid_bench.experiments.simulated.prepare import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec, noise_seed, seed_of
@@ -15,10 +20,10 @@ from sysid_bench.models.sensor import last_body
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import sub_tree
 from sysid_bench.simulation.force_torque import (
-    Touch,
+    Contact,
+    contact_torque,
+    random_wrench,
     sensor_wrench,
-    swaying,
-    touch_torque,
     wrench_noise,
 )
 from sysid_bench.simulation.plant import plant_of
@@ -32,16 +37,16 @@ RATE: Final = 50.0
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class ContactTest:
     """A motion that was not trained on, its last half with a touch on the last body: what the
     sensor measures (N, 6), and the torques (N, k) and wrenches (N, 6) that methods have to find."""
 
-    method: Reordered
+    method: SensorNewtonEuler
     wrench: Array
     tau: Array
     touch: Array
 
-    def errors(self, ready: Prepared, estimate: Estimate) -> dict[str, Comparison] | None:
+    def errors(self, ready: Prepared, estimate: Estimate) -> dict[str, WrenchErrors] | None:
         """RMS errors with true, CAD and identified parameters side by side; None without them."""
         prior, theta = ready.problem.prior, _theta(estimate, ready.problem)
         if prior is None or theta is None:
@@ -52,10 +57,10 @@ class Trial:
             name: np.array([told[places[c]] if c in places else 0.0 for c in self.method.columns])
             for name, told in sets.items()
         }
-        return compare(self.method, phis, self.wrench, self.tau, self.touch)
+        return wrench_errors(self.method, phis, self.wrench, self.tau, self.touch)
 
 
-def excited(ready: Prepared) -> Excitation:
+def sensor_excitation(ready: Prepared) -> Excitation:
     """What the data of an experiment tell of all that any motion could of its sub-tree."""
     cut, robot = ready.task.cuts[0], ready.robot
     return excitation_of(
@@ -64,26 +69,26 @@ def excited(ready: Prepared) -> Excitation:
     )
 
 
-def trial_of(spec: ExperimentSpec, ready: Prepared) -> Trial | None:
+def contact_test(spec: ExperimentSpec, ready: Prepared) -> ContactTest | None:
     """The trial of an experiment; None where a further sensor ends the sub-tree."""
-    if ready.task.stops:
+    if ready.task.end_sensors:
         return None
     robot, cut = ready.robot, ready.task.cuts[0]
     rng = np.random.default_rng(seed_of(spec.seed, "touch", spec.robot))
-    motion = PointToPoint().design(brief_of(robot, RATE), rng)
-    wrench = swaying(motion, TOUCH, rng)
+    motion = PointToPoint().design(design_problem(robot, RATE), rng)
+    wrench = random_wrench(motion, TOUCH, rng)
     wrench[: len(motion) // 2] = 0.0
-    touch, plant = Touch(last_body(robot, cut), wrench), plant_of(robot)
-    method = reordered(robot, cut, motion, robot.body_names[touch.body])
-    tau = newton_euler(robot.tree, robot.tree.lumped(robot.phi), motion)
-    tau -= touch_torque(plant, touch, motion)
+    touch, plant = Contact(last_body(robot, cut), wrench), plant_of(robot)
+    method = sensor_newton_euler(robot, cut, motion, robot.body_names[touch.body])
+    tau = newton_euler(robot.tree, robot.tree.composite_links(robot.phi), motion)
+    tau -= contact_torque(plant, touch, motion)
     f_b = sensor_wrench(plant, (cut,), motion, touch)
     white = np.random.default_rng(seed_of(noise_seed(spec), "touch"))
     f_b += wrench_noise(spec.noise).white() * white.normal(size=f_b.shape)
-    return Trial(method, f_b, tau[:, list(method.tree.dofs)], wrench)
+    return ContactTest(method, f_b, tau[:, list(method.tree.dofs)], wrench)
 
 
-def figures(told: Excitation, errors: dict[str, Comparison] | None) -> dict[str, Any]:
+def sensor_scores(told: Excitation, errors: dict[str, WrenchErrors] | None) -> dict[str, Any]:
     """The part of a row that is about the sub-tree behind a sensor."""
     row: dict[str, Any] = {
         "structural_rank": told.structural,

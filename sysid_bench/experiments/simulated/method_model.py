@@ -10,8 +10,8 @@ from sysid_bench.experiments.simulated.problem import term_torque
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.simulation.closed_loop import ClosedLoop
-from sysid_bench.simulation.kinematics_only import bare_robot
-from sysid_bench.simulation.parametrised_plant import Declared, candidate
+from sysid_bench.simulation.kinematics_only import kinematics_only
+from sysid_bench.simulation.parametrised_plant import KnownModel, parametrised_plant
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import (
     Array,
@@ -21,10 +21,10 @@ from sysid_bench.types import (
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class KnownTorque:
     """What methods are told of the torque along any motion."""
 
-    told: Declared
+    told: KnownModel
     places: tuple[int, ...]
 
     def __call__(self, motion: Trajectory) -> Array:
@@ -35,10 +35,10 @@ class Known:
 
 
 @dataclass(frozen=True, eq=False)
-class Simulate:
+class SimulateModel:
     """The method's own model along the commanded motion, under the declared controller."""
 
-    told: Declared
+    told: KnownModel
     raw: Recording
 
     def __call__(self, theta: Array) -> Recording:
@@ -53,7 +53,7 @@ class Simulate:
         if not np.isfinite(theta).all():
             bad = self.told.parameters[int(np.flatnonzero(~np.isfinite(theta))[0])]
             raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
-        plant = candidate(self.told, theta)
+        plant = parametrised_plant(self.told, theta)
         oracle = ClosedLoop(rate=controller.rate).track(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
@@ -70,17 +70,17 @@ class Simulate:
         )
 
 
-def declared(robot: RobotModel, task: Task) -> Declared:
+def known_model(robot: RobotModel, task: Task) -> KnownModel:
     """What the task tells of the robot."""
-    bare = bare_robot(robot)
+    bare = kinematics_only(robot)
     coupling = task.known_coupling
-    return Declared(
+    return KnownModel(
         bare, task.parameters, task.bodies, task.known_links, task.known_terms,
         np.zeros((robot.nv, robot.nv)) if coupling is None else coupling,
     )  # fmt: skip
 
 
-def nothing_to_simulate(asked: Any) -> Any:
+def refuse_simulation(asked: Any) -> Any:
     """What a loop needs beside the sensors is not declared."""
     raise UnsupportedError(
         "A task with force/torque sensors declares no whole robot: nothing to simulate with."

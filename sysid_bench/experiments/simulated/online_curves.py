@@ -10,7 +10,11 @@ import numpy as np
 
 from sysid_bench.experiments.simulated.prepare import Prepared
 from sysid_bench.identification.linear.normal_qr import residual_norms
-from sysid_bench.identification.linear.online_estimation import Recursion, Track, rows_of
+from sysid_bench.identification.linear.online_estimation import (
+    ParameterTrack,
+    RecursiveEstimator,
+    rows_of,
+)
 from sysid_bench.regressors.wrench import sub_tree
 from sysid_bench.types import Array, Curve, Problem, Trajectory
 
@@ -18,12 +22,12 @@ HISTORY: Final = 400
 """Points of a curve, about."""
 
 
-def curves_of(ready: Prepared) -> tuple[Curve, ...]:
+def online_curves(ready: Prepared) -> tuple[Curve, ...]:
     """The curves of an experiment with the task `wrench` and a prior; of any other, none."""
     problem = ready.problem
     if ready.task.name != "wrench" or problem.prior is None or problem.samples == 0:
         return ()
-    track = track_of(problem)
+    track = _track_of(problem)
     motion = ready.experiment.recording.motion
     kept = Trajectory(*(x[track.places] for x in (motion.t, motion.q, motion.v, motion.a)))
     return (
@@ -32,13 +36,15 @@ def curves_of(ready: Prepared) -> tuple[Curve, ...]:
     )
 
 
-def track_of(problem: Problem) -> Track:
+def _track_of(problem: Problem) -> ParameterTrack:
     """Recursive least squares over the samples of a problem, from its prior."""
     assert problem.prior is not None
     W, f = rows_of(problem)
     K, every = problem.base.K, max(len(f) // HISTORY, 1)
     spread = (K * problem.prior.std**2) @ K.T
-    return Recursion(every=every).run(W, f, _noise(problem), K @ problem.prior.theta, spread)
+    return RecursiveEstimator(every=every).run(
+        W, f, _noise(problem), K @ problem.prior.theta, spread
+    )
 
 
 def _noise(problem: Problem) -> Array:
@@ -60,7 +66,7 @@ def _spread(problem: Problem) -> list[Array]:
     return wide
 
 
-def _torques(ready: Prepared, track: Track, motion: Trajectory) -> list[Curve]:
+def _torques(ready: Prepared, track: ParameterTrack, motion: Trajectory) -> list[Curve]:
     tree = sub_tree(ready.robot, ready.task.cuts[0], motion)
     problem = ready.problem
     assert problem.prior is not None
@@ -81,7 +87,7 @@ def _torques(ready: Prepared, track: Track, motion: Trajectory) -> list[Curve]:
     ]
 
 
-def _convergence(problem: Problem, track: Track, true: Array, t: Array) -> Curve:
+def _convergence(problem: Problem, track: ParameterTrack, true: Array, t: Array) -> Curve:
     """Sizes of the error and of its declared deviation, relative to the parameters'."""
     assert problem.prior is not None
     size = float(np.linalg.norm(true)) or 1.0

@@ -10,29 +10,33 @@ import numpy as np
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.evaluation.score import data_figures
-from sysid_bench.excitation.design_problem import Brief, brief_of
-from sysid_bench.excitation.geometry import scene_of
-from sysid_bench.excitation.information import Torque, question
-from sysid_bench.experiments.robot_cache import Subject
-from sysid_bench.experiments.simulated.ft_sensors import Sensing, true_offset
+from sysid_bench.excitation.design_problem import DesignProblem, design_problem
+from sysid_bench.excitation.geometry import collision_model
+from sysid_bench.excitation.information import TorqueModel, information_model
+from sysid_bench.experiments.robot_cache import LoadedRobot
+from sysid_bench.experiments.simulated.ft_sensors import SensorMeasurement, true_offset
 from sysid_bench.experiments.simulated.method_model import (
-    Known,
-    Simulate,
-    declared,
-    nothing_to_simulate,
+    KnownTorque,
+    SimulateModel,
+    known_model,
+    refuse_simulation,
 )
-from sysid_bench.experiments.simulated.preprocess import calibration_of, corrected, free_of_contact
+from sysid_bench.experiments.simulated.preprocess import (
+    apply_calibration,
+    estimate_calibration,
+    remove_contact,
+)
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
-    recorded,
+    measured_signals,
     regressor_blocks,
 )
 from sysid_bench.experiments.simulated.record import (
-    Take,
-    Turn,
+    Repetition,
+    SimulatedRobot,
     held_out_motions,
     record,
-    turns_of,
+    repetitions,
 )
 from sysid_bench.experiments.spec import (
     REDRAWN,
@@ -41,16 +45,16 @@ from sysid_bench.experiments.spec import (
     noise_seed,
     prior_seed,
 )
-from sysid_bench.models.bounding_boxes import extents
+from sysid_bench.models.bounding_boxes import body_extents
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
 from sysid_bench.regressors.coupled import torque_regression
-from sysid_bench.regressors.nested_sensors import sensed_regression
-from sysid_bench.simulation.parametrised_plant import Declared
+from sysid_bench.regressors.nested_sensors import measured_regression
+from sysid_bench.simulation.parametrised_plant import KnownModel
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.tasks.prior import PriorSpread, misknown, prior_of
+from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
 from sysid_bench.tasks.task import SENSOR_TASKS, Task, task_of
 from sysid_bench.types import (
     Array,
@@ -79,7 +83,7 @@ class Prepared:
     bound: Array | None  # (r,) Cramer-Rao, as standard deviations, where torque alone is noisy
     noisy: bool
     left_out: float  # share of the samples that are taken for contacts
-    stage: "Stage"
+    stage: "NoiseFreePart"
 
     @cached_property
     def figures(self) -> dict[str, Any]:
@@ -87,64 +91,67 @@ class Prepared:
         return data_figures(self.problem, self.held_out) | {"left_out": self.left_out}
 
     @property
-    def reach(self) -> Mapping[str, Extent]:
+    def extents(self) -> Mapping[str, Extent]:
         """How far each body reaches."""
-        return self.stage.reach
+        return self.stage.extents
 
 
-def prepare(spec: ExperimentSpec, subject: Subject) -> Prepared:
+def prepare(spec: ExperimentSpec, subject: LoadedRobot) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
     stage = _stage(canonical(_noise_free(spec).to_json()), subject)
-    task, posing, plant = stage.task, stage.posing, stage.take.plant
-    turns = turns_of(spec, task)
+    task, posing, plant = stage.task, stage.builder, stage.simulated.plant
+    turns = repetitions(spec, task)
     main = next(turn for turn in turns if turn.loaded)
-    taken = record(spec, stage.take, Sensing(spec, plant, task), main)
+    taken = record(spec, stage.simulated, SensorMeasurement(spec, plant, task), main)
     raw, recording = taken.raw, taken.recording
     if "calibration" in spec.signals and task.cuts:
-        calibration = calibration_of(spec, subject, task)
-        raw, recording = corrected(raw, calibration), corrected(recording, calibration)
-    recording, left_out = free_of_contact(spec.signals.get("contacts"), recording, posing)
-    problem = posing.pose(recording.motion, recorded(recording), stage.prior)
-    regress = partial(regressor_blocks, posing.regression, posing.places, posing.instruments)
-    simulate = nothing_to_simulate if task.cuts else Simulate(stage.told, raw)
-    known = nothing_to_simulate if task.cuts else Known(stage.told, posing.places)
+        calibration = estimate_calibration(spec, subject, task)
+        raw, recording = (
+            apply_calibration(raw, calibration),
+            apply_calibration(recording, calibration),
+        )
+    recording, left_out = remove_contact(spec.signals.get("contacts"), recording, posing)
+    problem = posing.build(recording.motion, measured_signals(recording), stage.prior)
+    regress = partial(regressor_blocks, posing.regression, posing.row_indices, posing.instruments)
+    simulate = refuse_simulation if task.cuts else SimulateModel(stage.known_model, raw)
+    known = refuse_simulation if task.cuts else KnownTorque(stage.known_model, posing.row_indices)
     runs = _runs(spec, stage, turns, Run(True, recording))
     experiment = Experiment(problem, recording, raw, regress, simulate, known, runs)
-    seal(experiment)
+    make_read_only(experiment)
     return Prepared(
         subject.robot, task, problem, experiment, stage.held_out, task.truth,
-        posing.known(recording.motion)[:, posing.places], taken.bound(posing), bool(spec.noise),
-        left_out, stage,
+        posing.known(recording.motion)[:, posing.row_indices], taken.cramer_rao_bound(posing),
+        bool(spec.noise), left_out, stage,
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class NoiseFreePart:
     """All of an experiment that its noise does not touch: levels and repeats share it."""
 
     spec: ExperimentSpec
     task: Task
-    posing: "ProblemBuilder"
-    take: "Take"
+    builder: "ProblemBuilder"
+    simulated: "SimulatedRobot"
     prior: Prior | None
 
     @cached_property
-    def told(self) -> Declared:
+    def known_model(self) -> KnownModel:
         """The robot as methods may know it."""
-        return declared(self.posing.robot, self.task)
+        return known_model(self.builder.robot, self.task)
 
     @cached_property
-    def reach(self) -> Mapping[str, Extent]:
+    def extents(self) -> Mapping[str, Extent]:
         """How far each body reaches."""
-        return extents(self.posing.robot)
+        return body_extents(self.builder.robot)
 
     @cached_property
     def held_out(self) -> dict[str, Problem]:
         """Other motions, posed with exact signals."""
-        sensing = Sensing(self.spec, self.take.plant, self.task)
+        sensing = SensorMeasurement(self.spec, self.simulated.plant, self.task)
         return {
-            name: self.posing.pose(oracle.motion, sensing.exact(oracle))
-            for name, oracle in held_out_motions(self.spec, self.take).items()
+            name: self.builder.build(oracle.motion, sensing.exact(oracle))
+            for name, oracle in held_out_motions(self.spec, self.simulated).items()
         }
 
 
@@ -158,53 +165,57 @@ def _noise_free(spec: ExperimentSpec) -> ExperimentSpec:
 
 
 @lru_cache(maxsize=2)
-def _stage(text: str, subject: Subject) -> Stage:
+def _stage(text: str, subject: LoadedRobot) -> NoiseFreePart:
     """The stage of a specification, as canonical JSON."""
     spec, robot = ExperimentSpec.from_json(json.loads(text)), subject.robot
-    terms = terms_of(spec, robot)
-    task = told(spec, task_of(robot, spec.task, terms, spec.sensor, partial(true_offset, spec)))
-    base = subject.base(task.parameters, task.rows, task.cuts)
+    terms = identified_terms(spec, robot)
+    task = task_for_methods(
+        spec, task_of(robot, spec.task, terms, spec.sensor, partial(true_offset, spec))
+    )
+    base = subject.base_map(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
-    columns = sensed_regression(robot, base.names, instruments, task.rows)
+    columns = measured_regression(robot, base.names, instruments, task.rows)
     posing = ProblemBuilder(robot, task, base, columns)
-    plant = plant_of(robot, [subject.build("plant", spec.plant)])
+    plant = plant_of(robot, [subject.build_plugin("plant", spec.plant)])
     prior = _prior(spec, task)
-    take = Take(spec, subject, plant, partial(_brief, robot, task, base, prior))
-    return Stage(spec, task, posing, take, prior)
+    take = SimulatedRobot(spec, subject, plant, partial(_brief, robot, task, base, prior))
+    return NoiseFreePart(spec, task, posing, take, prior)
 
 
-def terms_of(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
+def identified_terms(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
     """The joint terms that are identified; the robot's own are those of the task `robot`."""
     if spec.terms is not None:
         return spec.terms
     return robot.manifest.terms if spec.task == "robot" else ()
 
 
-def told(spec: ExperimentSpec, task: Task) -> Task:
+def task_for_methods(spec: ExperimentSpec, task: Task) -> Task:
     """The task as methods are told it: its known parts with errors where the prior says so."""
     share = 0.0 if isinstance(spec.prior, str) else spec.prior.get("known", 0.0)
     if share == 0.0:
         return task
-    return misknown(task, share, np.random.default_rng(known_seed(spec)))
+    return with_known_errors(task, share, np.random.default_rng(known_seed(spec)))
 
 
-def seal(value: Any) -> None:
+def make_read_only(value: Any) -> None:
     """Makes the arrays of a noun read-only: the estimators of one experiment share them."""
     if isinstance(value, np.ndarray):
         value.flags.writeable = False
     elif isinstance(value, partial):
-        seal(value.args)
+        make_read_only(value.args)
     elif isinstance(value, tuple):
         for part in value:
-            seal(part)
+            make_read_only(part)
     elif is_dataclass(value) and type(value).__module__ == Problem.__module__:
         for field in fields(value):
-            seal(getattr(value, field.name))
+            make_read_only(getattr(value, field.name))
 
 
-def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float) -> Brief:
+def _brief(
+    robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float
+) -> DesignProblem:
     """What a designer of motions is told: limits, the question, and torques by the prior alone."""
-    brief = brief_of(robot, rate)
+    brief = design_problem(robot, rate)
     terms = {  # ball and free joints, whose terms have no columns, are held by designs
         f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
         for term, values in task.known_terms.items()
@@ -215,20 +226,20 @@ def _brief(robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, ra
     if prior is not None and not task.cuts:  # behind a sensor nothing is told of the rest
         columns = torque_regression(robot, (*task.parameters, *terms))
         theta = np.array([*prior.theta, *terms.values()])
-        torque = Torque(columns, theta, task.known_links, robot.tree, robot.coupling)
-    asked = question(robot, base.names, task.rows, task.cuts)
-    return replace(brief, regress=asked, torque=torque, scene=partial(scene_of, robot))
+        torque = TorqueModel(columns, theta, task.known_links, robot.tree, robot.coupling)
+    asked = information_model(robot, base.names, task.rows, task.cuts)
+    return replace(brief, regress=asked, torque=torque, scene=partial(collision_model, robot))
 
 
 def _runs(
-    spec: ExperimentSpec, stage: Stage, turns: tuple[Turn, ...], main: Run
+    spec: ExperimentSpec, stage: NoiseFreePart, turns: tuple[Repetition, ...], main: Run
 ) -> tuple[Run, ...]:
     """All recordings of the commanded motion, `main` among them; none where it is the only one."""
     if len(turns) == 1:
         return ()
-    loaded = stage.take
-    robot = load_robot(loaded.subject.robot.manifest, parse_payload("none"), spec.free_base)
-    plant = plant_of(robot, [loaded.subject.build("plant", spec.plant)])
+    loaded = stage.simulated
+    robot = load_robot(loaded.loaded.robot.manifest, parse_payload("none"), spec.free_base)
+    plant = plant_of(robot, [loaded.loaded.build_plugin("plant", spec.plant)])
     takes = {True: loaded, False: replace(loaded, plant=plant)}
     runs = []
     for turn in turns:
@@ -236,7 +247,7 @@ def _runs(
             runs.append(main)
             continue
         take = takes[turn.loaded]
-        taken = record(spec, take, Sensing(spec, take.plant, stage.task), turn)
+        taken = record(spec, take, SensorMeasurement(spec, take.plant, stage.task), turn)
         runs.append(Run(turn.loaded, taken.recording))
     return tuple(runs)
 

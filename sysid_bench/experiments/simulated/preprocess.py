@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.design_problem import brief_of
-from sysid_bench.experiments.robot_cache import Subject
-from sysid_bench.experiments.simulated.ft_sensors import Sensing
-from sysid_bench.experiments.simulated.problem import ProblemBuilder, recorded
-from sysid_bench.experiments.simulated.record import Take, record
+from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.experiments.robot_cache import LoadedRobot
+from sysid_bench.experiments.simulated.ft_sensors import SensorMeasurement
+from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_signals
+from sysid_bench.experiments.simulated.record import SimulatedRobot, record
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
 )
@@ -30,39 +30,43 @@ from sysid_bench.types import (
 from sysid_bench.units import interval
 
 
-def calibration_of(spec: ExperimentSpec, subject: Subject, task: Task) -> Calibration:
+def estimate_calibration(spec: ExperimentSpec, subject: LoadedRobot, task: Task) -> Calibration:
     """What the measured sensor tells of itself with known payloads, on the same motion."""
     readings, known = [], []
     for run, load in enumerate(spec.signals["calibration"], 1):
         robot = load_robot(subject.robot.manifest, parse_payload(load), spec.free_base)
         cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
-        plant = plant_of(robot, [subject.build("plant", spec.plant)])
-        sensing = Sensing(spec, plant, replace(task, cuts=cuts), run)
-        take = Take(spec, replace(subject, robot=robot), plant, partial(brief_of, robot))
+        plant = plant_of(robot, [subject.build_plugin("plant", spec.plant)])
+        sensing = SensorMeasurement(spec, plant, replace(task, cuts=cuts), run)
+        take = SimulatedRobot(
+            spec, replace(subject, robot=robot), plant, partial(design_problem, robot)
+        )
         recording = record(spec, take, sensing).recording
         instruments = instruments_of(robot, cuts)
         motion = instruments.motion(recording.motion)
-        model = newton_euler(instruments.tree, instruments.tree.lumped(robot.phi), motion)
+        model = newton_euler(instruments.tree, instruments.tree.composite_links(robot.phi), motion)
         assert recording.wrench is not None
         readings.append(recording.wrench[:, :6])
         known.append(model[:, robot.nv : robot.nv + 6])
     return calibrate(np.concatenate(readings), np.concatenate(known))
 
 
-def corrected(recording: Recording, calibration: Calibration) -> Recording:
+def apply_calibration(recording: Recording, calibration: Calibration) -> Recording:
     """The recording with the first sensor's reading corrected."""
     assert recording.wrench is not None
     wrench = recording.wrench.copy()
-    wrench[:, :6] = calibration.corrected(wrench[:, :6])
+    wrench[:, :6] = calibration.apply(wrench[:, :6])
     return replace(recording, wrench=wrench)
 
 
-def free_of_contact(contacts: Any, recording: Recording, posing: ProblemBuilder) -> tuple[Recording, float]:
+def remove_contact(
+    contacts: Any, recording: Recording, posing: ProblemBuilder
+) -> tuple[Recording, float]:
     """The recording without contact periods, declared or found, and the share that is left out."""
     if not contacts:
         return recording, 0.0
     if contacts == "detect":
-        free = free_samples(*rows_of(posing.pose(recording.motion, recorded(recording))))
+        free = free_samples(*rows_of(posing.build(recording.motion, measured_signals(recording))))
     else:
         t, free = recording.t, np.ones(len(recording), dtype=bool)
         for start, end in map(interval, contacts):

@@ -9,10 +9,10 @@ import numpy as np
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.nested_sensors import Sensed
-from sysid_bench.regressors.qr_accumulation import dense_blocks, fold
+from sysid_bench.regressors.nested_sensors import MeasuredRegressor
+from sysid_bench.regressors.qr_accumulation import accumulate, dense_blocks
 from sysid_bench.regressors.regression import TERM
-from sysid_bench.regressors.wrench import handed_on
+from sysid_bench.regressors.wrench import transferred_wrench
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import (
     Array,
@@ -34,7 +34,7 @@ class ProblemBuilder:
     robot: RobotModel
     task: Task
     base: BaseMap
-    regression: Sensed
+    regression: MeasuredRegressor
 
     @cached_property
     def instruments(self) -> Instruments:
@@ -42,38 +42,38 @@ class ProblemBuilder:
         return instruments_of(self.robot, self.task.cuts)
 
     @property
-    def places(self) -> tuple[int, ...]:
+    def row_indices(self) -> tuple[int, ...]:
         """The rows that the task measures, as places among all that is measured."""
         own = self.instruments.measured
         return tuple(own.index(row) for row in (own if self.task.rows is None else self.task.rows))
 
-    def pose(self, motion: Trajectory, measured: Array, prior: Prior | None = None) -> Problem:
+    def build(self, motion: Trajectory, measured: Array, prior: Prior | None = None) -> Problem:
         """W beta = b along a motion, what is known taken from what is measured (N, n + 6 sensors):
         known torque, and the wrenches of the sensors that end the sub-tree."""
         b = measured - self.known(motion)
-        for stop in self.task.stops:
+        for stop in self.task.end_sensors:
             cut, names = self.task.cuts[0], self.instruments.measured
             root, end = ([names.index(row) for row in at.rows] for at in (cut, stop))
-            b[:, root] -= handed_on(self.instruments, motion, cut, stop, measured[:, end])
+            b[:, root] -= transferred_wrench(self.instruments, motion, cut, stop, measured[:, end])
         motion = self.instruments.motion(motion)
         return Problem(
             parameters=self.task.parameters,
             base=self.base,
-            rows=tuple(self.instruments.measured[i] for i in self.places),
-            factors=fold(self.regression, motion, b, self.places),
+            rows=tuple(self.instruments.measured[i] for i in self.row_indices),
+            factors=accumulate(self.regression, motion, b, self.row_indices),
             bodies=self.task.bodies,
-            blocks=partial(dense_blocks, self.regression, motion, b, self.places),
+            blocks=partial(dense_blocks, self.regression, motion, b, self.row_indices),
             samples=len(motion),
             prior=prior,
-            kinds=tuple(self.instruments.kinds[i] for i in self.places),
-            torque=np.sqrt((measured[:, self.places] ** 2).mean(axis=0)),
+            kinds=tuple(self.instruments.kinds[i] for i in self.row_indices),
+            torque=np.sqrt((measured[:, self.row_indices] ** 2).mean(axis=0)),
             period=motion.period_samples,
         )
 
     def known(self, motion: Trajectory) -> Array:
         """Torque and wrench (N, n + 6 sensors) of the parts that the task declares known."""
         robot, task = self.robot, self.task
-        if not task.knows_something:
+        if not task.has_known_part:
             return np.zeros((len(motion), len(self.instruments.measured)))
         whole = self.instruments.motion(motion)
         tau = newton_euler(self.instruments.tree, task.known_links, whole)
@@ -82,14 +82,14 @@ class ProblemBuilder:
         return np.hstack([joints, tau[:, robot.nv :]])
 
 
-def recorded(recording: Recording) -> Array:
+def measured_signals(recording: Recording) -> Array:
     """All that is measured (N, n + 6 sensors): torque, then wrenches."""
     parts = [recording.tau] if recording.wrench is None else [recording.tau, recording.wrench]
     return np.hstack(parts)
 
 
 def regressor_blocks(
-    regression: Sensed,
+    regression: MeasuredRegressor,
     rows: tuple[int, ...],
     instruments: Instruments,
     motion: Trajectory,

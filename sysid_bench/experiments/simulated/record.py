@@ -9,11 +9,15 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
-from sysid_bench.excitation.design_problem import Brief
-from sysid_bench.experiments.robot_cache import Subject
-from sysid_bench.experiments.simulated.commanded import designed
-from sysid_bench.experiments.simulated.ft_sensors import Sensing, kept_motion
-from sysid_bench.experiments.simulated.problem import ProblemBuilder, regressor_blocks, scalar_positions
+from sysid_bench.excitation.design_problem import DesignProblem
+from sysid_bench.experiments.robot_cache import LoadedRobot
+from sysid_bench.experiments.simulated.commanded import design_motion
+from sysid_bench.experiments.simulated.ft_sensors import SensorMeasurement, decimated_motion
+from sysid_bench.experiments.simulated.problem import (
+    ProblemBuilder,
+    regressor_blocks,
+    scalar_positions,
+)
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
     drift_seed,
@@ -27,7 +31,7 @@ from sysid_bench.signals.processing import processing_of
 from sysid_bench.simulation.force_torque import WRENCH_NOISE
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import Plant
-from sysid_bench.simulation.sensors import Noise, draw, encoder_error, sense
+from sysid_bench.simulation.sensors import Noise, draw_noise, encoder_error, measure
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import (
     Array,
@@ -37,34 +41,34 @@ from sysid_bench.types import (
     Trajectory,
 )
 
-Briefed = Callable[[float], Brief]
+Briefed = Callable[[float], DesignProblem]
 """The brief of an experiment at a rate (Hz)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Take:
+class SimulatedRobot:
     """A plant that moves as an excitation says."""
 
     spec: ExperimentSpec
-    subject: Subject
+    loaded: LoadedRobot
     plant: Plant
-    briefed: Briefed
+    design_problem: Briefed
 
     @cached_property
     def simulation(self) -> Any:
         """What moves it."""
-        return self.subject.build("simulation", self.spec.simulation)
+        return self.loaded.build_plugin("simulation", self.spec.simulation)
 
     @property
-    def every(self) -> int:
+    def decimation(self) -> int:
         """Steps of the simulation per sample of the recording."""
         return round(self.simulation.design_rate(self.spec.rate) / self.spec.rate)
 
     @cached_property
     def commanded(self) -> Trajectory:
         """The motion that is asked for."""
-        brief = self.briefed(self.simulation.design_rate(self.spec.rate))
-        return designed(self.spec.excitation, self.subject, brief, motion_seed(self.spec))
+        brief = self.design_problem(self.simulation.design_rate(self.spec.rate))
+        return design_motion(self.spec.excitation, self.loaded, brief, motion_seed(self.spec))
 
     def run(self, error: Array) -> tuple[Oracle, Controller | None]:
         """What happens where encoders err so much (N, n)."""
@@ -81,15 +85,15 @@ class Take:
 
 
 @dataclass(frozen=True)
-class Turn:
+class Repetition:
     """One recording of the commanded motion: the how manieth, and whether the payload is on."""
 
-    place: int
+    index: int
     loaded: bool
     seed: int  # of its noise
 
 
-def turns_of(spec: ExperimentSpec, task: Task) -> tuple[Turn, ...]:
+def repetitions(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
     """The recordings that an experiment makes, in order. The first loaded one has the noise that it
     has without the others: comparisons are paired."""
     order = spec.signals.get("runs", "B")
@@ -104,13 +108,13 @@ def turns_of(spec: ExperimentSpec, task: Task) -> tuple[Turn, ...]:
         )
     first = order.index("B")
     return tuple(
-        Turn(i, letter == "B", noise_seed(spec) if i == first else run_seed(spec, i))
+        Repetition(i, letter == "B", noise_seed(spec) if i == first else run_seed(spec, i))
         for i, letter in enumerate(order)
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
+class SampledRecording:
     """The recording as sensed and as filtered, and what only scoring may know of it."""
 
     raw: Recording
@@ -120,10 +124,10 @@ class Taken:
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
 
-    def bound(self, posing: "ProblemBuilder") -> Array | None:
+    def cramer_rao_bound(self, posing: "ProblemBuilder") -> Array | None:
         """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
         a row has no noise of that kind, or the motion does not excite every direction."""
-        if posing.task.cuts or not (self.torque_std[list(posing.places)] > 0).all():
+        if posing.task.cuts or not (self.torque_std[list(posing.row_indices)] > 0).all():
             return None
         return _bound(posing, self.oracle, self.every, tuple(self.torque_std), self.correlation)
 
@@ -132,25 +136,30 @@ class Taken:
 def _bound(
     posing: "ProblemBuilder", oracle: Oracle, every: int, std: tuple[float, ...], correlation: float
 ) -> Array | None:
-    motion, places = kept_motion(oracle.motion, every), posing.places
+    motion, places = decimated_motion(oracle.motion, every), posing.row_indices
     of_rows = np.array(std)[list(places)]
     if correlation == 0.0:
-        found = white_bound(posing.pose(motion, oracle.tau[::every]), of_rows)
+        found = white_bound(posing.build(motion, oracle.tau[::every]), of_rows)
     else:  # rows that are whitened in time are dense
         rows = regressor_blocks(posing.regression, places, posing.instruments, motion)
         found = torque_bound(rows, np.diag(of_rows**2), correlation)
     return None if found is None else np.sqrt(np.diag(found))
 
 
-def record(spec: ExperimentSpec, take: Take, sensing: Sensing, turn: Turn | None = None) -> Taken:
+def record(
+    spec: ExperimentSpec,
+    take: SimulatedRobot,
+    sensing: SensorMeasurement,
+    turn: Repetition | None = None,
+) -> SampledRecording:
     """The recording of one repeat, and of one of its runs where there are several."""
-    place, seed = (0, noise_seed(spec)) if turn is None else (turn.place, turn.seed)
-    robot, every, commanded = take.plant.robot, take.every, take.commanded
+    place, seed = (0, noise_seed(spec)) if turn is None else (turn.index, turn.seed)
+    robot, every, commanded = take.plant.robot, take.decimation, take.commanded
     noise = Noise(**{k: x for k, x in spec.noise.items() if k not in WRENCH_NOISE})
     processing = processing_of(spec.signals)
     rng = np.random.default_rng(seed)
     moving = robot.torque_dofs
-    draws = draw(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
+    draws = draw_noise(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
     error = encoder_error(noise, draws)
     oracle, controller = take.run(error)
     if noise.quantum > 0:
@@ -164,7 +173,7 @@ def record(spec: ExperimentSpec, take: Take, sensing: Sensing, turn: Turn | None
         there = scalar_positions(robot, oracle.motion)[:, moving]
         error = encoder_error(noise, draws, there, scalar)
     torque_std = noise.torque_std(oracle.tau[::every])
-    raw = sense(
+    raw = measure(
         robot,
         oracle,
         error,
@@ -175,9 +184,9 @@ def record(spec: ExperimentSpec, take: Take, sensing: Sensing, turn: Turn | None
         controller,
         ideal_rates=not processing.differentiate,
     )
-    raw = sensing.felt(_drifted(spec, raw, place, noise.tau_drift), oracle, every)
+    raw = sensing.measure(_drifted(spec, raw, place, noise.tau_drift), oracle, every)
     recording = _completed(robot, processing.apply(raw, robot.joints))
-    return Taken(raw, recording, oracle, every, torque_std, noise.tau_correlation)
+    return SampledRecording(raw, recording, oracle, every, torque_std, noise.tau_correlation)
 
 
 def _drifted(spec: ExperimentSpec, recording: Recording, place: int, level: float) -> Recording:
@@ -197,12 +206,12 @@ def _completed(robot: RobotModel, recording: Recording) -> Recording:
     return replace(recording, q=motion.q, v=motion.v, a=motion.a)
 
 
-def held_out_motions(spec: ExperimentSpec, take: Take) -> dict[str, Oracle]:
+def held_out_motions(spec: ExperimentSpec, take: SimulatedRobot) -> dict[str, Oracle]:
     """Other motions of the same plant, exact: what scoring compares with."""
     motions: dict[str, Oracle] = {}
     for place, excitation in enumerate(spec.held_out):
         seed = held_out_seed(spec, place)
-        motion = designed(excitation, take.subject, take.briefed(spec.rate), seed)
+        motion = design_motion(excitation, take.loaded, take.design_problem(spec.rate), seed)
         still = np.zeros((len(motion), len(take.plant.robot.torque_dofs)))
         oracle, _ = Inverse().run(take.plant, motion, still)
         name = excitation["use"]

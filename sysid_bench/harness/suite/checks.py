@@ -9,12 +9,12 @@ from pydantic import BaseModel, BeforeValidator, PlainValidator, ValidationInfo
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.suite.expression import Expression
-from sysid_bench.harness.suite.names import Names, complaint
+from sysid_bench.harness.suite.names import Names, name_error
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import CELL_FIELDS, ROW_FIELDS
 
 
-class Context:
+class CheckContext:
     """What validators look names up in: one per reading of a suite."""
 
     def __init__(self, names: Names, folder: Path | None, settings: frozenset[str]) -> None:
@@ -23,19 +23,19 @@ class Context:
         self.row_fields = ROW_FIELDS | settings
 
 
-def context(info: ValidationInfo) -> Context:
-    return cast(Context, info.context)
+def check_context(info: ValidationInfo) -> CheckContext:
+    return cast(CheckContext, info.context)
 
 
-def proved(check: Callable[[], object]) -> None:
+def checked(check: Callable[[], object]) -> None:
     """Pydantic collects ValueErrors; whatever a check or a stranger's code raises becomes one."""
     try:
         check()
     except (Exception, SystemExit) as error:  # a plug-in's file may call sys.exit()
-        raise ValueError(complaint(error)) from error
+        raise ValueError(name_error(error)) from error
 
 
-def measured(unit: str, positive: bool = False, below: float = math.inf) -> PlainValidator:
+def quantity_field(unit: str, positive: bool = False, below: float = math.inf) -> PlainValidator:
     def check(value: Any) -> Any:
         def sound() -> None:
             number = quantity(value, unit)
@@ -46,13 +46,13 @@ def measured(unit: str, positive: bool = False, below: float = math.inf) -> Plai
             if not number < below:
                 raise UsageError(f"must be below {below:g}; got {value!r}.")
 
-        proved(sound)
+        checked(sound)
         return value
 
     return PlainValidator(check)
 
 
-def word(kind: str, words: tuple[str, ...]) -> BeforeValidator:
+def one_of(kind: str, words: tuple[str, ...]) -> BeforeValidator:
     def check(value: Any) -> Any:
         if value not in words:
             raise ValueError(str(unknown_name(kind, str(value), words)))
@@ -69,26 +69,26 @@ def items(value: Any) -> Any:
     return values
 
 
-def items_or_none(value: Any) -> Any:
+def optional_items(value: Any) -> Any:
     """One or several, or none at all."""
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
 
-def some(value: Any) -> Any:
+def nonempty(value: Any) -> Any:
     # Not pydantic's min_length: that complains again of a list whose elements are all wrong.
     if isinstance(value, (list, tuple)) and not value:
         raise ValueError("a suite needs at least one.")
     return value
 
 
-def lists(value: Any) -> Any:
+def listed_keys(value: Any) -> Any:
     """Where the value itself is a list: only a list of lists is a sweep."""
-    if isinstance(value, (list, tuple)) and value and all(is_list(item) for item in value):
-        return tuple(tuple(item) if is_list(item) else item for item in value)
+    if isinstance(value, (list, tuple)) and value and all(_is_list(item) for item in value):
+        return tuple(tuple(item) if _is_list(item) else item for item in value)
     return (tuple(value) if isinstance(value, (list, tuple)) else value,)
 
 
-def is_list(value: Any) -> bool:
+def _is_list(value: Any) -> bool:
     return value is None or isinstance(value, (list, tuple))
 
 
@@ -96,13 +96,13 @@ def as_plugin(value: Any) -> Any:
     return {"use": value} if isinstance(value, str) else value
 
 
-def kind_of(value: Any) -> str:
+def plugin_kind(value: Any) -> str:
     return "table" if isinstance(value, (dict, BaseModel)) else "word"
 
 
 def condition(row: bool, text: Any, info: ValidationInfo) -> str:
-    known = context(info).row_fields if row else context(info).cell_fields
+    known = check_context(info).row_fields if row else check_context(info).cell_fields
     if not isinstance(text, str):
         raise ValueError(f"a condition is a text; got {text!r}.")
-    proved(lambda: Expression.parse(text, known))
+    checked(lambda: Expression.parse(text, known))
     return text

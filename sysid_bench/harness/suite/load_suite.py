@@ -9,10 +9,10 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.suite.checks import Context
+from sysid_bench.harness.suite.checks import CheckContext
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, installed_names, no_names
-from sysid_bench.harness.suite.toml_lines import Key, key_lines, line_of
+from sysid_bench.harness.suite.toml_lines import Key, key_lines, toml_line
 from sysid_bench.harness.suite.toml_text import toml_text
 
 __all__ = ["Suite", "dump_suite", "load_suite", "override", "parse_frozen", "parse_suite"]
@@ -79,7 +79,7 @@ def _read(text: str, file: str) -> dict[str, Any]:
 
 
 def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], names: Names) -> Suite:
-    context = Context(names, _folder_of(data), frozenset(_settings(data)))
+    context = CheckContext(names, _folder_of(data), frozenset(_settings(data)))
     try:
         return Suite.model_validate(data, context=context)
     except ValidationError as error:
@@ -109,7 +109,7 @@ def _settings(data: Mapping[str, Any]) -> Iterable[str]:
 
 def _tell(problem: Any, data: Any, file: str, lines: Mapping[Key, int]) -> tuple[int | None, str]:
     key = _written_key(problem["loc"], problem["type"], data)
-    line = line_of(lines, key)
+    line = toml_line(lines, key)
     place = f"{file}:{line}" if line else file
     dotted = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key)
     return line, f"{place}: {dotted.lstrip('.') or 'the whole file'}: {_what(problem, key)}"

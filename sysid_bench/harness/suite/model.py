@@ -26,19 +26,19 @@ from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.checks import (
     as_plugin,
+    check_context,
+    checked,
     condition,
-    context,
     items,
-    items_or_none,
-    kind_of,
-    lists,
-    measured,
-    proved,
-    some,
-    word,
+    listed_keys,
+    nonempty,
+    one_of,
+    optional_items,
+    plugin_kind,
+    quantity_field,
 )
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
-from sysid_bench.naming import located
+from sysid_bench.naming import resolve_paths
 from sysid_bench.units import interval
 from sysid_bench.vocabulary import (
     BESTS,
@@ -60,8 +60,8 @@ from sysid_bench.vocabulary import (
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
 RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
-Share = Annotated[Any, measured("%")]
-Length = Annotated[Any, measured("mm")]
+Share = Annotated[Any, quantity_field("%")]
+Length = Annotated[Any, quantity_field("mm")]
 
 
 class Section(BaseModel):
@@ -84,9 +84,9 @@ class Plugin(Section):
 
     @model_validator(mode="after")
     def known(self, info: ValidationInfo) -> "Plugin":
-        proved(lambda: canonical(self.spec))  # ids need JSON values: no dates
-        spec = located(self.spec, context(info).folder)
-        proved(lambda: context(info).names.plugin(self.kind, spec))
+        checked(lambda: canonical(self.spec))  # ids need JSON values: no dates
+        spec = resolve_paths(self.spec, check_context(info).folder)
+        checked(lambda: check_context(info).names.plugin(self.kind, spec))
         return self
 
 
@@ -95,7 +95,7 @@ class Estimator(Plugin):
     label: StrictStr | None = None
 
     @model_validator(mode="after")
-    def free_of_cell(self) -> "Estimator":
+    def _no_reserved_keys(self) -> "Estimator":
         if "cell" in (self.model_extra or {}):
             raise ValueError("'cell' is no possible setting of an estimator: it names the row.")
         return self
@@ -117,21 +117,21 @@ class Noise(Section):
     """Standard deviations of noise; `quantum` is the step of the encoder, `tau_correlation` how
     alike the noise of the torque is from one recorded sample to the next (0: white)."""
 
-    q: Annotated[Any, measured("rad|m")] = None
-    tau: Annotated[Any, measured("N m|N|%")] = None
-    quantum: Annotated[Any, measured("rad|m")] = None
-    tau_drift: Annotated[Any, measured("N m|N")] = None  # per second
-    tau_correlation: Annotated[Any, measured("1", below=1.0)] = None
-    force: Annotated[Any, measured("N")] = None  # and so on: force/torque sensors
-    moment: Annotated[Any, measured("N m")] = None
-    force_offset: Annotated[Any, measured("N")] = None
-    moment_offset: Annotated[Any, measured("N m")] = None
-    force_drift: Annotated[Any, measured("N")] = None  # per second
-    moment_drift: Annotated[Any, measured("N m")] = None  # per second
-    gain: Annotated[Any, measured("%")] = None
-    crosstalk: Annotated[Any, measured("%")] = None
-    mounting: Annotated[Any, measured("rad")] = None
-    touch: Annotated[Any, measured("N")] = None  # on the last body, for the middle third
+    q: Annotated[Any, quantity_field("rad|m")] = None
+    tau: Annotated[Any, quantity_field("N m|N|%")] = None
+    quantum: Annotated[Any, quantity_field("rad|m")] = None
+    tau_drift: Annotated[Any, quantity_field("N m|N")] = None  # per second
+    tau_correlation: Annotated[Any, quantity_field("1", below=1.0)] = None
+    force: Annotated[Any, quantity_field("N")] = None  # and so on: force/torque sensors
+    moment: Annotated[Any, quantity_field("N m")] = None
+    force_offset: Annotated[Any, quantity_field("N")] = None
+    moment_offset: Annotated[Any, quantity_field("N m")] = None
+    force_drift: Annotated[Any, quantity_field("N")] = None  # per second
+    moment_drift: Annotated[Any, quantity_field("N m")] = None  # per second
+    gain: Annotated[Any, quantity_field("%")] = None
+    crosstalk: Annotated[Any, quantity_field("%")] = None
+    mounting: Annotated[Any, quantity_field("rad")] = None
+    touch: Annotated[Any, quantity_field("N")] = None  # on the last body, for the middle third
 
 
 class Prior(Section):
@@ -152,14 +152,14 @@ def _filter(value: Any) -> str:
     text = str(value)
     if text == "default":  # of recordings
         return text
-    proved(lambda: filter_of(text))
+    checked(lambda: filter_of(text))
     return text
 
 
 def _payload(value: Any, info: ValidationInfo) -> Any:
     if not isinstance(value, (str, Mapping)):
         raise ValueError(f"a payload is a name or a table {{ mass = ... }}; got {value!r}.")
-    proved(lambda: context(info).names.payload(value))
+    checked(lambda: check_context(info).names.payload(value))
     return value
 
 
@@ -178,15 +178,15 @@ def _runs(value: Any) -> Any:
 def _contacts(value: Any) -> Any:
     if value != "detect":
         texts = [value] if isinstance(value, str) else list(value)
-        proved(lambda: [interval(text) for text in texts])
+        checked(lambda: [interval(text) for text in texts])
         return texts
     return value
 
 
 class Signals(Section):
     filter: Annotated[str, PlainValidator(_filter)] = "none"
-    derivatives: Annotated[str, word("way to differentiate", ("from q", "exact"))] = "exact"
-    torque: Annotated[str, word("way to take torque", ("filtered", "raw"))] = "filtered"
+    derivatives: Annotated[str, one_of("way to differentiate", ("from q", "exact"))] = "exact"
+    torque: Annotated[str, one_of("way to take torque", ("filtered", "raw"))] = "filtered"
     runs: Annotated[str, BeforeValidator(_runs)] = "B"  # A without, B with the payload
     contacts: Annotated[Any, PlainValidator(_contacts)] = None
     """Periods that are left out: "10 s to 25 s", a list of such, or "detect"."""
@@ -194,12 +194,13 @@ class Signals(Section):
 
 
 PriorChoice = Annotated[
-    Annotated[Prior, Tag("table")] | Annotated[str, word("prior", ("truth", "none")), Tag("word")],
-    Discriminator(kind_of),
+    Annotated[Prior, Tag("table")]
+    | Annotated[str, one_of("prior", ("truth", "none")), Tag("word")],
+    Discriminator(plugin_kind),
 ]
 Named = BeforeValidator(as_plugin)
 Sweep = BeforeValidator(items)
-ListSweep = BeforeValidator(lists)
+ListSweep = BeforeValidator(listed_keys)
 
 
 def _term(value: Any) -> Any:
@@ -221,7 +222,7 @@ def _motions(value: Any) -> Any:
 class Defaults(Section):
     """The sweeps: each key holds a tuple of values."""
 
-    task: Annotated[tuple[Annotated[str, word("task", TASKS)], ...], Sweep] = ("robot",)
+    task: Annotated[tuple[Annotated[str, one_of("task", TASKS)], ...], Sweep] = ("robot",)
     plant: Annotated[tuple[Annotated[Plant, Named], ...], Sweep] = Field(
         default=("matched",), validate_default=True
     )
@@ -237,7 +238,9 @@ class Defaults(Section):
     simulation: Annotated[tuple[Annotated[Simulation, Named], ...], Sweep] = Field(
         default=("inverse",), validate_default=True
     )
-    rate: Annotated[tuple[Annotated[Any, measured("Hz", positive=True)], ...], Sweep] = ("200 Hz",)
+    rate: Annotated[tuple[Annotated[Any, quantity_field("Hz", positive=True)], ...], Sweep] = (
+        "200 Hz",
+    )
     noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
     signals: Annotated[tuple[Signals, ...], Sweep] = (Signals(),)
 
@@ -245,15 +248,15 @@ class Defaults(Section):
 def _robot_name(value: Any, info: ValidationInfo) -> str:
     if not isinstance(value, str):
         raise ValueError(f"a robot is a name or a path; got {value!r}.")
-    proved(lambda: context(info).names.robot(value, context(info).folder))
+    checked(lambda: check_context(info).names.robot(value, check_context(info).folder))
     return value
 
 
 def _sensor(value: str | None, info: ValidationInfo) -> str | None:
-    names, folder = context(info).names, context(info).folder
+    names, folder = check_context(info).names, check_context(info).folder
     if value is not None:
         for source in info.data.get("use", ()):
-            proved(partial(names.sensor, source, folder, value))
+            checked(partial(names.sensor, source, folder, value))
     return value
 
 
@@ -266,13 +269,13 @@ class RobotEntry(Section):
 
 
 def _log(value: Any, info: ValidationInfo) -> Any:
-    from sysid_bench.signals.log_description import described_log
+    from sysid_bench.signals.log_description import log_description
 
     if not isinstance(value, (str, Mapping)):
         raise ValueError(f"a log is a file of its own, or a table with its keys; got {value!r}.")
-    if not context(info).names.frozen:  # a frozen suite was checked when it was planned
-        folder = context(info).folder
-        proved(lambda: described_log(value, folder or Path()))
+    if not check_context(info).names.frozen:  # a frozen suite was checked when it was planned
+        folder = check_context(info).folder
+        checked(lambda: log_description(value, folder or Path()))
     return value
 
 
@@ -295,16 +298,16 @@ class LogEntry(Section):
     robot: Annotated[Any, PlainValidator(_robot_name)]
     name: StrictStr | None = None
     train: Annotated[Logs, Sweep]
-    test: Annotated[Logs, BeforeValidator(items_or_none)] = ()
-    task: Annotated[str, word("task of recordings", ("robot", "payload"))] = "robot"
+    test: Annotated[Logs, BeforeValidator(optional_items)] = ()
+    task: Annotated[str, one_of("task of recordings", ("robot", "payload"))] = "robot"
     terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)  # None: the robot's own
     choose: Annotated[tuple[Candidates, ...], ListSweep] = ((),)
     filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
-    derivatives: Annotated[str, word("way to differentiate", ("from q", "from v"))] | None = None
+    derivatives: Annotated[str, one_of("way to differentiate", ("from q", "from v"))] | None = None
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
-    accept: tuple[Annotated[str, word("finding", FINDINGS)], ...] = ()
+    accept: tuple[Annotated[str, one_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False
-    true_mass: Annotated[Any, measured("kg", positive=True)] = None
+    true_mass: Annotated[Any, quantity_field("kg", positive=True)] = None
 
     @property
     def label(self) -> str:
@@ -320,23 +323,25 @@ class Exclude(Section):
 
 
 class Crosscheck(Section):
-    tolerance: Annotated[Any, measured("1", positive=True)] = 1e-12
-    on_fail: Annotated[str, word("answer to a failed cross-check", ("skip-robot", "continue"))] = (
-        "skip-robot"
-    )
+    tolerance: Annotated[Any, quantity_field("1", positive=True)] = 1e-12
+    on_fail: Annotated[
+        str, one_of("answer to a failed cross-check", ("skip-robot", "continue"))
+    ] = "skip-robot"
 
 
 class TableCells(Section):
-    metric: Annotated[str, word("metric", (*METRICS, VERDICT, COVERAGE, *REPEATED, *JOINT_METRICS))]
-    stat: Annotated[str, word("statistic", STATISTICS)] = "median"
-    interval: Annotated[str, word("interval", INTERVALS)] = "none"
+    metric: Annotated[
+        str, one_of("metric", (*METRICS, VERDICT, COVERAGE, *REPEATED, *JOINT_METRICS))
+    ]
+    stat: Annotated[str, one_of("statistic", STATISTICS)] = "median"
+    interval: Annotated[str, one_of("interval", INTERVALS)] = "none"
 
 
-Label = Annotated[str, word("label of a cell", (*LABELS, "repeat"))]
+Label = Annotated[str, one_of("label of a cell", (*LABELS, "repeat"))]
 Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
 
 
-Axis = Annotated[str, word("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM, JOINT))]
+Axis = Annotated[str, one_of("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM, JOINT))]
 
 
 class TableEntry(Section):
@@ -345,11 +350,11 @@ class TableEntry(Section):
     rows: tuple[Axis, ...] = ("robot", "payload")
     columns: tuple[Axis, ...] = ("estimator",)
     cells: TableCells
-    best: Annotated[str, word("way to mark the best", BESTS)] = "none"
+    best: Annotated[str, one_of("way to mark the best", BESTS)] = "none"
     select: RowCondition | None = None
 
     @model_validator(mode="after")
-    def verdicts_by_parameter(self) -> "TableEntry":
+    def _verdicts_by_parameter(self) -> "TableEntry":
         if (self.cells.metric == VERDICT) != (PARAMETER in (*self.rows, *self.columns)):
             raise ValueError(
                 f"the metric {VERDICT!r} and the label {PARAMETER!r} among rows or columns go "
@@ -364,7 +369,7 @@ class TableEntry(Section):
         return self
 
     @model_validator(mode="after")
-    def coverage_by_origin(self) -> "TableEntry":
+    def _coverage_by_origin(self) -> "TableEntry":
         if (self.cells.metric == COVERAGE) != (STD_FROM in (*self.rows, *self.columns)):
             raise ValueError(
                 f"the metric {COVERAGE!r} and the label {STD_FROM!r} among rows or columns go "
@@ -373,7 +378,7 @@ class TableEntry(Section):
         return self
 
     @model_validator(mode="after")
-    def repeats_together(self) -> "TableEntry":
+    def _repeats_together(self) -> "TableEntry":
         if self.cells.metric in REPEATED and (
             "repeat" in (*self.rows, *self.columns) or self.cells.interval not in ("none", "ci95")
         ):
@@ -389,7 +394,7 @@ class Paper(Section):
     values of a cell, `torques` measured and predicted along a test log."""
 
     name: Folder
-    show: Annotated[str, word("thing to show", ("model", "base-parameters", "torques"))]
+    show: Annotated[str, one_of("thing to show", ("model", "base-parameters", "torques"))]
     title: StrictStr = ""
     select: RowCondition | None = None  # the first cell that meets it
     test: StrictStr | None = None
@@ -400,14 +405,14 @@ class RankingEntry(Section):
 
     name: Folder
     title: StrictStr | None = None
-    metric: Annotated[str, word("metric to rank by", ERRORS)] = "torque_error"
+    metric: Annotated[str, one_of("metric to rank by", ERRORS)] = "torque_error"
     apart: tuple[Label, ...] = ()
     against: StrictStr | None = None  # the method that the others are tested against
     select: RowCondition | None = None
 
 
 class Worst(Section):
-    metric: Annotated[str, word("metric", METRICS)]
+    metric: Annotated[str, one_of("metric", METRICS)]
     count: StrictInt = Field(default=1, ge=1)
     per: Label | None = None
 
@@ -415,11 +420,11 @@ class Worst(Section):
 class Record(Section):
     when: RowCondition | None = None
     worst: Worst | None = None
-    max_hz: Annotated[Any, measured("Hz", positive=True)] = 50.0
+    max_hz: Annotated[Any, quantity_field("Hz", positive=True)] = 50.0
 
 
 class Run(Section):
-    timeout: Annotated[Any, measured("s", positive=True)] = "60 s"
+    timeout: Annotated[Any, quantity_field("s", positive=True)] = "60 s"
     threads: StrictInt = Field(default=1, ge=1)
     repeats: StrictInt = Field(default=1, ge=1)
 
@@ -444,7 +449,7 @@ class Suite(Section):
     defaults: Defaults = Field(default={}, validate_default=True)  # type: ignore[assignment]
     robot: tuple[RobotEntry, ...] = ()
     log: tuple[LogEntry, ...] = ()
-    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(some)]
+    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(nonempty)]
     exclude: tuple[Exclude, ...] = ()
     crosscheck: Crosscheck = Crosscheck()
     table: tuple[TableEntry, ...] = ()
@@ -453,7 +458,7 @@ class Suite(Section):
     record: Record | None = None
 
     @model_validator(mode="after")
-    def about_something(self) -> "Suite":
+    def _not_empty(self) -> "Suite":
         if not self.robot and not self.log:
             raise ValueError(
                 "robot: this key is missing, and so is log; a suite needs at least one [[robot]] "

@@ -54,7 +54,7 @@ def no_names() -> Names:
     return Names(_unseen_robot, _unseen_payload, _unseen_plugin, frozen=True)
 
 
-def complaint(error: BaseException) -> str:
+def name_error(error: BaseException) -> str:
     """What to tell about a name that failed: our own errors speak for themselves."""
     if isinstance(error, SysidBenchError):
         return str(error)

@@ -17,7 +17,7 @@ _STRINGS = (
 _SCALAR = re.compile(r"[^,\]}\n#]*")
 
 
-def line_of(lines: Mapping[Key, int], key: Key) -> int | None:
+def toml_line(lines: Mapping[Key, int], key: Key) -> int | None:
     """The line of `key`, or of the nearest thing around it; None where even that is absent."""
     for end in range(len(key), 0, -1):
         if key[:end] in lines:

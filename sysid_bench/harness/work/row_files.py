@@ -93,7 +93,7 @@ def read_rows(folder: Path) -> StoredRows:
     return StoredRows(rows, torn, tuple(garbled))
 
 
-def ids_in(path: Path) -> set[str]:
+def stored_ids(path: Path) -> set[str]:
     """The ids of the whole rows of one file."""
     rows = (_row(line) for _, line, _ in _lines(path))
     return {row["id"] for row in rows if row is not None}

@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Any, Literal
 
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
-from sysid_bench.harness.work.worker_handle import Inbox, Task, Worker, Workplace
+from sysid_bench.harness.work.worker_handle import Inbox, Task, Worker, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.vocabulary import FAILURES
 
@@ -30,7 +30,7 @@ _PULSE = 0.5  # s; how soon a death is seen whose pipe a grandchild keeps open
 
 def supervise(
     tasks: Sequence[Task],
-    place: Workplace,
+    place: WorkerSettings,
     jobs: int,
     fail_fast: bool = False,
     on_event: OnEvent | None = None,
@@ -53,7 +53,7 @@ def supervise(
 @dataclass(eq=False)
 class _Supervision:
     tasks: Sequence[Task]
-    place: Workplace
+    place: WorkerSettings
     jobs: int
     fail_fast: bool
     on_event: OnEvent
@@ -74,7 +74,7 @@ class _Supervision:
             if self.fail_fast and self.failures:
                 return "stopped"
         for worker in self.workers:
-            worker.dismiss()
+            worker.stop()
         self.workers.clear()
         return "finished"
 
@@ -93,7 +93,7 @@ class _Supervision:
                     return
                 worker = self._hire()
             task = self.waiting.popleft()
-            worker.give(task)
+            worker.send_task(task)
             self.on_event("start", {"worker": worker.name, "cells": list(worker.owed)})
 
     def _hire(self) -> Worker:
@@ -143,8 +143,8 @@ class _Supervision:
 
     def _bury(self, worker: Worker) -> None:
         worker.kill()
-        words = worker.last_words()
-        reason = worker.death() + (f"; its last words: {words}" if words else "")
+        words = worker.stderr_tail()
+        reason = worker.exit_reason() + (f"; its last words: {words}" if words else "")
         self._settle(worker, "crash", reason)
         self.workers.remove(worker)
 
@@ -157,7 +157,7 @@ class _Supervision:
         for cell in worker.owed.values():
             self._write({**cell, "status": status, "reason": reason, **(more or {})})
         cells = [cell["id"] for cell in worker.task.cells]
-        worker.rest()
+        worker.seconds_left()
         self.on_event("task", {"worker": worker.name, "cells": cells})
 
     def _write(self, row: Row) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.harness.work.row_files import ids_in, new_row_file
+from sysid_bench.harness.work.row_files import new_row_file, stored_ids
 from sysid_bench.types import Row
 
 Inbox = queue.SimpleQueue[tuple["Worker", dict[str, Any] | None]]
@@ -35,7 +35,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Workplace:
+class WorkerSettings:
     """What all workers of a run share. `keep_open` is inherited: the lock of the run folder."""
 
     folder: Path
@@ -50,7 +50,7 @@ class Worker:
     deaf worker can hold the supervisor."""
 
     name: str
-    place: Workplace
+    place: WorkerSettings
     inbox: Inbox
     task: Task | None = None
     owed: dict[str, Row] = field(default_factory=dict)
@@ -80,7 +80,7 @@ class Worker:
         path = [entry or os.getcwd() for entry in sys.path]
         self._outbox.put({"parent": os.getpid(), "path": path, "rows": str(self.rows_file)})
 
-    def give(self, task: Task) -> None:
+    def send_task(self, task: Task) -> None:
         """Hands over a task; its time runs from now, and again once its module is imported."""
         self.task = task
         self.owed = {cell["id"]: cell for cell in task.cells}
@@ -93,7 +93,7 @@ class Worker:
         """Start-up and computing have the whole limit each."""
         self.deadline = time.monotonic() + self.place.timeout
 
-    def rest(self) -> None:
+    def seconds_left(self) -> None:
         """The task is over."""
         self.task, self.owed, self.deadline = None, {}, float("inf")
 
@@ -108,17 +108,17 @@ class Worker:
         if not any(thread.is_alive() for thread in self._threads):
             self._close_pipes()
         if self.owed:
-            for done in ids_in(self.rows_file):
+            for done in stored_ids(self.rows_file):
                 self.owed.pop(done, None)
 
-    def dismiss(self) -> None:
+    def stop(self) -> None:
         """Lets an idle worker store its rows and go; a deaf one is killed."""
         self._outbox.put(None)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(timeout=5.0)
         self.kill()
 
-    def last_words(self) -> str:
+    def stderr_tail(self) -> str:
         """The fatal error in the log since the task began, or else its last line."""
         with self.log_file.open("rb") as log:
             size = log.seek(0, os.SEEK_END)
@@ -128,7 +128,7 @@ class Worker:
         fatal = [line for line in said if line.startswith("Fatal Python error")]
         return (fatal or said[-1:] or [""])[0][:300]
 
-    def death(self) -> str:
+    def exit_reason(self) -> str:
         """How the process ended: "killed by SIGSEGV" or "exit code 3"."""
         code = self.process.returncode
         if code >= 0:

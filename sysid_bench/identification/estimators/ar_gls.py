@@ -7,9 +7,9 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.normal_qr import compress
-from sysid_bench.identification.linear.residuals import at_rest, beside, residuals, step
-from sysid_bench.identification.linear.weights import floored, weighted_fit
+from sysid_bench.identification.linear.normal_qr import stacked_factor
+from sysid_bench.identification.linear.residuals import at_rest, outlier_weights, residuals, step
+from sysid_bench.identification.linear.weights import weighted_fit, with_floor
 from sysid_bench.types import Array, Estimate, Problem
 
 
@@ -40,8 +40,8 @@ class ARGLS:
             residual = residuals(problem, beta)
             taps = np.array([whitening_taps(column, self.order) for column in residual.T])
             white = _filtered(residual, taps)
-            sigma = floored(problem, np.sqrt((white**2).sum(axis=0) / freedom))
-            R = compress(problem, (1.0 / sigma).tolist())[:-1, :-1]
+            sigma = with_floor(problem, np.sqrt((white**2).sum(axis=0) / freedom))
+            R = stacked_factor(problem, (1.0 / sigma).tolist())[:-1, :-1]
             change, spread = step(R, _whitened(problem, residual, taps / sigma[:, None]))
             beta = beta + change
             if at_rest(R, change, beta):
@@ -66,7 +66,7 @@ def _whitened(problem: Problem, residual: Array, taps: Array) -> Iterator[tuple[
     """Rows and residuals filtered in time, block after block; `order` samples are lost."""
     order = taps.shape[1] - 1
     past = np.zeros((0, *(len(problem.rows), problem.base.rank))), residual[:0]
-    for Y, rest in beside(problem, residual):
+    for Y, rest in outlier_weights(problem, residual):
         Y, rest = np.concatenate([past[0], Y]), np.concatenate([past[1], rest])
         if len(Y) > order:
             yield _filtered(Y, taps[..., None]), _filtered(rest, taps)

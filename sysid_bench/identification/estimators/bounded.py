@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, fit
 from sysid_bench.identification.feasibility.required_prior import start_of
-from sysid_bench.identification.linear.normal_qr import compress, require_excited
+from sysid_bench.identification.linear.normal_qr import require_excited, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 
@@ -26,8 +26,8 @@ class Bounded:
     def solve(self, problem: Problem) -> Estimate:
         """The estimate; raises EstimationError where the motion does not excite every direction, or
         where Clarabel does not solve it."""
-        require_excited(compress(problem))
-        of = physical_of(problem)
+        require_excited(stacked_factor(problem))
+        of = feasible_set_of(problem)
         found = fit(
             of, problem, Limits(None, (self.mass[0], self.mass[1])), start_of(of, problem.prior)
         )

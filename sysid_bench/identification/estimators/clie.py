@@ -2,7 +2,11 @@
 
 from dataclasses import dataclass
 
-from sysid_bench.identification.simulation_based.gauss_newton import Descent, rows_of, simulating
+from sysid_bench.identification.simulation_based.gauss_newton import (
+    GaussNewton,
+    requires_controller,
+    rows_of,
+)
 from sysid_bench.identification.simulation_based.output_error import OutputError
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 
@@ -21,8 +25,10 @@ class CLIE:
 
     def fit(self, experiment: Experiment) -> Estimate:
         """The estimate; raises EstimationError where the iteration does not settle."""
-        room, start = simulating(experiment)
-        return Descent(self.iterations).run(OutputError(experiment, room, _torques), room, start)
+        room, start = requires_controller(experiment)
+        return GaussNewton(self.iterations).run(
+            OutputError(experiment, room, _torques), room, start
+        )
 
 
 def _torques(experiment: Experiment, recording: Recording) -> Array:

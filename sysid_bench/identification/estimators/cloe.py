@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass
 
-from sysid_bench.identification.simulation_based.gauss_newton import Descent, simulating
+from sysid_bench.identification.simulation_based.gauss_newton import (
+    GaussNewton,
+    requires_controller,
+)
 from sysid_bench.identification.simulation_based.output_error import OutputError
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 
@@ -21,8 +24,10 @@ class CLOE:
 
     def fit(self, experiment: Experiment) -> Estimate:
         """The estimate; raises EstimationError where the iteration does not settle."""
-        room, start = simulating(experiment)
-        return Descent(self.iterations).run(OutputError(experiment, room, _positions), room, start)
+        room, start = requires_controller(experiment)
+        return GaussNewton(self.iterations).run(
+            OutputError(experiment, room, _positions), room, start
+        )
 
 
 def _positions(experiment: Experiment, recording: Recording) -> Array:

@@ -6,12 +6,12 @@ from functools import cached_property
 import numpy as np
 
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    Descent,
-    Trial,
-    along,
+    Candidate,
+    GaussNewton,
     floor_of,
+    regressor_along,
+    requires_controller,
     rows_of,
-    simulating,
 )
 from sysid_bench.types import Array, Estimate, Experiment
 
@@ -32,8 +32,8 @@ class DIDIM:
 
     def fit(self, experiment: Experiment) -> Estimate:
         """The estimate; raises EstimationError where the iteration does not settle."""
-        room, start = simulating(experiment)
-        return Descent(self.iterations).run(Torques(experiment), room, start)
+        room, start = requires_controller(experiment)
+        return GaussNewton(self.iterations).run(Torques(experiment), room, start)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +53,13 @@ class Torques:
         """Rounding of the torques (rows,)."""
         return np.asarray(floor_of(self.measured))
 
-    def attempt(self, theta: Array) -> Trial:
+    def evaluate(self, theta: Array) -> Candidate:
         """One simulation."""
         simulated = self.experiment.simulate(theta)
         error = self.measured - rows_of(self.experiment, simulated.tau)
-        return Trial(theta, self.experiment.problem.base.K @ theta, error, simulated)
+        return Candidate(theta, self.experiment.problem.base.K @ theta, error, simulated)
 
-    def slope(self, trial: Trial) -> Array:
+    def jacobian(self, trial: Candidate) -> Array:
         """W (N, rows, r) along the simulated motion."""
         assert trial.recording is not None
-        return along(self.experiment, trial.recording.motion)
+        return regressor_along(self.experiment, trial.recording.motion)

@@ -7,10 +7,10 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.identification.linear.normal_qr import solve
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    along,
+    accumulated_factor,
     covariance,
     floor_of,
-    folded,
+    regressor_along,
     rows_of,
     sigmas,
 )
@@ -36,12 +36,12 @@ class Difference:
                 "The difference needs the same motion without the payload: ask for it with "
                 'signals = { runs = "AB" }, or "ABBA", and the task "payload".'
             )
-        W = _mean([along(experiment, one.motion) for one in loaded])
+        W = _mean([regressor_along(experiment, one.motion) for one in loaded])
         b = _mean([_left(experiment, one) for one in loaded])
         b = b - _mean([_left(experiment, one) for one in bare])
         sigma = np.ones(b.shape[1])
         for _ in range(2):
-            R = folded(W / sigma[:, None], b / sigma)
+            R = accumulated_factor(W / sigma[:, None], b / sigma)
             beta = solve(R)
             sigma = sigmas(b - W @ beta, floor_of(b))
         return Estimate(beta, covariance=covariance(R))

@@ -5,7 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.simulation_based.filters import Belief, JointFilter, joint_filter
+from sysid_bench.identification.simulation_based.filters import (
+    FilterState,
+    JointFilter,
+    joint_filter,
+)
 from sysid_bench.identification.simulation_based.forward_dynamics import differences
 from sysid_bench.types import Array, Estimate, Experiment
 
@@ -26,20 +30,20 @@ class EKF:
     def fit(self, experiment: Experiment) -> Estimate:
         """The estimate after the last sample; raises EstimationError where it runs away."""
         model = joint_filter(experiment, "The EKF", self.substeps)
-        start = belief = model.measured(model.begin(), 0)
+        start = belief = model.measured(model.start(), 0)
         for k in range(len(model.q) - 1):
             belief = model.measured(_predicted(model, belief, k), k + 1)
-        return model.answer(belief, start)
+        return model.result(belief, start)
 
 
-def _predicted(model: JointFilter, belief: Belief, k: int) -> Belief:
+def _predicted(model: JointFilter, belief: FilterState, k: int) -> FilterState:
     sizes = _sizes(belief)
     F = differences(lambda states: model.step(states, k), belief.mean, sizes)
     mean = model.step(belief.mean[None], k)[0]
-    P = F @ belief.covariance @ F.T + model.disturbed(belief.mean)
-    return Belief(mean, 0.5 * (P + P.T))
+    P = F @ belief.covariance @ F.T + model.process_noise(belief.mean)
+    return FilterState(mean, 0.5 * (P + P.T))
 
 
-def _sizes(belief: Belief) -> Array:
+def _sizes(belief: FilterState) -> Array:
     """Steps (k,) of the differences: a hundredth of what is uncertain, above rounding."""
     return np.maximum(1e-2 * np.sqrt(np.diag(belief.covariance)), 1e-7 * np.abs(belief.mean) + 1e-9)

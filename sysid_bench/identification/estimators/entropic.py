@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sysid_bench.identification.feasibility.bregman import divergence, newton
-from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.required_prior import (
-    existing,
+    feasible_point,
     required_prior,
     spread_of,
 )
@@ -29,14 +29,14 @@ class Entropic:
     def solve(self, problem: Problem) -> Estimate:
         """The estimate, for motions too that do not excite every direction; raises EstimationError
         without a prior, or where Newton's method does not come to rest."""
-        of, prior = physical_of(problem), required_prior(problem)
+        of, prior = feasible_set_of(problem), required_prior(problem)
         std = spread_of(of, prior)
-        x0 = existing(of, prior.theta / of.scale, std)
+        x0 = feasible_point(of, prior.theta / of.scale, std)
         at = weighted_coordinates(of, problem, x0)
         x, iterations, decrement = newton(divergence(of, x0, std), at, self.weight, at.y(x0))
         stats = {
             "iterations": float(iterations),
             "decrement": decrement,
-            "roundness": float(of.roundness(x).min(initial=0.25)),
+            "roundness": float(of.regularity(x).min(initial=0.25)),
         }
         return Estimate(theta=of.scale * x, stats=stats)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_bench.identification.linear.m_estimation import Loss, answer, m_estimate
+from sysid_bench.identification.linear.m_estimation import Loss, m_estimate, m_estimate_result
 from sysid_bench.identification.linear.weights import weighted_fit
 from sysid_bench.types import Array, Estimate, Problem
 
@@ -25,7 +25,7 @@ class Huber:
         the weights do not come to rest."""
         start, _, _ = weighted_fit(problem)
         loss = huber_loss(self.cut)
-        return answer(problem, loss, m_estimate(problem, loss, start, self.iterations))
+        return m_estimate_result(problem, loss, m_estimate(problem, loss, start, self.iterations))
 
 
 def huber_loss(cut: float) -> Loss:

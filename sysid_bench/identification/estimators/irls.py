@@ -8,8 +8,8 @@ from scipy.special import chdtr, chdtri
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.m_estimation import robust_scales
-from sysid_bench.identification.linear.residuals import at_rest, beside, residuals, step
-from sysid_bench.identification.linear.weights import floored, weighted_fit
+from sysid_bench.identification.linear.residuals import at_rest, outlier_weights, residuals, step
+from sysid_bench.identification.linear.weights import weighted_fit, with_floor
 from sysid_bench.types import Array, Estimate, Problem
 
 SETTLED = 10
@@ -45,7 +45,7 @@ class IRLS:
             whiten = _whitening(problem, felt, residual * counted[:, None] / np.sqrt(share))
             blocks = (
                 ((whiten @ Y[:, felt]) * kept[:, None, None], rest * kept[:, None])
-                for Y, rest, kept in beside(problem, residual @ whiten.T, counted)
+                for Y, rest, kept in outlier_weights(problem, residual @ whiten.T, counted)
             )
             change, spread = step(R, blocks)
             beta = beta + change
@@ -65,7 +65,7 @@ def _whitening(problem: Problem, felt: Array, residual: Array) -> Array:
     """
     acting = np.array([len(factor.columns) for factor in problem.factors])[felt]
     freedom = np.maximum(np.count_nonzero(residual.any(axis=1)) - acting, 1.0)
-    floor = floored(problem, np.zeros(len(problem.factors)))[felt]
+    floor = with_floor(problem, np.zeros(len(problem.factors)))[felt]
     deviations = np.sqrt((residual**2).sum(axis=0) / freedom + floor**2)
     scaled = residual / np.sqrt(freedom) / deviations
     values, axes = np.linalg.eigh(scaled.T @ scaled + np.diag((floor / deviations) ** 2))

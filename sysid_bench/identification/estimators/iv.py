@@ -5,19 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError
-from sysid_bench.identification.feasibility.simulatable import Possible
+from sysid_bench.identification.feasibility.simulatable import SimulatableSet
 from sysid_bench.identification.simulation_based.gauss_newton import (
     FLAT,
     HALVINGS,
     SETTLED,
-    along,
-    at,
     floor_of,
-    length,
+    has_converged,
     places_of,
-    settled,
+    regressor_along,
+    requires_controller,
+    sample_at,
     sigmas,
-    simulating,
+    step_length,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Recording, Trajectory
 
@@ -44,31 +44,32 @@ class IV:
 
     def fit(self, experiment: Experiment) -> Estimate:
         """The estimate; raises EstimationError where the iteration does not settle."""
-        room, theta = simulating(experiment)
+        room, theta = requires_controller(experiment)
         W, b = _measured(experiment)
         floor = floor_of(b)
         sigma = sigmas(b, floor)
         simulated = experiment.simulate(theta)
         share, before = 1.0, np.inf
         for count in range(1, self.iterations + 1):
-            Z = along(experiment, _same_times(simulated, experiment))
+            Z = regressor_along(experiment, _same_times(simulated, experiment))
             for _ in range(2):  # with the residual's own size per joint
                 beta, R, Q_W = _solution(Z, W, b, sigma)
                 sigma = sigmas(b - W @ beta, floor)
             goal = _goal(room, theta, beta, R)
             moved = room.problem.base.K @ (goal - theta)
-            if settled(R, moved, beta, SETTLED if count < 0.5 * self.iterations else FLAT):
+            if has_converged(R, moved, beta, SETTLED if count < 0.5 * self.iterations else FLAT):
                 inverse = np.linalg.inv(Q_W)
                 return Estimate(
                     beta, covariance=inverse @ inverse.T, stats={"iterations": float(count)}
                 )
-            if length(R, moved) > SHRINKS * before:  # it goes to and fro
+            if step_length(R, moved) > SHRINKS * before:  # it goes to and fro
                 share *= 0.5
-            before = length(R, moved)
+            before = step_length(R, moved)
             theta, simulated = _towards(theta + share * (goal - theta), theta, experiment)
         raise EstimationError(
             f"{self.iterations} iterations did not settle: the last moved the simulated base "
-            f"parameters by {length(R, moved):.3g} standard deviations; the noise is too large."
+            f"parameters by {step_length(R, moved):.3g} standard deviations; the noise is too "
+            "large."
         )
 
 
@@ -80,7 +81,7 @@ def _measured(experiment: Experiment) -> tuple[Array, Array]:
 
 def _same_times(simulated: Recording, experiment: Experiment) -> Trajectory:
     """The simulated motion at the samples that filtering left."""
-    return at(simulated.motion, places_of(experiment.recording.t, simulated.t))
+    return sample_at(simulated.motion, places_of(experiment.recording.t, simulated.t))
 
 
 def _solution(Z: Array, W: Array, b: Array, sigma: Array) -> tuple[Array, Array, Array]:
@@ -98,8 +99,8 @@ def _solution(Z: Array, W: Array, b: Array, sigma: Array) -> tuple[Array, Array,
     return np.linalg.solve(Q_W, Q.T @ (b / sigma).ravel()), R, Q_W
 
 
-def _goal(room: Possible, theta: Array, beta: Array, R: Array) -> Array:
-    exact = room.exact(theta, beta)
+def _goal(room: SimulatableSet, theta: Array, beta: Array, R: Array) -> Array:
+    exact = room.project_exact(theta, beta)
     return exact if exact is not theta else room.nearest(beta, R)
 
 

@@ -7,13 +7,13 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.feasibility.required_prior import required_prior
 from sysid_bench.identification.linear.normal_qr import (
-    compress,
     inverse_of,
     require_excited,
-    triangular,
+    solve_upper,
+    stacked_factor,
 )
-from sysid_bench.identification.linear.recursive_qr import updated, upper
-from sysid_bench.identification.linear.weights import own_sigmas
+from sysid_bench.identification.linear.recursive_qr import rank_update, upper_factor
+from sysid_bench.identification.linear.weights import row_sigmas
 from sysid_bench.types import Array, Estimate, Problem
 
 
@@ -36,22 +36,22 @@ class Kalman:
         where there is a drift and no prior to scale it."""
         if self.drift < 0 or self.hold < 1:
             raise UsageError(f"{self} is no filter: drift is 0 or more, hold at least 1.")
-        require_excited(compress(problem))
-        sigma, r = own_sigmas(problem), problem.base.rank
+        require_excited(stacked_factor(problem))
+        sigma, r = row_sigmas(problem), problem.base.rank
         walk = self._walk(problem) if self.drift > 0 else None
         R = np.zeros((r + 1, r + 1))
         for Y, b in problem.blocks():
             for start in range(0, len(b), self.hold):
                 part = slice(start, start + self.hold)
-                R = updated(R if walk is None else _walked(R, walk), Y[part], b[part], sigma)
+                R = rank_update(R if walk is None else _walked(R, walk), Y[part], b[part], sigma)
         inverse = inverse_of(R)
-        return Estimate(triangular(R), covariance=inverse @ inverse.T)
+        return Estimate(solve_upper(R), covariance=inverse @ inverse.T)
 
     def _walk(self, problem: Problem) -> Array:
         """S (r, r) with S S' the covariance of one step of the walk."""
         steps = max(problem.samples / self.hold, 1.0)
         spread = problem.base.K * required_prior(problem).std
-        return np.asarray(upper(spread.T).T) * self.drift / np.sqrt(steps)
+        return np.asarray(upper_factor(spread.T).T) * self.drift / np.sqrt(steps)
 
 
 def _walked(R: Array, walk: Array) -> Array:
@@ -61,4 +61,4 @@ def _walked(R: Array, walk: Array) -> Array:
     known = np.vstack(
         [np.hstack([np.eye(r), np.zeros((r, r + 1))]), np.hstack([-R[:, :r] @ walk, R])]
     )
-    return upper(known)[r:, r:]
+    return upper_factor(known)[r:, r:]

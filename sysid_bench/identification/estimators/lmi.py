@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
 from sysid_bench.identification.feasibility.required_prior import start_of
 from sysid_bench.types import Estimate, Problem
@@ -29,6 +29,6 @@ class LMI:
     def solve(self, problem: Problem) -> Estimate:
         """The estimate, for motions too that do not excite every direction; raises EstimationError
         where Clarabel does not solve it."""
-        of = physical_of(problem)
+        of = feasible_set_of(problem)
         limits = Limits(self.margin, (self.mass[0], self.mass[1]), self.com)
         return estimate_of(of, fit(of, problem, limits, start_of(of, problem.prior)))

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
 from sysid_bench.identification.feasibility.required_prior import required_prior, spread_of
 from sysid_bench.types import Estimate, Problem
@@ -24,6 +24,6 @@ class LMIEuclidean:
     def solve(self, problem: Problem) -> Estimate:
         """The estimate, for motions too that do not excite every direction; raises EstimationError
         without a prior, or where Clarabel does not solve it."""
-        of, prior = physical_of(problem), required_prior(problem)
+        of, prior = feasible_set_of(problem), required_prior(problem)
         pull = self.weight * np.diag(1 / spread_of(of, prior) ** 2)
         return estimate_of(of, fit(of, problem, Limits(self.margin), prior.theta / of.scale, pull))

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from sysid_bench.identification.feasibility.bregman import divergence
-from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, estimate_of, fit
 from sysid_bench.identification.feasibility.required_prior import (
-    existing,
+    feasible_point,
     required_prior,
     spread_of,
 )
@@ -28,8 +28,8 @@ class LMIPullback:
     def solve(self, problem: Problem) -> Estimate:
         """The estimate, for motions too that do not excite every direction; raises EstimationError
         without a prior, or where Clarabel does not solve it."""
-        of, prior = physical_of(problem), required_prior(problem)
+        of, prior = feasible_set_of(problem), required_prior(problem)
         std = spread_of(of, prior)
-        x0 = existing(of, prior.theta / of.scale, std)
+        x0 = feasible_point(of, prior.theta / of.scale, std)
         metric = divergence(of, x0, std).metric
         return estimate_of(of, fit(of, problem, Limits(self.margin), x0, self.weight * metric))

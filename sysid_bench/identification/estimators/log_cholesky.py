@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates, damped_newton
-from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.required_prior import (
-    existing,
+    feasible_point,
     required_prior,
     spread_of,
 )
@@ -37,8 +37,8 @@ class LogCholesky:
     def solve(self, problem: Problem) -> Estimate:
         """The estimate, for motions too that do not excite every direction; raises EstimationError
         without a prior, or where the iteration does not come to rest."""
-        of, prior = physical_of(problem), required_prior(problem)
-        x0 = existing(of, prior.theta / of.scale, spread_of(of, prior))
+        of, prior = feasible_set_of(problem), required_prior(problem)
+        x0 = feasible_point(of, prior.theta / of.scale, spread_of(of, prior))
         at, rows = coordinates(of, x0), weighted_coordinates(of, problem, x0)
         inverse = np.linalg.inv(rows.T)[: rows.rank]
         eta, total = at.eta0, 0
@@ -54,6 +54,6 @@ class LogCholesky:
         stats = {
             "iterations": float(total),
             "decrement": decrement,
-            "roundness": float(of.roundness(at.x(eta)).min(initial=0.25)),
+            "roundness": float(of.regularity(at.x(eta)).min(initial=0.25)),
         }
         return Estimate(theta=of.scale * at.x(eta), stats=stats)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import pinv
 
-from sysid_bench.identification.linear.normal_qr import compress, residual_norms
+from sysid_bench.identification.linear.normal_qr import residual_norms, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 
@@ -24,7 +24,7 @@ class MinNorm:
     def solve(self, problem: Problem) -> Estimate:
         """The estimate; with a rank-deficient Y too, which it does not complain about."""
         base = problem.base
-        R = compress(problem)
+        R = stacked_factor(problem)
         # Y = W K and R is the factor of [W | tau]: R K has the singular values of Y.
         inverse = pinv(R[:-1, :-1] @ base.K, rtol=self.rcond)
         theta = inverse @ R[:-1, -1]

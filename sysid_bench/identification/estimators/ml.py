@@ -9,15 +9,15 @@ from scipy.sparse import bsr_array, csr_array, diags_array, eye_array, kron
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.noise_level import white_noise
-from sysid_bench.identification.linear.normal_qr import compress, solve
+from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.simulation_based.forward_dynamics import scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    along,
+    accumulated_factor,
     covariance,
-    folded,
-    length,
+    has_converged,
+    regressor_along,
     rows_of,
-    settled,
+    step_length,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
@@ -49,14 +49,14 @@ class ML:
         """The estimate; raises EstimationError where the iteration does not settle."""
         scalar_joints(experiment, "Maximum likelihood")
         data = _Data(experiment, _differences(experiment))
-        beta, q = solve(compress(experiment.problem)), data.q
+        beta, q = solve(stacked_factor(experiment.problem)), data.q
         sigma = _torque_noise(data, beta, q)
         share, before = 1.0, np.inf
         for count in range(1, self.iterations + 1):
             line = data.line(beta, q)
             R, step, q_new, rest = line.solved(sigma)
-            size = length(R, step)
-            if settled(R, step, beta):
+            size = step_length(R, step)
+            if has_converged(R, step, beta):
                 return Estimate(
                     beta + step, covariance=covariance(R), stats={"iterations": float(count)}
                 )
@@ -99,7 +99,7 @@ class _Data:
         """The torques of beta along a motion, and how they hang on both."""
         experiment, motion = self.experiment, self.motion(q)
         inner = slice(1, len(q) - 1)  # the ends have no differences
-        W = along(experiment, motion)[inner]
+        W = regressor_along(experiment, motion)[inner]
         model = W @ beta + experiment.known(motion)[inner]
         tau = rows_of(experiment, experiment.raw.tau)
         exact = experiment.raw.v is not None
@@ -127,7 +127,9 @@ class _Data:
             moved = [x.copy() for x in arrays]
             moved[which][:, j] += sign * size
             there = Trajectory(motion.t, moved[0], moved[1], moved[2])
-            sides.append(along(self.experiment, there) @ beta + self.experiment.known(there))
+            sides.append(
+                regressor_along(self.experiment, there) @ beta + self.experiment.known(there)
+            )
         slope = (sides[0] - sides[1]) / (2 * size)
         if which == 1:  # friction's step at standstill is no slope
             slope[np.abs(motion.v[:, j]) <= size] = 0.0
@@ -159,7 +161,7 @@ class _Line:
         L = _banded_root(C.tocsr(), 3 * self.rows)
         e = self.error - self.A @ self.away
         white = _whiten(L, np.column_stack([self.W.reshape(-1, r), e]))
-        R = folded(white[:, None, :r], white[:, r:])
+        R = accumulated_factor(white[:, None, :r], white[:, r:])
         step = solve(R)
         rest = e - self.W.reshape(-1, r) @ step
         found = _whiten(L, _whiten(L, rest[:, None]), transposed=True)[:, 0]

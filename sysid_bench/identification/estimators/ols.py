@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sysid_bench.identification.linear.normal_qr import compress, residual_norms, solve
+from sysid_bench.identification.linear.normal_qr import residual_norms, solve, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 
@@ -19,7 +19,7 @@ class OLS:
 
     def solve(self, problem: Problem) -> Estimate:
         """The estimate; raises EstimationError where the motion does not excite every direction."""
-        R = compress(problem)
+        R = stacked_factor(problem)
         r = problem.base.rank
         beta = solve(R)
         freedom = sum(factor.samples for factor in problem.factors if len(factor.columns)) - r

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.feasibility.completion import completed
-from sysid_bench.identification.feasibility.feasible_set import physical_of
+from sysid_bench.identification.feasibility.completion import complete
+from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.required_prior import required_prior
 from sysid_bench.types import Estimate, Problem
 
@@ -25,7 +25,7 @@ class Reconstruction:
         every direction, or where no body can have these base parameters."""
         prior, fit = required_prior(problem), WLS().solve(problem)
         assert fit.beta is not None
-        of = physical_of(problem)
-        theta = completed(of, problem.base, fit.beta, prior, self.distance)
-        roundness = float(of.roundness(theta / of.scale).min(initial=0.25))
+        of = feasible_set_of(problem)
+        theta = complete(of, problem.base, fit.beta, prior, self.distance)
+        roundness = float(of.regularity(theta / of.scale).min(initial=0.25))
         return replace(fit, theta=theta, stats={"roundness": roundness})

@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.linear.normal_qr import compress, require_excited
-from sysid_bench.identification.linear.weights import own_sigmas
+from sysid_bench.identification.linear.normal_qr import require_excited, stacked_factor
+from sysid_bench.identification.linear.weights import row_sigmas
 from sysid_bench.types import Estimate, Problem
 
 
@@ -34,14 +34,14 @@ class Ridge:
             raise UsageError(
                 f"The ridge's weight is {self.weight}; it has to be positive, or none."
             )
-        R = compress(problem, (1.0 / own_sigmas(problem)).tolist())
+        R = stacked_factor(problem, (1.0 / row_sigmas(problem)).tolist())
         norms = np.linalg.norm(R[:, :-1], axis=0)
         norms = np.where(norms > 0, norms, 1.0)
         U, values, Vt = np.linalg.svd(R[:, :-1] / norms, full_matrices=False)
         told = U.T @ R[:, -1]
         weight = self.weight
         if weight is None:
-            require_excited(compress(problem))
+            require_excited(stacked_factor(problem))
             weight = problem.base.rank / max(float(np.sum((told / values) ** 2)), 1e-300)
         gains = values / (values**2 + weight)
         spread = Vt.T * gains / norms[:, None]

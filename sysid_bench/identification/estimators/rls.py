@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.linear.normal_qr import inverse_of, require_excited, triangular
-from sysid_bench.identification.linear.recursive_qr import folded
-from sysid_bench.identification.linear.weights import own_sigmas
+from sysid_bench.identification.linear.normal_qr import inverse_of, require_excited, solve_upper
+from sysid_bench.identification.linear.recursive_qr import update
+from sysid_bench.identification.linear.weights import row_sigmas
 from sysid_bench.types import Estimate, Problem
 
 
@@ -29,12 +29,12 @@ class RLS:
         every direction."""
         if not 0 < self.forgetting <= 1:
             raise UsageError(f"Forgetting is {self.forgetting}; it lies above 0 and up to 1.")
-        sigma = own_sigmas(problem)
-        R = folded(problem, sigma, self.forgetting)
+        sigma = row_sigmas(problem)
+        R = update(problem, sigma, self.forgetting)
         require_excited(R * np.append(np.ones(problem.base.rank), 0.0))
         inverse = inverse_of(R)
         # Weights g^(N - k) make the covariance H^-1 H2 H^-1, H2 with the weights squared.
-        squared = folded(problem, sigma, self.forgetting**2)[:-1, :-1]
+        squared = update(problem, sigma, self.forgetting**2)[:-1, :-1]
         spread = inverse @ inverse.T @ squared.T
         memory = float(np.sum(self.forgetting ** np.arange(problem.samples)))
-        return Estimate(triangular(R), covariance=spread @ spread.T, stats={"memory": memory})
+        return Estimate(solve_upper(R), covariance=spread @ spread.T, stats={"memory": memory})

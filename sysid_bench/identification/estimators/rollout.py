@@ -7,10 +7,14 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.feasibility.simulatable import Possible, possible
-from sysid_bench.identification.linear.normal_qr import compress, solve
-from sysid_bench.identification.simulation_based.forward_dynamics import Forward, scalar_joints
-from sysid_bench.identification.simulation_based.gauss_newton import Descent, Trial, floor_of
+from sysid_bench.identification.feasibility.simulatable import SimulatableSet, simulatable_set
+from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
+from sysid_bench.identification.simulation_based.forward_dynamics import ForwardModel, scalar_joints
+from sysid_bench.identification.simulation_based.gauss_newton import (
+    Candidate,
+    GaussNewton,
+    floor_of,
+)
 from sysid_bench.identification.simulation_based.output_error import NUDGE
 from sysid_bench.types import Array, Estimate, Experiment
 
@@ -33,15 +37,15 @@ class Rollout:
     def fit(self, experiment: Experiment) -> Estimate:
         """The estimate; raises EstimationError where the iteration does not settle."""
         scalar_joints(experiment, "A rollout")
-        room = possible(experiment.problem)
+        room = simulatable_set(experiment.problem)
         pieces = _pieces(experiment, self.horizon, self.substeps)
-        return Descent(self.iterations).run(pieces, room, _start(room))
+        return GaussNewton(self.iterations).run(pieces, room, _start(room))
 
 
-def _start(room: Possible) -> Array:
+def _start(room: SimulatableSet) -> Array:
     if room.problem.prior is not None:
         return room.centre
-    R = compress(room.problem)
+    R = stacked_factor(room.problem)
     return room.nearest(solve(R), R[:-1, :-1])
 
 
@@ -50,7 +54,7 @@ class _Pieces:
     """Measured positions and torques (S, C, n) of C pieces, and where each begins (C, 2 n)."""
 
     experiment: Experiment
-    forward: Forward
+    forward: ForwardModel
     q: Array
     tau: Array
     begin: Array
@@ -64,16 +68,16 @@ class _Pieces:
     @cached_property
     def nudges(self) -> Array:
         """Steps (r,) of beta that change the torques a little."""
-        R = compress(self.experiment.problem)
+        R = stacked_factor(self.experiment.problem)
         return NUDGE * np.linalg.norm(R[:, -1]) / np.linalg.norm(R[:, :-1], axis=0)
 
-    def attempt(self, theta: Array) -> Trial:
+    def evaluate(self, theta: Array) -> Candidate:
         """Predictions, and what no start of a piece explains of their errors."""
         beta = self.experiment.problem.base.K @ theta
         Q, ahead = self._starts(beta)
-        return Trial(theta, beta, self._unexplained(Q, self.q - ahead))
+        return Candidate(theta, beta, self._unexplained(Q, self.q - ahead))
 
-    def slope(self, trial: Trial) -> Array:
+    def jacobian(self, trial: Candidate) -> Array:
         """Derivative (M, n, r) of the predictions, without what the starts take."""
         Q, ahead = self._starts(trial.beta)
         betas = trial.beta + np.diag(self.nudges)
@@ -127,4 +131,4 @@ def _pieces(experiment: Experiment, horizon: float, substeps: int) -> _Pieces:
     q, tau = (x[part].reshape(C, S, -1).transpose(1, 0, 2) for x in (raw.q, raw.tau))
     motion = recording.motion
     begin = np.concatenate([motion.q[: C * S : S], motion.v[: C * S : S]], axis=1)
-    return _Pieces(experiment, Forward(experiment, 1 / raw.rate, substeps), q, tau, begin)
+    return _Pieces(experiment, ForwardModel(experiment, 1 / raw.rate, substeps), q, tau, begin)

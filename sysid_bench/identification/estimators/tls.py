@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.normal_qr import compress, require_excited
+from sysid_bench.identification.linear.normal_qr import require_excited, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 
@@ -23,7 +23,7 @@ class TLS:
     def solve(self, problem: Problem) -> Estimate:
         """The estimate; raises EstimationError where the motion does not excite every direction or
         the errors are too large for W to tell beta."""
-        R = compress(problem)
+        R = stacked_factor(problem)
         require_excited(R)
         norms = np.linalg.norm(R, axis=0)
         if norms[-1] == 0.0:

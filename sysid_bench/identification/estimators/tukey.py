@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.identification.estimators.huber import Huber, huber_loss
-from sysid_bench.identification.linear.m_estimation import Loss, answer, m_estimate
+from sysid_bench.identification.linear.m_estimation import Loss, m_estimate, m_estimate_result
 from sysid_bench.identification.linear.weights import weighted_fit
 from sysid_bench.types import Array, Estimate, Problem
 
@@ -29,7 +29,7 @@ class Tukey:
         first = m_estimate(problem, huber_loss(Huber.cut), start, self.iterations)
         loss = tukey_loss(self.cut)
         fit = m_estimate(problem, loss, first.beta, self.iterations, first.scales)
-        return answer(problem, loss, fit)
+        return m_estimate_result(problem, loss, fit)
 
 
 def tukey_loss(cut: float) -> Loss:

@@ -6,7 +6,11 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.simulation_based.filters import Belief, JointFilter, joint_filter
+from sysid_bench.identification.simulation_based.filters import (
+    FilterState,
+    JointFilter,
+    joint_filter,
+)
 from sysid_bench.types import Array, Estimate, Experiment
 
 
@@ -23,12 +27,12 @@ class UKF:
     def fit(self, experiment: Experiment) -> Estimate:
         """The estimate after the last sample; raises EstimationError where it runs away."""
         model = joint_filter(experiment, "The UKF", self.substeps)
-        start = belief = model.measured(model.begin(), 0)
+        start = belief = model.measured(model.start(), 0)
         for k in range(len(model.q) - 1):
             belief = model.measured(self._predicted(model, belief, k), k + 1)
-        return model.answer(belief, start)
+        return model.result(belief, start)
 
-    def _predicted(self, model: JointFilter, belief: Belief, k: int) -> Belief:
+    def _predicted(self, model: JointFilter, belief: FilterState, k: int) -> FilterState:
         root = self.spread * _root(belief.covariance).T
         points = model.step(
             belief.mean + np.concatenate([root * 0, root, -root])[len(root) - 1 :], k
@@ -38,8 +42,8 @@ class UKF:
         mean = centre + weight * (plus + minus - 2 * centre).sum(axis=0)
         first = (plus - minus) / (2 * self.spread)
         bend = (plus + minus - 2 * centre) / (2 * self.spread**2)
-        P = first.T @ first + 0.5 * bend.T @ bend + model.disturbed(belief.mean)
-        return Belief(mean, 0.5 * (P + P.T))
+        P = first.T @ first + 0.5 * bend.T @ bend + model.process_noise(belief.mean)
+        return FilterState(mean, 0.5 * (P + P.T))
 
 
 def _root(P: Array) -> Array:

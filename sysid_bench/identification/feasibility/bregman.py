@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.feasibility.feasible_set import BASIS, Physical
+from sysid_bench.identification.feasibility.feasible_set import BASIS, FeasibleSet
 from sysid_bench.identification.linear.base_coordinates import BaseCoordinates
 from sysid_bench.types import Array
 
@@ -42,7 +42,7 @@ WITHIN: Final = 0.95
 class Divergence:
     """d(x, x0) of all bodies and joint terms; x0 (p,) has to be strictly possible."""
 
-    of: Physical
+    of: FeasibleSet
     x0: Array
     free: Array  # places of what has no sign
     pull: Array  # 1 / variance of those
@@ -50,7 +50,7 @@ class Divergence:
 
     def value(self, x: Array) -> float:
         """Up to a constant; infinite outside of what can exist."""
-        terms = x[self.of.not_negative]
+        terms = x[self.of.nonnegative]
         if terms.min(initial=1.0) <= 0:
             return np.inf
         try:
@@ -66,26 +66,26 @@ class Divergence:
         """The Hessian (p, p) at x0."""
         of, out = self.of, np.zeros((len(self.x0), len(self.x0)))
         inverse = np.linalg.inv(of.pseudo_inertias(self.x0))
-        out[of.places[:, :, None], of.places[:, None, :]] = turned(inverse)
-        out[of.not_negative, of.not_negative] = 1 / self.x0[of.not_negative] ** 2
+        out[of.places[:, :, None], of.places[:, None, :]] = rotated_coordinates(inverse)
+        out[of.nonnegative, of.nonnegative] = 1 / self.x0[of.nonnegative] ** 2
         out[self.free, self.free] = self.pull
         return out
 
 
-def turned(S: Array) -> Array:
+def rotated_coordinates(S: Array) -> Array:
     """tr(S E_k S E_l) (nb, 10, 10) of symmetric S (nb, 4, 4), E_k = dJ / dx_k."""
     left, right = S[:, None] @ BASIS, BASIS @ S[:, None]
     return left.reshape(-1, 10, 16) @ right.reshape(-1, 10, 16).swapaxes(1, 2)
 
 
-def divergence(of: Physical, x0: Array, std: Array) -> Divergence:
+def divergence(of: FeasibleSet, x0: Array, std: Array) -> Divergence:
     """The divergence from x0 (p,); `std` (p,) that of the terms that have no sign."""
     signed = np.ones(len(x0), dtype=bool)
-    signed[of.places] = signed[of.not_negative] = False
+    signed[of.places] = signed[of.nonnegative] = False
     free, linear = np.flatnonzero(signed), np.zeros(len(x0))
     inverse = np.linalg.inv(of.pseudo_inertias(x0))
     linear[of.places] = np.einsum("bij,kji->bk", inverse, BASIS)
-    linear[of.not_negative] = 1 / x0[of.not_negative]
+    linear[of.nonnegative] = 1 / x0[of.nonnegative]
     return Divergence(of, x0, free, 1 / np.maximum(std[free], 1e-6) ** 2, linear)
 
 
@@ -149,7 +149,7 @@ class _Place:
     @cached_property
     def terms(self) -> Array:
         """Of x those that are not negative (k,)."""
-        return self.x[self.d.of.not_negative]
+        return self.x[self.d.of.nonnegative]
 
     @cached_property
     def J(self) -> Array:
@@ -187,9 +187,9 @@ class _Place:
         """Newton's matrix, factored: a gradient (m,) becomes a direction."""
         d, of, T = self.d, self.d.of, self.at.T
         curved = np.empty_like(T)  # the Hessian by x, body by body, times T
-        places, blocks = of.places.ravel(), turned(self.scaling)
+        places, blocks = of.places.ravel(), rotated_coordinates(self.scaling)
         curved[places] = (blocks @ T[of.places]).reshape(-1, T.shape[1])
-        curved[of.not_negative] = (self.z / self.terms)[:, None] * T[of.not_negative]
+        curved[of.nonnegative] = (self.z / self.terms)[:, None] * T[of.nonnegative]
         curved[d.free] = self.weight * d.pull[:, None] * T[d.free]
         hessian = T.T @ curved
         inner = np.arange(self.at.rank)
@@ -201,13 +201,13 @@ class _Place:
         d, of, at = self.d, self.d.of, self.at
         slope = self.weight * d.linear
         slope[of.places] -= target * np.einsum("bij,kji->bk", self.inverse, BASIS)
-        slope[of.not_negative] -= target / self.terms
+        slope[of.nonnegative] -= target / self.terms
         slope[d.free] += self.weight * d.pull * (self.x[d.free] - d.x0[d.free])
         gradient = at.T.T @ slope
         gradient[: at.rank] += self.y[: at.rank]
         y = self.solve(gradient)
         x = at.T @ y
-        J, terms = of.pseudo_inertias(x), x[of.not_negative]
+        J, terms = of.pseudo_inertias(x), x[of.nonnegative]
         Z = target * self.inverse - self.Z - self.scaling @ J @ self.scaling
         z = (target - self.z * terms) / self.terms - self.z
         dual_roots = np.linalg.inv(np.linalg.cholesky(self.Z))
@@ -223,7 +223,7 @@ class _Place:
         x = self.x + share * (self.at.T @ last.y)
         left = self.mu_of(
             self.d.of.pseudo_inertias(x), self.Z + share * last.Z,
-            x[self.d.of.not_negative], self.z + share * last.z,
+            x[self.d.of.nonnegative], self.z + share * last.z,
         ) / self.mu  # fmt: skip
         target = self.mu * min(max(left, 0.0), 1.0) ** 3
         return self.move(target) if target > self.weight else last
@@ -241,7 +241,7 @@ class _Place:
 def _start(d: Divergence, at: BaseCoordinates, weight: float, y: Array, mu: float) -> _Place:
     x = at.x(y)
     Z = mu * np.linalg.inv(d.of.pseudo_inertias(x))
-    return _Place(d, at, weight, y, Z, mu / x[d.of.not_negative])
+    return _Place(d, at, weight, y, Z, mu / x[d.of.nonnegative])
 
 
 def _room(roots: Array, move: Array, terms: Array, more: Array) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.feasibility.feasible_set import BASIS, Physical
+from sysid_bench.identification.feasibility.feasible_set import BASIS, FeasibleSet
 from sysid_bench.types import Array
 
 AT_REST: Final = 1e-9
@@ -27,13 +27,13 @@ _OF_MATRIX = np.linalg.pinv(BASIS.reshape(10, 16).T)
 class Coordinates:
     """eta (p,), at the places of x: a, d1, d2, d3, s12, s23, s13, t1, t2, t3 of each body."""
 
-    of: Physical
+    of: FeasibleSet
     eta0: Array
 
     def x(self, eta: Array) -> Array:
         """x (p,)."""
         x = eta.copy()
-        x[self.of.not_negative] = np.exp(eta[self.of.not_negative])
+        x[self.of.nonnegative] = np.exp(eta[self.of.nonnegative])
         U = _upper(eta[self.of.places])
         x[self.of.places] = (U @ U.swapaxes(1, 2)).reshape(-1, 16) @ _OF_MATRIX.T
         return x
@@ -41,7 +41,7 @@ class Coordinates:
     def jacobian(self, eta: Array) -> Array:
         """dx / deta (p, p)."""
         of, out = self.of, np.eye(len(eta))
-        out[of.not_negative, of.not_negative] = np.exp(eta[of.not_negative])
+        out[of.nonnegative, of.nonnegative] = np.exp(eta[of.nonnegative])
         bodies = eta[of.places]
         U, dU = _upper(bodies), _slopes(bodies)
         half = dU @ U[:, None].swapaxes(2, 3)
@@ -52,7 +52,7 @@ class Coordinates:
     def curvature(self, eta: Array, pull: Array) -> Array:
         """sum_i pull_i d2x_i / deta2 (p, p) for a gradient `pull` (p,) with respect to x."""
         of, out = self.of, np.zeros((len(eta), len(eta)))
-        out[of.not_negative, of.not_negative] = pull[of.not_negative] * np.exp(eta[of.not_negative])
+        out[of.nonnegative, of.nonnegative] = pull[of.nonnegative] * np.exp(eta[of.nonnegative])
         bodies = eta[of.places]
         U, dU = _upper(bodies), _slopes(bodies)
         C = (pull[of.places] @ _OF_MATRIX).reshape(-1, 4, 4)
@@ -68,10 +68,10 @@ class Coordinates:
         return out
 
 
-def coordinates(of: Physical, x0: Array) -> Coordinates:
+def coordinates(of: FeasibleSet, x0: Array) -> Coordinates:
     """The coordinates, and eta of a strictly possible x0 (p,)."""
     eta = x0.copy()
-    eta[of.not_negative] = np.log(x0[of.not_negative])
+    eta[of.nonnegative] = np.log(x0[of.nonnegative])
     turned = of.pseudo_inertias(x0)[:, ::-1, ::-1]
     U = np.linalg.cholesky(turned)[:, ::-1, ::-1]
     last = U[:, 3, 3]

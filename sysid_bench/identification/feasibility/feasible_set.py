@@ -30,7 +30,7 @@ BASIS: Final = _UNITS @ pseudo_inertia(np.diag(SCALE)) @ _UNITS
 
 
 @dataclass(frozen=True, eq=False)
-class Physical:
+class FeasibleSet:
     """The places of bodies and joint terms in x (p,), theta = scale x."""
 
     parameters: tuple[str, ...]
@@ -44,7 +44,7 @@ class Physical:
         return np.array(places, dtype=int).reshape(-1, 10)
 
     @cached_property
-    def not_negative(self) -> Array:
+    def nonnegative(self) -> Array:
         """Of the joint terms that are at least zero; coupled viscous friction has either sign."""
         inertial = set(self.places.ravel().tolist())
         return np.array(
@@ -67,7 +67,7 @@ class Physical:
         """J (nb, 4, 4) in LENGTH and kg."""
         return np.einsum("bk,kij->bij", x[self.places], BASIS)
 
-    def roundness(self, x: Array) -> Array:
+    def regularity(self, x: Array) -> Array:
         """The smallest eigenvalue of each J over its trace (nb,): at most 1/4; 0 for nothing."""
         J = self.pseudo_inertias(x)
         trace = np.trace(J, axis1=1, axis2=2)
@@ -78,11 +78,11 @@ class Physical:
 
 
 @lru_cache(maxsize=64)
-def physical(parameters: tuple[str, ...], bodies: tuple[Body, ...]) -> Physical:
+def feasible_set(parameters: tuple[str, ...], bodies: tuple[Body, ...]) -> FeasibleSet:
     """The set of a robot, its places looked up once."""
-    return Physical(parameters, bodies)
+    return FeasibleSet(parameters, bodies)
 
 
-def physical_of(problem: Problem) -> Physical:
+def feasible_set_of(problem: Problem) -> FeasibleSet:
     """The set of a problem's parameters."""
-    return physical(problem.parameters, problem.bodies)
+    return feasible_set(problem.parameters, problem.bodies)

@@ -10,8 +10,17 @@ from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.feasibility.feasible_set import BASIS, LENGTH, Physical, physical
-from sysid_bench.identification.linear.base_coordinates import WEAK, unseen, weighted_coordinates
+from sysid_bench.identification.feasibility.feasible_set import (
+    BASIS,
+    LENGTH,
+    FeasibleSet,
+    feasible_set,
+)
+from sysid_bench.identification.linear.base_coordinates import (
+    WEAK,
+    unobserved,
+    weighted_coordinates,
+)
 from sysid_bench.types import Array, BaseMap, Body, Estimate, Problem
 
 TOLERANCE: Final = 1e-7
@@ -43,7 +52,7 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class Cones:
+class _Cones:
     """h - G x in a product of cones; `linear` of them are half-spaces, then PSD triangles."""
 
     G: sparse.csc_matrix
@@ -67,12 +76,12 @@ class Fit:
 
 
 @lru_cache(maxsize=64)
-def cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Limits) -> Cones:
+def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Limits) -> _Cones:
     """The constraints of a robot, built once."""
-    of = physical(parameters, bodies)
+    of = feasible_set(parameters, bodies)
     p, nb = len(parameters), len(bodies)
     rows: list[tuple[Array, Array, float]] = []  # places, coefficients, bound: coeff x <= bound
-    for i in of.not_negative:
+    for i in of.nonnegative:
         rows.append((np.array([i]), np.array([-1.0]), 0.0))
     for at in of.places:
         rows += _body_rows(at, limits)
@@ -81,14 +90,14 @@ def cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Limi
         G[k, at] = coefficients
     h = np.array([bound for *_, bound in rows])
     if limits.margin is None or nb == 0:
-        return Cones(G.tocsc(), h, len(rows), 0)
+        return _Cones(G.tocsc(), h, len(rows), 0)
     triangle = _triangle(limits.margin)
     blocks = sparse.lil_matrix((10 * nb, p))
     for b, at in enumerate(of.places):
         blocks[10 * b : 10 * b + 10, at] = -triangle
     stacked = sparse.vstack([G, blocks], format="csc")
     least = np.tile(-LEAST * _entries(np.eye(4)), nb)
-    return Cones(stacked, np.append(h, least), len(rows), nb)
+    return _Cones(stacked, np.append(h, least), len(rows), nb)
 
 
 def _body_rows(at: Array, limits: Limits) -> list[tuple[Array, Array, float]]:
@@ -125,7 +134,7 @@ def _entries(M: Array) -> Array:
 
 
 def fit(
-    of: Physical, problem: Problem, limits: Limits, start: Array, pull: Array | None = None
+    of: FeasibleSet, problem: Problem, limits: Limits, start: Array, pull: Array | None = None
 ) -> Fit:
     """The least-squares fit, plus (x - start)' pull (x - start) / 2, over what can exist.
 
@@ -142,12 +151,12 @@ def fit(
     return Fit(x, gap, iterations, float(y[:r] @ y[:r]))
 
 
-def nearest(of: Physical, base: BaseMap, beta: Array, start: Array, metric: Array) -> Fit:
+def nearest(of: FeasibleSet, base: BaseMap, beta: Array, start: Array, metric: Array) -> Fit:
     """min (x - start)' metric (x - start) / 2 over what can exist with the base parameters beta.
 
     Raises EstimationError where nothing can exist that has them.
     """
-    N = unseen(of, base)
+    N = unobserved(of, base)
     x = start.copy()
     free = np.setdiff1d(np.arange(len(x)), base.pivots)
     x[base.pivots] = beta / of.scale[base.pivots] + N[base.pivots] @ start[free]
@@ -156,12 +165,12 @@ def nearest(of: Physical, base: BaseMap, beta: Array, start: Array, metric: Arra
     return Fit(_existing(of, Limits(), x + N @ n), gap, iterations, 0.0)
 
 
-def estimate_of(of: Physical, fit: Fit) -> Estimate:
+def estimate_of(of: FeasibleSet, fit: Fit) -> Estimate:
     """All parameters, with the certificate of the fit."""
     stats = {
         "duality_gap": fit.gap,
         "iterations": float(fit.iterations),
-        "roundness": float(of.roundness(fit.x).min(initial=0.25)),
+        "roundness": float(of.regularity(fit.x).min(initial=0.25)),
         "excess": fit.excess,
     }
     return Estimate(theta=of.scale * fit.x, stats=stats)
@@ -178,14 +187,14 @@ def _settings(step: float) -> clarabel.DefaultSettings:
 
 
 def _solved(
-    of: Physical, limits: Limits, origin: Array, T: Array, P: Array, q: Array
+    of: FeasibleSet, limits: Limits, origin: Array, T: Array, P: Array, q: Array
 ) -> tuple[Array, float, int]:
     """(y, duality gap, iterations) of min y'Py / 2 + q'y where origin + T y can exist.
 
     Solved for the way d from the minimum y0 without constraints, y = y0 + d / sqrt(diag(P)): the
     objective is then what the constraints cost, and its accuracy that of the cost alone.
     """
-    cones = cones_of(of.parameters, of.bodies, limits)
+    cones = _cones_of(of.parameters, of.bodies, limits)
     size = 1 / np.sqrt(np.maximum(np.diag(P), 1.0))
     P = P * size * size[:, None]
     free = -size * cho_solve(cho_factor(P), size * q) if q.any() else np.zeros(len(q))
@@ -216,11 +225,11 @@ def _solved(
     return free + size * np.array(answer.x), gap, int(answer.iterations)
 
 
-def _existing(of: Physical, limits: Limits, x: Array) -> Array:
+def _existing(of: FeasibleSet, limits: Limits, x: Array) -> Array:
     """x (p,) with joint terms that are negative by rounding made zero; raises EstimationError where
     the eigenvalues of a body say that it cannot exist, whatever the solver does."""
     out = x.copy()
-    out[of.not_negative] = np.maximum(x[of.not_negative], 0.0)
+    out[of.nonnegative] = np.maximum(x[of.nonnegative], 0.0)
     if limits.margin is not None and of.bodies:
         smallest = float(np.linalg.eigvalsh(of.pseudo_inertias(out))[:, 0].min())
         if not smallest >= 0:

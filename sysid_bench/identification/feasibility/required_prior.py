@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.feasibility.feasible_set import BASIS, Physical
+from sysid_bench.identification.feasibility.feasible_set import BASIS, FeasibleSet
 from sysid_bench.types import Array, Prior, Problem
 
 ROUND: Final = 1e-4
@@ -25,7 +25,7 @@ def required_prior(problem: Problem) -> Prior:
     return problem.prior
 
 
-def start_of(of: Physical, prior: Prior | None) -> Array:
+def start_of(of: FeasibleSet, prior: Prior | None) -> Array:
     """x (p,) of the prior; without one solid spheres of a kilogram and of LENGTH, and no joint
     terms."""
     if prior is not None:
@@ -36,7 +36,7 @@ def start_of(of: Physical, prior: Prior | None) -> Array:
     return x
 
 
-def existing(of: Physical, x: Array, std: Array) -> Array:
+def feasible_point(of: FeasibleSet, x: Array, std: Array) -> Array:
     """The nearest x (p,) whose bodies are strictly possible and whose joint terms are positive, by
     their spread `std` (p,) at least where they are zero."""
     out, J = x.copy(), of.pseudo_inertias(x)
@@ -46,12 +46,12 @@ def existing(of: Physical, x: Array, std: Array) -> Array:
     # A multiple of the unit matrix: mass, and the same second moment along every axis.
     unit = np.linalg.lstsq(BASIS.reshape(10, 16).T, np.eye(4).ravel(), rcond=None)[0]
     out[of.places] += lift[:, None] * unit
-    at = of.not_negative
+    at = of.nonnegative
     out[at] = np.maximum(out[at], np.maximum(std[at], 1e-6) * (out[at] <= 0))
     return out
 
 
-def spread_of(of: Physical, prior: Prior) -> Array:
+def spread_of(of: FeasibleSet, prior: Prior) -> Array:
     """Standard deviations of x (p,) as declared; a prior that claims to be exact is taken to be so
     to a millionth."""
     return np.maximum(prior.std / of.scale, 1e-6 * np.maximum(np.abs(prior.theta / of.scale), 1.0))

@@ -38,7 +38,7 @@ is what rounding leaves of the smallest eigenvalue."""
 
 
 @dataclass(frozen=True, eq=False)
-class Possible:
+class SimulatableSet:
     """The set of theta that can be simulated, with a centre (p,) inside of it."""
 
     problem: Problem
@@ -78,7 +78,7 @@ class Possible:
         rest = (theta - self.centre)[self._others] / self.scale[self._others]
         return float(bodies.sum() + (ratio - np.log(ratio) - 1).sum() + 0.5 * rest @ rest)
 
-    def slopes(self, theta: Array) -> tuple[Array, Array]:
+    def gradients(self, theta: Array) -> tuple[Array, Array]:
         """Gradient (p,) and Hessian (p, p) of the divergence."""
         p = len(theta)
         gradient, hessian = np.zeros(p), np.zeros((p, p))
@@ -118,24 +118,24 @@ class Possible:
                 if weight == WEIGHTS[0]:
                     raise
                 break  # as near as rounding lets it come
-        return self.exact(theta, beta)
+        return self.project_exact(theta, beta)
 
-    def exact(self, theta: Array, beta: Array) -> Array:
+    def project_exact(self, theta: Array, beta: Array) -> Array:
         """theta moved onto K theta = beta as the divergence's metric has it shortest; theta itself
         where no such body can exist."""
-        moved = theta + self.lift(theta) @ (beta - self.problem.base.K @ theta)
+        moved = theta + self.lift_of(theta) @ (beta - self.problem.base.K @ theta)
         return moved if np.isfinite(self.divergence(moved)) else theta
 
-    def lift(self, theta: Array) -> Array:
+    def lift_of(self, theta: Array) -> Array:
         """L (p, r) with K L = 1: how theta follows a change of beta, away from what cannot be."""
         K = self.problem.base.K
-        spread = _solve(self.slopes(theta)[1], K.T)
+        spread = _solve(self.gradients(theta)[1], K.T)
         return np.linalg.solve((K @ spread).T, spread.T).T
 
-    def reach(self, theta: Array, direction: Array) -> float:
+    def step_limit(self, theta: Array, direction: Array) -> float:
         """How far a step along a direction (p,) may go with every body still possible: to half of
         the ellipsoid that the divergence's Hessian spans around theta (Dikin 1967)."""
-        size = float(np.sqrt(direction @ self.slopes(theta)[1] @ direction))
+        size = float(np.sqrt(direction @ self.gradients(theta)[1] @ direction))
         return 0.5 / size if size > 0 else np.inf
 
     def _settle(self, theta: Array, A: Array, b: Array, weight: float) -> Array:
@@ -147,7 +147,7 @@ class Possible:
 
         now = cost(theta)
         for _ in range(30):
-            gradient, hessian = self.slopes(theta)
+            gradient, hessian = self.gradients(theta)
             gradient = A.T @ (A @ theta - b) + weight * gradient
             step = -_solve(A.T @ A + weight * hessian, gradient)
             expected = -float(gradient @ step)
@@ -163,12 +163,12 @@ class Possible:
         return theta
 
 
-def possible(problem: Problem) -> Possible:
+def simulatable_set(problem: Problem) -> SimulatableSet:
     """What can be simulated of a problem's unknowns, around its prior where there is one."""
     first = _first_centre(problem)
     if problem.prior is None:
-        return Possible(problem, first)
-    return Possible(problem, _inside(Possible(problem, first), problem.prior))
+        return SimulatableSet(problem, first)
+    return SimulatableSet(problem, _inside(SimulatableSet(problem, first), problem.prior))
 
 
 def _first_centre(problem: Problem) -> Array:
@@ -182,7 +182,7 @@ def _first_centre(problem: Problem) -> Array:
     return centre
 
 
-def _inside(first: Possible, prior: Prior) -> Array:
+def _inside(first: SimulatableSet, prior: Prior) -> Array:
     """The prior, with a little of the first centre where it lies on the border or beyond."""
     theta = prior.theta.copy()
     for places in first.bodies:

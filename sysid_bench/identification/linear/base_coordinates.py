@@ -12,14 +12,14 @@ import numpy as np
 from scipy.linalg import qr
 
 from sysid_bench.identifiability.verdicts import coefficients
-from sysid_bench.identification.feasibility.feasible_set import Physical
+from sysid_bench.identification.feasibility.feasible_set import FeasibleSet
 from sysid_bench.identification.linear.normal_qr import (
-    compress,
     excited_rank,
     inverse_of,
-    triangular,
+    solve_upper,
+    stacked_factor,
 )
-from sysid_bench.identification.linear.weights import own_sigmas, torque_rms
+from sysid_bench.identification.linear.weights import row_sigmas, torque_rms
 from sysid_bench.types import Array, BaseMap, Problem
 
 NOISE: Final = 1e-5
@@ -48,7 +48,7 @@ class BaseCoordinates:
         return np.linalg.solve(self.T, x - self.origin)
 
 
-def base_coordinates(of: Physical, base: BaseMap, R: Array, start: Array) -> BaseCoordinates:
+def base_coordinates(of: FeasibleSet, base: BaseMap, R: Array, start: Array) -> BaseCoordinates:
     """Coordinates around the least-squares fit of the factor R (r + 1, r + 1) that is nearest to
     `start` (p,) outside of the pivots; what the data do not excite is drawn to the start weakly."""
     r, p = base.rank, len(start)
@@ -59,13 +59,13 @@ def base_coordinates(of: Physical, base: BaseMap, R: Array, start: Array) -> Bas
     scale = of.scale[base.pivots]
     T, origin = np.zeros((p, p)), start.copy()
     T[base.pivots, :r] = inverse_of(R) / scale[:, None]
-    T[:, r:] = unseen(of, base)
+    T[:, r:] = unobserved(of, base)
     free = np.setdiff1d(np.arange(p), base.pivots)
-    origin[base.pivots] = triangular(R) / scale + T[base.pivots, r:] @ start[free]
+    origin[base.pivots] = solve_upper(R) / scale + T[base.pivots, r:] @ start[free]
     return BaseCoordinates(origin, T, r)
 
 
-def unseen(of: Physical, base: BaseMap) -> Array:
+def unobserved(of: FeasibleSet, base: BaseMap) -> Array:
     """N (p, p - r) with K scale N = 0: a unit of each parameter beside the pivots, and what takes
     it back from those. Sparse, as base parameters group neighbours."""
     p = len(of.parameters)
@@ -76,9 +76,9 @@ def unseen(of: Physical, base: BaseMap) -> Array:
     return N
 
 
-def weighted_coordinates(of: Physical, problem: Problem, start: Array) -> BaseCoordinates:
+def weighted_coordinates(of: FeasibleSet, problem: Problem, start: Array) -> BaseCoordinates:
     """Coordinates of the rows, each divided by its noise, which is at least NOISE of the torque:
     below, the weights of joints would differ by more than a solver can tell."""
-    sigma = np.maximum(own_sigmas(problem), NOISE * torque_rms(problem))
-    R = compress(problem, (1.0 / np.where(sigma > 0, sigma, 1.0)).tolist())
+    sigma = np.maximum(row_sigmas(problem), NOISE * torque_rms(problem))
+    R = stacked_factor(problem, (1.0 / np.where(sigma > 0, sigma, 1.0)).tolist())
     return base_coordinates(of, problem.base, R, start)

@@ -29,7 +29,7 @@ class FoldedRow:
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class ColumnSelection:
     """The columns chosen (places), and what was added at each step with the mean error after it."""
 
     columns: tuple[int, ...]
@@ -38,11 +38,11 @@ class Choice:
     error_after: float
 
 
-def choose(
+def select_columns(
     folds: Sequence[Sequence[FoldedRow]],
     start: Sequence[int],
     candidates: Sequence[tuple[Sequence[int], int]],
-) -> Choice:
+) -> ColumnSelection:
     """Forward selection: of the candidates (rows, column) the one that lowers the error of one of
     its rows most is added, until none lowers any by GAIN. `folds[f][i]` is row i in fold f.
 
@@ -71,7 +71,7 @@ def choose(
         steps.append((column, total))
         left = [(rows, c) for rows, c in left if c != column]
     after = float(np.sqrt(np.mean(errors**2)))
-    return Choice(tuple(sorted(current)), tuple(steps), before, after)
+    return ColumnSelection(tuple(sorted(current)), tuple(steps), before, after)
 
 
 def _weights(folds: Sequence[Sequence[FoldedRow]]) -> Array:

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.normal_qr import compress, inverse_of
-from sysid_bench.identification.linear.residuals import at_rest, beside, residuals, step
-from sysid_bench.identification.linear.weights import floored
+from sysid_bench.identification.linear.normal_qr import inverse_of, stacked_factor
+from sysid_bench.identification.linear.residuals import at_rest, outlier_weights, residuals, step
+from sysid_bench.identification.linear.weights import with_floor
 from sysid_bench.types import Array, Estimate, Problem
 
 MAD_OF_GAUSSIAN: Final = 0.6745
@@ -52,10 +52,11 @@ def m_estimate(
         residual = residuals(problem, beta)
         if scales is None or iteration <= settled:
             scales = robust_scales(problem, residual)
-        R = compress(problem, (1.0 / scales).tolist())[:-1, :-1]
+        R = stacked_factor(problem, (1.0 / scales).tolist())[:-1, :-1]
         roots = np.sqrt(loss.weight(residual / scales)) / scales
         weighted = (
-            (Y * root[..., None], rest * root) for Y, rest, root in beside(problem, residual, roots)
+            (Y * root[..., None], rest * root)
+            for Y, rest, root in outlier_weights(problem, residual, roots)
         )
         change, _ = step(R, weighted)
         beta = beta + change
@@ -67,15 +68,15 @@ def m_estimate(
     )
 
 
-def answer(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
+def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
     """The estimate of a fit, with the covariance A^-1 B A^-1 of Huber (1981, section 7.6):
     A = sum E psi' W_j'W_j / s_j^2, B = sum E psi^2 W_j'W_j / s_j^2, expectations over each row."""
     u = residuals(problem, fit.beta) / fit.scales
     weight = loss.weight(u)
     slope, squares = loss.slope(u).mean(axis=0), ((weight * u) ** 2).mean(axis=0)
     r = problem.base.rank
-    outer = compress(problem, (np.sqrt(np.maximum(slope, 0.0)) / fit.scales).tolist())
-    inner = compress(problem, (np.sqrt(squares) / fit.scales).tolist())[:r, :r]
+    outer = stacked_factor(problem, (np.sqrt(np.maximum(slope, 0.0)) / fit.scales).tolist())
+    inner = stacked_factor(problem, (np.sqrt(squares) / fit.scales).tolist())[:r, :r]
     inverse = inverse_of(outer)
     spread = inverse @ inverse.T @ inner.T
     stats = {"iterations": float(fit.iterations), "least_weight": float(weight.min())}
@@ -84,4 +85,4 @@ def answer(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
 
 def robust_scales(problem: Problem, residual: Array) -> Array:
     """Scale (rows,) of each row's residuals (N, rows), above rounding."""
-    return floored(problem, np.median(np.abs(residual), axis=0) / MAD_OF_GAUSSIAN)
+    return with_floor(problem, np.median(np.abs(residual), axis=0) / MAD_OF_GAUSSIAN)

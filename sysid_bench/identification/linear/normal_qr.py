@@ -14,7 +14,7 @@ EXCITED: Final = 1e-9
 excited by the data: what is found along it is rounding error."""
 
 
-def compress(problem: Problem, weights: Sequence[float] | None = None) -> Array:
+def stacked_factor(problem: Problem, weights: Sequence[float] | None = None) -> Array:
     """R (r + 1, r + 1) of [W | b] with each row of the robot times its weight."""
     r = problem.base.rank
     scales = [1.0] * len(problem.factors) if weights is None else weights
@@ -37,7 +37,7 @@ def spread(factor: Factor, r: int) -> Array:
 def solve(R: Array) -> Array:
     """beta (r,) that minimises |R [beta; -1]|; raises EstimationError naming the rank it has."""
     require_excited(R)
-    return triangular(R)
+    return solve_upper(R)
 
 
 def require_excited(R: Array) -> None:
@@ -51,7 +51,7 @@ def require_excited(R: Array) -> None:
         )
 
 
-def triangular(R: Array) -> Array:
+def solve_upper(R: Array) -> Array:
     """beta (r,) of R (r + 1, r + 1) whose data are known to excite every direction."""
     r = R.shape[1] - 1
     return solve_triangular(R[:r, :r], R[:r, r])

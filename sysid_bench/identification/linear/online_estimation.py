@@ -12,13 +12,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.linear.normal_qr import inverse_of, triangular
-from sysid_bench.identification.linear.recursive_qr import upper
+from sysid_bench.identification.linear.normal_qr import inverse_of, solve_upper
+from sysid_bench.identification.linear.recursive_qr import upper_factor
 from sysid_bench.types import Array, Problem
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class ParameterTrack:
     """How the estimate went: `beta` (K, r) and its standard deviations `std` (K, r) after the
     samples `places` (K,), the last one among them; `used` of the samples (N,), and the `gap` (N,)
     between each sample and its forecast, as chi-square per row."""
@@ -37,7 +37,7 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Recursion:
+class RecursiveEstimator:
     """Recursive least squares, or a Kalman filter where parameters wander.
 
     `forgetting`: weight of all that came before, per sample. `walk`: standard deviation of a random
@@ -64,7 +64,7 @@ class Recursion:
         prior: Array,
         std: Array,
         free: Array | None = None,
-    ) -> Track:
+    ) -> ParameterTrack:
         """The track of f (N, m) = W (N, m, r) beta + noise of `sigma` (m,), from beta = `prior`
         (r,) with a covariance: (r,) standard deviations or (r, r). `free` (N,): samples without
         contact; the others are left out. Raises UsageError for settings that make no filter."""
@@ -84,8 +84,8 @@ class Recursion:
             if self.reject is not None and k >= self.settled and not gap[k] <= self.reject:
                 used[k] = False
             if used[k]:
-                R = upper(np.vstack([R, np.column_stack([G[k], g[k]])]))
-                beta = triangular(R)
+                R = upper_factor(np.vstack([R, np.column_stack([G[k], g[k]])]))
+                beta = solve_upper(R)
             if k % self.every == 0 or k == last:
                 held = held and _told(R, start) <= m
                 places.append(k)
@@ -94,7 +94,7 @@ class Recursion:
         if not betas:
             raise EstimationError("There are no samples to estimate from.")
         inverse = inverse_of(R)
-        return Track(
+        return ParameterTrack(
             np.array(places), np.array(betas), np.array(stds), inverse @ inverse.T, used, gap
         )
 
@@ -108,7 +108,9 @@ class Recursion:
         if self.gate:
             shares = np.minimum(shares, 1.0)
         older = (Vt / np.sqrt(shares)[:, None]) @ start[:r, :r]
-        return upper(np.vstack([np.column_stack([older, older @ beta]), np.zeros((1, r + 1))]))
+        return upper_factor(
+            np.vstack([np.column_stack([older, older @ beta]), np.zeros((1, r + 1))])
+        )
 
     def _check(self) -> None:
         if not 0 < self.forgetting <= 1:
@@ -122,7 +124,7 @@ def _factor_of(prior: Array, std: Array) -> Array:
     r = len(prior)
     root = np.diag(std) if std.ndim == 1 else np.linalg.cholesky(std)
     whitened = solve_triangular(root, np.column_stack([np.eye(r), prior]), lower=True)
-    return upper(np.vstack([whitened, np.zeros((1, r + 1))]))
+    return upper_factor(np.vstack([whitened, np.zeros((1, r + 1))]))
 
 
 def _told(R: Array, start: Array) -> int:
@@ -138,7 +140,7 @@ def rows_of(problem: Problem) -> tuple[Array, Array]:
     return np.concatenate([W for W, _ in parts]), np.concatenate([f for _, f in parts])
 
 
-def batch(
+def batch_estimate(
     W: Array, f: Array, sigma: Array, prior: Array, std: Array, free: Array | None = None
 ) -> Array:
     """What the recursion without forgetting ends with (r,), in one least-squares solution."""

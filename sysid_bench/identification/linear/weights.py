@@ -7,11 +7,11 @@ from scipy.linalg import solve_triangular
 
 from sysid_bench.identification.linear.normal_qr import (
     EXCITED,
-    compress,
     require_excited,
     residual_norms,
+    solve_upper,
     spread,
-    triangular,
+    stacked_factor,
 )
 from sysid_bench.types import Array, Factor, Problem
 
@@ -26,19 +26,19 @@ def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, A
 
     Excitation is judged on the rows as they are: weights that differ by many orders would hide it.
     """
-    require_excited(compress(problem))
-    sigma = own_sigmas(problem) if sigma is None else sigma
-    R = compress(problem, (1.0 / sigma).tolist())
-    return triangular(R), R, sigma
+    require_excited(stacked_factor(problem))
+    sigma = row_sigmas(problem) if sigma is None else sigma
+    R = stacked_factor(problem, (1.0 / sigma).tolist())
+    return solve_upper(R), R, sigma
 
 
-def own_sigmas(problem: Problem) -> Array:
+def row_sigmas(problem: Problem) -> Array:
     """Noise (rows,) of each row, from a fit of that row alone: N_j - b_j degrees of freedom.
 
     b_j base parameters are told apart by row j. A fit of its own leaves out what other rows add:
     the expected variance is that of the row, however loud its neighbours are.
     """
-    return floored(problem, np.array([_own_sigma(factor) for factor in problem.factors]))
+    return with_floor(problem, np.array([_own_sigma(factor) for factor in problem.factors]))
 
 
 def _own_sigma(factor: Factor) -> float:
@@ -68,10 +68,10 @@ def fit_sigmas(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
     leverage = np.array([np.linalg.norm(share) ** 2 for share in shares]) / sigma**2
     samples = np.array([factor.samples for factor in problem.factors])
     freedom = np.maximum(samples - leverage, 1.0)
-    return floored(problem, residual_norms(problem, beta) / np.sqrt(freedom))
+    return with_floor(problem, residual_norms(problem, beta) / np.sqrt(freedom))
 
 
-def floored(problem: Problem, sigma: Array) -> Array:
+def with_floor(problem: Problem, sigma: Array) -> Array:
     """Standard deviations (rows,) above rounding; a row without torque or columns weighs nothing,
     so that any positive number serves."""
     sigma = np.maximum(sigma, ROUNDING * torque_rms(problem))

@@ -6,9 +6,9 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.noise_level import white_noise
-from sysid_bench.identification.linear.normal_qr import compress, solve
-from sysid_bench.identification.simulation_based.forward_dynamics import Forward, scalar_joints
-from sysid_bench.identification.simulation_based.gauss_newton import folded, length
+from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
+from sysid_bench.identification.simulation_based.forward_dynamics import ForwardModel, scalar_joints
+from sysid_bench.identification.simulation_based.gauss_newton import accumulated_factor, step_length
 from sysid_bench.types import Array, Estimate, Experiment
 
 TOLD = 0.1
@@ -20,7 +20,7 @@ steps and differences are not exact, and a filter that takes them so runs away."
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class FilterState:
     """Mean (k,) and covariance (k, k) of [q v beta]."""
 
     mean: Array
@@ -32,7 +32,7 @@ class JointFilter:
     """The model of a joint filter: measured positions, torques between them, noises."""
 
     experiment: Experiment
-    forward: Forward
+    forward: ForwardModel
     q: Array  # (N, n)
     tau: Array
     q_noise: Array  # (n,)
@@ -51,7 +51,7 @@ class JointFilter:
         q, v = self.forward.step(beta, q, v, tau, after)
         return np.concatenate([q, v, beta], axis=1)
 
-    def disturbed(self, mean: Array) -> Array:
+    def process_noise(self, mean: Array) -> Array:
         """Covariance (k, k) that torque noise adds in a step."""
         n, dt = self.n, self.forward.dt
         q, v, beta = (np.tile(x, (n + 1, 1)) for x in np.split(mean, [n, 2 * n]))
@@ -61,7 +61,7 @@ class JointFilter:
         gain = np.concatenate([0.5 * dt**2 * push, dt * push, np.zeros((len(mean) - 2 * n, n))])
         return gain @ gain.T
 
-    def measured(self, belief: Belief, k: int) -> Belief:
+    def measured(self, belief: FilterState, k: int) -> FilterState:
         """The belief after the positions of sample k (Joseph's form)."""
         n, P = self.n, belief.covariance
         S = P[:n, :n] + np.diag(self.q_noise**2)
@@ -70,9 +70,9 @@ class JointFilter:
         keep = np.eye(len(mean))
         keep[:, :n] -= gain
         P = keep @ P @ keep.T + (gain * self.q_noise**2) @ gain.T
-        return Belief(mean, 0.5 * (P + P.T))
+        return FilterState(mean, 0.5 * (P + P.T))
 
-    def begin(self) -> Belief:
+    def start(self) -> FilterState:
         """The first sample's state, and the prior or, without one, least squares."""
         n, recording = self.n, self.experiment.recording
         beta, covariance = _begin(self.experiment)
@@ -83,15 +83,15 @@ class JointFilter:
         P = np.zeros((2 * n + len(beta),) * 2)
         P[: 2 * n, : 2 * n] = np.diag(spread**2)
         P[2 * n :, 2 * n :] = covariance
-        return Belief(np.concatenate([self.q[0], v, beta]), P)
+        return FilterState(np.concatenate([self.q[0], v, beta]), P)
 
-    def answer(self, belief: Belief, start: Belief) -> Estimate:
+    def result(self, belief: FilterState, start: FilterState) -> Estimate:
         """What the filter ends with; a failure where it only kept its start."""
         beta, first = belief.mean[2 * self.n :], start.mean[2 * self.n :]
         if not np.isfinite(belief.mean).all() or np.array_equal(beta, first):
             raise EstimationError("The filter lost its numbers, or learnt nothing from its start.")
-        R = compress(self.experiment.problem)
-        if length(R, beta - first) > 100 * length(R, first):
+        R = stacked_factor(self.experiment.problem)
+        if step_length(R, beta - first) > 100 * step_length(R, first):
             raise EstimationError("The filter runs away from its start: the noise is too large.")
         part = slice(2 * self.n, None)
         return Estimate(beta, covariance=belief.covariance[part, part])
@@ -113,7 +113,7 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     )
     # Between two samples the torque is taken as a straight line: what it bends is noise as well.
     tau_noise = np.hypot(tau_noise, np.sqrt((np.diff(tau, 2, axis=0) ** 2).mean(axis=0)) / 8)
-    forward = Forward(experiment, 1 / raw.rate, substeps)
+    forward = ForwardModel(experiment, 1 / raw.rate, substeps)
     return JointFilter(experiment, forward, q, tau, q_noise, tau_noise)
 
 
@@ -127,7 +127,9 @@ def _begin(experiment: Experiment) -> tuple[Array, Array]:
     parts = list(problem.blocks())
     W, b = (np.concatenate(x) for x in zip(*parts, strict=True))
     sigma = np.sqrt((b**2).mean(axis=0))
-    R = folded(W / np.where(sigma > 0, sigma, 1.0)[:, None], b / np.where(sigma > 0, sigma, 1.0))
+    R = accumulated_factor(
+        W / np.where(sigma > 0, sigma, 1.0)[:, None], b / np.where(sigma > 0, sigma, 1.0)
+    )
     r = len(K)
     inverse = np.linalg.inv(R[:r, :r]) * TOLD * np.sqrt(len(b))
     return solve(R), inverse @ inverse.T

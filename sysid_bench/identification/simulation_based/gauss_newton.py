@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import lapack, solve_triangular
 
 from sysid_bench.errors import EstimationError, SimulationError, UnsupportedError
-from sysid_bench.identification.feasibility.simulatable import Possible, possible
+from sysid_bench.identification.feasibility.simulatable import SimulatableSet, simulatable_set
 from sysid_bench.identification.linear.normal_qr import solve
 from sysid_bench.types import Array, Estimate, Experiment, Recording, Trajectory
 
@@ -36,7 +36,7 @@ HALVINGS: Final = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class Candidate:
     """A candidate: theta (p,), its base parameters, the simulation if there is one, and
     `error` (M, channels), what the model does otherwise than the robot."""
 
@@ -56,30 +56,30 @@ class Model(Protocol):
 
     @property
     def floor(self) -> Array: ...
-    def attempt(self, theta: Array) -> Trial: ...
-    def slope(self, trial: Trial) -> Array: ...
+    def evaluate(self, theta: Array) -> Candidate: ...
+    def jacobian(self, trial: Candidate) -> Array: ...
 
 
 @dataclass(frozen=True)
-class Descent:
+class GaussNewton:
     """Settings of the iteration."""
 
     iterations: int = 40
 
-    def run(self, model: Model, room: Possible, start: Array) -> Estimate:
+    def run(self, model: Model, room: SimulatableSet, start: Array) -> Estimate:
         """The estimate from a start (p,); raises EstimationError where it does not settle."""
-        trial = model.attempt(start)
+        trial = model.evaluate(start)
         learnt: Array | None = None
         steps = halvings = 0
         for _ in range(self.iterations):
             sigma = sigmas(trial.error, model.floor)
-            slope = model.slope(trial) if learnt is None else model.slope(trial) + learnt
-            R = folded(slope / sigma[:, None], trial.error / sigma)
+            slope = model.jacobian(trial) if learnt is None else model.jacobian(trial) + learnt
+            R = accumulated_factor(slope / sigma[:, None], trial.error / sigma)
             goal, inside = _goal(room, trial, R)
             moved = room.problem.base.K @ (goal - trial.theta)
-            if settled(R, moved, trial.beta):
+            if has_converged(R, moved, trial.beta):
                 return self._answer(trial, R, steps, halvings)
-            tries = 2 if settled(R, moved, trial.beta, FLAT) else HALVINGS
+            tries = 2 if has_converged(R, moved, trial.beta, FLAT) else HALVINGS
             better, times = _better(model, trial, goal, tries)
             halvings += times
             if better is not None:
@@ -89,7 +89,7 @@ class Descent:
                 trial, steps = better, steps + 1
             elif learnt is not None:  # what was learnt misleads here
                 learnt = None
-            elif settled(R, moved, trial.beta, FLAT, REPEATS if inside else NEAREST):
+            elif has_converged(R, moved, trial.beta, FLAT, REPEATS if inside else NEAREST):
                 return self._answer(trial, R, steps, halvings)
             else:
                 raise EstimationError(
@@ -98,11 +98,11 @@ class Descent:
                 )
         raise EstimationError(
             f"{self.iterations} steps did not settle: the last moved the base parameters by "
-            f"{length(R, moved):.3g} standard deviations; the noise is too large, or the start "
-            "too far."
+            f"{step_length(R, moved):.3g} standard deviations; the noise is too large, or the "
+            "start too far."
         )
 
-    def _answer(self, trial: Trial, R: Array, steps: int, halvings: int) -> Estimate:
+    def _answer(self, trial: Candidate, R: Array, steps: int, halvings: int) -> Estimate:
         return Estimate(
             trial.beta,
             covariance=covariance(R),
@@ -110,7 +110,7 @@ class Descent:
         )
 
 
-def _unforeseen(slope: Array, R: Array, trial: Trial, after: Trial) -> Array:
+def _unforeseen(slope: Array, R: Array, trial: Candidate, after: Candidate) -> Array:
     """What a step showed of the slope that was not foreseen, (M, channels, r): Broyden's update in
     the metric of the data. A slope that leaves something out still finds the end quickly."""
     moved, r = after.beta - trial.beta, len(trial.beta)
@@ -119,33 +119,35 @@ def _unforeseen(slope: Array, R: Array, trial: Trial, after: Trial) -> Array:
     return missed[..., None] * (dual / (dual @ moved))
 
 
-def _goal(room: Possible, trial: Trial, R: Array) -> tuple[Array, bool]:
+def _goal(room: SimulatableSet, trial: Candidate, R: Array) -> tuple[Array, bool]:
     """Where a full step leads among the possible, theta (p,), and whether all of it is possible."""
     r = len(trial.beta)
     wanted = trial.beta + solve(R)
-    exact = room.exact(trial.theta, wanted)
+    exact = room.project_exact(trial.theta, wanted)
     if exact is not trial.theta:
         return exact, True
     nearest = room.nearest(wanted, R[:r, :r])
-    miss = length(R, room.problem.base.K @ nearest - wanted)
-    return nearest, miss <= REPEATS * length(R, wanted)
+    miss = step_length(R, room.problem.base.K @ nearest - wanted)
+    return nearest, miss <= REPEATS * step_length(R, wanted)
 
 
-def _better(model: Model, trial: Trial, goal: Array, tries: int) -> tuple[Trial | None, int]:
+def _better(
+    model: Model, trial: Candidate, goal: Array, tries: int
+) -> tuple[Candidate | None, int]:
     """The first of the halved steps to `goal` that explains the data better, and the halvings."""
-    now = log_likelihood(trial.error, model.floor)
+    now = _log_likelihood(trial.error, model.floor)
     for times in range(tries):
         theta = trial.theta + 0.5**times * (goal - trial.theta)
         try:
-            after = model.attempt(theta)
+            after = model.evaluate(theta)
         except (EstimationError, SimulationError):
             continue
-        if log_likelihood(after.error, model.floor) > now:
+        if _log_likelihood(after.error, model.floor) > now:
             return after, times
     return None, tries
 
 
-def log_likelihood(error: Array, floor: Array) -> float:
+def _log_likelihood(error: Array, floor: Array) -> float:
     """Of white noise of unknown size per channel, up to a constant."""
     return -float(len(error) * np.log(sigmas(error, floor)).sum())
 
@@ -161,7 +163,7 @@ def floor_of(signal: Array) -> Array:
     return ROUNDING * np.sqrt((signal**2).mean(axis=0))
 
 
-def folded(J: Array, e: Array) -> Array:
+def accumulated_factor(J: Array, e: Array) -> Array:
     """R (r + 1, r + 1) of [J | e], J (M, channels, r), e (M, channels)."""
     r = J.shape[-1]
     stack = np.zeros((max(e.size, r + 1), r + 1), order="F")
@@ -170,14 +172,14 @@ def folded(J: Array, e: Array) -> Array:
     return np.triu(packed[: r + 1])
 
 
-def settled(
+def has_converged(
     R: Array, moved: Array, beta: Array, share: float = SETTLED, rounding: float = ROUNDING
 ) -> bool:
     """Whether a step (r,) is small against the noise, or against rounding."""
-    return length(R, moved) <= max(share, rounding * length(R, beta))
+    return step_length(R, moved) <= max(share, rounding * step_length(R, beta))
 
 
-def length(R: Array, moved: Array) -> float:
+def step_length(R: Array, moved: Array) -> float:
     """A step in standard deviations of its most probable length."""
     r = len(moved)
     return float(np.linalg.norm(R[:r, :r] @ moved) / np.sqrt(max(r, 1)))
@@ -190,32 +192,32 @@ def covariance(R: Array) -> Array:
     return inverse @ inverse.T
 
 
-def start_of(experiment: Experiment, room: Possible) -> Array:
+def start_of(experiment: Experiment, room: SimulatableSet) -> Array:
     """Where to begin (p,): the prior, or what least squares finds along the commanded motion, whose
     regressor knows no noise."""
     problem = experiment.problem
     if problem.prior is not None:
         return room.centre
-    raw, commanded = experiment.raw, commanded_of(experiment)
+    raw, commanded = experiment.raw, _commanded_of(experiment)
     tau = rows_of(experiment, raw.tau) - experiment.known(commanded)
-    W = along(experiment, commanded)
+    W = regressor_along(experiment, commanded)
     sigma = np.ones(tau.shape[1])
     for _ in range(2):
-        R = folded(W / sigma[:, None], tau / sigma)
+        R = accumulated_factor(W / sigma[:, None], tau / sigma)
         beta = solve(R)
         sigma = sigmas(tau - W @ beta, floor_of(tau))
     return room.nearest(beta, R[:-1, :-1])
 
 
-def commanded_of(experiment: Experiment) -> Trajectory:
+def _commanded_of(experiment: Experiment) -> Trajectory:
     """The commanded motion at the recorded times; raises UnsupportedError where there is none."""
     raw = experiment.raw
     if raw.commanded is None or raw.controller is None:
         raise UnsupportedError("This recording declares no controller: nothing to simulate with.")
-    return at(raw.commanded, places_of(raw.t, raw.commanded.t))
+    return sample_at(raw.commanded, places_of(raw.t, raw.commanded.t))
 
 
-def at(motion: Trajectory, places: Array) -> Trajectory:
+def sample_at(motion: Trajectory, places: Array) -> Trajectory:
     """Some samples of a motion."""
     return Trajectory(
         motion.t[places], motion.q[places], motion.v[places], motion.a[places], motion.name
@@ -227,7 +229,7 @@ def places_of(t: Array, grid: Array) -> Array:
     return np.searchsorted(grid, t - 0.5 * (grid[1] - grid[0]))
 
 
-def along(experiment: Experiment, motion: Trajectory) -> Array:
+def regressor_along(experiment: Experiment, motion: Trajectory) -> Array:
     """The base regressor (N, rows, r) along a motion."""
     return np.concatenate(list(experiment.regress(motion)))
 
@@ -238,8 +240,8 @@ def rows_of(experiment: Experiment, tau: Array) -> Array:
     return tau[:, [names.index(row) for row in experiment.problem.rows]]
 
 
-def simulating(experiment: Experiment) -> tuple[Possible, Array]:
+def requires_controller(experiment: Experiment) -> tuple[SimulatableSet, Array]:
     """Room for steps and the start of a method that simulates the closed loop."""
-    commanded_of(experiment)
-    room = possible(experiment.problem)
+    _commanded_of(experiment)
+    room = simulatable_set(experiment.problem)
     return room, start_of(experiment, room)

@@ -7,8 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.identification.feasibility.simulatable import Possible
-from sysid_bench.identification.simulation_based.gauss_newton import Trial, along, floor_of
+from sysid_bench.identification.feasibility.simulatable import SimulatableSet
+from sysid_bench.identification.simulation_based.gauss_newton import (
+    Candidate,
+    floor_of,
+    regressor_along,
+)
 from sysid_bench.types import Array, Experiment, Recording
 
 NUDGE: Final = 1e-4
@@ -23,7 +27,7 @@ class OutputError:
     """A measured signal against the simulated one; slopes by finite differences of simulations."""
 
     experiment: Experiment
-    room: Possible
+    room: SimulatableSet
     signal: Signal
     approximates = False
 
@@ -37,17 +41,17 @@ class OutputError:
         """Rounding of the signal (channels,)."""
         return np.asarray(floor_of(self.measured))
 
-    def attempt(self, theta: Array) -> Trial:
+    def evaluate(self, theta: Array) -> Candidate:
         """One simulation."""
         simulated = self.experiment.simulate(theta)
         error = self.measured - self.signal(self.experiment, simulated)
-        return Trial(theta, self.room.problem.base.K @ theta, error, simulated)
+        return Candidate(theta, self.room.problem.base.K @ theta, error, simulated)
 
-    def slope(self, trial: Trial) -> Array:
+    def jacobian(self, trial: Candidate) -> Array:
         """Derivative (N, channels, r) of the simulated signal: r simulations."""
         assert trial.recording is not None
-        lift = self.room.lift(trial.theta)
-        W = along(self.experiment, trial.recording.motion)
+        lift = self.room.lift_of(trial.theta)
+        W = regressor_along(self.experiment, trial.recording.motion)
         sizes = np.sqrt((W**2).sum(axis=(0, 1)))
         torque = np.linalg.norm(trial.recording.tau)
         columns = [
@@ -56,8 +60,8 @@ class OutputError:
         ]
         return np.stack(columns, axis=-1)
 
-    def _difference(self, trial: Trial, direction: Array, nudge: float) -> Array:
+    def _difference(self, trial: Candidate, direction: Array, nudge: float) -> Array:
         """Derivative (N, channels) along a direction (p,), where bodies can exist."""
-        nudge = min(nudge, self.room.reach(trial.theta, direction))
-        other = self.attempt(trial.theta + nudge * direction)
+        nudge = min(nudge, self.room.step_limit(trial.theta, direction))
+        other = self.evaluate(trial.theta + nudge * direction)
         return (trial.error - other.error) / nudge

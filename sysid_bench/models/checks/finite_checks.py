@@ -28,7 +28,7 @@ _OF_THE_MODEL: Final = {
 }  # fmt: skip
 
 
-def check_numbers(mj: "mujoco.MjModel", name: str) -> None:
+def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
     """Raises ModelError, naming the first body or joint, for a number beyond `LARGEST` or none."""
     for key in _OF_BODIES:
         for b in _wrong(getattr(mj, key)):

@@ -10,14 +10,14 @@ import mujoco
 _HEARD: deque[str] = deque(maxlen=100)
 
 
-def listen() -> None:
+def capture_warnings() -> None:
     """From now on warnings are kept; a handler that the user has set stays in place."""
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(_HEARD.append)
 
 
 @contextmanager
-def kept() -> Iterator[None]:
+def captured_warnings() -> Iterator[None]:
     """Within, the warnings that the compiler gives to Python are kept with the others. They speak
     of mass matrices singular at the reference, as those of z-x-z hinges on one body are: no fault
     by itself."""
@@ -27,11 +27,11 @@ def kept() -> Iterator[None]:
     _HEARD.extend(str(warning.message) for warning in told)
 
 
-def heard() -> tuple[str, ...]:
+def warnings_from() -> tuple[str, ...]:
     """The warnings since the last call, each once."""
     texts = tuple(dict.fromkeys(" ".join(text.split()) for text in _HEARD))
     _HEARD.clear()
     return texts
 
 
-listen()
+capture_warnings()

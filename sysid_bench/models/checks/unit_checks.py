@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.errors import first_few
+from sysid_bench.errors import first_names
 from sysid_bench.models.tree import HINGE
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ TURNS: Final = 4 * math.pi  # rad; a hinge that is limited at all stops before
 PLACEHOLDER: Final = 1e3  # rad; beyond it a limit means "none", in any unit
 
 
-def doubts_of(mj: "mujoco.MjModel") -> tuple[str, ...]:
+def unit_warnings(mj: "mujoco.MjModel") -> tuple[str, ...]:
     """What in a compiled model looks like millimetres, degrees or g mm^2; one line a kind."""
     return (*_lengths(mj), *_inertias(mj), *_ranges(mj))
 
@@ -57,7 +57,7 @@ def _ranges(mj: "mujoco.MjModel") -> Iterator[str]:
     hinges = (mj.jnt_type == HINGE) & (mj.jnt_limited == 1)
     wide = np.flatnonzero(hinges & (limits > TURNS) & (limits <= PLACEHOLDER))
     if wide.size:
-        names = first_few(mj.joint(int(j)).name for j in wide)
+        names = first_names(mj.joint(int(j)).name for j in wide)
         yield f"limits of {names} beyond two turns: are they in degrees?"
 
 
@@ -70,8 +70,8 @@ def turned_too_far(robot: ET.Element) -> Iterator[str]:
         if max(abs(float(word)) for word in origin.get("rpy", "0").split()) > 2 * math.pi + 1e-3
     ]
     if turned:
-        yield f"rpy of {first_few(turned)} more than a turn: is this in degrees?"
+        yield f"rpy of {first_names(turned)} more than a turn: is this in degrees?"
 
 
 def _named(mj: "mujoco.MjModel", bodies: Iterable[int]) -> str:
-    return first_few(mj.body(b).name or "(unnamed)" for b in bodies)
+    return first_names(mj.body(b).name or "(unnamed)" for b in bodies)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
-from sysid_bench.models.coupling.closure_limits import reach_of, steepest
+from sysid_bench.models.coupling.closure_limits import closure_limits, largest_slope
 from sysid_bench.models.coupling.constraints import Constraint
 from sysid_bench.models.coupling.coupling import Coupling, names_of
 from sysid_bench.models.coupling.group import Group
-from sysid_bench.models.coupling.independent_joints import connected, group_of
+from sysid_bench.models.coupling.independent_joints import connected_groups, group_of
 from sysid_bench.types import Array
 
 
@@ -49,7 +49,7 @@ def coupling_of(
     wanted = frozenset(place[name] for name in independent)
     groups = tuple(
         group_of(members, dofs.slides, dofs.names, motors, wanted)
-        for members in connected(constraints)
+        for members in connected_groups(constraints)
     )
     following = np.sort(np.concatenate([group.dofs[group.dependent] for group in groups]))
     moving = np.setdiff1d(np.arange(len(dofs.names)), following)
@@ -91,26 +91,26 @@ def _room(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
     q0 = dofs.q0[group.dofs]
     bounds = dofs.stated[0][group.dofs], dofs.stated[1][group.dofs]
     bounds[0][group.independent], bounds[1][group.independent] = dofs.low[moving], dofs.high[moving]
-    low, high = reach_of(group, bounds[0] - q0, bounds[1] - q0)
+    low, high = closure_limits(group, bounds[0] - q0, bounds[1] - q0)
     told = ""
     if not _roomy(group, low, high):
         # Files couple joints against their own limits; a follower's limit binds nothing then.
         for bound, none in zip(bounds, (-np.inf, np.inf), strict=True):
             bound[group.dependent] = none
-        low, high = reach_of(group, bounds[0] - q0, bounds[1] - q0)
+        low, high = closure_limits(group, bounds[0] - q0, bounds[1] - q0)
         told = (
             f"limits of {names_of(dofs.names, following)} ignored: they leave "
             f"{names_of(dofs.names, moving)}, which they follow, no room"
         )
     if not _roomy(group, low, high):
-        least = float(group.regularity(group.reference[None])[0])
+        least = float(group.condition(group.reference[None])[0])
         raise ModelError(
             f"The coupling of {names_of(dofs.names, group.dofs)} leaves "
             f"{names_of(dofs.names, moving)} no room: next to the reference posture the closure is "
             f"lost or singular (smallest singular value there {least:.2g}); draw the model in a "
             "posture that is not flat or stretched."
         )
-    slope = steepest(group, low, high)
+    slope = largest_slope(group, low, high)
     fastest = slope @ dofs.v[moving]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.minimum(1.0, dofs.stated[2][following] / fastest)

@@ -38,7 +38,7 @@ class Chain:
     p: Array
     R: Array
 
-    def reach(self, x: Array) -> "Reached":
+    def evaluate(self, x: Array) -> "_ChainState":
         """Where the end is with the joints displaced by x (N, k) from their reference."""
         N = len(x)
         R, p = np.tile(np.eye(3), (N, 1, 1)), np.zeros((N, 3))
@@ -57,11 +57,11 @@ class Chain:
                 joints.append(joint)
                 axes.append(axis)
                 anchors.append(anchor)
-        return Reached(p + R @ self.p, R @ self.R, tuple(joints), tuple(axes), tuple(anchors))
+        return _ChainState(p + R @ self.p, R @ self.R, tuple(joints), tuple(axes), tuple(anchors))
 
 
 @dataclass(frozen=True, eq=False)
-class Reached:
+class _ChainState:
     """The end of a chain, p (N, 3) and R (N, 3, 3); axis and anchor (N, 3) of each joint."""
 
     p: Array

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.models.coupling.group import SINGULAR, Group, Keep
+from sysid_bench.models.coupling.group import SINGULAR, Group, SolverState
 from sysid_bench.types import Array
 
 REGULAR: Final = 0.2
@@ -23,7 +23,7 @@ SCATTERED: Final = 64
 _ROUNDING: Final = 1e-9
 
 
-def reach_of(group: Group, low: Array, high: Array) -> tuple[Array, Array]:
+def closure_limits(group: Group, low: Array, high: Array) -> tuple[Array, Array]:
     """Lowest and highest displacements (k - r,) of the independent joints; `low`, `high` (k,) bound
     the displacement of every joint of the group, infinite where nothing does."""
     moving = group.independent
@@ -33,8 +33,8 @@ def reach_of(group: Group, low: Array, high: Array) -> tuple[Array, Array]:
     follow = group.dependent
     keep_low[follow] = np.minimum(low[follow] - _ROUNDING, group.reference[follow])
     keep_high[follow] = np.maximum(high[follow] + _ROUNDING, group.reference[follow])
-    margin = max(SINGULAR, REGULAR * float(group.regularity(group.reference[None])[0]))
-    keep = Keep(margin, keep_low, keep_high)
+    margin = max(SINGULAR, REGULAR * float(group.condition(group.reference[None])[0]))
+    keep = SolverState(margin, keep_low, keep_high)
     sides = np.tile(start, (2, len(moving), 1))
     sides[:, np.arange(len(moving)), np.arange(len(moving))] = bounds
     shares = _shares(group, sides.reshape(-1, len(moving)), keep)
@@ -45,22 +45,22 @@ def reach_of(group: Group, low: Array, high: Array) -> tuple[Array, Array]:
     return bounds[0], bounds[1]
 
 
-def steepest(group: Group, low: Array, high: Array) -> Array:
+def largest_slope(group: Group, low: Array, high: Array) -> Array:
     """Largest |F| (r, k - r) over postures within low and high (k - r,)."""
     points = np.random.default_rng(0).uniform(size=(SCATTERED, len(low)))
-    x, _ = group.walked(np.concatenate([low + points * (high - low), [low, high]]))
+    x, _ = group.continuation(np.concatenate([low + points * (high - low), [low, high]]))
     return np.abs(group.follow(x)).max(axis=0)
 
 
-def _shares(group: Group, targets: Array, keep: Keep) -> Array:
+def _shares(group: Group, targets: Array, keep: SolverState) -> Array:
     """The share (M,) of the way from the reference to each target that is good."""
     if group.linear:
         return _linear_shares(group, targets, keep)
-    _, shares = group.walked(targets, keep, STEPS)
+    _, shares = group.continuation(targets, keep, STEPS)
     return np.where(shares < 1.0, INSIDE * shares, 1.0)
 
 
-def _linear_shares(group: Group, targets: Array, keep: Keep) -> Array:
+def _linear_shares(group: Group, targets: Array, keep: SolverState) -> Array:
     """The same without a step: the limits of those that follow are met on straight ways."""
     follow, start = group.dependent, group.reference
     moves = (targets - start[group.independent]) @ group.follow(start[None])[0].T

@@ -59,7 +59,7 @@ class Loop:
 
     def equation(self, x: Array) -> tuple[Array, Array]:
         """r (N, 3 or 6) and J (N, 3 or 6, k) at x (N, k); J is exact where the loop is closed."""
-        one, other = self.one.reach(x), self.other.reach(x)
+        one, other = self.one.evaluate(x), self.other.evaluate(x)
         J = one.jacobian(x.shape[1]) - other.jacobian(x.shape[1])
         r = one.p - other.p
         if not self.rigid:
@@ -69,7 +69,7 @@ class Loop:
 
     def drift(self, x: Array, v: Array) -> Array:
         """dJ/dt v (N, 3 or 6)."""
-        difference = self.one.reach(x).drift(v) - self.other.reach(x).drift(v)
+        difference = self.one.evaluate(x).drift(v) - self.other.evaluate(x).drift(v)
         return difference[:, [3, 4, 5, 0, 1, 2]] if self.rigid else difference[:, 3:]
 
 

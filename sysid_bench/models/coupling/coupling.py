@@ -51,7 +51,7 @@ class Coupling:
         return all(group.linear for group in self.groups)
 
     @cached_property
-    def touches(self) -> Array:
+    def depends_on(self) -> Array:
         """(m, n) whether a dependent dof follows an independent one at all."""
         out = np.zeros((len(self.dependent), len(self.independent)), dtype=bool)
         for group, rows, columns in self._columns:
@@ -62,9 +62,9 @@ class Coupling:
                 out[np.ix_(rows, columns)] = True
         return out
 
-    def drivers(self, dof: int) -> Array:
+    def independent_of(self, dof: int) -> Array:
         """The independent dofs that a dependent one follows, in tree order."""
-        return self.independent[self.touches[int(np.searchsorted(self.dependent, dof))]]
+        return self.independent[self.depends_on[int(np.searchsorted(self.dependent, dof))]]
 
     def follow(self, q: Array) -> Array:
         """F (N, m, n) with v_dep = F v_ind at closed q (N, nq)."""
@@ -98,7 +98,7 @@ class Coupling:
             moving, following = group.dofs[group.independent], group.dofs[group.dependent]
             given = self._displacement(group, q)[:, group.independent]
             beside = None if near is None else self._displacement(group, near)
-            x, good = group.closed(given, beside)
+            x, good = group.is_closed(given, beside)
             if not good.all():
                 raise self._lost(group, given[int(np.argmin(good))])
             q[:, self.qadr[group.dofs]] = x + self.q0[group.dofs]
@@ -124,16 +124,16 @@ class Coupling:
         return q[:, self.qadr[group.dofs]] - self.q0[group.dofs]
 
     def _lost(self, group: Group, given: Array) -> ModelError:
-        x, _ = group.walked(given[None])
-        value = float(group.regularity(x)[0])
+        x, _ = group.continuation(given[None])
+        value = float(group.condition(x)[0])
         return ModelError(
             f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is singular, "
-            f"at {posture(self, group, given)} (smallest singular value {value:.2g} on the way "
-            "there); keep the motion nearer to the reference posture, by limits in the manifest."
+            f"at {reference_posture(self, group, given)} (smallest singular value {value:.2g} on the "
+            "way there); keep the motion nearer to the reference posture, by limits in the manifest."
         )
 
 
-def posture(coupling: Coupling, group: Group, given: Array) -> str:
+def reference_posture(coupling: Coupling, group: Group, given: Array) -> str:
     """ "crank = 0.31, lift = -0.2" of the independent joints of a group."""
     moving = group.dofs[group.independent]
     values = given + coupling.q0[moving]

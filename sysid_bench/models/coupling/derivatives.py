@@ -23,7 +23,7 @@ a closure less."""
 
 
 @dataclass(frozen=True, eq=False)
-class Bend:
+class _Curvature:
     """One group of coupled joints along a motion: how `following` (r,) follow `moving` (c,), dofs
     of the tree. F (N, r, c); by each position x_j those of F, v_dep and a_dep, (N, r, c, c) and
     (N, r, c); None where F is the same everywhere."""
@@ -36,13 +36,13 @@ class Bend:
     a_x: Array | None = None
 
 
-def pulled(coupling: Coupling, motion: Trajectory, slopes: Slopes) -> Slopes:
+def pull_back(coupling: Coupling, motion: Trajectory, slopes: Slopes) -> Slopes:
     """Derivatives of a number by what moves, from those by q, v, a (N, nv) of every joint: the
     followers' are handed on, and are zero afterwards."""
     if not any(slope[:, coupling.dependent].any() for slope in slopes):
         return slopes
     q, v, a = (slope.copy() for slope in slopes)
-    for bend in bends(coupling, motion):
+    for bend in curvatures(coupling, motion):
         own = [slope[:, bend.following] for slope in (q, v, a)]
         for slope, part in zip((q, v, a), own, strict=True):
             slope[:, bend.moving] += np.einsum("nrc,nr->nc", bend.F, part)
@@ -55,10 +55,10 @@ def pulled(coupling: Coupling, motion: Trajectory, slopes: Slopes) -> Slopes:
     return q, v, a
 
 
-def pulled_follow(coupling: Coupling, motion: Trajectory, S: Array) -> Array:
+def pull_back_follow(coupling: Coupling, motion: Trajectory, S: Array) -> Array:
     """Derivatives by q (N, nv) of what moves of sum(S * F), S (N, m, n) as `Coupling.follow`."""
     out = np.zeros_like(motion.v)
-    for bend in bends(coupling, motion):
+    for bend in curvatures(coupling, motion):
         if bend.F_x is not None:
             rows = np.searchsorted(coupling.dependent, bend.following)
             columns = np.searchsorted(coupling.independent, bend.moving)
@@ -68,27 +68,27 @@ def pulled_follow(coupling: Coupling, motion: Trajectory, S: Array) -> Array:
 
 
 @lru_cache(maxsize=4)
-def bends(coupling: Coupling, motion: Trajectory) -> tuple[Bend, ...]:
+def curvatures(coupling: Coupling, motion: Trajectory) -> tuple[_Curvature, ...]:
     """All groups along a completed motion; kept, since many slopes are asked about one motion."""
     return tuple(_bend(coupling, group, motion) for group in coupling.groups)
 
 
-def _bend(coupling: Coupling, group: Group, motion: Trajectory) -> Bend:
+def _bend(coupling: Coupling, group: Group, motion: Trajectory) -> _Curvature:
     following, moving = group.dofs[group.dependent], group.dofs[group.independent]
     x = motion.q[:, coupling.qadr[group.dofs]] - coupling.q0[group.dofs]
     F = group.follow(x)
     if group.linear or len(moving) == 0:
-        return Bend(following, moving, np.repeat(F, len(x), axis=0))
+        return _Curvature(following, moving, np.repeat(F, len(x), axis=0))
     v, a = motion.v[:, group.dofs], motion.a[:, moving]
     parts = []
     for j, place in enumerate(group.independent):
         step = STEP * group.units[place]
         move = np.zeros((len(x), len(moving)))
         move[:, j] = step
-        up, down = (_state(group, group.beside(x, s * move), v, a) for s in (1.0, -1.0))
+        up, down = (_state(group, group.residual_rank(x, s * move), v, a) for s in (1.0, -1.0))
         parts.append([(u - d) / (2 * step) for u, d in zip(up, down, strict=True)])
     F_x, v_x, a_x = (np.stack(part, axis=-1) for part in zip(*parts, strict=True))
-    return Bend(following, moving, F, F_x, v_x, a_x)
+    return _Curvature(following, moving, F, F_x, v_x, a_x)
 
 
 def _state(group: Group, x: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:

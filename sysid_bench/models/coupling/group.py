@@ -35,7 +35,7 @@ PATIENT: Final = 30
 
 
 @dataclass(frozen=True, eq=False)
-class Keep:
+class SolverState:
     """What postures on a way have to keep: a smallest singular value, and limits (k,)."""
 
     regularity: float
@@ -75,7 +75,7 @@ class Group:
         )
         return self._resolved(self._jacobian(x), -bias[:, :, None])[:, :, 0]
 
-    def regularity(self, x: Array) -> Array:
+    def condition(self, x: Array) -> Array:
         """Smallest singular value (N,) of the scaled J_dep; infinite where nothing depends."""
         return self._regularity(self._jacobian(x))
 
@@ -85,19 +85,19 @@ class Group:
         D = self._scaled(J)[:, :, self.dependent]
         return np.sqrt(np.maximum(np.linalg.eigvalsh(D.swapaxes(1, 2) @ D)[:, 0], 0.0))
 
-    def scaled(self, x: Array) -> Array:
+    def scaled_jacobian(self, x: Array) -> Array:
         """J (N, m, k) with its rows and columns scaled to entries of order one."""
         return self._scaled(self._jacobian(x))
 
     def _scaled(self, J: Array) -> Array:
         return J * self.units / self.row_units[:, None]
 
-    def settled(self, x: Array) -> Array | None:
+    def solve_closure(self, x: Array) -> Array | None:
         """The closed posture (k,) with the independent joints of x; None where none is near."""
         found, _, good = self._newton(x[None], PATIENT)
         return found[0] if good[0] and np.isfinite(found).all() else None
 
-    def relaxed(self, x: Array) -> Array:
+    def least_squares_step(self, x: Array) -> Array:
         """x (N, k) closed by the smallest moves of all its joints together."""
         x = x.copy()
         for _ in range(PATIENT):
@@ -106,7 +106,7 @@ class Group:
             x -= moves[:, :, 0] * self.units
         return x
 
-    def beside(self, x: Array, moves: Array) -> Array:
+    def residual_rank(self, x: Array, moves: Array) -> Array:
         """Closed postures a small way from closed x (N, k), moves (N, k - r) of the independent
         joints away."""
         x = x.copy()
@@ -114,17 +114,17 @@ class Group:
         x[:, self.independent] += moves
         return self._newton(x, 2)[0]
 
-    def closed(self, independent: Array, near: Array | None = None) -> tuple[Array, Array]:
+    def is_closed(self, independent: Array, near: Array | None = None) -> tuple[Array, Array]:
         """Closed x (N, k) with these independent joints (N, k - r), on the branch of the reference,
         and which of them (N,) are closed and regular; `near` (N, k): closed postures of the same
         branch from where the way is shorter."""
         if self.linear:
             return self._closed_at_once(independent), np.ones(len(independent), dtype=bool)
         if near is not None:
-            x, share = self.walked(independent, start=near)
+            x, share = self.continuation(independent, start=near)
             return x, share == 1.0
         stride = self._stride(independent)
-        start, share = self.walked(independent[::stride])
+        start, share = self.continuation(independent[::stride])
         regular = share == 1.0
         x = np.repeat(start, stride, axis=0)[: len(independent)]
         regular = np.repeat(regular, stride)[: len(independent)]
@@ -137,10 +137,10 @@ class Group:
             regular = regular & found & self._same_branch(before, J)
         return x, regular
 
-    def walked(
+    def continuation(
         self,
         targets: Array,
-        keep: Keep | None = None,
+        keep: SolverState | None = None,
         least: int = 1,
         start: Array | None = None,
     ) -> tuple[Array, Array]:

@@ -26,7 +26,7 @@ NEARBY: Final = 0.05
 """How far from the reference (rad) its rank is compared."""
 
 
-def connected(constraints: Sequence[Constraint]) -> list[list[Constraint]]:
+def connected_groups(constraints: Sequence[Constraint]) -> list[list[Constraint]]:
     """The constraints by group: those that share a degree of freedom, directly or not."""
     groups: list[tuple[set[int], list[Constraint]]] = []
     for constraint in constraints:
@@ -150,13 +150,13 @@ def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
 def _closed_at_reference(group: Group, names: tuple[str, ...]) -> Group:
     told = ", ".join(names[dof] for dof in group.dofs)
     where = "the model's reference posture (qpos0, or all joints of a URDF at zero)"
-    x = group.settled(group.reference)
+    x = group.solve_closure(group.reference)
     if x is None:
         raise ModelError(
             f"The coupling of {told} cannot be closed near {where}; draw the model closed."
         )
     group = replace(group, reference=x)
-    value = float(group.regularity(x[None])[0])
+    value = float(group.condition(x[None])[0])
     hidden = _hidden(group)
     if value < SINGULAR or hidden is not None:
         least = value if hidden is None else hidden
@@ -176,13 +176,13 @@ def _hidden(group: Group) -> float | None:
     closure branches there, and nothing tells which way it goes."""
     if group.linear or len(group.independent) == 0:
         return None
-    here = group.scaled(group.reference[None])[0]
+    here = group.scaled_jacobian(group.reference[None])[0]
     _, values, Vt = np.linalg.svd(here)
     r = len(group.dependent)
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(4, len(Vt) - r)) @ Vt[r:]
     directions *= NEARBY / np.abs(directions).max(axis=1, keepdims=True)
-    for x in group.relaxed(group.reference + directions * group.units):
-        if _rank(group.scaled(x[None])[0]) > r:
+    for x in group.least_squares_step(group.reference + directions * group.units):
+        if _rank(group.scaled_jacobian(x[None])[0]) > r:
             return float(values[r]) if r < len(values) else 0.0
     return None

@@ -13,32 +13,32 @@ CONSTANTS: Final = {"pi": math.pi, "deg": math.pi / 180.0}
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearExpression:
     """constant + sum of coefficients times joint variables."""
 
     constant: float
     coefficients: Mapping[str, float] = field(default_factory=dict)
 
-    def __add__(self, other: "Linear") -> "Linear":
+    def __add__(self, other: "LinearExpression") -> "LinearExpression":
         names = dict.fromkeys([*self.coefficients, *other.coefficients])
         total = {n: self.coefficients.get(n, 0.0) + other.coefficients.get(n, 0.0) for n in names}
-        return Linear(
+        return LinearExpression(
             self.constant + other.constant, {n: value for n, value in total.items() if value}
         )
 
-    def times(self, factor: float) -> "Linear":
+    def times(self, factor: float) -> "LinearExpression":
         """Everything multiplied by a number."""
         scaled = {name: factor * value for name, value in self.coefficients.items()}
-        return Linear(factor * self.constant, scaled)
+        return LinearExpression(factor * self.constant, scaled)
 
 
 def read_expression(
     text: str, symbols: Mapping[str, float], variables: frozenset[str], where: str
-) -> Linear:
+) -> LinearExpression:
     """The value of a cell; an empty one is zero. Raises UsageError for anything but sums and
     products of numbers, `symbols`, pi and deg, linear in `variables`."""
     if not text.strip():
-        return Linear(0.0)
+        return LinearExpression(0.0)
     try:
         tree = ast.parse(text.strip().replace("^", "**"), mode="eval").body
         value = _value(tree, {**CONSTANTS, **symbols}, variables)
@@ -55,14 +55,16 @@ def read_expression(
     return value
 
 
-def _value(node: ast.expr, symbols: Mapping[str, float], variables: frozenset[str]) -> Linear:
+def _value(
+    node: ast.expr, symbols: Mapping[str, float], variables: frozenset[str]
+) -> LinearExpression:
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-            return Linear(float(number))
+            return LinearExpression(float(number))
         case ast.Name(id=name) if name in variables:
-            return Linear(0.0, {name: 1.0})
+            return LinearExpression(0.0, {name: 1.0})
         case ast.Name(id=name) if name in symbols:
-            return Linear(symbols[name])
+            return LinearExpression(symbols[name])
         case ast.Name(id=name):
             raise ValueError(f"nothing is called {name!r}")
         case ast.UnaryOp(op=ast.USub(), operand=inner):
@@ -76,7 +78,9 @@ def _value(node: ast.expr, symbols: Mapping[str, float], variables: frozenset[st
     raise ValueError("it is no sum or product of numbers and names")
 
 
-def _combined(left: Linear, op: ast.operator, right: Linear) -> Linear:
+def _combined(
+    left: LinearExpression, op: ast.operator, right: LinearExpression
+) -> LinearExpression:
     match op:
         case ast.Add():
             return left + right
@@ -89,5 +93,5 @@ def _combined(left: Linear, op: ast.operator, right: Linear) -> Linear:
         case ast.Div() if not right.coefficients:
             return left.times(1.0 / right.constant)
         case ast.Pow() if not left.coefficients and not right.coefficients:
-            return Linear(float(left.constant**right.constant))
+            return LinearExpression(float(left.constant**right.constant))
     raise ValueError("it is not linear in the joint variables")

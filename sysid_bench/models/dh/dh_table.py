@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.models.dh.dh_expression import CONSTANTS, Linear, read_expression
+from sysid_bench.models.dh.dh_expression import CONSTANTS, LinearExpression, read_expression
 
 NEEDED: Final = ("link", "joint", "a", "alpha", "d", "theta")
 COLUMNS: Final = (*NEEDED, "prev", "low", "high", "mass", "com", "size")
@@ -43,8 +43,8 @@ class DhRow:
     prev: str | None
     a: float
     alpha: float
-    d: Linear
-    theta: Linear
+    d: LinearExpression
+    theta: LinearExpression
     motor: bool = True
     limits: tuple[float, float] | None = None
     mass: float | None = None
@@ -57,7 +57,7 @@ class DhRow:
         return f"q{self.link}"
 
     @property
-    def moves(self) -> Linear:
+    def moves(self) -> LinearExpression:
         """What its joint does: theta of an R row, d of a P row."""
         return self.theta if self.kind == "R" else self.d
 
@@ -180,7 +180,7 @@ class _Cells:
             size=self.three("size"),
         )
 
-    def linear(self, name: str, kind: str) -> Linear:
+    def linear(self, name: str, kind: str) -> LinearExpression:
         """theta or d; what the joint moves is its own variable where the cell is empty."""
         own, text = f"q{self.row['link']}", self.row.get(name, "").replace("—", "")
         moves = (kind, name) in (("R", "theta"), ("P", "d"))
@@ -190,7 +190,7 @@ class _Cells:
                 f"{self.where}, column {name}: {text!r} moves, but the joint is {kind}."
             )
         if moves and not value.coefficients:
-            value = value + Linear(0.0, {own: 1.0})
+            value = value + LinearExpression(0.0, {own: 1.0})
         if moves and own in value.coefficients and value.coefficients != {own: 1.0}:
             raise UsageError(
                 f"{self.where}, column {name}: {text!r}; write {own} plus a constant, or the "

@@ -46,12 +46,12 @@ def check_files(path: Path, text: bytes, folder: Path | None = None) -> None:
     _Reading(path, folder or path.parent).model(path, parse_xml(text, path.name))
 
 
-def inside(path: Path, folder: Path) -> bool:
+def is_inside(path: Path, folder: Path) -> bool:
     """Whether a file lies in a folder, links followed."""
     return path.resolve().is_relative_to(folder.resolve())
 
 
-def outside(path: Path, file: Path) -> str:
+def files_outside(path: Path, file: Path) -> str:
     """What to do about a file outside of the folder of a model `path`, in words."""
     common = os.path.commonpath([path.resolve().parent, file.resolve()])
     above = os.path.relpath(common, path.resolve().parent)
@@ -126,8 +126,8 @@ class _Reading:
         told = f"<{element.tag} file={name!r}>"
         files = [place / name for place in (model.parent, path.parent)]
         there = {file.resolve(): file for file in files if file.is_file()}
-        if Path(name).is_absolute() or any(not inside(file, self.folder) for file in there):
-            lies = outside(self.path, next(iter(there), Path(name)))
+        if Path(name).is_absolute() or any(not is_inside(file, self.folder) for file in there):
+            lies = files_outside(self.path, next(iter(there), Path(name)))
             raise ModelError(f"{path.name}: {told} lies {lies}.")
         if not there:
             raise ModelError(f"{path.name}: the file of {told} is not there.")

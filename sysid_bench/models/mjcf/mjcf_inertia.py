@@ -13,9 +13,9 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from sysid_bench.errors import ModelError, first_few
-from sysid_bench.models.checks.mujoco_warnings import kept
-from sysid_bench.models.mjcf.mjcf_files import inside, outside
+from sysid_bench.errors import ModelError, first_names
+from sysid_bench.models.checks.mujoco_warnings import captured_warnings
+from sysid_bench.models.mjcf.mjcf_files import files_outside, is_inside
 from sysid_bench.types import Array
 
 _WITH_FILES: Final = (
@@ -28,7 +28,7 @@ _AUTO: Final = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO)
 LARGEST_MESH: Final = 256 * 2**20  # bytes
 
 
-def settle_inertias(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str, ...]:
+def explicit_inertias(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str, ...]:
     """Makes the inertias of a spec explicit where meshes or rules of the compiler decide them, and
     deletes every shape that needs a file. Meshes lie below `folder`. Tells, in words, the bodies
     whose meshes are absent.
@@ -74,8 +74,8 @@ class _Absent:
 
     def __str__(self) -> str:
         return (
-            f"{first_few(self.bodies)}: inertia came from meshes that are not there "
-            f"({first_few(self.files)}): give each of these bodies an <inertial>, or put "
+            f"{first_names(self.bodies)}: inertia came from meshes that are not there "
+            f"({first_names(self.files)}): give each of these bodies an <inertial>, or put "
             f"the meshes into the folder {self.folder!r}"
         )
 
@@ -105,10 +105,10 @@ def _mesh_file(spec: mujoco.MjSpec, name: str, path: Path, folder: Path) -> Path
         return None
     written = Path(mesh.file).name if spec.strippath else mesh.file
     file = path.parent / (spec.compiler.meshdir or "") / written
-    if not inside(file, folder):
+    if not is_inside(file, folder):
         raise ModelError(
             f"{path.name}: the inertia of a body comes from the mesh {mesh.file!r}, which lies "
-            f"{outside(path, file)}; or give the body an <inertial>."
+            f"{files_outside(path, file)}; or give the body an <inertial>."
         )
     if file.is_file() and file.stat().st_size > LARGEST_MESH:
         raise ModelError(f"{path.name}: the mesh {mesh.file!r} is too large for a robot's part.")
@@ -164,7 +164,7 @@ def _write_down(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> None:
 
 def _compiled(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> mujoco.MjModel:
     try:
-        with kept():
+        with captured_warnings():
             return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         if absent:

@@ -17,7 +17,7 @@ AT_JOINT: Final = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINT
 _BIT: Final = mujoco.mjtDisableBit
 
 
-def settle_terms(spec: mujoco.MjSpec) -> tuple[str, ...]:
+def joint_terms_of(spec: mujoco.MjSpec) -> tuple[str, ...]:
     """Gathers a spec's joint terms at its joints; what is left out, in words."""
     told = [*_reflect_actuators(spec), *_drop_polynomials(spec)]
     _obey_flags(spec)

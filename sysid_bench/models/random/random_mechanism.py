@@ -39,7 +39,7 @@ class _Mechanism:
     closures: tuple[tuple[str, str, str, Array], ...] = ()
 
 
-def random_coupled(kind: str, seed: int) -> str:
+def random_mechanism(kind: str, seed: int) -> str:
     """The MJCF text of a random robot with a mechanism of this kind; SI units, radians.
 
     No Coulomb friction. Raises UsageError for an unknown kind or a negative seed.

@@ -15,7 +15,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.checks.unit_checks import turned_too_far
-from sysid_bench.models.urdf.urdf_joints import settle_joints
+from sysid_bench.models.urdf.urdf_joints import canonical_joints
 from sysid_bench.models.xml_file import parse_xml
 from sysid_bench.spatial.inertia import matrix_of_six, six_of_matrix
 from sysid_bench.types import Array
@@ -68,7 +68,7 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     told += _rename_worlds(robot, tree, free_base)
     tree = _Chain.of(robot, name)
     robot.attrib.setdefault("name", "robot")  # Pinocchio insists
-    limits = settle_joints(robot, tree.root, name)
+    limits = canonical_joints(robot, tree.root, name)
     repairs: list[str] = []
     for link in robot.findall("link"):
         repairs += _repair_inertia(link, name)

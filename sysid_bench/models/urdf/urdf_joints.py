@@ -13,7 +13,7 @@ PLANAR_PARTS: Final = {"_TX": "prismatic", "_TY": "prismatic", "_RZ": "continuou
 """How MuJoCo calls the joints of a planar one, and what they are."""
 
 
-def settle_joints(robot: ET.Element, root: str, name: str) -> tuple[str, ...]:
+def canonical_joints(robot: ET.Element, root: str, name: str) -> tuple[str, ...]:
     """Checks the kinds of joints and completes their limits in place; what was done, in words.
 
     Raises ModelError for a kind that there is not, and for a floating joint that is not at the

@@ -10,14 +10,14 @@ import numpy as np
 from sysid_bench.errors import ModelError
 from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.writing.rewrite import rewritten
-from sysid_bench.models.writing.round_trip import as_written
+from sysid_bench.models.writing.rewrite import rewrite
+from sysid_bench.models.writing.round_trip import written_value
 from sysid_bench.models.writing.update import Bodies, Joints, Update
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
     attribute_edits,
-    insertion,
+    insertion_edit,
     numbers,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia
@@ -50,7 +50,7 @@ def updated_mjcf(
     all that is to be written. The text is read again before it is returned. Raises ModelError for
     what must not be written (see models/writing/update.py), and for bodies of included files.
     """
-    return rewritten(path, bodies, joints, verdicts, "mujoco", _edits)
+    return rewrite(path, bodies, joints, verdicts, "mujoco", _edits)
 
 
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
@@ -66,13 +66,13 @@ class _Places:
 
     def __init__(self, root: Element, robot: RobotModel) -> None:
         world = [section for section in root.children if section.tag == "worldbody"]
-        inside = [element for section in world for element in section.walk()]
+        inside = [element for section in world for element in section.descendants()]
         bodies = [element for element in inside if element.tag == "body"]
         joints = [joint for body in bodies for joint in _joints_of(body)]
         self.elements = {"body": bodies, "joint": joints}
         self.names = {"body": robot.body_names, "joint": [joint.name for joint in robot.joints]}
         self.copied = [e.tag for e in inside if e.tag in _COPIES]
-        self.included = any(e.tag == "include" for e in root.walk())
+        self.included = any(e.tag == "include" for e in root.descendants())
         self.file = robot.manifest.path.name
 
     def body(self, name: str) -> Element:
@@ -131,7 +131,7 @@ def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
         yield from attribute_edits(data, inertial, {**dict.fromkeys(_POSE), **values})
     elif phi.any() or body.child("geom") is not None:
         words = " ".join(f'{key}="{value}"' for key, value in values.items() if value is not None)
-        yield insertion(data, body, f"<inertial {words}/>")
+        yield insertion_edit(data, body, f"<inertial {words}/>")
 
 
 def _inertia(inertia: Array) -> dict[str, str | None]:
@@ -152,7 +152,7 @@ def _joint_edits(
     data: bytes, joint: Element, terms: Mapping[str, float], update: Update, name: str
 ) -> Iterator[Edit]:
     j = update.robot.mj.joint(name).id
-    spec = as_written(update.robot)
+    spec = written_value(update.robot)
     source = list(spec.joints)[j]
     values: dict[str, str | None] = {}
     for key, total in terms.items():

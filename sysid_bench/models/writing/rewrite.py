@@ -5,16 +5,16 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.writing.round_trip import prove
+from sysid_bench.models.writing.round_trip import check_round_trip
 from sysid_bench.models.writing.update import Bodies, Joints, Update, update_of
-from sysid_bench.models.writing.xml_text import Edit, Element, elements_of, spliced
+from sysid_bench.models.writing.xml_text import Edit, Element, apply_edits, elements_of
 from sysid_bench.models.xml_file import LARGEST_FILE
 
 FORMATS: Final = {"mujoco": "MJCF", "robot": "URDF"}
 Edits = Callable[[bytes, Element, Update], Iterable[Edit]]
 
 
-def rewritten(
+def rewrite(
     path: Path | str,
     bodies: Bodies,
     joints: Joints | None,
@@ -34,6 +34,6 @@ def rewritten(
         raise ModelError(
             f"{path.name} is no {FORMATS[tag]}: its root element is <{root.tag}>, not <{tag}>."
         )
-    text = spliced(data, edits(data, root, update))
-    prove(path, text, update)
+    text = apply_edits(data, edits(data, root, update))
+    check_round_trip(path, text, update)
     return text

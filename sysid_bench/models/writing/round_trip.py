@@ -21,10 +21,10 @@ PARAMETERS, TORQUES = 1e-12, 1e-11
 """Relative errors that a written model may have when it is read again."""
 
 
-def prove(path: Path, text: str, update: Update) -> None:
+def check_round_trip(path: Path, text: str, update: Update) -> None:
     """Reads the written text again, in the place of the source: raises ModelError where parameters
     or torques at random states differ from what was asked for."""
-    with beside(path, text) as copy:
+    with sibling_file(path, text) as copy:
         try:
             again = load_robot(Manifest(path.stem, copy, couplings=False))
         except ModelError as error:
@@ -51,7 +51,7 @@ def prove(path: Path, text: str, update: Update) -> None:
 
 
 @contextlib.contextmanager
-def beside(path: Path, text: str) -> Iterator[Path]:
+def sibling_file(path: Path, text: str) -> Iterator[Path]:
     """A hidden file with this text beside the source for as long as it is read, so that included
     files and meshes are found; ModelError where that folder cannot be written."""
     try:
@@ -120,7 +120,7 @@ def _torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
     return tau
 
 
-def as_written(robot: RobotModel) -> mujoco.MjSpec:
+def written_value(robot: RobotModel) -> mujoco.MjSpec:
     """The spec of an MJCF as its file has it: the loader settles totals, bounds and polynomials."""
     if robot.format != "mjcf":
         return robot.spec
@@ -129,7 +129,7 @@ def as_written(robot: RobotModel) -> mujoco.MjSpec:
 
 def _meddling(robot: RobotModel) -> str:
     """Which of the compiler's options may have changed what the file states, and what to do."""
-    compiler = as_written(robot).compiler
+    compiler = written_value(robot).compiler
     found = [
         word
         for word, on in (

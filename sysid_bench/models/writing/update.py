@@ -46,7 +46,7 @@ def update_of(
 
     A body is phi (10,) or (m, com (3,), inertia about it (3, 3) or six numbers).
     """
-    refuse_unidentified(verdicts or {})
+    _refuse_unidentified(verdicts or {})
     robot = load_robot(Manifest(path.stem, path, couplings=False))
     known_joints = [j.name for j in robot.joints if j.kind in ("hinge", "slide")]
     for kind, wanted, known in (
@@ -58,11 +58,11 @@ def update_of(
                 raise unknown_name(kind, name, known, f"({path.name})")
     phi = {name: _phi(name, value) for name, value in bodies.items()}
     terms = {name: _terms(name, values) for name, values in joints.items()}
-    refuse_impossible(phi)
+    _refuse_infeasible(phi)
     return Update(robot, phi, terms)
 
 
-def refuse_unidentified(verdicts: Mapping[str, str]) -> None:
+def _refuse_unidentified(verdicts: Mapping[str, str]) -> None:
     """Raises ModelError that names every parameter whose verdict is not "identifiable"."""
     doubtful = [name for name, verdict in verdicts.items() if verdict != "identifiable"]
     if doubtful:
@@ -73,7 +73,7 @@ def refuse_unidentified(verdicts: Mapping[str, str]) -> None:
         )
 
 
-def refuse_impossible(phi: Mapping[str, Array]) -> None:
+def _refuse_infeasible(phi: Mapping[str, Array]) -> None:
     """Raises ModelError that names every body whose pseudo-inertia is not positive semidefinite."""
     impossible = []
     for name, values in phi.items():

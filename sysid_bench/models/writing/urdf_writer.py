@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.writing.rewrite import rewritten
+from sysid_bench.models.writing.rewrite import rewrite
 from sysid_bench.models.writing.update import Bodies, Joints, Update
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
     attribute_edits,
-    insertion,
+    insertion_edit,
     numbers,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia, six_of_matrix
@@ -35,7 +35,7 @@ def updated_urdf(
     text is read again before it is returned. Raises ModelError for what must not be written (see
     models/writing/update.py), and for joint terms that a URDF cannot hold.
     """
-    return rewritten(path, bodies, joints, verdicts, "robot", _edits)
+    return rewrite(path, bodies, joints, verdicts, "robot", _edits)
 
 
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
@@ -64,12 +64,12 @@ def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
     inertial = link.child("inertial")
     if inertial is None:
         if phi.any():
-            yield insertion(data, link, _inertial(parts))
+            yield insertion_edit(data, link, _inertial(parts))
         return
     for part in parts.items():
         present = inertial.child(part[0])
         if present is None:
-            yield insertion(data, inertial, _element(part))
+            yield insertion_edit(data, inertial, _element(part))
         else:
             yield from attribute_edits(data, present, part[1])
 
@@ -86,7 +86,7 @@ def _joint_edits(
     values = {_DYNAMICS[key]: numbers(value) for key, value in terms.items()}
     dynamics = joint.child("dynamics")
     if dynamics is None:
-        yield insertion(data, joint, _element(("dynamics", values)))
+        yield insertion_edit(data, joint, _element(("dynamics", values)))
     else:
         yield from attribute_edits(data, dynamics, values)
 

@@ -30,11 +30,11 @@ class Element:
         """The first child with this tag."""
         return next((child for child in self.children if child.tag == tag), None)
 
-    def walk(self) -> Iterator["Element"]:
+    def descendants(self) -> Iterator["Element"]:
         """The element and all below it, in the order of the text."""
         yield self
         for child in self.children:
-            yield from child.walk()
+            yield from child.descendants()
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def elements_of(data: bytes, name: str) -> Element:
     return roots[0]
 
 
-def spliced(data: bytes, edits: Iterable[Edit]) -> str:
+def apply_edits(data: bytes, edits: Iterable[Edit]) -> str:
     """The text with its edits, which must not overlap; every other byte stays."""
     out, at = [], 0
     for edit in sorted(edits, key=lambda e: (e.start, e.end)):
@@ -113,7 +113,7 @@ def attribute_edits(
         yield Edit(last, last, new)
 
 
-def insertion(data: bytes, parent: Element, element: str) -> Edit:
+def insertion_edit(data: bytes, parent: Element, element: str) -> Edit:
     """Writes `element` as the first child, on a line of its own where the others have theirs."""
     if parent.empty:
         # <tag/> becomes <tag>...</tag>; blanks before its slash are kept within the start tag.
