@@ -47,7 +47,7 @@ def to_latex(table: Table, origin: Origin) -> str:
     """A `table` float. Needs booktabs and siunitx; no other package."""
     layout = [_lay_out(table, column) for column in table.columns]
     body = "\n".join(_rows(table, layout))
-    notes = [rf"\textsuperscript{{{mark}}}\,{escape(n)}" for n, mark in table.best_marks.items()]
+    notes = [rf"\textsuperscript{{{mark}}}\,{escape(n)}" for n, mark in table.footnotes.items()]
     notes += [escape(note) for note in table.notes]
     float_, size = _fit(sum(column.width for column in layout))
     below = "".join(f"\n\n\\smallskip\n{{\\footnotesize {note}\\par}}" for note in notes)
@@ -165,7 +165,7 @@ def _cell(table: Table, column: _Column, entry: Entry | None) -> str:
     if entry is not None and entry.low is not None and entry.high is not None:
         beside = _between(column.style.text(entry.low), column.style.text(entry.high))
     if entry is not None and entry.note:
-        beside += rf"\textsuperscript{{{table.best_marks[entry.note]}}}"
+        beside += rf"\textsuperscript{{{table.footnotes[entry.note]}}}"
     return f"{number} & {beside}" if column.has_text else number
 
 

@@ -20,7 +20,7 @@ def to_markdown(table: Table) -> str:
         numbers = [_cell(table, column, table.entry(row, column)) for column in table.columns]
         lines.append(_line([*map(escape, row), *numbers]))
     parts = [f"**{escape(table.title)}**", escape(table.caption), "\n".join(lines)]
-    parts += [f"({mark}) {escape(note)}" for note, mark in table.best_marks.items()]
+    parts += [f"({mark}) {escape(note)}" for note, mark in table.footnotes.items()]
     return "\n\n".join([*parts, *map(escape, table.notes)]) + "\n"
 
 
@@ -41,7 +41,7 @@ def _line(parts: list[str]) -> str:
 def _cell(table: Table, column: Key, entry: Entry | None) -> str:
     if entry is None:
         return ABSENT
-    mark = f" ({table.best_marks[entry.note]})" if entry.note else ""
+    mark = f" ({table.footnotes[entry.note]})" if entry.note else ""
     if entry.value is None:
         return (escape(entry.word) or ABSENT) + mark
     text = table.notations[column].text

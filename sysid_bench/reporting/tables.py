@@ -103,7 +103,7 @@ class Table:
         return f"{self.metric.heading}: {STATISTICS[self.stat]}{spread}."
 
     @cached_property
-    def best_marks(self) -> dict[str, str]:
+    def footnotes(self) -> dict[str, str]:
         """A letter for every note that an entry carries."""
         found = (self.entries[key].note for key in self.keys if key in self.entries)
         return {note: _letters(i) for i, note in enumerate(dict.fromkeys(filter(None, found)))}

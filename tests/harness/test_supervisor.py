@@ -173,14 +173,14 @@ PARENT = """
 import sys, threading
 from pathlib import Path
 sys.path.insert(0, {here!r})
-from sysid_bench.harness.work.worker_handle import Task, Workplace
+from sysid_bench.harness.work.worker_handle import Task, WorkerSettings
 from sysid_bench.harness.work.supervisor import supervise
 cells = [str(n) for n in range(4)]
 def task(cell):
     argument = {{"do": "sleep {seconds}", "cells": [cell]}}
     return Task("harness_tasks:act", argument, ({{"id": cell}},))
 tasks = [task(cell) for cell in cells]
-print(supervise(tasks, Workplace(Path({folder!r}), 60.0, 1), 2,
+print(supervise(tasks, WorkerSettings(Path({folder!r}), 60.0, 1), 2,
                 on_event=lambda kind, data: print(kind, flush=True)), flush=True)
 """
 
@@ -240,7 +240,9 @@ def test_an_interrupt_keeps_finished_rows_and_kills_the_workers(tmp_path: Path, 
         assert runner.stdout is not None
         seen = []
         while "row" not in seen:
-            seen.append(runner.stdout.readline().strip())
+            line = runner.stdout.readline()
+            assert line, f"The runner ended with {runner.wait(timeout=10)} before a row came."
+            seen.append(line.strip())
         runner.send_signal(how)
         rest = runner.stdout.read().split()
         # The signal may come between a word of a print and its line end.

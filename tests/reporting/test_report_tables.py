@@ -99,7 +99,7 @@ def test_a_group_with_some_failures_has_a_note_that_counts_them(cells: pd.DataFr
         assert not silent
         if entry.note:
             assert f"{entry.n_failed} of {entry.n_failed + entry.n}" in entry.note
-            assert entry.note in table.best_marks
+            assert entry.note in table.footnotes
 
 
 def test_ok_without_a_value_is_no_number_and_no_failure(cells: pd.DataFrame) -> None:

@@ -157,7 +157,7 @@ class _Supervision:
         for cell in worker.owed.values():
             self._write({**cell, "status": status, "reason": reason, **(more or {})})
         cells = [cell["id"] for cell in worker.task.cells]
-        worker.seconds_left()
+        worker.end_task()
         self.on_event("task", {"worker": worker.name, "cells": cells})
 
     def _write(self, row: Row) -> None:

@@ -93,7 +93,7 @@ class Worker:
         """Start-up and computing have the whole limit each."""
         self.deadline = time.monotonic() + self.place.timeout
 
-    def seconds_left(self) -> None:
+    def end_task(self) -> None:
         """The task is over."""
         self.task, self.owed, self.deadline = None, {}, float("inf")
 

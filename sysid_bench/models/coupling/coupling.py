@@ -128,8 +128,9 @@ class Coupling:
         value = float(group.condition(x)[0])
         return ModelError(
             f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is singular, "
-            f"at {reference_posture(self, group, given)} (smallest singular value {value:.2g} on the "
-            "way there); keep the motion nearer to the reference posture, by limits in the manifest."
+            f"at {reference_posture(self, group, given)} (smallest singular value {value:.2g} on "
+            "the way there); keep the motion nearer to the reference posture, by limits in the "
+            "manifest."
         )
 
 
