@@ -125,9 +125,9 @@ def test_a_damaged_file_is_one_sentence(seed: int, tmp_path: Path) -> None:
     (tmp_path / "secret.xml").write_text(f"<mujoco><{SECRET}/></mujoco>")
     folder = tmp_path / "model"
     folder.mkdir()
-    start = time.perf_counter()
+    start = time.process_time()
     [verdict] = crosscheck(damaged(seed, folder), samples=2)
-    assert time.perf_counter() - start < QUICK
+    assert time.process_time() - start < QUICK
     told = verdict["reason"]
     assert not verdict["ok"]
     assert len(told) > 20

@@ -175,10 +175,10 @@ GREAT = {
 @pytest.mark.parametrize("case", GREAT)
 def test_what_is_too_much_in_all_is_refused_before_it_is_built(case: str, tmp_path: Path) -> None:
     file = write(tmp_path, **GREAT[case])
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(ModelError) as refusal:
         load_robot(file)
-    assert time.perf_counter() - start < 3
+    assert time.process_time() - start < 3
     assert "\n" not in str(refusal.value)
     assert re.search("no robot|product", str(refusal.value))
 

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -151,12 +152,30 @@ def test_prose_can_use_every_number(table: Table, hostile: Table, tmp_path: Path
     compiled(standalone(macros + "\n".join(f"{name}\n" for name in names)), tmp_path)
 
 
+STYLES = ("booktabs.sty", "siunitx.sty", "lmodern.sty")
+
+
+@cache
+def _missing_tex() -> str:
+    """The first tool or style file that compiling needs and this machine lacks; "" for none."""
+    for tool in ("pdflatex", "kpsewhich"):
+        if shutil.which(tool) is None:
+            return tool
+    lacks = (
+        name
+        for name in STYLES
+        if subprocess.run(["kpsewhich", name], capture_output=True, check=False).returncode
+    )
+    return next(lacks, "")
+
+
 def compiled(tex: str, folder: Path) -> Path:
-    """The PDF of a document; a missing compiler is a skip here and a failure on CI."""
-    if shutil.which("pdflatex") is None:
-        if os.environ.get("CI") == "true":
-            pytest.fail("pdflatex is not installed: emitted LaTeX must be compiled on CI.")
-        pytest.skip("pdflatex is not installed")
+    """The PDF of a document; a missing compiler or style is a skip here and a failure on CI."""
+    missing = _missing_tex()
+    if missing and os.environ.get("CI") == "true":
+        pytest.fail(f"{missing} is not installed: emitted LaTeX must be compiled on CI.")
+    if missing:
+        pytest.skip(f"{missing} is not installed")
     (folder / "t.tex").write_text(tex, encoding="utf-8")
     command = ["pdflatex", "-halt-on-error", "-interaction=nonstopmode", "t.tex"]
     done = subprocess.run(command, cwd=folder, capture_output=True, timeout=120, check=False)
