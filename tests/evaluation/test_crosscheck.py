@@ -67,7 +67,7 @@ def test_a_tampered_body_regressor_is_caught(
 
     monkeypatch.setattr(kernel, "entries", tampered)
     monkeypatch.setattr(
-        "sysid_bench.regressors.regression.chosen", lambda: KernelChoice(None, "a test")
+        "sysid_bench.regressors.regression.selected_kernel", lambda: KernelChoice(None, "a test")
     )
     check = crosscheck(robot_of(name), samples=10)
     assert not check.ok()

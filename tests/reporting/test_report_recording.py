@@ -168,11 +168,18 @@ def test_an_absent_recording_opens_no_viewer(tmp_path: Path) -> None:
         view(tmp_path / "absent.rrd")
 
 
+def _has_vulkan() -> bool:
+    folders = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
+    return any(any(folder.glob("*.json")) for folder in folders)
+
+
 def test_no_view_of_the_layout_reports_an_error(
     evidence: CellData, nine_joints: CellData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from rerun.experimental import ViewerClient
 
+    if not _has_vulkan():
+        pytest.skip("no Vulkan driver is installed: the viewer cannot draw without a display")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     switch_off = [str(viewer()), "analytics", "disable"]
     subprocess.run(switch_off, capture_output=True, timeout=60, check=False)
