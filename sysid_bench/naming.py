@@ -64,12 +64,19 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "multisine": "sysid_bench.excitation.multisine:MultiSine",
             "optimised": "sysid_bench.excitation.optimised:Optimised",
             "ptp": "sysid_bench.excitation.point_to_point:PointToPoint",
+            "random-waypoints": "sysid_bench.excitation.random_waypoints:RandomWaypoints",
             "static": "sysid_bench.excitation.point_to_point:Static",
             "wander": "sysid_bench.excitation.random_waypoints:RandomWaypoints",
         },
         "simulation": {
             "inverse": "sysid_bench.simulation.inverse:Inverse",
             "closed-loop": "sysid_bench.simulation.closed_loop:ClosedLoop",
+        },
+        "log_reader": {
+            "delimited-text": "sysid_bench.signals.log_readers.delimited_text:DelimitedText",
+            "matlab": "sysid_bench.signals.log_readers.matlab:Matlab",
+            "numpy": "sysid_bench.signals.log_readers.numpy_arrays:NumpyArrays",
+            "parquet": "sysid_bench.signals.log_readers.parquet:Parquet",
         },
         "term": {
             "play": "sysid_bench.regressors.friction_features:Play",
