@@ -46,6 +46,17 @@ class Log:
 
 
 @dataclass(frozen=True, eq=False)
+class _Grid:
+    """Uniform `times` (M,) at `rate` (Hz), and times t (n,) of the `valid` samples (n,), all in the
+    log's own time (s)."""
+
+    times: Array
+    t: Array
+    valid: Array
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
 class _Samples:
     """q, v, tau (N, k) of the recorded coordinates in SI; `truncated`: lines that broke off."""
 
@@ -65,9 +76,9 @@ class _Samples:
         v = None if self.v is None else self.v[:, columns]
         return _Samples(self.q[:, columns], v, self.tau[:, columns], self.truncated)
 
-    def resampled(self, grid: Array, t: Array, valid: Array) -> "_Samples":
-        q, tau = (_interpolated(grid, t[valid], x[valid]) for x in (self.q, self.tau))
-        v = None if self.v is None else _interpolated(grid, t[valid], self.v[valid])
+    def resampled(self, grid: _Grid) -> "_Samples":
+        q, tau = (_interpolated(grid, x[grid.valid]) for x in (self.q, self.tau))
+        v = None if self.v is None else _interpolated(grid, self.v[grid.valid])
         return _Samples(q, v, tau)
 
 
@@ -77,63 +88,58 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     Joints that are not in the log stand at their reference; their torque is set to zero and must
     not be used. Raises UsageError for files, columns, units or joints that do not exist.
     """
-    kinds = _kinds(description, robot)
-    raw = _signals(description, kinds)
+    raw = _signals(description, _kinds(description, robot))
     stamps = time_stamps(description, len(raw))
     findings = [_broken_off(raw.truncated)] if raw.truncated else []
     invalid = invalid_rows(raw.q, raw.tau, *(() if raw.v is None else (raw.v,)))
     t, rate, timing = time_base(description, stamps, invalid)
     findings += [*_not_finite(invalid), *timing]
+    grid = _uniform_grid(description, t, invalid, rate)
     recorded = [i for i, joint in enumerate(description.joints) if joint != NO_JOINT]
     joints = tuple(description.joints[i] for i in recorded)
-    valid = np.flatnonzero(~invalid & np.isfinite(t))
-    if len(valid) < SHORTEST:
-        raise UsageError(
-            f"{description.source}: {len(valid)} of {len(raw)} samples are usable; {SHORTEST} are "
-            "needed."
-        )
-    at_joints = raw.of_columns(recorded)
-    findings += _held(*held_rows(at_joints.q[valid], rate))
-    grid = np.arange(t[valid[0]], t[valid[-1]] + 0.5 / rate, 1.0 / rate)
-    samples = at_joints.resampled(grid, t, valid)
+    measured = raw.of_columns(recorded)
+    findings += _held(*held_rows(measured.q[grid.valid], rate))
+    samples = measured.resampled(grid)
     if stamps is None:
         findings += _lost(samples.q)
-    measured = None
+    measured_rate = None
     if samples.v is not None:
-        found, measured = check_rates(samples.q, samples.v, rate, joints)
+        found, measured_rate = check_rates(samples.q, samples.v, rate, joints)
         findings += found
     findings += _ranges(robot, joints, samples)
-    recording = _robot_recording(robot, joints, samples, grid - grid[0], rate)
-    recording = replace(recording, period=description.period)
-    coordinates = None
-    if description.transmission is not None:
-        mixed = raw.resampled(grid, t, valid)
-        coordinates = Recording(
-            t=recording.t,
-            q=mixed.q,
-            tau=np.zeros_like(mixed.q),
-            rate=rate,
-            rows=description.joints,
-            v=mixed.v,
-        )
+    recording = _robot_recording(robot, joints, samples, grid)
     return Log(
         description=description,
-        recording=recording,
+        recording=replace(recording, period=description.period),
         joints=joints,
         findings=tuple(findings),
-        measured_rate=measured,
+        measured_rate=measured_rate,
         samples=len(raw),
-        coordinates=coordinates,
+        coordinates=None
+        if description.transmission is None
+        else _coordinates(description.joints, raw.resampled(grid), grid),
     )
 
 
-def _interpolated(grid: Array, t: Array, x: Array) -> Array:
-    """Return x (N, k) at the times `grid`, linear between its samples.
+def _uniform_grid(log: LogDescription, t: Array, invalid: Array, rate: float) -> _Grid:
+    """Return the grid from the first to the last valid sample; raises UsageError for too few."""
+    valid = np.flatnonzero(~invalid & np.isfinite(t))
+    if len(valid) < SHORTEST:
+        raise UsageError(
+            f"{log.source}: {len(valid)} of {len(t)} samples are usable; {SHORTEST} are needed."
+        )
+    times = np.arange(t[valid[0]], t[valid[-1]] + 0.5 / rate, 1.0 / rate)
+    return _Grid(times, t[valid], valid, rate)
+
+
+def _interpolated(grid: _Grid, x: Array) -> Array:
+    """Return x (n, k) of the valid samples at the times of the grid, linear between samples.
 
     Held rows are left out: a drive that repeats its last value has not measured one.
     """
+    t = grid.t
     kept = ~held_rows(x, 1.0 / np.median(np.diff(t)))[0]
-    return np.stack([np.interp(grid, t[kept], column[kept]) for column in x.T], axis=1)
+    return np.stack([np.interp(grid.times, t[kept], column[kept]) for column in x.T], axis=1)
 
 
 def _kinds(log: LogDescription, robot: RobotModel) -> list[str]:
@@ -260,10 +266,10 @@ def _ranges(robot: RobotModel, joints: Sequence[str], samples: _Samples) -> list
 
 
 def _robot_recording(
-    robot: RobotModel, joints: Sequence[str], samples: _Samples, t: Array, rate: float
+    robot: RobotModel, joints: Sequence[str], samples: _Samples, grid: _Grid
 ) -> Recording:
     """Return q, v, tau (N, k) of the log's joints in the coordinates of the whole robot."""
-    N = len(t)
+    N = len(grid.times)
     joint_of = {dof: joint for joint in robot.joints for dof in joint.dofs}
     q = np.tile(robot.mj.qpos0, (N, 1))
     v, tau = np.zeros((N, robot.nv)), np.zeros((N, len(robot.torque_rows)))
@@ -273,4 +279,23 @@ def _robot_recording(
         tau[:, robot.torque_rows.index(name)] = samples.tau[:, i]
         if samples.v is not None:
             v[:, joint.vadr] = samples.v[:, i]
-    return Recording(t, q, tau, rate, robot.torque_rows, v=None if samples.v is None else v)
+    return Recording(
+        t=grid.times - grid.times[0],
+        q=q,
+        tau=tau,
+        rate=grid.rate,
+        rows=robot.torque_rows,
+        v=None if samples.v is None else v,
+    )
+
+
+def _coordinates(names: tuple[str, ...], samples: _Samples, grid: _Grid) -> Recording:
+    """Return all recorded coordinates, without torques."""
+    return Recording(
+        t=grid.times - grid.times[0],
+        q=samples.q,
+        tau=np.zeros_like(samples.q),
+        rate=grid.rate,
+        rows=names,
+        v=samples.v,
+    )
