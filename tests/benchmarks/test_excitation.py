@@ -22,8 +22,8 @@ from scipy.optimize import Bounds, minimize
 
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.information import information_model
-from sysid_bench.excitation.limit_use import joint_limits
 from sysid_bench.excitation.optimised import Optimised, design_criterion
+from sysid_bench.excitation.robot_limits import joint_limits
 from sysid_bench.excitation.search import Search, SearchStopped
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
@@ -98,7 +98,7 @@ def timed(search: Search, work: Callable[[], None], budget: float) -> list[tuple
         if course[-1][0] > budget:
             raise SearchStopped
 
-    search.tell = tell
+    search.progress = tell
     with suppress(SearchStopped):
         work()
     return course

@@ -171,7 +171,7 @@ def test_an_interrupt_leaves_the_best_feasible_so_far() -> None:
         if count >= 25:
             raise KeyboardInterrupt
 
-    design = made.solve(told, np.random.default_rng(0), tell=stop)
+    design = made.solve(told, np.random.default_rng(0), progress=stop)
     assert design.interrupted
     assert design.evaluations <= 26
     assert max(used.use for used in made.report(design.C, told).values()) <= 1.0
