@@ -66,8 +66,8 @@ def table(t: list[float], value: float = 0.0, header: str = "t,a") -> str:
 
 EVEN = [0.1 * k for k in range(20)]
 BAD: dict[str, tuple[str | None, dict[str, Any], str]] = {
-    "absent": (None, {}, "no table"),
-    "words": ("t,a\n0,x\n", {}, "no table"),
+    "absent": (None, {}, "not a table"),
+    "words": ("t,a\n0,x\n", {}, "not a table"),
     "joints": (table(EVEN, header="t,b"), {}, "expected t, "),
     "few rows": (table(EVEN[:5]), {}, "ten rows"),
     "not finite": (table(EVEN, float("nan")), {}, "finite"),

@@ -196,7 +196,7 @@ def test_settings_that_make_no_design_are_refused(bad: dict[str, object]) -> Non
 def test_what_cannot_be_designed_is_said() -> None:
     robot = named_robot("ur5")
     told = brief(robot)
-    with pytest.raises(UsageError, match="no regressor"):
+    with pytest.raises(UsageError, match="needs a regressor"):
         Optimised(**QUICK).design(design_problem(robot, 100.0), np.random.default_rng(0))  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="elbow_joint"):
         Optimised(joints=("elbo_joint",)).design(told, np.random.default_rng(0))
