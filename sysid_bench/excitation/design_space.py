@@ -54,7 +54,7 @@ class DesignSpace:
         qadr = {joint.vadr: joint.qadr for joint in self.brief.joints}
         return [qadr[int(dof)] for dof in self.moving_joints]
 
-    def profile_slopes(self, motion: Trajectory, slopes: Slopes) -> Slopes:
+    def profile_gradient(self, motion: Trajectory, slopes: Slopes) -> Slopes:
         """Return slopes by x, dx, ddx (N, k) from those by q, v, a (N, nv) of every joint."""
         if self.brief.coupling is not None:
             slopes = pull_back(self.brief.coupling, motion, slopes)

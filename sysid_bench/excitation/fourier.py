@@ -42,7 +42,7 @@ class Fourier:
 
 
 @dataclass(frozen=True)
-class OtherFourier(Fourier):
+class HeldOutFourier(Fourier):
     """Fourier series for validation: period and harmonics differ from those of training."""
 
     harmonics: int = 4

@@ -65,7 +65,7 @@ class LimitUse:
         }
 
 
-def smooth_max(use: Array, sharpness: float) -> tuple[Array, Array]:
+def smooth_bound(use: Array, sharpness: float) -> tuple[Array, Array]:
     """Return an upper bound (m,) of the largest |use| of each column (N, m), and its slope (N, m).
 
     log sum_k (exp(s u_k) + exp(-s u_k)) / s, at most log(2 N) / s too large (Kreisselmeier &

@@ -11,7 +11,7 @@ from sysid_bench.types import Array, Trajectory
 
 
 @dataclass(frozen=True)
-class MultiSine:
+class Multisine:
     """q_i = q_i0 + sum_k A_k sin(2 pi f_k t + phase_k).
 
     Frequencies of each joint are drawn between `lowest` and `highest` (Hz), so that the motion is

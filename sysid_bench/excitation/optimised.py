@@ -174,10 +174,10 @@ class Optimised:
         best = search.start([draws[i] for i in order[: self.starts]], self.iterations)
         # Where a short search stays infeasible, a long one only takes longer.
         if search.kept and not search.interrupted:
-            search.resume(best, self.iterations)
+            search.run_from(best, self.iterations)
         if not search.interrupted and not (search.kept and search.kept[-1][0] <= values.min()):
             # No feasible motion, or none better than random: start small, within the limits.
-            search.short_steps(
+            search.box_search(
                 _scaled_to_limits(search, space, draws[order[0]], rng), self.iterations
             )
         C, value = self._checked(brief, space, search)

@@ -16,7 +16,7 @@ from sysid_bench.errors import ModelError
 from sysid_bench.excitation.criteria import Criterion
 from sysid_bench.excitation.design_space import DesignSpace
 from sysid_bench.excitation.information import InformationModel
-from sysid_bench.excitation.limit_use import Limit, smooth_max
+from sysid_bench.excitation.limit_use import Limit, smooth_bound
 from sysid_bench.models.coupling.derivatives import Slopes
 from sysid_bench.types import Array, Trajectory
 
@@ -49,7 +49,7 @@ _STEP: Final = 0.2
 """Longest first step, in scaled coefficients: amplitude over the velocity limit (s)."""
 
 
-class SearchStopped(Exception):
+class SearchStop(Exception):
     """The budget of evaluations is used up."""
 
 
@@ -80,7 +80,7 @@ class Search:
         """Run a short search from every start, and a long one from the best of their ends."""
         best = self.start(starts, iterations)
         if not self.interrupted:
-            self.resume(best, iterations)
+            self.run_from(best, iterations)
 
     def start(self, starts: list[Array], iterations: int) -> Array:
         """Return the best end (m, k) of short searches with a fifth of the iterations each."""
@@ -90,7 +90,7 @@ class Search:
                 ends.append(self._descend(C, _SHARPNESS[0], max(iterations // 5, 1)))
         return min(ends[1:] or ends, key=lambda end: end[0])[1]
 
-    def resume(self, C: Array, iterations: int) -> None:
+    def run_from(self, C: Array, iterations: int) -> None:
         """Run a long search from C (m, k), with ever sharper maxima."""
         with self._graceful_stop():
             for sharpness in _SHARPNESS:
@@ -101,7 +101,7 @@ class Search:
         """Keep the best so far where the budget or the user ends the search."""
         try:
             yield
-        except SearchStopped:
+        except SearchStop:
             pass
         except KeyboardInterrupt:
             self.interrupted = True
@@ -120,7 +120,7 @@ class Search:
             float(np.abs(limit.use(_thinned(motion, limit.every))).max()) for limit in self.limits
         )
 
-    def short_steps(self, C: Array, iterations: int) -> None:
+    def box_search(self, C: Array, iterations: int) -> None:
         """Run short searches, each within a box around the best coefficients so far.
 
         The box widens after a gain and shrinks otherwise. Where many limits bind at once, slopes
@@ -231,12 +231,12 @@ class Search:
     def _visit(self, C: Array) -> None:
         """Evaluate criterion and limits at C once for the calls of value, slope and constraints.
 
-        Raises SearchStopped at the end of the budget.
+        Raises SearchStop at the end of the budget.
         """
         if self._C is not None and np.array_equal(self._C, C):
             return
         if self.evaluations >= self.budget:
-            raise SearchStopped
+            raise SearchStop
         self.evaluations += 1
         motion = self._motion_or_none(C)
         if motion is None and self._C is not None:
@@ -276,7 +276,7 @@ class Search:
 
     def _coefficients(self, motion: Trajectory, slopes: Slopes, every: int = 1) -> Array:
         """Return slopes by C (m, k) from those by q, v, a (N, nv) of one sample of `every`."""
-        pairs = zip(self.bases, self.space.profile_slopes(motion, slopes), strict=True)
+        pairs = zip(self.bases, self.space.profile_gradient(motion, slopes), strict=True)
         return np.asarray(sum(B[::every].T @ slope for B, slope in pairs))
 
     def _limits_at(self, C: Array, sharpness: float) -> tuple[Array, Array]:
@@ -294,7 +294,7 @@ class Search:
     ) -> Iterator[tuple[float, Array]]:
         """Yield smooth maximum and slope (m, k) of each constraint of a limit with uses (N, c)."""
         columns = use.reshape(-1, 1) if limit.split == "together" else use
-        value, weight = smooth_max(columns, sharpness)
+        value, weight = smooth_bound(columns, sharpness)
         if limit.split == "by joint":
             # The columns share no coefficient: one product yields the slopes of all.
             combined = self._coefficients(motion, limit.slopes(motion, weight), limit.every)
@@ -327,7 +327,7 @@ class Search:
         part = _selected(motion, samples)
         G = np.zeros((len(samples), weight.shape[1]))
         G[np.arange(len(samples)), columns] = weight[samples, columns]
-        by_profiles = self.space.profile_slopes(part, limit.slopes(part, G))
+        by_profiles = self.space.profile_gradient(part, limit.slopes(part, G))
         for column in np.unique(columns):
             chosen = columns == column
             for B, slope in zip(self.bases, by_profiles, strict=True):

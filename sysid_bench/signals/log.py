@@ -12,16 +12,16 @@ from sysid_bench.signals.log_checks import (
     FASTEST,
     MANY,
     Finding,
-    check_ranges,
+    check_finite,
+    check_limits,
     check_rates,
+    check_samples,
     held_rows,
-    invalid_rows,
-    lost_samples,
 )
 from sysid_bench.signals.log_description import NO_JOINT, UNITS, LogDescription, Signal, scales
 from sysid_bench.signals.log_reader import read_table
-from sysid_bench.signals.log_table import reshaped_table
-from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, time_base, time_stamps
+from sysid_bench.signals.log_table import table_of_rows
+from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, read_times, time_base
 from sysid_bench.types import Array, Recording
 
 FAR: Final = 4.0
@@ -89,9 +89,9 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     not be used. Raises UsageError for files, columns, units or joints that do not exist.
     """
     raw = _signals(description, _kinds(description, robot))
-    stamps = time_stamps(description, len(raw))
+    stamps = read_times(description, len(raw))
     findings = [_broken_off(raw.truncated)] if raw.truncated else []
-    invalid = invalid_rows(raw.q, raw.tau, *(() if raw.v is None else (raw.v,)))
+    invalid = check_finite(raw.q, raw.tau, *(() if raw.v is None else (raw.v,)))
     t, rate, timing = time_base(description, stamps, invalid)
     findings += [*_not_finite(invalid), *timing]
     grid = _uniform_grid(description, t, invalid, rate)
@@ -101,7 +101,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     findings += _held(*held_rows(measured.q[grid.valid], rate))
     samples = measured.resampled(grid)
     if stamps is None:
-        findings += _lost(samples.q)
+        findings += check_samples(samples.q)
     measured_rate = None
     if samples.v is not None:
         found, measured_rate = check_rates(samples.q, samples.v, rate, joints)
@@ -162,10 +162,10 @@ def _signals(log: LogDescription, kinds: Sequence[str]) -> _Samples:
         v = None if v is None else v @ G.T
         tau = np.linalg.solve(G.T, tau.T).T  # tau_motor = G' tau, from equal power on both sides
     # Offsets are those of the joint, so they come after the transmission.
-    q = q + log.per_joint("q.offset", log.q.offset)
-    tau = tau + log.per_joint("tau.offset", log.tau.offset)
+    q = q + log.joint_values("q.offset", log.q.offset)
+    tau = tau + log.joint_values("tau.offset", log.tau.offset)
     if v is not None and log.v is not None:
-        v = v + log.per_joint("v.offset", log.v.offset)
+        v = v + log.joint_values("v.offset", log.v.offset)
     return _Samples(q, v, tau, raw.truncated).select(_selected_rows(log, len(q)))
 
 
@@ -187,7 +187,7 @@ def _columns(
 ) -> tuple[Array, int]:
     table = read_table(log.file_of(part), log.reader_of(part))
     if part.per_row is not None:
-        table = reshaped_table(table, part.per_row)
+        table = table_of_rows(table, part.per_row)
     values = table.columns(part.columns)
     if values.shape[1] != len(log.joints):
         raise UsageError(
@@ -231,11 +231,6 @@ def _held(held: Array, standing: int) -> list[Finding]:
     return found
 
 
-def _lost(q: Array) -> list[Finding]:
-    count = int(lost_samples(q).sum())
-    return [Finding("lost", count, f"{count} samples seem to be lost")] if count else []
-
-
 def _ranges(robot: RobotModel, joints: Sequence[str], samples: _Samples) -> list[Finding]:
     """Return findings about positions outside of the limits, which are reported, and about values
     impossible for the joint, which are contradictions."""
@@ -246,12 +241,12 @@ def _ranges(robot: RobotModel, joints: Sequence[str], samples: _Samples) -> list
     units = {name: [next(iter(UNITS[name][kind])) for kind in kinds] for name in UNITS}
     middle = 0.5 * (low + high)
     reach = FAR * 0.5 * (high - low)
-    found = check_ranges("q less its middle", q - middle, reach, joints, units["q"])
+    found = check_limits("q less its middle", q - middle, reach, joints, units["q"])
     if samples.v is not None:
         fastest = np.array([FASTEST[kind] for kind in kinds])
-        found += check_ranges("v", samples.v, fastest, joints, units["v"])
+        found += check_limits("v", samples.v, fastest, joints, units["v"])
     strongest = FAR * robot.limits.tau[rows]
-    found += check_ranges("tau", samples.tau, strongest, joints, units["tau"])
+    found += check_limits("tau", samples.tau, strongest, joints, units["tau"])
     if found:
         return found
     for j, joint in enumerate(joints):

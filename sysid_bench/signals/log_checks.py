@@ -65,7 +65,7 @@ def refuse_findings(findings: Sequence[Finding], accepted: Sequence[str], where:
         )
 
 
-def invalid_rows(*signals: Array) -> Array:
+def check_finite(*signals: Array) -> Array:
     """Return rows (N,) in which any number is not finite, or too large for a measurement."""
     # NaN compares false, so the negation catches it too.
     invalid = [~(np.abs(x) < _LARGEST).all(axis=1) for x in signals]
@@ -88,25 +88,24 @@ def held_rows(x: Array, rate: float) -> tuple[Array, int]:
     return held, standing
 
 
-def lost_samples(q: Array) -> Array:
-    """Return the number (N,) of samples missing before each row of a smooth motion q (N, k).
+def check_samples(q: Array) -> list[Finding]:
+    """Return a finding where samples of a smooth motion q (N, k) are missing.
 
     A step is compared with the mean of its neighbours, where the robot moves faster than usual.
     """
     steps = np.diff(q, axis=0)
     scale = np.abs(steps).mean(axis=0)
     steps = steps[:, scale > 0] / scale[scale > 0]
-    lost = np.zeros(len(q), dtype=int)
     if len(steps) < 5 or steps.shape[1] == 0:
-        return lost
+        return []
     expected = 0.5 * (steps[:-2] + steps[2:])
     size = (expected**2).sum(axis=1)
     # Near a reversal steps are small, and noise makes their ratio meaningless.
     fast = size > np.median(size)
     ratio = (steps[1:-1] * expected).sum(axis=1) / np.where(fast, size, 1.0)
     found = fast & (ratio > 1.6)
-    lost[2:-1][found] = np.round(ratio[found]).astype(int) - 1
-    return lost
+    count = int((np.round(ratio[found]) - 1).sum())
+    return [Finding("lost", count, f"{count} samples seem to be lost")] if count else []
 
 
 def _speed_ratios(q: Array, v: Array, rate: float) -> Array:
@@ -194,7 +193,7 @@ def _exchanged_columns(
     return found
 
 
-def check_ranges(
+def check_limits(
     name: str, x: Array, largest: Array, joints: Sequence[str], unit: Sequence[str]
 ) -> list[Finding]:
     """Return findings of x (N, k) beyond `largest` (k,), which the joint cannot reach in any case:

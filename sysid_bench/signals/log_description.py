@@ -153,7 +153,7 @@ class LogDescription:
         code = [plugin_file(path, reader) for path, reader in recorded.items()]
         return tuple(dict.fromkeys([*recorded, *(path for path in code if path is not None)]))
 
-    def per_joint(self, name: str, numbers: Sequence[float]) -> Array:
+    def joint_values(self, name: str, numbers: Sequence[float]) -> Array:
         """Return one number per joint (k,) of a setting `name` that may hold one for all.
 
         Raises UsageError for any other count.
@@ -308,7 +308,7 @@ def _check_joints(log: LogDescription) -> None:
         if part is None:
             continue
         for setting in ("gain", "ratio", "offset"):
-            values = log.per_joint(f"{name}.{setting}", getattr(part, setting))
+            values = log.joint_values(f"{name}.{setting}", getattr(part, setting))
             if not np.isfinite(values).all() or (setting != "offset" and (values == 0).any()):
                 raise UsageError(
                     f"{log.source}: {name}.{setting} must be finite"
@@ -327,7 +327,7 @@ def scales(log: LogDescription, name: str, part: Signal, kinds: Sequence[str]) -
     `kinds`: hinge or slide of each coordinate, "" where it is not a joint. Raises UsageError for a
     unit that does not fit the joint, or a current without a gain.
     """
-    gain, ratio = (log.per_joint(f"{name}.{s}", getattr(part, s)) for s in ("gain", "ratio"))
+    gain, ratio = (log.joint_values(f"{name}.{s}", getattr(part, s)) for s in ("gain", "ratio"))
     # Power is conserved through a gear: it divides speed and multiplies torque.
     factors = np.asarray(gain * ratio if name == "tau" else gain / ratio)
     if part.unit is None:

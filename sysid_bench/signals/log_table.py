@@ -47,7 +47,7 @@ class LogTable:
         return (column - 1,)
 
 
-def reshaped_table(table: LogTable, per_row: int) -> LogTable:
+def table_of_rows(table: LogTable, per_row: int) -> LogTable:
     """Return a file with one number a line as samples of `per_row` consecutive numbers.
 
     An incomplete last sample is dropped and counted. Raises UsageError for several columns.
@@ -64,7 +64,7 @@ def reshaped_table(table: LogTable, per_row: int) -> LogTable:
     return LogTable(table.path, values, {}, table.truncated + incomplete)
 
 
-def named_columns(path: Path, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
+def column_names(path: Path, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
     """Return the index of each named column; "" is a column without a name.
 
     Raises UsageError for a name that two columns have.

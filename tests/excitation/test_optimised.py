@@ -11,7 +11,7 @@ from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.geometry import collision_model
 from sysid_bench.excitation.information import information_model, torque_model
-from sysid_bench.excitation.limit_use import smooth_max
+from sysid_bench.excitation.limit_use import smooth_bound
 from sysid_bench.excitation.optimised import Optimised, design_criterion, torque_prior
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
@@ -58,7 +58,7 @@ def test_families_for_hardware_rest_at_both_ends(kind: str, harmonics: int) -> N
 
 def test_a_smooth_maximum_lies_above_and_near() -> None:
     use = np.random.default_rng(0).uniform(-1, 1, (100, 4))
-    value, slope = smooth_max(use, 60.0)
+    value, slope = smooth_bound(use, 60.0)
     top = np.abs(use).max(axis=0)
     assert (value >= top).all()
     assert (value <= top + np.log(200) / 60.0).all()

@@ -233,7 +233,7 @@ def _clamping(commands: Commands, inside: Commands, j: int, drive: DamiaoDrive) 
 _WORDS: Final = {"q": "position", "v": "velocity", "tau": "torque"}
 
 
-def encode_frame(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:
+def _frames(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:
     """Return MIT frames (N, 8), bytes, of commands (N,) within the scaling.
 
     Position has 16 bits, velocity, kp, kd and torque 12 bits each, the most significant first.
@@ -252,7 +252,7 @@ def encode_frame(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:
     ).astype(np.uint8)  # fmt: skip
 
 
-def decode_frame(drive: DamiaoDrive, data: Array) -> dict[str, Array]:
+def read_frame(drive: DamiaoDrive, data: Array) -> dict[str, Array]:
     """Return q, v, kp, kd, tau (N,) of frames (N, 8), as the drive decodes them."""
     b, s = data.astype(int).T, drive.scaling
     codes = {
@@ -273,7 +273,7 @@ def can_log(commands: Commands, drives: tuple[DamiaoDrive, ...], channel: str = 
     in the order of the drives."""
     frames = np.stack(
         [
-            encode_frame(d, commands.q[:, j], commands.v[:, j], commands.tau[:, j])
+            _frames(d, commands.q[:, j], commands.v[:, j], commands.tau[:, j])
             for j, d in enumerate(drives)
         ],
         axis=1,

@@ -6,7 +6,7 @@ from typing import Any
 from sysid_bench.excitation.export.commands import Commands
 
 
-def ros2_message(commands: Commands) -> dict[str, Any]:
+def _message(commands: Commands) -> dict[str, Any]:
     """Return the message as nested values; `effort` is the feed-forward torque (N m, N)."""
     points = [
         {
@@ -24,12 +24,12 @@ def ros2_message(commands: Commands) -> dict[str, Any]:
 
 def json_text(commands: Commands) -> str:
     """Return the message as JSON."""
-    return json.dumps(ros2_message(commands)) + "\n"
+    return json.dumps(_message(commands)) + "\n"
 
 
 def yaml_text(commands: Commands) -> str:
     """Return the message as YAML, one line per point in the JSON subset of YAML."""
-    whole = ros2_message(commands)
+    whole = _message(commands)
     lines = [
         f"header: {json.dumps(whole['header'])}",
         f"joint_names: {json.dumps(whole['joint_names'])}",

@@ -8,7 +8,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.signals.log_table import LogTable, named_columns
+from sysid_bench.signals.log_table import LogTable, column_names
 from sysid_bench.types import Array
 
 _DELIMITERS: Final = (",", ";", "\t")
@@ -42,7 +42,7 @@ class DelimitedText:
         if header is not None:
             words = _cells(header, _delimiter(header) or delimiter)
             if len(words) == values.shape[1]:
-                names = named_columns(path, words)
+                names = column_names(path, words)
         return LogTable(path, values, names, truncated)
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.signals.log_table import LogTable, named_columns
+from sysid_bench.signals.log_table import LogTable, column_names
 
 
 @dataclass(frozen=True)
@@ -39,4 +39,4 @@ class Parquet:
             names.append(name.strip())
         if not parts or len(parts[0]) == 0:
             raise UsageError(f"{path} holds no column of numbers.")
-        return LogTable(path, np.stack(parts, axis=1), named_columns(path, names))
+        return LogTable(path, np.stack(parts, axis=1), column_names(path, names))
