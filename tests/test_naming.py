@@ -73,7 +73,11 @@ def test_a_builtin_name_stands_for_something_that_is_there(kind: str, name: str)
 
 @pytest.mark.parametrize(
     ("kind", "folder"),
-    [("estimator", "identification/estimators"), ("plant", "simulation/effects")],
+    [
+        ("estimator", "identification/estimators"),
+        ("plant", "simulation/effects"),
+        ("log_reader", "signals/log_readers"),
+    ],
 )
 def test_every_file_of_a_folder_of_plugins_is_registered(kind: str, folder: str) -> None:
     # A shared helper of such a folder starts its name with an underscore.

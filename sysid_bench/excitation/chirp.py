@@ -1,4 +1,4 @@
-"""Chirps: sines whose frequency rises steadily, each joint from its own start to its own end."""
+"""Chirps: sines of linearly rising frequency, with start and end drawn for each joint."""
 
 from dataclasses import dataclass, field
 
@@ -12,20 +12,23 @@ from sysid_bench.types import Array, Trajectory
 
 @dataclass(frozen=True)
 class Chirp:
-    """q_i = q_i0 + A_i sin(2 pi (f_0 t + (f_1 - f_0) t^2 / (2 T)) + phase_i); f_0 and f_1 of each
-    joint are drawn in the lowest and the highest third between `lowest` and `highest`."""
+    """q_i = q_i0 + A_i sin(2 pi (f_0 t + (f_1 - f_0) t^2 / (2 T)) + phase_i).
+
+    f_0 and f_1 of each joint are drawn from the lowest and the highest third of the range `lowest`
+    to `highest` (Hz); T is `duration` (s).
+    """
 
     lowest: float = field(default=0.1, metadata={"unit": "Hz"})
     highest: float = field(default=1.0, metadata={"unit": "Hz"})
     duration: float = field(default=10.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
-        """Raises UsageError for settings that make no motion."""
+        """Raise UsageError for settings out of range."""
         if not (0 < self.lowest < self.highest and self.duration > 0):
-            raise UsageError(f"{self}: 0 < lowest < highest, a positive duration.")
+            raise UsageError(f"{self}: required are 0 < lowest < highest and a positive duration.")
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        """A motion of `duration`."""
+        """Return a motion of `duration`, amplitudes scaled into the limits."""
         third = (self.highest - self.lowest) / 3
         start = self.lowest + third * rng.uniform(size=brief.nv)
         rise = (self.highest - third * rng.uniform(size=brief.nv) - start) / self.duration

@@ -1,8 +1,8 @@
-"""What makes a motion worth recording: criteria on the base regressor, with their slopes.
+"""Criteria of optimal experiment design on the base regressor W (M, r), with their gradients.
 
-All but one are functions of the singular values of W S, rows W (M, r) and a fixed S (r, r), so one
-decomposition of the R factor serves: with W S = U s V', the slope by W is W S V diag(f'(s) / s) V'
-S'. All are logarithms to be made small, so that they can be added up.
+All but `cond-unit` are functions f of the singular values of W S with a fixed S (r, r): with
+W S = U diag(s) V', the gradient by W is W S V diag(f'(s) / s) V' S'. All are logarithms to be
+minimised, so that weighted sums make sense (Pukelsheim 1993; Swevers et al. 1997).
 """
 
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.types import Array
 
 SpectralFunction = Callable[[Array], tuple[float, Array]]
-"""Singular values s (r,), the largest first, to f and f' (r,)."""
+"""Map of singular values s (r,), the largest first, to f and f' (r,)."""
 
 
 def _condition(s: Array) -> tuple[float, Array]:
@@ -26,16 +26,16 @@ def _condition(s: Array) -> tuple[float, Array]:
     return float(np.log(s[0] / s[-1])), slope
 
 
-def _d(s: Array) -> tuple[float, Array]:
+def _d_optimality(s: Array) -> tuple[float, Array]:
     return float(-2 * np.log(s).mean()), -2 / (len(s) * s)
 
 
-def _a(s: Array) -> tuple[float, Array]:
+def _a_optimality(s: Array) -> tuple[float, Array]:
     total = (s**-2.0).sum()
     return float(np.log(total)), -2 * s**-3.0 / total
 
 
-def _e(s: Array) -> tuple[float, Array]:
+def _e_optimality(s: Array) -> tuple[float, Array]:
     slope = np.zeros_like(s)
     slope[-1] = -2 / s[-1]
     return float(-2 * np.log(s[-1])), slope
@@ -50,20 +50,23 @@ CRITERIA: Final[Mapping[str, str]] = {
     "eigenvalue, the square of the smallest singular value",
     "predict": "log of the predicted variance of the torques of other motions",
 }
-"""Names of criteria; all of them are made small."""
+"""Criteria by name, all to be minimised."""
 
 _SPECTRAL: Final[Mapping[str, SpectralFunction]] = {
-    "cond": _condition, "D": _d, "A": _a, "E": _e, "predict": _a
-}  # fmt: skip
+    "cond": _condition,
+    "D": _d_optimality,
+    "A": _a_optimality,
+    "E": _e_optimality,
+    "predict": _a_optimality,
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """A weighted sum of criteria on rows W (M, r).
+    """Weighted sum of criteria on rows W (M, r).
 
-    `known` (k, r) are rows that were recorded before (an R factor will do): the next motion is
-    judged together with them. `whiten` (r, r) is the S of `predict`: the inverse of the R factor of
-    the motions whose torques are to be predicted.
+    `known` (k, r): rows recorded before, or their R factor, which are stacked on W. `whiten`
+    (r, r): S of `predict`, the inverse R factor of the motions whose torques are predicted.
     """
 
     weights: Mapping[str, float]
@@ -71,51 +74,64 @@ class Criterion:
     whiten: Array
 
     def value(self, W: Array) -> float:
-        """The sum; infinity where the rows do not tell every parameter."""
+        """Return the sum; infinity where the rows leave a parameter undetermined."""
         return self._evaluate(W, slope=False)[0]
 
     def gradient(self, W: Array) -> Array:
-        """Its slope by W (M, r)."""
+        """Return the gradient by W (M, r)."""
         return self._evaluate(W, slope=True)[1]
 
     def _evaluate(self, W: Array, slope: bool) -> tuple[float, Array]:
         total, by_W = 0.0, np.zeros_like(W) if slope else W
         rows = np.concatenate([self.known, W])
-        R = upper_factor([rows])
+        R = upper_factor([rows])  # singular values of R are those of the rows
         for name, weight in self.weights.items():
-            unit = name == "cond-unit"
-            norms = np.linalg.norm(R, axis=0) if unit else np.ones(W.shape[1])
+            norms = np.linalg.norm(R, axis=0) if name == "cond-unit" else np.ones(W.shape[1])
             if len(R) < R.shape[1] or not norms.all():
                 return np.inf, by_W
-            S = np.diag(1 / norms) if unit else self.whiten if name == "predict" else None
+            S = self._scaling(name, norms)
             _, s, Vt = np.linalg.svd(R if S is None else R @ S)
             if not s[-1] > 1e-12 * s[0]:
                 return np.inf, by_W
-            f, df = _SPECTRAL["cond" if unit else name](s)
+            f, df = _SPECTRAL["cond" if name == "cond-unit" else name](s)
             total += weight * f
             if slope:
                 core = (Vt.T * (df / s)) @ Vt
-                if unit:
-                    # The norms change with W: what a longer column would change is taken away.
-                    scaled = W / norms
-                    by_scaled = scaled @ core
-                    all_scaled = rows / norms
-                    along = (all_scaled * (all_scaled @ core)).sum(axis=0)
-                    by_W += weight * (by_scaled - scaled * along) / norms
+                if name == "cond-unit":
+                    by_W += weight * _projected_gradient(W / norms, rows / norms, core) / norms
                 else:
                     by_W += weight * (W @ (core if S is None else S @ core @ S.T))
         return total, by_W
 
+    def _scaling(self, name: str, norms: Array) -> Array | None:
+        """Return S (r, r) of a criterion, None for the identity."""
+        if name == "cond-unit":
+            return np.diag(1 / norms)
+        return self.whiten if name == "predict" else None
+
+
+def _projected_gradient(W: Array, rows: Array, core: Array) -> Array:
+    """Return the gradient (M, r) by W of unit columns, all `rows` (k + M, r) having norm 1.
+
+    The norms change with W, so the part along each column, which only lengthens it, is projected
+    out.
+    """
+    along = (rows * (rows @ core)).sum(axis=0)
+    return np.asarray(W @ core - W * along)
+
 
 def criterion_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
-    """Criteria and their weights, of a name or a table {D = 1, cond = 0.1}; raises UsageError."""
+    """Return criteria and weights of a name or a table {D = 1, cond = 0.1}.
+
+    Raises UsageError for an unknown name, a weight that is not positive, or an empty table.
+    """
     table = {objective: 1.0} if isinstance(objective, str) else dict(objective)
     for name, weight in table.items():
         if name not in CRITERIA:
             raise unknown_name("objective", name, CRITERIA)
-        good = isinstance(weight, (int, float)) and not isinstance(weight, bool)
-        if not (good and np.isfinite(weight) and weight > 0):
+        number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
+        if not (number and np.isfinite(weight) and weight > 0):
             raise UsageError(f"The objective {name!r} needs a positive weight; got {weight!r}.")
     if not table:
-        raise UsageError(f"An objective needs a name; there are: {', '.join(CRITERIA)}.")
+        raise UsageError(f"An objective needs a criterion; there are: {', '.join(CRITERIA)}.")
     return table

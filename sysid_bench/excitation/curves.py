@@ -16,8 +16,11 @@ Bases = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """`at(t)` gives the bases; the first column is a constant. `fastest` (Hz) is the highest
-    frequency in it, `periodic` whether the motion goes on after `duration` (s)."""
+    """Basis functions of one family; `at(t)` returns them, a constant first.
+
+    `fastest` (Hz): highest frequency; `periodic`: the motion continues smoothly after `duration`
+    (s).
+    """
 
     kind: str
     at: Callable[[Array], Bases]
@@ -27,15 +30,17 @@ class Curves:
     periodic: bool
 
     def grid(self, density: int = 1) -> Array:
-        """Times (N,) that hold 40 samples of the fastest period, times `density`; the end is left
-        out where it is the start again."""
+        """Return times (N,) with 40 `density` samples per fastest period, without the end of a
+        periodic motion, which is its start."""
         count = density * max(80, round(40 * self.fastest * self.duration))
         return np.linspace(0.0, self.duration, count, endpoint=not self.periodic)
 
 
 def fourier(period: float, harmonics: int) -> Curves:
-    """The published form (Swevers et al. 1997; seed 001, eq. (8)), w = 2 pi / period:
-    q0 + sum_l a_l / (w l) sin(w l t) - b_l / (w l) cos(w l t); coefficients q0, a, b."""
+    """Return finite Fourier series (Swevers et al. 1997; seed 001, eq. (8)), w = 2 pi / period:
+
+    q0 + sum_l a_l / (w l) sin(w l t) - b_l / (w l) cos(w l t); coefficients q0, a, b.
+    """
     w = 2 * np.pi / period * np.arange(1, harmonics + 1)
 
     def at(t: Array) -> Bases:
@@ -51,8 +56,11 @@ def fourier(period: float, harmonics: int) -> Curves:
 
 
 def _fourier_polynomial(period: float, harmonics: int) -> Curves:
-    """Fourier series that rest at both ends: each function gets the polynomial t ... t^5 that takes
-    its velocity and acceleration at both ends and its step between them away (Park 2006)."""
+    """Return Fourier series at rest at both ends (Park 2006).
+
+    A polynomial t ... t^5 cancels each function's velocity and acceleration at both ends, and the
+    difference between its ends.
+    """
     series = fourier(period, harmonics)
     ends = np.array([0.0, period])
     power = np.arange(1, 6)
@@ -78,36 +86,38 @@ def _fourier_polynomial(period: float, harmonics: int) -> Curves:
     return Curves("fourier-polynomial", at, series.size, period, series.fastest, False)
 
 
-DEGREE: Final = 5
-"""Of B-splines: accelerations are smooth, as motors like them."""
+_DEGREE: Final = 5
+"""Of B-splines: jerk is continuous, too, so that motors and gears are not excited to vibrate."""
 
 
 def _b_spline(duration: float, harmonics: int) -> Curves:
-    """Quintic B-splines with as many coefficients as a Fourier series of `harmonics`, at rest at
-    both ends: the first three control points are one, and the last three. The control points are
-    those beyond the constant, which stands first."""
+    """Return quintic B-splines at rest at both ends, with as many coefficients as a Fourier series.
+
+    The first three control points are equal, and so are the last three: velocity and acceleration
+    vanish. Coefficients are the offset, and the control points relative to it.
+    """
     free = 2 * harmonics + 1
     points = free + 4
     knots = np.concatenate(
         [
-            np.zeros(DEGREE),
-            np.linspace(0.0, duration, points - DEGREE + 1),
-            np.full(DEGREE, duration),
+            np.zeros(_DEGREE),
+            np.linspace(0.0, duration, points - _DEGREE + 1),
+            np.full(_DEGREE, duration),
         ]
     )
-    # Control points of the m coefficients: the first three the constant, the others added to it.
+    # Control points from the m coefficients.
     mix = np.zeros((points, free))
     mix[:, 0] = 1.0
     for k in range(1, free):
         mix[2 + k, k] = 1.0
     mix[-2:, -1] = 1.0
-    spline = BSpline(knots, mix, DEGREE)
+    spline = BSpline(knots, mix, _DEGREE)
 
     def at(t: Array) -> Bases:
         inside = np.clip(t, 0.0, duration)
         return spline(inside), spline(inside, 1), spline(inside, 2)
 
-    fastest = (points - DEGREE) / (2 * duration)  # a hump and a hollow of two pieces
+    fastest = (points - _DEGREE) / (2 * duration)  # one wave takes two knot spans
     return Curves("b-spline", at, free, duration, fastest, False)
 
 
@@ -119,7 +129,7 @@ FAMILIES: Final[dict[str, Callable[[float, int], Curves]]] = {
 
 
 def curves_of(kind: str, period: float, harmonics: int) -> Curves:
-    """The family of a name; raises UsageError for another name."""
+    """Return the family of a name; raises UsageError for another name."""
     if kind not in FAMILIES:
         raise unknown_name("family of curves", kind, FAMILIES)
     return FAMILIES[kind](period, harmonics)

@@ -1,44 +1,44 @@
-"""What a designer of motions is told, and how scalar profiles become a motion of the robot."""
+"""Inputs of excitation design, and the motion of a robot from scalar profiles."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError
+from sysid_bench.excitation.geometry import CollisionModel
+from sysid_bench.excitation.information import InformationModel, TorqueModel
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.spatial.rotation import body_rates, product, quaternion_of_vector
 from sysid_bench.types import Array, Trajectory
 
-if TYPE_CHECKING:
-    from sysid_bench.excitation.geometry import CollisionModel
-    from sysid_bench.excitation.information import InformationModel, TorqueModel
-
 MARGIN: Final = 0.98
-"""Share of a limit that a motion may use: sampling between grid points stays inside."""
+"""Share of a limit that a motion may use, so that it also holds between the points of a grid."""
 
 FLOATING_REACH: Final = (0.3, 0.8)
-"""How far a floating base is moved: metres, and radians of its rotation vector."""
+"""Displacement of a floating base: m along each axis, and rad of its rotation vector."""
 
 
 def is_count(value: object) -> bool:
-    """Whether a setting is a whole number from 1 on."""
+    """Return true for an integer of at least 1 (True does not count)."""
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
 
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """A robot's moves and limits. Each degree of freedom has a scalar profile x: a joint position,
-    or for a free joint the displacement (3) and rotation vector (3) from its reference pose, for a
-    ball joint the rotation vector. Arrays (nv,); `q0` (nq,) is the reference configuration.
+    """Degrees of freedom of a robot, their limits, and what a criterion needs.
 
-    Of coupled joints the profiles, and the arrays, are those of the independent ones alone.
+    Each has a scalar profile x: the position of a joint (rad, m); for a free joint displacement (3)
+    and rotation vector (3) from its reference pose; for a ball joint the rotation vector. Limits
+    low, high, v, a (nv,) are SI; `q0` (nq,) is the reference configuration. In closed chains only
+    the independent joints have profiles and limits.
 
-    What only some designers need is None where nobody has told it: `regress`, the rows that are to
-    tell the parameters; `torque`, by what is known of the robot so far, and its limits `tau` (nv,);
-    `scene`, the robot's shapes beside a floor of some height (m; None: no floor)."""
+    None where a caller needs no such model: `regress`, regressor of the parameters asked for;
+    `torque`, by the parameters known so far, with its limits `tau` (nv,); `scene`, collision model
+    with a floor at some height (m; None: no floor).
+    """
 
     joints: tuple[Joint, ...]
     low: Array
@@ -49,9 +49,9 @@ class DesignProblem:
     rate: float  # Hz
     coupling: Coupling | None = None
     tau: Array = field(default_factory=lambda: np.zeros(0))
-    regress: "InformationModel | None" = None
-    torque: "TorqueModel | None" = None
-    scene: "Callable[[float | None], CollisionModel] | None" = None
+    regress: InformationModel | None = None
+    torque: TorqueModel | None = None
+    scene: Callable[[float | None], CollisionModel] | None = None
 
     @property
     def nv(self) -> int:
@@ -60,27 +60,27 @@ class DesignProblem:
 
     @property
     def dofs(self) -> Array:
-        """Degree of freedom of the tree (nv,) that each profile moves."""
+        """Degree of freedom of the kinematic tree (nv,) that each profile moves."""
         return np.arange(self.nv) if self.coupling is None else self.coupling.independent
 
     def completed(self, motion: Trajectory, near: Trajectory | None = None) -> Trajectory:
-        """The motion with the joints that follow where the independent ones put them; a motion
-        `near` it on the same grid saves time.
+        """Return the motion with dependent joints computed from the independent ones.
 
-        Raises ModelError where the closure is lost.
+        `near`: a motion on the same grid as a first guess. Raises ModelError where a closed chain
+        cannot be closed.
         """
         if self.coupling is None:
             return motion
-        beside = None if near is None else near.q
-        q, v, a = self.coupling.completed(motion.q, motion.v, motion.a, beside)
+        guess = None if near is None else near.q
+        q, v, a = self.coupling.completed(motion.q, motion.v, motion.a, guess)
         return replace(motion, q=q, v=v, a=a)
 
     def at(self, rate: float) -> "DesignProblem":
-        """The same brief sampled at another rate (Hz)."""
+        """Return the same problem sampled at another rate (Hz)."""
         return replace(self, rate=rate)
 
     def times(self, duration: float) -> Array:
-        """The time grid (N,) of a motion; raises UsageError where it has fewer than ten samples."""
+        """Return the time grid (N,) in s of a motion; raises UsageError below 10 samples."""
         count = round(duration * self.rate)
         if count < 10:
             raise UsageError(
@@ -91,57 +91,78 @@ class DesignProblem:
     def trajectory(
         self, t: Array, x: Array, dx: Array, ddx: Array, name: str, period: float | None = None
     ) -> Trajectory:
-        """The motion of profiles x, dx, ddx (N, nv)."""
+        """Return the motion of profiles x, dx, ddx (N, nv) with a name and a period (s)."""
         if self.coupling is None:
             return Trajectory(t, *self._tree_motion(x, dx, ddx), name, period)
         spread = (self.coupling.spread(profile) for profile in (x, dx, ddx))
         return Trajectory(t, *self.coupling.completed(*self._tree_motion(*spread)), name, period)
 
     def _tree_motion(self, x: Array, dx: Array, ddx: Array) -> tuple[Array, Array, Array]:
-        """q, v, a of profiles (N, nv) of every degree of freedom."""
+        """Return q (N, nq), v, a (N, nv) from profiles (N, nv) of every degree of freedom.
+
+        Rotations are q0 * exp(x / 2), with v and a in the body frame.
+        """
         q = np.tile(self.q0, (len(x), 1))
         v, a = dx.copy(), ddx.copy()
         for joint in self.joints:
-            at, dof = joint.qadr, joint.vadr
+            first, dof = joint.qadr, joint.vadr
             if joint.kind in ("hinge", "slide"):
-                q[:, at] = x[:, dof]
+                q[:, first] = x[:, dof]
                 continue
             if joint.kind == "free":
-                q[:, at : at + 3] += x[:, dof : dof + 3]
-                at, dof = at + 3, dof + 3
-            turn = slice(dof, dof + 3)
-            q[:, at : at + 4] = product(q[:, at : at + 4], quaternion_of_vector(x[:, turn]))
-            v[:, turn], a[:, turn] = body_rates(x[:, turn], dx[:, turn], ddx[:, turn])
+                q[:, first : first + 3] += x[:, dof : dof + 3]
+                first, dof = first + 3, dof + 3
+            quaternion, part = slice(first, first + 4), slice(dof, dof + 3)
+            q[:, quaternion] = product(q[:, quaternion], quaternion_of_vector(x[:, part]))
+            v[:, part], a[:, part] = body_rates(x[:, part], dx[:, part], ddx[:, part])
         return q, v, a
 
 
 def design_problem(robot: RobotModel, rate: float) -> DesignProblem:
-    """The brief of a robot within its own limits."""
+    """Return the design problem of a robot within its own limits, sampled at `rate` (Hz).
+
+    Free and ball joints have the ranges of FLOATING_REACH.
+    """
+    low, high, v, a = _profile_limits(robot)
+    q0 = np.array(robot.mj.qpos0)
+    tau = robot.limits.tau.copy()
+    coupling = robot.coupling
+    if coupling is not None:
+        moving = coupling.independent
+        scalar = coupling.qadr[moving] >= 0
+        low = np.where(scalar, coupling.low, low[moving])
+        high = np.where(scalar, coupling.high, high[moving])
+        # Dependent joints may be geared up: `slower` keeps them within their own limits.
+        v, a = coupling.slower * v[moving], coupling.slower * a[moving]
+        q0 = coupling.reference(q0)
+        tau = tau[moving]
+    return DesignProblem(
+        joints=robot.joints,
+        low=low,
+        high=high,
+        v=v,
+        a=a,
+        q0=q0,
+        rate=rate,
+        coupling=coupling,
+        tau=tau,
+    )
+
+
+def _profile_limits(robot: RobotModel) -> tuple[Array, Array, Array, Array]:
+    """Return low, high, v, a (nv,) of the profiles of every degree of freedom of the tree."""
     low, high = robot.limits.q_low.copy(), robot.limits.q_high.copy()
     v, a = robot.limits.v.copy(), robot.limits.a.copy()
     for joint in robot.joints:
+        first, end = joint.vadr, joint.vadr + len(joint.dofs)
         if joint.kind == "free":
-            low[joint.vadr : joint.vadr + 3], high[joint.vadr : joint.vadr + 3] = (
-                -FLOATING_REACH[0],
-                FLOATING_REACH[0],
-            )
+            low[first : first + 3], high[first : first + 3] = -FLOATING_REACH[0], FLOATING_REACH[0]
+            first += 3
         if joint.kind in ("free", "ball"):
-            turn = slice(
-                joint.vadr + (3 if joint.kind == "free" else 0), joint.vadr + len(joint.dofs)
-            )
-            low[turn], high[turn] = -FLOATING_REACH[1], FLOATING_REACH[1]
+            part = slice(first, end)
+            low[part], high[part] = -FLOATING_REACH[1], FLOATING_REACH[1]
             # One body axis may see the whole rate of the rotation vector, sqrt(3) of a component;
             # that vector's curvature adds less than half the squared rate to the acceleration.
-            a[turn] = np.maximum(a[turn] - 0.5 * v[turn] ** 2, 0.5 * a[turn]) / np.sqrt(3)
-            v[turn] /= np.sqrt(3)
-    q0 = np.array(robot.mj.qpos0)
-    tau = robot.limits.tau.copy()
-    if robot.coupling is None:
-        return DesignProblem(robot.joints, low, high, v, a, q0, rate, tau=tau)
-    moving, slower = robot.coupling.independent, robot.coupling.slower
-    scalar = robot.coupling.qadr[moving] >= 0
-    low = np.where(scalar, robot.coupling.low, low[moving])
-    high = np.where(scalar, robot.coupling.high, high[moving])
-    v, a = slower * v[moving], slower * a[moving]
-    q0 = robot.coupling.reference(q0)
-    return DesignProblem(robot.joints, low, high, v, a, q0, rate, robot.coupling, tau[moving])
+            a[part] = np.maximum(a[part] - 0.5 * v[part] ** 2, 0.5 * a[part]) / np.sqrt(3)
+            v[part] /= np.sqrt(3)
+    return low, high, v, a

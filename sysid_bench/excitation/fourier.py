@@ -15,19 +15,21 @@ from sysid_bench.types import Array, Trajectory
 
 @dataclass(frozen=True)
 class Fourier:
-    """Random coefficients a, b scaled into the limits; several cycles of one period."""
+    """Fourier series of random coefficients a, b scaled into the limits, `cycles` periods long."""
 
     harmonics: int = 5
     period: float = field(default=5.0, metadata={"unit": "s"})
     cycles: int = 2
 
     def __post_init__(self) -> None:
-        """Raises UsageError for settings that make no motion."""
+        """Raise UsageError for settings out of range."""
         if not (is_count(self.harmonics) and is_count(self.cycles) and self.period > 0):
-            raise UsageError(f"{self}: harmonics and cycles count from 1, the period is positive.")
+            raise UsageError(
+                f"{self}: required are harmonics >= 1, cycles >= 1 and a positive period."
+            )
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        """A motion of `cycles` periods."""
+        """Return a motion of `cycles` periods."""
         a, b = rng.normal(size=(2, self.harmonics, brief.nv))
         unit = np.ones(brief.nv), np.zeros(brief.nv)
         grid = dense_grid(self.period, self.harmonics / self.period)
@@ -40,8 +42,8 @@ class Fourier:
 
 
 @dataclass(frozen=True)
-class OtherFourier(Fourier):
-    """Another Fourier motion than the training one: its own coefficients, period and harmonics."""
+class HeldOutFourier(Fourier):
+    """Fourier series for validation: period and harmonics differ from those of training."""
 
     harmonics: int = 4
     period: float = field(default=7.0, metadata={"unit": "s"})
@@ -51,7 +53,7 @@ class OtherFourier(Fourier):
 def series(
     t: Array, period: float, a: Array, b: Array, scale: Array, offset: Array
 ) -> tuple[Array, Array, Array]:
-    """x, dx, ddx (N, nv) of eq. (8) with coefficients a, b (L, nv) times `scale` (nv,)."""
+    """Return x, dx, ddx (N, nv) of eq. (8) with coefficients a, b (L, nv) times `scale` (nv,)."""
     w = 2 * np.pi / period * np.arange(1, len(a) + 1)
     sin, cos = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
     a, b = a * scale, b * scale

@@ -1,7 +1,7 @@
-"""What a motion must not touch and where it may go: MuJoCo's distances and positions.
+"""Collision clearance and workspace boxes: distances and positions by MuJoCo.
 
-A robot's file may hold no collision geometry (URDF without its meshes, MJCF stripped of them): then
-`Scene.shapes` is zero and nothing can be promised; whoever asks for a design is told so.
+A robot's file may hold no collision geometry (URDF without its meshes, MJCF stripped of them). Then
+`CollisionModel.shapes` is zero, clearance cannot be kept, and the user is warned.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,20 +19,20 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.visuals import shapes_of
 from sysid_bench.types import Array, Shape, Trajectory
 
-REACH: Final = 0.08
-"""m: nearer than this two shapes are watched."""
+_REACH: Final = 0.08
+"""m; distances beyond it are not computed."""
 
-CLOSE: Final = 0.02
-"""m: a pair nearer than this in the reference configuration is taken to be so by construction."""
+_CLOSE: Final = 0.02
+"""m; a pair nearer than this in the reference configuration is near by construction."""
 
-WATCHED: Final = 4
-"""The closest contacts of a sample that the search sees."""
+_WATCHED: Final = 4
+"""Number of closest contacts of a sample in the search."""
 
-THINNED: Final = 4
-"""The search looks for contacts at one sample of so many: at ten per fastest period."""
+_THINNED: Final = 4
+"""Samples per collision query in the search, which leaves ten queries per fastest period."""
 
-FAR: Final = 100.0
-"""m: an open side of a box."""
+_FAR: Final = 100.0
+"""m; stands for an open side of a box."""
 
 _TYPES: Final = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -44,16 +44,18 @@ _TYPES: Final = {
 }
 
 
-POSTURES: Final = 20
-"""Random configurations in which what touches the world by construction still does."""
+_POSTURES: Final = 20
+"""Random configurations that separate contacts by construction from others of the reference."""
 
 
 @dataclass(eq=False)
 class CollisionModel:
-    """A robot's shapes, and a floor if there is one. Links that share a joint are not watched, nor
-    are the pairs `ignored`: closer than CLOSE in the reference configuration, as hulls around
-    wrists are. The world's own shapes, a floor above all, are ignored by those alone that touch
-    them in every one of POSTURES, as what the base carries does."""
+    """Shapes of a robot, and a floor if given.
+
+    Not watched are links that share a joint, and the pairs `ignored`: closer than 2 cm in the
+    reference configuration, as hulls around wrists are. Pairs with the world, such as a floor, are
+    ignored only where they also touch in 20 random configurations, as the base's shapes do.
+    """
 
     mj: mujoco.MjModel
     shapes: int
@@ -61,18 +63,18 @@ class CollisionModel:
     data: mujoco.MjData = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Sets the distance at which shapes are watched, and looks at the reference."""
-        self.mj.geom_margin[:] = REACH
+        """Set the distance at which contacts are found, and find the pairs to ignore."""
+        self.mj.geom_margin[:] = _REACH
         self.data = mujoco.MjData(self.mj)
         self._watched = np.ones((self.mj.nbody, self.mj.nbody), dtype=bool)
         for a, b in _neighbours(self.mj):
             self._watched[a, b] = False
         self.data.qpos[:] = self.mj.qpos0
-        touching = {_pair(self.mj, c) for c in self._contacts(CLOSE)}
+        touching = {_pair(self.mj, c) for c in self._contacts(_CLOSE)}
         always = set(touching)
         for q in self._postures():
             self.data.qpos[:] = q
-            always &= {_pair(self.mj, c) for c in self._contacts(CLOSE)}
+            always &= {_pair(self.mj, c) for c in self._contacts(_CLOSE)}
         touching = {pair for pair in touching if pair[0] > 0 or pair in always}
         for a, b in touching:
             self._watched[a, b] = False
@@ -80,38 +82,38 @@ class CollisionModel:
         self.ignored = tuple((name(a).name or "world", name(b).name) for a, b in sorted(touching))
 
     def _postures(self) -> Iterator[Array]:
-        """Configurations (nq,) all over the ranges of hinges and slides."""
+        """Yield random configurations (nq,) over the ranges of hinges and slides."""
         rng, mj = np.random.default_rng(0), self.mj
-        one = (mj.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) | (
+        scalar = (mj.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) | (
             mj.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
         )
         limited = mj.jnt_limited.astype(bool)
         low = np.where(limited, mj.jnt_range[:, 0], -np.pi)
         high = np.where(limited, mj.jnt_range[:, 1], np.pi)
-        for _ in range(POSTURES):
+        for _ in range(_POSTURES):
             q = mj.qpos0.copy()
-            q[mj.jnt_qposadr[one]] = rng.uniform(low, high)[one]
+            q[mj.jnt_qposadr[scalar]] = rng.uniform(low, high)[scalar]
             yield q
 
     def contacts(self, q: Array) -> list[tuple[float, str, Array]]:
-        """The closest pairs of shapes at a configuration: (distance, "body - body", slope by v's
-        degrees of freedom (nv,)), the closest first, none farther than REACH."""
+        """Return the closest pairs of shapes at q (nq,), the closest first, none beyond _REACH:
+        (distance in m, "body - body", derivative by the degrees of freedom (nv,))."""
         self.data.qpos[:] = q
-        close = self._contacts(REACH)[:WATCHED]
+        close = self._contacts(_REACH)[:_WATCHED]
         return [(float(c.dist), self._names(c), self._slope(c)) for c in close]
 
     def positions(self, q: Array, bodies: Sequence[int]) -> tuple[Array, Array]:
-        """Origins (k, 3) of bodies in the world, and their Jacobians (k, 3, nv)."""
+        """Return body origins (k, 3) in the world frame (m), and their Jacobians (k, 3, nv)."""
         self.data.qpos[:] = q
         mujoco.mj_kinematics(self.mj, self.data)
         mujoco.mj_comPos(self.mj, self.data)
         J = np.zeros((len(bodies), 3, self.mj.nv))
-        for place, body in enumerate(bodies):
-            mujoco.mj_jacBody(self.mj, self.data, J[place], None, body)
+        for i, body in enumerate(bodies):
+            mujoco.mj_jacBody(self.mj, self.data, J[i], None, body)
         return self.data.xpos[list(bodies)].copy(), J
 
     def _contacts(self, nearer: float) -> list[Any]:
-        """The watched pairs that are nearer, the closest first."""
+        """Return the watched pairs nearer than a distance (m), the closest first."""
         mujoco.mj_kinematics(self.mj, self.data)
         mujoco.mj_comPos(self.mj, self.data)
         mujoco.mj_collision(self.mj, self.data)
@@ -125,7 +127,7 @@ class CollisionModel:
         return f"{self.mj.body(a).name or 'world'} - {self.mj.body(b).name or 'world'}"
 
     def _slope(self, contact: Any) -> Array:
-        normal = contact.frame[:3]  # from the first shape to the second
+        normal = contact.frame[:3]  # world frame, from the first shape to the second
         slope = np.zeros(self.mj.nv)
         for sign, geom in zip((-1.0, 1.0), contact.geom, strict=True):
             J = np.zeros((3, self.mj.nv))
@@ -135,7 +137,7 @@ class CollisionModel:
 
 
 def collision_model(robot: RobotModel, floor: float | None = None) -> CollisionModel:
-    """The scene of a robot; `floor`: the height (m) of a plane that nothing may touch."""
+    """Return the collision model of a robot; `floor`: height (m) of a plane that is not touched."""
     spec = robot.spec.copy()
     if robot.format == "urdf":
         _add_shapes(spec, robot)
@@ -149,43 +151,49 @@ def collision_model(robot: RobotModel, floor: float | None = None) -> CollisionM
 
 
 def collision_limit(scene: CollisionModel, clearance: float) -> Limit:
-    """Nothing comes closer than `clearance` (m)."""
-    if not 0.0 <= clearance < REACH:
-        raise UsageError(f"A clearance lies between 0 and {REACH} m; got {clearance}.")
-    seen = _Seen(scene.contacts)
+    """Return the limit on distances: use (_REACH - d) / (_REACH - clearance), d in m.
+
+    Raises UsageError for a clearance outside of [0, _REACH).
+    """
+    if not 0.0 <= clearance < _REACH:
+        raise UsageError(f"A clearance lies between 0 and {_REACH} m; got {clearance}.")
+    contacts = _LastMotion(scene.contacts)
 
     def distances(motion: Trajectory) -> Array:
-        out = np.full((len(motion), WATCHED), REACH)
-        for k, close in enumerate(seen.along(motion)):
+        out = np.full((len(motion), _WATCHED), _REACH)
+        for k, close in enumerate(contacts.along(motion)):
             out[k, : len(close)] = [distance for distance, _, _ in close]
         return out
 
     def slopes(motion: Trajectory, G: Array) -> Slopes:
         by_q = np.zeros_like(motion.v)
-        for k, close in enumerate(seen.along(motion)):
+        for k, close in enumerate(contacts.along(motion)):
             for j, (_, _, slope) in enumerate(close):
-                by_q[k] -= G[k, j] / (REACH - clearance) * slope
+                by_q[k] -= G[k, j] / (_REACH - clearance) * slope
         return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
 
     def pair(motion: Trajectory, k: int, j: int) -> str:
-        close = seen.along(motion)[k]
-        return close[j][1] if j < len(close) else f"nothing nearer than {REACH} m"
+        close = contacts.along(motion)[k]
+        return close[j][1] if j < len(close) else f"nothing nearer than {_REACH} m"
 
     return Limit(
-        "collision",
-        ("",) * WATCHED,
-        ("m",) * WATCHED,
-        lambda motion: (REACH - distances(motion)) / (REACH - clearance),
-        distances,
-        lambda values: np.full_like(values, clearance),
-        slopes,
+        kind="collision",
+        names=("",) * _WATCHED,
+        units=("m",) * _WATCHED,
+        use=lambda motion: (_REACH - distances(motion)) / (_REACH - clearance),
+        value=distances,
+        allowed=lambda values: np.full_like(values, clearance),
+        slopes=slopes,
         label=pair,
-        every=THINNED,
+        every=_THINNED,
     )
 
 
 def box_limit(scene: CollisionModel, boxes: Mapping[str, Sequence[Sequence[float]]]) -> Limit:
-    """Origins of bodies stay inside boxes {body: [[x, x], [y, y], [z, z]]} (m, world)."""
+    """Return the limit of body origins to boxes {body: [[x, x], [y, y], [z, z]]} (m, world frame).
+
+    Raises UsageError for an unknown body or a wrong box.
+    """
     names = [scene.mj.body(b).name for b in range(1, scene.mj.nbody)]
     bodies, edges = [], []
     for name, box in boxes.items():
@@ -197,24 +205,24 @@ def box_limit(scene: CollisionModel, boxes: Mapping[str, Sequence[Sequence[float
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     labels = tuple(f"{name}.{axis}" for name in boxes for axis in "xyz")
 
-    seen = _Seen(lambda q: scene.positions(q, bodies))
+    origins = _LastMotion(lambda q: scene.positions(q, bodies))
 
-    def where(motion: Trajectory) -> Array:
-        return np.array([x.ravel() for x, _ in seen.along(motion)])
+    def positions(motion: Trajectory) -> Array:
+        return np.array([x.ravel() for x, _ in origins.along(motion)])
 
     def slopes(motion: Trajectory, G: Array) -> Slopes:
-        J = np.array([J.reshape(len(half), -1) for _, J in seen.along(motion)])
+        J = np.array([J.reshape(len(half), -1) for _, J in origins.along(motion)])
         by_q = np.einsum("nc,ncj->nj", G / half, J)
         return by_q, np.zeros_like(by_q), np.zeros_like(by_q)
 
     return Limit(
-        "box",
-        labels,
-        ("m",) * len(labels),
-        lambda motion: (where(motion) - middle) / half,
-        where,
-        lambda values: middle + np.where(values < middle, -half, half),
-        slopes,
+        kind="box",
+        names=labels,
+        units=("m",) * len(labels),
+        use=lambda motion: (positions(motion) - middle) / half,
+        value=positions,
+        allowed=lambda values: middle + np.where(values < middle, -half, half),
+        slopes=slopes,
         split="by column",
     )
 
@@ -226,22 +234,23 @@ def _edges(name: str, box: Sequence[Sequence[float]]) -> Array:
             f"The box of {name!r} needs three ranges [[x, x], [y, y], [z, z]] in m, each from low "
             f"to high; got {box!r}."
         )
-    return np.clip(edges, -FAR, FAR)
+    return np.asarray(np.clip(edges, -_FAR, _FAR))
 
 
-class _Seen:
-    """What was seen at each sample of the motion that was looked at last."""
+class _LastMotion:
+    """Results of a query at each sample, kept for the last motion: use, value, label and slopes of
+    a limit ask for the same ones, and MuJoCo's queries dominate the time of a search."""
 
-    def __init__(self, look: Callable[[Array], Any]) -> None:
-        self.look = look
+    def __init__(self, query: Callable[[Array], Any]) -> None:
+        self.query = query
         self.motion: Trajectory | None = None
-        self.found: list[Any] = []
+        self.results: list[Any] = []
 
     def along(self, motion: Trajectory) -> list[Any]:
         if self.motion is not motion:
-            self.found = [self.look(q) for q in motion.q]
+            self.results = [self.query(q) for q in motion.q]
             self.motion = motion
-        return self.found
+        return self.results
 
 
 def _pair(mj: mujoco.MjModel, contact: Any) -> tuple[int, int]:
@@ -250,7 +259,7 @@ def _pair(mj: mujoco.MjModel, contact: Any) -> tuple[int, int]:
 
 
 def _neighbours(mj: mujoco.MjModel) -> Iterator[tuple[int, int]]:
-    """Pairs of bodies whose links share a joint, riders of each link included; the first of a pair
+    """Yield pairs of bodies whose links share a joint, welded bodies included; the first of a pair
     comes first in the tree. A floor belongs to the world and stays watched."""
     for b in range(1, mj.nbody):
         before = mj.body_weldid[mj.body_parentid[mj.body_weldid[b]]]
@@ -260,19 +269,19 @@ def _neighbours(mj: mujoco.MjModel) -> Iterator[tuple[int, int]]:
 
 
 def _add_shapes(spec: mujoco.MjSpec, robot: RobotModel) -> None:
-    """Shapes of a URDF's links, which the canonical text is without."""
+    """Add the shapes of a URDF's links, which the canonical model text leaves out."""
     bodies = {body.name: body for body in spec.bodies}
     for k, shape in enumerate(shapes_of(robot)):
         body = bodies.get(robot.body_names[shape.body])
         if body is None or (shape.kind == "mesh" and not _readable(shape)):
             continue
-        words: dict[str, Any] = {"pos": shape.position, "quat": shape.quaternion, "mass": 0.0}
+        attributes: dict[str, Any] = {"pos": shape.position, "quat": shape.quaternion, "mass": 0.0}
         if shape.kind == "mesh":
             spec.add_mesh(name=f"shape{k}", file=shape.file, scale=list(shape.size))
-            words["meshname"] = f"shape{k}"
+            attributes["meshname"] = f"shape{k}"
         else:
-            words["size"] = [*shape.size, 0.0, 0.0, 0.0][:3]
-        body.add_geom(type=_TYPES[shape.kind], **words)
+            attributes["size"] = [*shape.size, 0.0, 0.0, 0.0][:3]
+        body.add_geom(type=_TYPES[shape.kind], **attributes)
 
 
 def _readable(shape: Shape) -> bool:

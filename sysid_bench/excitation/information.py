@@ -1,4 +1,4 @@
-"""What a designer may ask about a robot: the rows of a task's regressor, and torques."""
+"""Models that excitation design evaluates along a motion: base regressor of a task, and torques."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,13 +19,15 @@ from sysid_bench.types import Array, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class InformationModel:
-    """The base regressor of a task: the chosen `columns` of `regression` at the measured rows
-    `places`; `seen` gives a motion the places of sensors."""
+    """Base regressor of a task: `columns` of `regression` at its `measured` rows.
+
+    `instrumented` adds the degrees of freedom of force sensors to a motion.
+    """
 
     regression: AnyRegression
-    places: tuple[int, ...]
+    measured: tuple[int, ...]
     columns: tuple[int, ...]
-    seen: Callable[[Trajectory], Trajectory] = lambda motion: motion
+    instrumented: Callable[[Trajectory], Trajectory] = lambda motion: motion
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -33,35 +35,34 @@ class InformationModel:
         return tuple(self.regression.columns[c] for c in self.columns)
 
     def rows(self, motion: Trajectory) -> Array:
-        """Y (N, rows, r)."""
-        rows, columns = list(self.places), list(self.columns)
-        blocks = self.regression.blocks(self.seen(motion))
+        """Return Y (N, rows, r) in SI."""
+        rows, columns = list(self.measured), list(self.columns)
+        blocks = self.regression.blocks(self.instrumented(motion))
         return np.concatenate([block.dense()[:, rows][:, :, columns] for block in blocks])
 
     def gradient(self, motion: Trajectory, G: Array) -> Slopes:
-        """Slopes of sum(G * Y) by q, v, a (N, nv); G (N, rows, r)."""
-        size = len(motion), len(self.regression.rows), len(self.regression.columns)
-        whole = np.zeros(size)
-        rows, columns = np.ix_(self.places, self.columns)
+        """Return derivatives of sum(G * Y) by q, v, a (N, nv); G (N, rows, r)."""
+        whole = np.zeros((len(motion), len(self.regression.rows), len(self.regression.columns)))
+        rows, columns = np.ix_(self.measured, self.columns)
         whole[:, rows, columns] = G
-        q, v, a = pull_back(self.regression, self.seen(motion), whole)
+        q, v, a = pull_back(self.regression, self.instrumented(motion), whole)
         nv = motion.v.shape[1]  # sensors come after all joints
         return q[:, :nv], v[:, :nv], a[:, :nv]
 
-    def subset_of_rows(self, names: tuple[str, ...]) -> "InformationModel":
-        """The same about some of the parameters."""
+    def subset(self, names: tuple[str, ...]) -> "InformationModel":
+        """Return the same model of some of its base parameters."""
         return replace(self, columns=tuple(self.regression.columns.index(name) for name in names))
 
     @cached_property
     def smooth(self) -> "InformationModel":
-        """The same with a smooth sign(v): what a search can follow."""
+        """Same model with a smooth sign(v), differentiable for a search."""
         return replace(self, regression=smoothed(self.regression))
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueModel:
-    """Torques of the joints that move by the numbers at hand: `theta` of `regression`, and `links`
-    (n_links, 10)."""
+    """Torques of the independent joints by known parameters: `theta` (p,) of `regression`, and
+    inertial parameters `links` (n_links, 10) of the tree."""
 
     regression: AnyRegression
     theta: Array
@@ -70,14 +71,14 @@ class TorqueModel:
     coupling: Coupling | None = None
 
     def of(self, motion: Trajectory) -> Array:
-        """tau (N, n)."""
+        """Return tau (N, n) in N m or N."""
         tau = newton_euler(self.tree, self.links, motion)
         if self.coupling is not None:
             tau = self.coupling.reduced(motion.q, tau)
-        return tau + self.regression.torque(motion, self.theta)
+        return np.asarray(tau + self.regression.torque(motion, self.theta))
 
     def gradient(self, motion: Trajectory, U: Array) -> Slopes:
-        """Slopes of sum(U * tau) by q, v, a (N, nv); U (N, n)."""
+        """Return derivatives of sum(U * tau) by q, v, a (N, nv); U (N, n)."""
         parts = [pull_back_torque(self.tree, self.coupling, self.links, motion, U)]
         if self.theta.any():
             parts.append(pull_back(self.regression, motion, U[:, :, None] * self.theta))
@@ -91,17 +92,21 @@ def information_model(
     rows: tuple[str, ...] | None = None,
     cuts: tuple[SensorCut, ...] = (),
 ) -> InformationModel:
-    """The question after the parameters named; `rows`: what is measured (None: the torques of all
-    joints that move, and all that the sensors `cuts` do)."""
+    """Return the regressor of the base parameters named.
+
+    `rows`: measured torques and wrench components (None: torques of all independent joints, and
+    all components of the force sensors `cuts`).
+    """
     instruments = instruments_of(robot, cuts)
-    measured = instruments.measured if rows is None else rows
-    places = tuple(instruments.measured.index(row) for row in measured)
-    columns = torque_regression(robot, base_names, instruments)
-    return InformationModel(columns, places, tuple(range(len(base_names))), instruments.motion)
+    names = instruments.measured if rows is None else rows
+    measured = tuple(instruments.measured.index(row) for row in names)
+    regression = torque_regression(robot, base_names, instruments)
+    columns = tuple(range(len(base_names)))
+    return InformationModel(regression, measured, columns, instruments.motion)
 
 
 def torque_model(robot: RobotModel) -> TorqueModel:
-    """Torques by the numbers of the robot's own file, with what is mounted on it."""
+    """Return the torque model by the parameters in the robot's own file, payload included."""
     between = np.argwhere(robot.joint_terms.viscous_coupling)
     terms = (*SUFFIX, *(f"{robot.rows[i]}.fv.{robot.rows[j]}" for i, j in between))
     columns = torque_regression(robot, robot.term_columns(terms))

@@ -1,4 +1,4 @@
-"""A motion from a CSV file: a column `t` (s) and one per joint, by its name (rad, m)."""
+"""Motion from a CSV file: a column `t` (s) and one per joint, by its name (rad, m)."""
 
 import csv
 from dataclasses import dataclass, field
@@ -6,25 +6,25 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import DesignProblem, is_count
 from sysid_bench.types import Array, Trajectory
 
-FAINT: Final = 1e-8
-"""Harmonics below this share of the largest are digits that the file leaves out."""
+_NEGLIGIBLE: Final = 1e-8
+"""Share of the largest harmonic below which others stem from the rounding of the file."""
 
-OVER: Final = 1e-6
-"""Share of a limit by which rounding in a file may pass it."""
+_TOLERANCE: Final = 1e-6
+"""Share of a limit by which rounding in a file may exceed it."""
 
 
 @dataclass(frozen=True)
 class MotionFile:
-    """The motion of `file`, found from the suite's folder, at any rate.
+    """Motion of `file`, relative to the suite's folder, resampled to any rate.
 
-    With `period` the rows are one period of a motion that repeats: between them it is the Fourier
-    series through them, exact for a motion without frequencies above half the file's rate. Without,
-    it is the quintic spline through them.
+    With `period` (s) the rows are one period, interpolated by their Fourier series: exact for a
+    motion without frequencies above half the file's rate. Without, by a quintic spline.
     """
 
     file: str
@@ -32,14 +32,14 @@ class MotionFile:
     cycles: int = 1
 
     def __post_init__(self) -> None:
-        """Raises UsageError for settings that make no motion."""
+        """Raise UsageError for settings out of range."""
         if not is_count(self.cycles) or (self.period is not None and not self.period > 0):
-            raise UsageError(f"{self}: cycles count from 1, the period is positive.")
+            raise UsageError(f"{self}: required are cycles >= 1 and a positive period.")
         if self.period is None and self.cycles != 1:
-            raise UsageError(f"{self}: a motion without a period has one cycle.")
+            raise UsageError(f"{self}: several cycles need a period.")
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        """The motion; raises UsageError where it is not one of this robot within its limits."""
+        """Return the motion; raises UsageError for a file that does not fit robot or limits."""
         t, x = _read(Path(self.file), _names(brief, self.file))
         name = Path(self.file).stem
         if self.period is None:
@@ -59,18 +59,18 @@ class MotionFile:
 
 def _names(brief: DesignProblem, file: str) -> list[str]:
     if any(joint.kind not in ("hinge", "slide") for joint in brief.joints):
-        raise UsageError(f"{file}: a motion file moves hinges and slides alone.")
+        raise UsageError(f"{file}: a motion file can only move robots of hinges and slides.")
     return [joint.name for joint in brief.joints]
 
 
 def _read(path: Path, names: list[str]) -> tuple[Array, Array]:
-    """Times (N,) and positions (N, nv) in the order of the names."""
+    """Return times (N,) and positions (N, nv) in the order of the names."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             header, *rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
         table = np.array(rows, dtype=float)
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path} is no table of numbers with a header: {error}.") from error
+        raise UsageError(f"{path} is not a table of numbers with a header: {error}.") from error
     columns = [name.strip() for name in header]
     missing = [name for name in ("t", *names) if name not in columns]
     if missing or table.ndim != 2 or table.shape[1] != len(columns):
@@ -80,25 +80,23 @@ def _read(path: Path, names: list[str]) -> tuple[Array, Array]:
     t = table[:, columns.index("t")]
     steps = np.diff(t)
     if len(t) < 10 or not np.isfinite(table).all() or not (steps > 0).all():
-        raise UsageError(f"{path} needs ten rows of finite numbers, its times rising.")
+        raise UsageError(f"{path} needs at least ten rows of finite numbers, with rising times.")
     if np.ptp(steps) > 1e-3 * steps.mean():
         raise UsageError(f"{path}: the times are not evenly spaced; resample the motion.")
     return t, table[:, [columns.index(name) for name in names]]
 
 
 def _spline(t: Array, x: Array, grid: Array) -> tuple[Array, Array, Array]:
-    from scipy.interpolate import make_interp_spline
-
     curve = make_interp_spline(t, x, k=5)
     return curve(grid), curve(grid, nu=1), curve(grid, nu=2)
 
 
 def _series(x: Array, period: float, grid: Array) -> tuple[Array, Array, Array]:
-    """The Fourier series (N, nv) through the rows of one period, and its derivatives."""
+    """Return the Fourier series (N, nv) through the rows of one period, and its derivatives."""
     c = np.fft.rfft(x, axis=0) / len(x)
     if len(x) % 2 == 0:
-        c[-1] = 0.0  # half the file's rate has no phase
-    k = np.flatnonzero(np.abs(c).max(axis=1) > FAINT * np.abs(c[1:]).max())
+        c[-1] = 0.0  # at half the file's rate the phase is unknown
+    k = np.flatnonzero(np.abs(c).max(axis=1) > _NEGLIGIBLE * np.abs(c[1:]).max())
     k = k[k > 0]
     w, wave = 2 * np.pi / period * k, np.exp(2j * np.pi / period * np.outer(grid, k))
     parts = [2 * (wave @ ((1j * w[:, None]) ** n * c[k])).real for n in range(3)]
@@ -113,10 +111,10 @@ def _check(brief: DesignProblem, motion: tuple[Array, Array, Array], file: str) 
         "velocity": np.abs(dx).max(axis=0) / brief.v - 1,
         "acceleration": np.abs(ddx).max(axis=0) / brief.a - 1,
     }
-    for what, over in worst.items():
+    for quantity, over in worst.items():
         j = int(np.argmax(over))
-        if not over[j] <= OVER:
+        if not over[j] <= _TOLERANCE:
             raise UsageError(
-                f"{file}: the {what} of {brief.joints[j].name} passes its limit by "
+                f"{file}: the {quantity} of {brief.joints[j].name} exceeds its limit by "
                 f"{100 * over[j]:.3g} %; slow the motion down, or raise the limit in the manifest."
             )

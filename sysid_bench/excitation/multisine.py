@@ -1,4 +1,4 @@
-"""Multi-frequency sinusoids of seed 000, with velocities and accelerations in closed form."""
+"""Multi-frequency sines of seed 000, with velocities and accelerations in closed form."""
 
 from dataclasses import dataclass, field
 
@@ -11,9 +11,12 @@ from sysid_bench.types import Array, Trajectory
 
 
 @dataclass(frozen=True)
-class MultiSine:
-    """q_i = q_i0 + sum_k A_k sin(2 pi f_k t + phase_k): frequencies of each joint drawn between
-    `lowest` and `highest`, so that the motion does not repeat."""
+class Multisine:
+    """q_i = q_i0 + sum_k A_k sin(2 pi f_k t + phase_k).
+
+    Frequencies of each joint are drawn between `lowest` and `highest` (Hz), so that the motion is
+    not periodic.
+    """
 
     sines: int = 5
     lowest: float = field(default=0.1, metadata={"unit": "Hz"})
@@ -21,17 +24,17 @@ class MultiSine:
     duration: float = field(default=10.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
-        """Raises UsageError for settings that make no motion."""
+        """Raise UsageError for settings out of range."""
         if not (is_count(self.sines) and 0 < self.lowest <= self.highest and self.duration > 0):
             raise UsageError(
-                f"{self}: sines from 1 on, 0 < lowest <= highest, a positive duration."
+                f"{self}: required are sines >= 1, 0 < lowest <= highest and a positive duration."
             )
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        """A motion of `duration`."""
+        """Return a motion of `duration`, scaled into the limits."""
         size = (self.sines, brief.nv)
         w = 2 * np.pi * rng.uniform(self.lowest, self.highest, size)
-        # Amplitudes fall with frequency, so that every sine adds a similar velocity.
+        # Amplitudes fall with frequency, so that all sines add similar velocities.
         amplitude = rng.uniform(0.5, 1.0, size) / w
         phase = rng.uniform(0, 2 * np.pi, size)
 

@@ -1,4 +1,4 @@
-"""A motion designed for its question: the best of a family of curves within all limits."""
+"""Optimised excitation: the curves of one family that make a criterion small within all limits."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,36 +10,35 @@ from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.excitation.criteria import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_count
+from sysid_bench.excitation.design_space import DesignSpace
+from sysid_bench.excitation.geometry import box_limit, collision_limit
 from sysid_bench.excitation.information import InformationModel
-from sysid_bench.excitation.limit_use import (
-    Limit,
-    LimitUse,
-    joint_limits,
-    largest_use,
-    torque_limits,
-)
-from sysid_bench.excitation.search import DesignSpace, Search, Tell
+from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
+from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
+from sysid_bench.excitation.search import Progress, Search
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.types import Array, Trajectory
 
-DRAWS: Final = 20
-"""Random feasible motions: where a search starts, and what its result is compared with."""
+_DRAWS: Final = 20
+"""Random feasible motions: starts of a search, and reference for its result."""
 
-SPARE: Final = 0.004
-"""m that a search adds to the clearance: it looks at fewer samples than the check after it."""
+_SPARE: Final = 0.004
+"""m added to the clearance in a search, which sees fewer samples than the check after it."""
 
-CHECKS: Final = 16
-"""Feasible motions of a search that are looked at on the finer grid, the best first."""
+_CHECKS: Final = 16
+"""Feasible motions of a search that are checked on the finer grid, the best first."""
 
-DENSER: Final = 10
-"""The limits are checked on a grid so many times finer than that of the search."""
+_DENSER: Final = 10
+"""Ratio of samples in the final check of limits to those of the search."""
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Coefficients C (m, k) of the degrees of freedom `dofs`, and how they were found. Values are
-    those of the criterion, which is made small; `start` is the median random motion's."""
+    """Coefficients C (m, k), the minimised criterion, and the effort of the search.
+
+    `start`: criterion of the median random motion.
+    """
 
     C: Array
     value: float
@@ -50,9 +49,12 @@ class Design:
 
 @dataclass(frozen=True)
 class Optimised:
-    """Curves of one family that make an objective small: `cond`, `cond-unit`, `D`, `A`, `E`,
-    `predict`, or a table of weights. `joints` move (none named: all hinges and slides), the rest is
-    held at the reference configuration."""
+    """Curves of one family that minimise an objective: a criterion (`cond`, `cond-unit`, `D`, `A`,
+    `E`, `predict`), or a table of their weights (Gautier & Khalil 1992; Swevers et al. 1997).
+
+    `joints` move (none named: all hinges and slides), the others stay at the reference
+    configuration. `clearance` and `floor` are in m, `boxes` as in `box_limit`.
+    """
 
     objective: str | Mapping[str, float] = "D"
     family: str = "fourier"
@@ -68,44 +70,48 @@ class Optimised:
     boxes: Mapping[str, Sequence[Sequence[float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raises UsageError for settings that make no motion."""
+        """Raise UsageError for settings out of range."""
         criterion_weights(self.objective)
         if self.family not in FAMILIES:
             raise unknown_name("family of curves", self.family, FAMILIES)
         for name in ("harmonics", "cycles", "iterations", "starts"):
             if not is_count(getattr(self, name)):
-                raise UsageError(f"{name} counts from 1; got {getattr(self, name)!r}.")
+                raise UsageError(
+                    f"{name} must be an integer of at least 1; got {getattr(self, name)!r}."
+                )
         if not self.period > 0:
-            raise UsageError(f"The period is positive; got {self.period:g} s.")
+            raise UsageError(f"The period must be positive; got {self.period:g} s.")
         if not 0 < self.torque_share <= 1:
             raise UsageError(
-                "The share of the torque limits lies above 0 % and up to 100 %; got "
+                "The share of the torque limits must lie above 0 % and up to 100 %; got "
                 f"{100 * self.torque_share:g} %."
             )
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        """The motion of `solve`, `cycles` times."""
+        """Return the motion of `solve`, `cycles` times."""
         return self.motion(self.solve(brief, rng).C, brief)
 
     def motion(self, C: Array, brief: DesignProblem) -> Trajectory:
-        """The motion of coefficients C, sampled at the brief's rate. A family that rests at its
-        ends is played once more for each cycle."""
+        """Return the motion of coefficients C (m, k), sampled at the rate of the problem."""
         space = self.space(brief)
         t = brief.times(self.cycles * self.period)
-        own = space.motion(C, t % self.period if not space.curves.periodic else t)
-        return replace(own, t=t, name="optimised", period=self.period)
+        # Families at rest at both ends are not periodic functions: each cycle starts them anew.
+        motion = space.motion(C, t % self.period if not space.curves.periodic else t)
+        return replace(motion, t=t, name="optimised", period=self.period)
 
     def space(self, brief: DesignProblem) -> DesignSpace:
-        """The motions to choose from; raises UsageError for a joint that is not there, or that
-        follows others."""
-        place = {int(dof): k for k, dof in enumerate(brief.dofs)}
+        """Return the motions to choose from.
+
+        Raises UsageError for an unknown or dependent joint, UnsupportedError where none can move.
+        """
+        profile = {int(dof): k for k, dof in enumerate(brief.dofs)}
         joints = {j.name: j for j in brief.joints if j.kind in ("hinge", "slide")}
-        scalar = {name: place[j.vadr] for name, j in joints.items() if j.vadr in place}
+        scalar = {name: profile[j.vadr] for name, j in joints.items() if j.vadr in profile}
         for name in self.joints:
             if name in joints and name not in scalar and brief.coupling is not None:
                 drivers = brief.coupling.independent_of(joints[name].vadr)
-                told = ", ".join(brief.coupling.names[dof] for dof in drivers) or "constraints"
-                raise UsageError(f"The joint {name!r} follows {told}; name that in its place.")
+                followed = ", ".join(brief.coupling.names[dof] for dof in drivers) or "constraints"
+                raise UsageError(f"The joint {name!r} follows {followed}; name that instead.")
             if name not in scalar:
                 raise unknown_name("hinge or slide", name, scalar)
         if not scalar:
@@ -117,11 +123,14 @@ class Optimised:
 
     @staticmethod
     def draws(space: DesignSpace, rng: np.random.Generator) -> list[Array]:
-        """The random motions that a search starts from and is compared with."""
-        return [space.random(rng, 0.99 * MARGIN) for _ in range(DRAWS)]
+        """Return coefficients of random motions, the starts and the reference of a search."""
+        return [space.random(rng, 0.99 * MARGIN) for _ in range(_DRAWS)]
 
     def limits(self, brief: DesignProblem, share: float = 1.0) -> tuple[Limit, ...]:
-        """Everything that the motion has to keep; `share` of positions, rates and torques."""
+        """Return all limits of the motion, `share` of positions, rates and torques.
+
+        Raises UsageError for clearance, floor or boxes without a collision model.
+        """
         space = self.space(brief)
         limits = [
             *joint_limits(brief, space.dofs, share),
@@ -129,13 +138,11 @@ class Optimised:
         ]
         if self.clearance is None and self.floor is None and not self.boxes:
             return tuple(limits)
-        from sysid_bench.excitation.geometry import box_limit, collision_limit
-
         if brief.scene is None:
-            raise UsageError("Nothing is known of this robot's shapes and places.")
+            raise UsageError("Clearance, floor and boxes need a collision model of the robot.")
         scene = brief.scene(self.floor)
         if (self.clearance is not None and scene.shapes) or self.floor is not None:
-            spare = SPARE if share < 1.0 else 0.0
+            spare = _SPARE if share < 1.0 else 0.0
             limits.append(collision_limit(scene, (self.clearance or 0.0) + spare))
         if self.boxes:
             limits.append(box_limit(scene, self.boxes))
@@ -146,32 +153,31 @@ class Optimised:
         brief: DesignProblem,
         rng: np.random.Generator,
         known: Sequence[Trajectory] = (),
-        tell: Tell = lambda count, value: None,
+        progress: Progress = lambda count, value: None,
     ) -> Design:
-        """The best coefficients; `known`: motions that have been recorded before.
+        """Return the best coefficients, given motions `known` from earlier recordings.
 
-        Raises UsageError where the brief holds no regressor, and UnsupportedError where no motion
+        Raises UsageError where the problem holds no regressor, and UnsupportedError where no motion
         within the limits was found.
         """
         if brief.regress is None:
-            raise UsageError(
-                "An optimised motion needs to know what it is for: the brief holds no regressor."
-            )
+            raise UsageError("An optimised motion needs a regressor to judge it by; none is given.")
         space = self.space(brief)
         draws = self.draws(space, rng)
-        asked = torque_prior(space, brief.regress, draws)
-        criterion = design_criterion(self.objective, asked, space, draws, known)
-        search = Search(space, asked.smooth, criterion, self.limits(brief, MARGIN), tell)
+        information = torque_prior(space, brief.regress, draws)
+        criterion = design_criterion(self.objective, information, space, draws, known)
+        limits = self.limits(brief, MARGIN)
+        search = Search(space, information.smooth, criterion, limits, progress)
         values = np.array([search.objective(C) for C in draws])
         over = np.array([search.largest_use(C) for C in draws])
         order = np.lexsort((values, np.maximum(over, 1.0)))
         best = search.start([draws[i] for i in order[: self.starts]], self.iterations)
-        # Where a short search does not come back inside, a long one only takes longer.
+        # Where a short search stays infeasible, a long one only takes longer.
         if search.kept and not search.interrupted:
-            search.resume(best, self.iterations)
+            search.run_from(best, self.iterations)
         if not search.interrupted and not (search.kept and search.kept[-1][0] <= values.min()):
-            # From outside of all limits no way led in, or to nothing good: begin small, inside.
-            search.short_steps(
+            # No feasible motion, or none better than random: start small, within the limits.
+            search.box_search(
                 _scaled_to_limits(search, space, draws[order[0]], rng), self.iterations
             )
         C, value = self._checked(brief, space, search)
@@ -179,26 +185,25 @@ class Optimised:
         return Design(C, value, median, search.evaluations, search.interrupted)
 
     def report(self, C: Array, brief: DesignProblem) -> dict[str, LimitUse]:
-        """The worst moment of each kind of limit, on the finer grid; true limits, none shared."""
+        """Return the largest use of each kind of limit, on the finer grid, of the whole limits."""
         motion = self._fine(C, self.space(brief))
         strict = replace(self, torque_share=1.0).limits(brief)
         return {limit.kind: largest_use(limit, motion) for limit in strict}
 
     def _fine(self, C: Array, space: DesignSpace) -> Trajectory:
-        return space.motion(C, space.curves.grid(DENSER))
+        return space.motion(C, space.curves.grid(_DENSER))
 
     def _checked(
         self, brief: DesignProblem, space: DesignSpace, search: Search
     ) -> tuple[Array, float]:
-        """The best of the kept motions that keeps the limits on the finer grid as well."""
+        """Return the best kept motion within the limits on the finer grid, and its value."""
         limits = self.limits(brief)
         nearest = search.nearest
-        # The last ones one by one, those before in growing strides: they are like each other.
-        places = len(search.kept) - np.unique(
-            np.geomspace(1, len(search.kept) or 1, CHECKS, dtype=int)
-        )
-        for place in places[places >= 0]:  # -1: nothing was kept
-            value, C = search.kept[place]
+        # Neighbours in the list are alike: the last ones singly, earlier ones in growing strides.
+        count = len(search.kept)
+        indices = count - np.unique(np.geomspace(1, count or 1, _CHECKS, dtype=int))
+        for index in indices[indices >= 0]:  # -1: nothing was kept
+            value, C = search.kept[index]
             motion = self._fine(C, space)
             uses = [float(np.abs(limit.use(motion)).max()) for limit in limits]
             if max(uses) <= 1.0:
@@ -215,23 +220,23 @@ class Optimised:
 def _scaled_to_limits(
     search: Search, space: DesignSpace, C: Array, rng: np.random.Generator
 ) -> Array:
-    """A random motion made smaller, about its own place and then about others, until it keeps
-    torques, clearances and boxes too; the least violating where none does."""
+    """Return a random motion scaled down until it keeps torques, clearances and boxes too; the
+    least violating one where none does.
+
+    Each size is tried about its own centre, the reference posture and random postures.
+    """
     best, least = C, search.largest_use(C)
     low, high = (edge[space.dofs] for edge in (space.brief.low, space.brief.high))
-    # The reference posture is the one that whoever drew the model has looked at.
+    # The author of a model has usually checked its reference posture for collisions.
     room = 0.1 * (high - low)
     reference = np.clip(space.brief.q0[space.places], low + room, high - room)
     for size in (0.6, 0.35, 0.2, 0.1, 0.05):
         if least <= 1.0:
             break
         small = size * C
-        for place in (
-            C[0],
-            reference,
-            *rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high, (6, len(low))),
-        ):
-            small[0] = place
+        inner = 0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high
+        for centre in (C[0], reference, *rng.uniform(*inner, (6, len(low)))):
+            small[0] = centre
             over = search.largest_use(small)
             if over < least:
                 best, least = small.copy(), over
@@ -239,46 +244,54 @@ def _scaled_to_limits(
 
 
 def torque_prior(
-    space: DesignSpace, question: InformationModel, draws: Sequence[Array]
+    space: DesignSpace, information: InformationModel, draws: Sequence[Array]
 ) -> InformationModel:
-    """The part of a question that these motions can answer at all: held joints, a held base and
-    short reaches leave fewer base parameters, again taken from left to right."""
+    """Return the regressor of the base parameters that the motions `draws` excite.
+
+    Held joints, a held base and short ranges leave fewer of them, chosen from left to right. Raises
+    UnsupportedError where none is left.
+    """
     t = space.curves.grid()
-    R = upper_factor(_stacked(question, space.motion(C, t)) for C in draws[: 1 + len(draws) // 4])
-    base = base_map(R, question.names)
+    some = draws[: 1 + len(draws) // 4]  # rank needs few motions
+    R = upper_factor(_stacked(information, space.motion(C, t)) for C in some)
+    base = base_map(R, information.names)
     if base.rank == 0:
-        raise UnsupportedError("These motions tell nothing of what is asked.")
-    return question.subset_of_rows(base.names)
+        raise UnsupportedError("These motions excite none of the task's parameters.")
+    return information.subset(base.names)
 
 
 def design_criterion(
     objective: str | Mapping[str, float],
-    question: InformationModel,
+    information: InformationModel,
     space: DesignSpace,
     draws: Sequence[Array],
     known: Sequence[Trajectory] = (),
 ) -> Criterion:
-    """The criterion of an objective; `predict` is about the torques of the random motions `draws`,
-    each row in units of its own largest column so that strong joints do not drown the weak."""
-    weights, r = criterion_weights(objective), len(question.names)
-    rows = [_stacked(question, motion) for motion in known]
+    """Return the criterion of an objective on r base parameters, given motions `known` before.
+
+    `predict` takes the torques of the random motions `draws`: S = (R / sqrt(count))^-1 with the R
+    factor of their stacked regressors.
+    """
+    weights, r = criterion_weights(objective), len(information.names)
+    rows = [_stacked(information, motion) for motion in known]
     before = upper_factor([*rows, np.zeros((1, r))]) if rows else np.zeros((0, r))
     whiten = np.eye(r)
     if "predict" in weights:
         t = space.curves.grid()
-        R = upper_factor(_stacked(question, space.motion(C, t)) for C in draws)
+        R = upper_factor(_stacked(information, space.motion(C, t)) for C in draws)
         whiten = np.linalg.inv(R / np.sqrt(len(draws)))
     return Criterion(weights, before, whiten)
 
 
-def _stacked(question: InformationModel, motion: Trajectory) -> Array:
-    Y = question.rows(motion)
+def _stacked(information: InformationModel, motion: Trajectory) -> Array:
+    Y = information.rows(motion)
     return Y.reshape(-1, Y.shape[2])
 
 
-def design_figures(question: InformationModel, motion: Trajectory) -> dict[str, Any]:
-    """What a motion tells, with the true sign of Coulomb friction: rank, condition, log det."""
-    R = upper_factor([_stacked(question, motion)])
+def design_figures(information: InformationModel, motion: Trajectory) -> dict[str, Any]:
+    """Return rank, condition numbers, log det of W' W and smallest singular value of a motion's
+    regressor W, with sign(v) of Coulomb friction unsmoothed."""
+    R = upper_factor([_stacked(information, motion)])
     s = np.linalg.svd(R, compute_uv=False)
     unit = np.linalg.svd(R / np.linalg.norm(R, axis=0), compute_uv=False)
     return {

@@ -1,4 +1,4 @@
-"""Point-to-point moves with rests: what a robot does at work, and no Fourier series again."""
+"""Point-to-point moves with rests, as in production: validation unlike Fourier training."""
 
 from dataclasses import dataclass, field
 
@@ -15,29 +15,29 @@ _PEAK_CHANGE = 10 / np.sqrt(3)
 
 @dataclass(frozen=True)
 class PointToPoint:
-    """All joints move together between random postures on quintic profiles, as fast as the slowest
-    joint allows, and rest between the moves."""
+    """Synchronous moves between random postures with rests, as fast as the slowest joint allows, on
+    the quintic profile s(u) = 10 u^3 - 15 u^4 + 6 u^5."""
 
     moves: int = 6
     rest: float = field(default=0.2, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
-        """Raises UsageError for settings that make no motion."""
+        """Raise UsageError for settings out of range."""
         if not (is_count(self.moves) and self.rest >= 0):
-            raise UsageError(f"{self}: moves count from 1, and a rest is not negative.")
+            raise UsageError(f"{self}: required are moves >= 1 and rest >= 0.")
 
     @property
     def share(self) -> float:
-        """Of the limits of velocity and acceleration that a move uses."""
+        """Share of the limits of velocity and acceleration that a move uses."""
         return MARGIN
 
     @property
     def name(self) -> str:
-        """What its trajectories are called."""
+        """Name of its trajectories."""
         return "ptp"
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        """A motion through `moves` random postures; it starts and ends at rest."""
+        """Return a motion through `moves` random postures from rest to rest."""
         margin = 0.5 * (1 - MARGIN) * (brief.high - brief.low)
         points = rng.uniform(brief.low + margin, brief.high - margin, (self.moves + 1, brief.nv))
         steps = np.diff(points, axis=0)
@@ -56,24 +56,25 @@ class PointToPoint:
 
 @dataclass(frozen=True)
 class Static(PointToPoint):
-    """Static postures: long rests at random postures, with slow moves between them, for what
-    gravity and springs alone tell."""
+    """Static postures with slow moves between them: gravity and spring parameters alone are
+    excited."""
 
     moves: int = 12
     rest: float = field(default=2.0, metadata={"unit": "s"})
 
     @property
     def share(self) -> float:
-        """Slow enough that gravity makes nearly all of the torque."""
+        """Share at which gravity makes nearly all of the torque."""
         return 0.25
 
     @property
     def name(self) -> str:
-        """What its trajectories are called."""
+        """Name of its trajectories."""
         return "static"
 
 
 def _durations(steps: Array, brief: DesignProblem, share: float) -> Array:
+    """Return the duration (n,) in s of moves over steps (n, nv)."""
     by_velocity = (_PEAK_RATE * np.abs(steps) / (share * brief.v)).max(axis=1)
     by_acceleration = np.sqrt(_PEAK_CHANGE * np.abs(steps) / (share * brief.a)).max(axis=1)
-    return np.maximum(by_velocity, by_acceleration)
+    return np.asarray(np.maximum(by_velocity, by_acceleration))

@@ -1,4 +1,4 @@
-"""Random motions that start and end at rest: Fourier series with a polynomial, and B-splines."""
+"""Random motions from rest to rest: Fourier series with a polynomial, and B-splines."""
 
 from dataclasses import dataclass, field
 
@@ -13,24 +13,24 @@ from sysid_bench.types import Array, Trajectory
 
 @dataclass(frozen=True)
 class FourierPolynomial:
-    """Random Fourier coefficients; a polynomial takes the motion from rest to rest, and back to
-    where it started (Park 2006)."""
+    """Random Fourier coefficients with a polynomial that makes the motion start and end at rest, at
+    the same position (Park 2006)."""
 
     harmonics: int = 5
     period: float = field(default=5.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
-        """Raises UsageError for settings that make no motion."""
+        """Raise UsageError for settings out of range."""
         if not (is_count(self.harmonics) and self.period > 0):
-            raise UsageError(f"{self}: harmonics count from 1, the period is positive.")
+            raise UsageError(f"{self}: required are harmonics >= 1 and a positive period.")
 
     @property
     def curves(self) -> Curves:
-        """The family that the motion is drawn from."""
+        """Family of curves that the motion is drawn from."""
         return curves_of("fourier-polynomial", self.period, self.harmonics)
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        """A motion of one period."""
+        """Return a motion of one period, scaled into the limits."""
         curves = self.curves
         C = rng.normal(size=(curves.size, brief.nv))
         C[0] = 0.0
@@ -51,5 +51,5 @@ class BSplines(FourierPolynomial):
 
     @property
     def curves(self) -> Curves:
-        """The family that the motion is drawn from."""
+        """Family of curves that the motion is drawn from."""
         return curves_of("b-spline", self.period, self.harmonics)

@@ -1,4 +1,4 @@
-"""Random points, every joint on its own clock: the motion of Traversaro et al. (2015)."""
+"""Random waypoints with asynchronous joints: the motion of Traversaro et al. (2015)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,15 +15,18 @@ from sysid_bench.types import Array, Trajectory
 _PEAK_RATE: Final = 2.1875
 _PEAK_CHANGE: Final = 420 * 0.64 / (16 * np.sqrt(5))
 
-SHARES: Final = (0.6, 1.4)
-"""Between which a move's time is drawn, of `move`."""
+_SHARES: Final = (0.6, 1.4)
+"""Range of a move's random duration, relative to `move`."""
 
 
 @dataclass(frozen=True)
 class RandomWaypoints:
-    """Each joint goes from one random point of its range to the next, in a time of its own and
-    without rests; `joints` move (none named: all), the others stand in the middle of their range.
-    The motion starts after `rest`; a move takes about `move`, or as long as the limits want it."""
+    """Joints that move between random points of their ranges, each at its own times and without
+    rests.
+
+    `joints` move (none named: all), the others stand in the middle of their range. The motion
+    starts after `rest` (s); a move takes about `move` (s), or longer where the limits require it.
+    """
 
     duration: float = field(default=20.0, metadata={"unit": "s"})
     rest: float = field(default=0.0, metadata={"unit": "s"})
@@ -31,17 +34,14 @@ class RandomWaypoints:
     joints: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Raises UsageError for settings that make no motion."""
+        """Raise UsageError for settings out of range."""
         if not (self.duration > self.rest >= 0 and self.move > 0):
-            raise UsageError(
-                f"{self}: a rest is not negative and shorter than the duration, and a move takes "
-                "some time."
-            )
+            raise UsageError(f"{self}: required are 0 <= rest < duration and a positive move.")
         if isinstance(self.joints, str) or not all(isinstance(j, str) for j in self.joints):
-            raise UsageError(f"{self}: joints is a list of names.")
+            raise UsageError(f"{self}: joints must be a list of names.")
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        """The motion; raises UsageError for a joint that there is not."""
+        """Return the motion; raises UsageError for an unknown joint."""
         t = brief.times(self.duration)
         x = np.tile(0.5 * (brief.low + brief.high), (len(t), 1))
         dx, ddx = np.zeros_like(x), np.zeros_like(x)
@@ -50,7 +50,7 @@ class RandomWaypoints:
         return brief.trajectory(t, x, dx, ddx, "wander")
 
     def _moving(self, brief: DesignProblem) -> list[int]:
-        """Places of the profiles that move."""
+        """Return the indices of the profiles that move."""
         names = [joint.name for joint in brief.joints]
         for name in self.joints:
             if name not in names:
@@ -61,28 +61,28 @@ class RandomWaypoints:
             if not self.joints or joint.name in self.joints
             for dof in range(joint.vadr, joint.vadr + len(joint.dofs))
         }
-        own = range(brief.nv) if brief.coupling is None else brief.coupling.independent
-        return [i for i, dof in enumerate(own) if int(dof) in dofs]
+        return [i for i, dof in enumerate(brief.dofs) if int(dof) in dofs]
 
     def _profile(
         self, brief: DesignProblem, i: int, t: Array, rng: np.random.Generator
     ) -> tuple[Array, Array, Array]:
+        """Return x, dx, ddx (N,) of profile i."""
         middle = 0.5 * (brief.low[i] + brief.high[i])
         reach = 0.5 * MARGIN * (brief.high[i] - brief.low[i])
         x, dx, ddx = np.full(len(t), middle), np.zeros(len(t)), np.zeros(len(t))
-        start, here = self.rest, middle
+        start, position = self.rest, middle
         while start < self.duration:
-            there = middle + reach * rng.uniform(-1.0, 1.0)
-            way = there - here
-            least = max(
-                _PEAK_RATE * abs(way) / (MARGIN * brief.v[i]),
-                np.sqrt(_PEAK_CHANGE * abs(way) / (MARGIN * brief.a[i])),
+            target = middle + reach * rng.uniform(-1.0, 1.0)
+            step = target - position
+            shortest = max(
+                _PEAK_RATE * abs(step) / (MARGIN * brief.v[i]),
+                np.sqrt(_PEAK_CHANGE * abs(step) / (MARGIN * brief.a[i])),
             )
-            T = max(self.move * rng.uniform(*SHARES), least)
-            now = (t >= start) & (t < start + T)
-            u = (t[now] - start) / T
-            x[now] = here + way * u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
-            dx[now] = way / T * 140 * (u * (1 - u)) ** 3
-            ddx[now] = way / T**2 * 420 * (u * (1 - u)) ** 2 * (1 - 2 * u)
-            start, here = start + T, there
+            T = max(self.move * rng.uniform(*_SHARES), shortest)
+            during = (t >= start) & (t < start + T)
+            u = (t[during] - start) / T
+            x[during] = position + step * u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
+            dx[during] = step / T * 140 * (u * (1 - u)) ** 3
+            ddx[during] = step / T**2 * 420 * (u * (1 - u)) ** 2 * (1 - 2 * u)
+            start, position = start + T, target
         return x, dx, ddx

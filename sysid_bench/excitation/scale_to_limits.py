@@ -1,4 +1,4 @@
-"""A shape scaled into position, velocity and acceleration limits."""
+"""Scaling of a motion's shape into position, velocity and acceleration limits."""
 
 from collections.abc import Callable
 
@@ -14,15 +14,15 @@ Shape = Callable[[Array], tuple[Array, Array, Array]]
 def scale_to_limits(
     shape: Shape, grid: Array, brief: DesignProblem, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Scale and offset (nv,): scale * x + offset stays inside the limits on the dense `grid`.
+    """Return scale and offset (nv,): scale * x + offset keeps the limits on the dense `grid`.
 
-    The scale is the largest that a joint allows; where velocity or acceleration bind before the
-    range does, the place inside the range is drawn.
+    The scale is the largest that each joint allows; where velocity or acceleration bind before the
+    range does, the offset within the range is drawn.
     """
     x, dx, ddx = shape(grid)
     top, bottom = x.max(axis=0), x.min(axis=0)
     room = brief.high - brief.low
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore"):  # a joint that stands still has no bound
         scale = MARGIN * np.minimum.reduce(
             [
                 room / (top - bottom),
@@ -36,5 +36,5 @@ def scale_to_limits(
 
 
 def dense_grid(duration: float, fastest: float) -> Array:
-    """Times (M,) with 40 points per period of the fastest frequency (Hz)."""
+    """Return times (M,) in s with 40 points per period of the fastest frequency (Hz)."""
     return np.linspace(0.0, duration, max(200, int(40 * duration * fastest)) + 1)

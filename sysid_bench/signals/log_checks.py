@@ -1,6 +1,6 @@
-"""What is wrong with a recording, by itself: held and lost samples, rates and units that cannot be.
+"""Consistency checks of one recording: held and lost samples, impossible rates and units.
 
-A `Finding` is told; a contradiction is an error unless the user accepts it by its name.
+A `Finding` is reported; a contradiction is an error unless the user accepts it by its name.
 """
 
 from collections.abc import Sequence
@@ -13,37 +13,37 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.types import Array
 
 NAMES: Final = ("rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits")
-"""What can be found, and accepted."""
+"""Names of findings, for `--accept`."""
 
-AGREES: Final = 0.98
-"""Correlation of travelled and integrated distances from which a joint has a say in the rate."""
+_AGREES: Final = 0.98
+"""Correlation of travelled and integrated distances above which a joint counts for the rate."""
 
-RATE_ERROR: Final = 0.05
-"""Relative; from here on a declared rate is wrong (measured on 9 real logs: below 0.006)."""
+_RATE_ERROR: Final = 0.05
+"""Relative error above which a declared rate is wrong (measured on 9 real logs: below 0.006)."""
 
-JOINT_ERROR: Final = 0.15
-"""Relative to the other joints; from here on one joint's rate is told to be off (a drive's own
-estimate of speed may be, by 18 % on a real arm)."""
+_JOINT_ERROR: Final = 0.15
+"""Deviation from the other joints above which a joint's v is reported (the speed estimate of a
+drive is off by 18 % on a real arm)."""
 
-OTHER: Final = 1.5
-"""A factor from which on it cannot be that joint's rate in these units."""
+_WRONG_COLUMN: Final = 1.5
+"""Factor beyond which v cannot be that joint's rate in these units."""
 
-HOLD: Final = 0.25
-"""s; q that stays for longer stands still, for shorter a sample was held."""
+_HOLD: Final = 0.25
+"""s; q constant for longer stands still, for shorter a sample was held."""
 
 MANY: Final = 0.5
-"""Share of rows that are held from which the declared rate is not that of the data."""
+"""Share of held samples above which the declared rate is not that of the data."""
 
-LARGEST: Final = 1e12
-"""A number beyond it is no measurement."""
+_LARGEST: Final = 1e12
+"""Numbers beyond it are not measurements."""
 
 FASTEST: Final = {"hinge": 50.0, "slide": 20.0}
-"""rad/s, m/s: no robot joint is as fast."""
+"""rad/s, m/s: above the speed of any robot joint."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something found `count` times in a recording."""
+    """Observation made `count` times in a recording; `name` is one of NAMES."""
 
     name: str
     count: int
@@ -52,144 +52,152 @@ class Finding:
 
 
 def refuse_findings(findings: Sequence[Finding], accepted: Sequence[str], where: str) -> None:
-    """Raises UsageError for contradictions that were not accepted, or for an unknown name."""
+    """Raise UsageError for contradictions that were not accepted, or for an unknown name."""
     for name in accepted:
         if name not in NAMES:
-            raise unknown_name("finding", name, NAMES, "Give those that --accept is to let pass.")
+            raise unknown_name("finding", name, NAMES, "Give --accept the names to let pass.")
     refused = [f for f in findings if f.contradiction and f.name not in accepted]
     if refused:
         names = ",".join(dict.fromkeys(finding.name for finding in refused))
         raise UsageError(
-            f"{where}: {'; '.join(finding.text for finding in refused)}. Mend the description, or "
+            f"{where}: {'; '.join(finding.text for finding in refused)}. Fix the description, or "
             f"go on with --accept {names}."
         )
 
 
-def bad_rows(*signals: Array) -> Array:
-    """Rows (N,) in which any number is not finite or beyond all measurement."""
-    return np.any(
-        [~(np.abs(x) < LARGEST).all(axis=1) for x in signals],  # NaN compares false
-        axis=0,
-    )
+def check_finite(*signals: Array) -> Array:
+    """Return rows (N,) in which any number is not finite, or too large for a measurement."""
+    # NaN compares false, so the negation catches it too.
+    invalid = [~(np.abs(x) < _LARGEST).all(axis=1) for x in signals]
+    return np.asarray(np.any(invalid, axis=0))
 
 
 def held_rows(x: Array, rate: float) -> tuple[Array, int]:
-    """Rows (N,) that repeat the row before in a short run, and how many stand still for longer."""
+    """Return rows (N,) that repeat the row before in a short run, and the number of rows that stand
+    still for longer. `rate` in Hz."""
     same = np.zeros(len(x), dtype=bool)
     same[1:] = (x[1:] == x[:-1]).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     starts, ends = edges[::2], edges[1::2]
     held, standing = np.zeros(len(x), dtype=bool), 0
     for start, end in zip(starts, ends, strict=True):
-        if (end - start) <= max(HOLD * rate, 2) and start > 1 and end < len(x):
+        if (end - start) <= max(_HOLD * rate, 2) and start > 1 and end < len(x):
             held[start:end] = True
         else:
             standing += int(end - start)
     return held, standing
 
 
-def lost_steps(q: Array) -> Array:
-    """Rows (N,) of a smooth motion before which samples are missing: how many. A step is compared
-    with the mean of its neighbours, where the robot moves faster than usual."""
+def check_samples(q: Array) -> list[Finding]:
+    """Return a finding where samples of a smooth motion q (N, k) are missing.
+
+    A step is compared with the mean of its neighbours, where the robot moves faster than usual.
+    """
     steps = np.diff(q, axis=0)
     scale = np.abs(steps).mean(axis=0)
     steps = steps[:, scale > 0] / scale[scale > 0]
-    lost = np.zeros(len(q), dtype=int)
     if len(steps) < 5 or steps.shape[1] == 0:
-        return lost
-    around = 0.5 * (steps[:-2] + steps[2:])
-    size = (around**2).sum(axis=1)
-    quick = size > np.median(size)
-    ratio = (steps[1:-1] * around).sum(axis=1) / np.where(quick, size, 1.0)
-    found = quick & (ratio > 1.6)
-    lost[2:-1][found] = np.round(ratio[found]).astype(int) - 1
-    return lost
+        return []
+    expected = 0.5 * (steps[:-2] + steps[2:])
+    size = (expected**2).sum(axis=1)
+    # Near a reversal steps are small, and noise makes their ratio meaningless.
+    fast = size > np.median(size)
+    ratio = (steps[1:-1] * expected).sum(axis=1) / np.where(fast, size, 1.0)
+    found = fast & (ratio > 1.6)
+    count = int((np.round(ratio[found]) - 1).sum())
+    return [Finding("lost", count, f"{count} samples seem to be lost")] if count else []
 
 
 def _speed_ratios(q: Array, v: Array, rate: float) -> Array:
-    """(k,): how many times as far each joint moves as its rate says at this sampling rate; NaN
-    where the two do not agree well enough to tell.
+    """Return (k,) distance travelled by q over distance integrated from v at this rate (Hz); NaN
+    where the two do not agree.
 
-    Distances over a lag are compared, so that noise of v averages out: for each joint the lag at
-    which they agree best.
+    Distances over a lag are compared, so that noise of v averages out: for each joint the lag of
+    the best agreement.
     """
     ratios = np.full(q.shape[1], np.nan)
     integral = np.zeros_like(v)
     integral[1:] = np.cumsum(0.5 * (v[1:] + v[:-1]), axis=0) / rate
     lags = [lag for lag in (1, 2, 5, 10, 20, 50, 100, 200, 500) if lag <= len(q) // 5]
     for j in range(q.shape[1]):
-        best = AGREES
+        best = _AGREES
         for lag in lags:
-            moved, told = q[lag:, j] - q[:-lag, j], integral[lag:, j] - integral[:-lag, j]
-            moved, told = moved - moved.mean(), told - told.mean()
-            sizes = float(np.linalg.norm(moved)), float(np.linalg.norm(told))
+            moved, integrated = q[lag:, j] - q[:-lag, j], integral[lag:, j] - integral[:-lag, j]
+            moved, integrated = moved - moved.mean(), integrated - integrated.mean()
+            sizes = float(np.linalg.norm(moved)), float(np.linalg.norm(integrated))
             if min(sizes) == 0.0:
                 continue
-            agreement = float(moved @ told) / (sizes[0] * sizes[1])
-            if abs(agreement) > best:
-                best = abs(agreement)
-                ratios[j] = np.sign(agreement) * sizes[0] / sizes[1]
+            correlation = float(moved @ integrated) / (sizes[0] * sizes[1])
+            if abs(correlation) > best:
+                best = abs(correlation)
+                ratios[j] = np.sign(correlation) * sizes[0] / sizes[1]
     return ratios
 
 
 def check_rates(
     q: Array, v: Array, rate: float, joints: Sequence[str]
 ) -> tuple[list[Finding], float | None]:
-    """What v against the differences of q tells, and the rate (Hz) at which they agree."""
+    """Return findings of v against the differences of q (N, k), and the rate (Hz) at which they
+    agree; None where no joint agrees."""
     ratios = _speed_ratios(q, v, rate)
-    sure = np.isfinite(ratios)
-    found = _of_others(q, v, rate, joints, np.flatnonzero(~sure))
-    if not sure.any():
+    agreeing = np.isfinite(ratios)
+    found = _exchanged_columns(q, v, rate, joints, np.flatnonzero(~agreeing))
+    if not agreeing.any():
         return found, None
-    common = float(np.median(np.abs(ratios[sure])))
+    common = float(np.median(np.abs(ratios[agreeing])))
     measured = rate / common
-    if abs(common - 1) > RATE_ERROR:
-        doubt = ""
-        if abs(common * 180 / np.pi - 1) < RATE_ERROR:
-            doubt = ", or v is in deg/s, or q in rad"
-        elif abs(common * np.pi / 180 - 1) < RATE_ERROR:
-            doubt = ", or q is in deg"
+    if abs(common - 1) > _RATE_ERROR:
         text = (
             f"a rate of {rate:.6g} Hz is declared, but v and the differences of q agree at "
-            f"{measured:.4g} Hz{doubt}"
+            f"{measured:.4g} Hz{_degrees(common)}"
         )
         found.append(Finding("rate", len(q), text, contradiction=True))
-    for j in (int(j) for j in np.flatnonzero(sure)):
-        own = ratios[j] / common
-        if own < 0:
-            text = f"v of joint {joints[j]!r} runs against its q: a sign is wrong"
+    for j in (int(j) for j in np.flatnonzero(agreeing)):
+        relative = ratios[j] / common
+        if relative < 0:
+            text = f"v of joint {joints[j]!r} has the opposite sign of its q's motion"
             found.append(Finding("velocity", len(q), text, contradiction=True))
-        elif sure.sum() > 1 and abs(own - 1) > JOINT_ERROR:
+        elif agreeing.sum() > 1 and abs(relative - 1) > _JOINT_ERROR:
             text = (
-                f"joint {joints[j]!r} moves {own:.3g} times as far as its v says, against the "
-                "other joints: units, ratio or column"
+                f"joint {joints[j]!r} moves {relative:.3g} times as far as its v says, compared "
+                "with the other joints: check units, ratio and column"
             )
-            wild = not 1 / OTHER < own < OTHER
-            found.append(Finding("velocity", len(q), text, wild))
+            contradiction = not 1 / _WRONG_COLUMN < relative < _WRONG_COLUMN
+            found.append(Finding("velocity", len(q), text, contradiction))
     return found, measured
 
 
-def _of_others(
-    q: Array, v: Array, rate: float, joints: Sequence[str], doubtful: Array
+def _degrees(ratio: float) -> str:
+    """Return the advice on units where a ratio of speeds is that of rad to deg."""
+    if abs(ratio * 180 / np.pi - 1) < _RATE_ERROR:
+        return ", or v is in deg/s, or q in rad"
+    if abs(ratio * np.pi / 180 - 1) < _RATE_ERROR:
+        return ", or q is in deg"
+    return ""
+
+
+def _exchanged_columns(
+    q: Array, v: Array, rate: float, joints: Sequence[str], disagreeing: Array
 ) -> list[Finding]:
-    """Joints whose q does not go with their own v, but with that of another: columns exchanged."""
+    """Return findings of joints whose q does not agree with its own v, but with another's."""
     found = []
-    for j in doubtful:
-        told = _speed_ratios(np.repeat(q[:, [j]], v.shape[1], axis=1), v, rate)
-        others = np.flatnonzero(np.isfinite(told))
+    for j in disagreeing:
+        ratios = _speed_ratios(np.repeat(q[:, [j]], v.shape[1], axis=1), v, rate)
+        others = np.flatnonzero(np.isfinite(ratios))
         if len(others):
             text = (
                 f"joint {joints[j]!r} moves as v of joint {joints[others[0]]!r} says, not as its "
-                "own: a column is another's"
+                "own: columns are exchanged"
             )
             found.append(Finding("velocity", len(q), text, contradiction=True))
     return found
 
 
-def check_ranges(
+def check_limits(
     name: str, x: Array, largest: Array, joints: Sequence[str], unit: Sequence[str]
 ) -> list[Finding]:
-    """Numbers beyond what the joint can do at all (k,): hardly its units."""
+    """Return findings of x (N, k) beyond `largest` (k,), which the joint cannot reach in any case:
+    wrong units."""
     found = []
     for j, limit in enumerate(largest):
         size = np.abs(x[:, j])

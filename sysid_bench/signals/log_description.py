@@ -1,4 +1,4 @@
-"""What a recording of a real robot is: the text of `identify --log LOG.toml`."""
+"""Description of a recording of a real robot: the TOML file of `identify --log LOG.toml`."""
 
 import os
 import re
@@ -12,11 +12,13 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.naming import resolve_paths
+from sysid_bench.signals.log_reader import ReaderSpec, plugin_file
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
 
 NO_JOINT: Final = "-"
-"""Stands in `joints` for a recorded coordinate that is no joint of the model, as a gripper's."""
+"""Stands in `joints` for a recorded coordinate that is not a joint of the model (a gripper's)."""
 
 _ANGLE: Final = {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
 _LENGTH: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -30,15 +32,15 @@ UNITS: Final[Mapping[str, Mapping[str, Mapping[str, float]]]] = {
     "v": {"hinge": _RATE, "slide": _SPEED},
     "tau": {"hinge": _TORQUE | _CURRENT, "slide": _FORCE | _CURRENT},
 }
-"""Units of a signal by the joint's kind, each with its size in SI; a current needs a gain."""
+"""Units of a signal by kind of joint, each with its value in SI; a current needs a gain."""
 
 
 def _one_or_more(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
 
-Several = BeforeValidator(_one_or_more)
-Column = Annotated[int | str, Field(union_mode="left_to_right")]
+_Several = BeforeValidator(_one_or_more)
+_Column = Annotated[int | str, Field(union_mode="left_to_right")]
 
 
 def _matrix(value: Any) -> Any:
@@ -52,25 +54,29 @@ class _Table(BaseModel):
 
 
 class Signal(_Table):
-    """Columns of one signal, in the order of `joints`. Numbers in the file are multiplied by the
-    unit, then by `gain`; positions and rates are divided by `ratio`, torques multiplied by it;
-    `offset` (SI, in the joint's own coordinate) is added last. One number serves all joints."""
+    """Columns of one signal, in the order of `joints`; one number of a setting serves all joints.
 
-    columns: Annotated[tuple[Column, ...], Several]
-    unit: Annotated[tuple[str, ...], Several] | None = None
-    gain: Annotated[tuple[float, ...], Several] = (1.0,)
-    ratio: Annotated[tuple[float, ...], Several] = (1.0,)
-    offset: Annotated[tuple[float, ...], Several] = (0.0,)
+    q, v = raw unit gain / ratio + offset; tau = raw unit gain ratio + offset, with `offset` in SI
+    and in the joint's coordinate.
+    """
+
+    columns: Annotated[tuple[_Column, ...], _Several]
+    unit: Annotated[tuple[str, ...], _Several] | None = None
+    gain: Annotated[tuple[float, ...], _Several] = (1.0,)
+    ratio: Annotated[tuple[float, ...], _Several] = (1.0,)
+    offset: Annotated[tuple[float, ...], _Several] = (0.0,)
     file: str | None = None  # where this signal has a file of its own
+    reader: str | dict[str, Any] | None = None  # of that file
     per_row: Annotated[int, Field(gt=0)] | None = None  # of a file with one number a line
 
 
 class Time(_Table):
-    """The column of time stamps."""
+    """Column of time stamps."""
 
-    column: Column
+    column: _Column
     unit: str = "s"
     file: str | None = None
+    reader: str | dict[str, Any] | None = None
 
 
 def _time(value: Any) -> Any:
@@ -78,13 +84,14 @@ def _time(value: Any) -> Any:
 
 
 class _Text(_Table):
-    """The file as written."""
+    """Keys of the file as written."""
 
     file: str | None = None
+    reader: str | dict[str, Any] | None = None
     rate: str | float | None = None
     time: Annotated[Time | None, BeforeValidator(_time)] = None
     period: str | float | None = None
-    joints: Annotated[tuple[str, ...], Several]
+    joints: Annotated[tuple[str, ...], _Several]
     q: Signal
     v: Signal | None = None
     tau: Signal
@@ -96,18 +103,21 @@ class _Text(_Table):
 
 @dataclass(frozen=True, eq=False)
 class LogDescription:
-    """A log's description; paths are absolute. `rate` (Hz) or `time` is there, or both: then the
-    stamps are checked against the rate. The motion repeats after `period` (s). `transmission` G
-    (k, k): q = G q_motor, tau_motor = G' tau. `rows`: the first and last sample used, from 1.
-    `locked`: where joints that are not recorded stand (rad, m); the others stand at the model's
-    reference."""
+    """Files, columns and units of a recording.
+
+    `rate` (Hz), `time` or both are given; with both the stamps are checked against the rate. The
+    motion repeats after `period` (s). `transmission` G (k, k): q = G q_motor, tau_motor = G' tau.
+    `rows`: first and last sample used, from 1. `locked`: positions (rad, m) of joints that are not
+    recorded; joints in neither stand at the model's reference. `reader` replaces the choice by
+    suffix.
+    """
 
     source: Path
     joints: tuple[str, ...]
     q: Signal
     tau: Signal
     v: Signal | None = None
-    file: str | None = None  # beside `source`, or below a folder that a variable names
+    file: str | None = None  # relative to `source`, or below the folder in a variable
     rate: float | None = None
     time: Time | None = None
     transmission: Array | None = None
@@ -115,9 +125,10 @@ class LogDescription:
     rows: tuple[int, int] | None = None
     locked: Mapping[str, float] | None = None
     period: float | None = None
+    reader: str | Mapping[str, Any] | None = None
 
     def file_of(self, part: Signal | Time) -> Path:
-        """The file that a signal is read from."""
+        """Return the absolute path of a signal's file; raises UsageError where none is named."""
         written = self.file if part.file is None else part.file
         if written is None:
             raise UsageError(
@@ -126,14 +137,27 @@ class LogDescription:
             )
         return self.source.parent / _expanded(written, self.source)
 
+    def reader_of(self, part: Signal | Time) -> ReaderSpec | None:
+        """Return the reader named for a signal's file, None for the one of its suffix."""
+        written = part.reader or self.reader
+        if written is None:
+            return None
+        spec = {"use": written} if isinstance(written, str) else written
+        return resolve_paths(spec, self.source.parent)
+
     @property
     def files(self) -> tuple[Path, ...]:
-        """Every file that is read, once each."""
+        """Files that the signals depend on, once each: recordings, and code of plug-in readers."""
         parts = [part for part in (self.q, self.v, self.tau, self.time) if part is not None]
-        return tuple(dict.fromkeys(self.file_of(part) for part in parts))
+        recorded = {self.file_of(part): self.reader_of(part) for part in parts}
+        code = [plugin_file(path, reader) for path, reader in recorded.items()]
+        return tuple(dict.fromkeys([*recorded, *(path for path in code if path is not None)]))
 
-    def column_count(self, name: str, numbers: Sequence[float]) -> Array:
-        """One number per joint (k,) of a setting that may hold one for all."""
+    def joint_values(self, name: str, numbers: Sequence[float]) -> Array:
+        """Return one number per joint (k,) of a setting `name` that may hold one for all.
+
+        Raises UsageError for any other count.
+        """
         k = len(self.joints)
         if len(numbers) not in (1, k):
             raise UsageError(
@@ -144,39 +168,40 @@ class LogDescription:
 
 
 def read_description(source: Path) -> LogDescription:
-    """The description in a TOML file; UsageError with all its mistakes."""
-    return parse_description(read_text(source), source)
+    """Return the description in a TOML file; raises UsageError with all its mistakes."""
+    return _parse_description(_read_keys(source), source)
 
 
 def log_description(written: str | Mapping[str, Any], folder: Path) -> LogDescription:
-    """A description as suites write it, relative to their folder: a file, a table with the keys of
-    one, or a table { use = "run1.toml", ... } whose keys replace those of a file.
+    """Return a description as suites write it, relative to their folder: a file, a table with the
+    keys of one, or a table { use = "run1.toml", ... } whose keys replace those of a file.
 
     Raises UsageError with all its mistakes.
     """
     if isinstance(written, str):
         return read_description(folder / written)
-    own = {key: value for key, value in written.items() if key not in ("use", "name")}
+    given = {key: value for key, value in written.items() if key not in ("use", "name")}
     if "use" not in written:
-        return parse_description(own, folder / "[[log]]")
+        return _parse_description(given, folder / "[[log]]")
     source = folder / str(written["use"])
-    text = dict(read_text(source))
-    for key, value in own.items():
+    text = dict(_read_keys(source))
+    for key, value in given.items():
         both = isinstance(value, Mapping) and isinstance(text.get(key), Mapping)
         text[key] = {**text[key], **value} if both and key in ("q", "v", "tau") else value
-    return parse_description(text, source)
+    return _parse_description(text, source)
 
 
 def name_of(written: str | Mapping[str, Any]) -> str:
-    """What a suite's log goes by: its name, or that of its file."""
+    """Return the name of a suite's log: its own, or that of its file."""
     if isinstance(written, str):
         return PurePath(written).stem
-    told = written.get("name") or written.get("file") or written.get("use") or "log"
-    return str(written["name"]) if "name" in written else PurePath(str(told)).stem
+    if "name" in written:
+        return str(written["name"])
+    return PurePath(str(written.get("file") or written.get("use") or "log")).stem
 
 
-def read_text(source: Path) -> dict[str, Any]:
-    """The keys of a description as they are written; UsageError where there are none."""
+def _read_keys(source: Path) -> dict[str, Any]:
+    """Return the keys of a description as written; raises UsageError for a missing file."""
     try:
         return tomllib.loads(source.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
@@ -187,11 +212,11 @@ def read_text(source: Path) -> dict[str, Any]:
     except (IsADirectoryError, PermissionError) as error:
         raise UsageError(f"{source} cannot be read: {error.strerror}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{source} is no TOML: {error}.") from error
+        raise UsageError(f"{source} is not valid TOML: {error}.") from error
 
 
-def parse_description(text: Mapping[str, Any], source: Path) -> LogDescription:
-    """The description of these keys, files relative to `source`; UsageError with all mistakes."""
+def _parse_description(text: Mapping[str, Any], source: Path) -> LogDescription:
+    """Return the description of these keys, with files relative to `source`."""
     try:
         written = _Text.model_validate(text)
     except ValidationError as error:
@@ -199,8 +224,8 @@ def parse_description(text: Mapping[str, Any], source: Path) -> LogDescription:
         raise UsageError(f"{source}: {lines}.") from error
     if written.rate is None and written.time is None:
         raise UsageError(
-            f"{source}: neither rate nor time; write rate = '200 Hz', or time = the column of time "
-            "stamps."
+            f"{source}: neither rate nor time is given; write rate = '200 Hz', or time = the "
+            "column of time stamps."
         )
     description = LogDescription(
         source=source,
@@ -216,13 +241,14 @@ def parse_description(text: Mapping[str, Any], source: Path) -> LogDescription:
         rows=_rows(written.rows, source),
         locked=written.locked,
         period=None if written.period is None else _positive("period", written.period, "s", source),
+        reader=written.reader,
     )
     _check_joints(description)
     return description
 
 
 def _expanded(written: str, source: Path) -> str:
-    """A path whose beginning `$NAME` is the folder that the variable of this name holds."""
+    """Return a path with a leading `$NAME` replaced by the folder in that variable."""
     found = re.match(r"\$(\w+)|\$\{(\w+)\}", written)
     if found is None:
         return written
@@ -230,8 +256,8 @@ def _expanded(written: str, source: Path) -> str:
     folder = os.environ.get(name)
     if not folder:
         raise UsageError(
-            f"{source}: file = {written!r} lies below the folder that the variable {name} names, "
-            "and it is not set; set it to where the recordings are."
+            f"{source}: file = {written!r}, but the variable {name} is not set; set it to the "
+            "folder of the recordings."
         )
     return folder + written[found.end() :]
 
@@ -265,7 +291,7 @@ def _transmission(written: _Text, source: Path) -> Array | None:
     G = np.array(written.transmission)
     if not np.isfinite(G).all() or np.linalg.cond(G) > 1e8:
         raise UsageError(
-            f"{source}: transmission has no inverse: some motor moves no joint of its own. Check "
+            f"{source}: transmission has no inverse, so two motors move the joints alike; check "
             "its rows (q = G q_motor)."
         )
     return G
@@ -282,7 +308,7 @@ def _check_joints(log: LogDescription) -> None:
         if part is None:
             continue
         for setting in ("gain", "ratio", "offset"):
-            values = log.column_count(f"{name}.{setting}", getattr(part, setting))
+            values = log.joint_values(f"{name}.{setting}", getattr(part, setting))
             if not np.isfinite(values).all() or (setting != "offset" and (values == 0).any()):
                 raise UsageError(
                     f"{log.source}: {name}.{setting} must be finite"
@@ -296,52 +322,57 @@ def _check_joints(log: LogDescription) -> None:
 
 
 def scales(log: LogDescription, name: str, part: Signal, kinds: Sequence[str]) -> Array:
-    """What the file's numbers are multiplied with (k,), units, gain and ratio together; `kinds`:
-    hinge or slide of each coordinate, "" where it is no joint.
+    """Return the factors (k,) from a file's numbers to SI: unit, gain and ratio together.
 
-    Raises UsageError for a unit that the joint cannot have, or a current without a gain.
+    `kinds`: hinge or slide of each coordinate, "" where it is not a joint. Raises UsageError for a
+    unit that does not fit the joint, or a current without a gain.
     """
-    gain, ratio = (log.column_count(f"{name}.{s}", getattr(part, s)) for s in ("gain", "ratio"))
-    own = gain * ratio if name == "tau" else gain / ratio
+    gain, ratio = (log.joint_values(f"{name}.{s}", getattr(part, s)) for s in ("gain", "ratio"))
+    # Power is conserved through a gear: it divides speed and multiplies torque.
+    factors = np.asarray(gain * ratio if name == "tau" else gain / ratio)
     if part.unit is None:
-        return own
+        return factors
     units = part.unit * len(kinds) if len(part.unit) == 1 else part.unit
-    both = {**UNITS[name]["hinge"], **UNITS[name]["slide"]}
     for i, (unit, kind) in enumerate(zip(units, kinds, strict=True)):
-        known = UNITS[name].get(kind, both)
-        if unit not in known:
-            where = f"{log.source}: {name}.unit of joint {log.joints[i]!r}"
-            if unit in both:
-                verb = "turns" if kind == "hinge" else "slides"
-                raise UsageError(
-                    f"{where}: {unit!r} does not fit, since it {verb}; write one unit for each "
-                    f"joint, here one of {', '.join(known)}."
-                )
-            raise UsageError(f"{where}: {unknown_name('unit', unit, known)}")
+        size = _unit_size(log, name, unit, i, kind)
         if unit in _CURRENT and part.gain == (1.0,):
             raise UsageError(
                 f"{log.source}: {name} is a current in {unit}; write gain = [...] in N m/A (or N/A)"
                 ", and ratio = [...] where it is the motor's."
             )
-        own[i] *= known[unit]
-    return own
+        factors[i] *= size
+    return factors
+
+
+def _unit_size(log: LogDescription, name: str, unit: str, i: int, kind: str) -> float:
+    """Return the value in SI of the unit of coordinate i."""
+    all_units = {**UNITS[name]["hinge"], **UNITS[name]["slide"]}
+    fitting = UNITS[name].get(kind, all_units)
+    if unit in fitting:
+        return fitting[unit]
+    where = f"{log.source}: {name}.unit of joint {log.joints[i]!r}"
+    if unit in all_units:
+        movement = "turns" if kind == "hinge" else "slides"
+        raise UsageError(
+            f"{where}: {unit!r} does not fit, since it {movement}; write one unit for each joint, "
+            f"here one of {', '.join(fitting)}."
+        )
+    raise UsageError(f"{where}: {unknown_name('unit', unit, fitting)}")
 
 
 def _line(problem: Any) -> str:
-    place = ".".join(str(part) for part in problem["loc"])
+    """Return one sentence for one error of pydantic."""
+    key = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
-        return (
-            unknown_name("key of a log description", place, _keys(problem["loc"]))
-            .args[0]
-            .rstrip(".")
-        )
+        error = unknown_name("key of a log description", key, _keys(problem["loc"]))
+        return str(error).rstrip(".")
     if problem["type"] == "missing":
-        return f"{place} is missing"
-    return f"{place}: {problem['msg'].removeprefix('Value error, ')}"
+        return f"{key} is missing"
+    return f"{key}: {problem['msg'].removeprefix('Value error, ')}"
 
 
-def _keys(place: tuple[Any, ...]) -> set[str]:
-    if len(place) == 1:
+def _keys(path: tuple[Any, ...]) -> set[str]:
+    if len(path) == 1:
         return set(_Text.model_fields)
-    table = Time if place[0] == "time" else Signal
-    return {f"{place[0]}.{key}" for key in table.model_fields}
+    table = Time if path[0] == "time" else Signal
+    return {f"{path[0]}.{key}" for key in table.model_fields}

@@ -1,4 +1,4 @@
-"""From raw signals to a motion: filter, differentiate, cut the edges."""
+"""From sensor signals to a motion: filter, differentiate, cut the edges."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -13,16 +13,18 @@ from sysid_bench.spatial.rotation import conjugate, product
 from sysid_bench.types import Array, Recording
 
 SETTINGS: Final = ("filter", "derivatives", "torque", "calibration", "contacts", "runs")
-"""Keys of a table of signals; the harness itself sees to calibrations, contacts and runs."""
+"""Keys of a suite's table `signals`; calibration, contacts and runs are applied elsewhere."""
 
 
 @dataclass(frozen=True)
 class Processing:
-    """One filter for every signal, none late against another; `differentiate`: v and a from the
-    filtered q, else the recording's own; `from_rates`: its own v, filtered, and a from that, as
-    drives that measure speed allow. With `raw_torque` the torque is left as it came: least
-    squares averages its noise, while a filter rounds the steps of Coulomb friction, which the
-    regressor's sign(v) keeps."""
+    """One filter for all signals, so that none lags another.
+
+    `differentiate`: v and a from the filtered q, else those of the recording; `from_rates`: v of
+    the drives, filtered, and a from that. With `raw_torque` the torque stays unfiltered: least
+    squares averages its noise, while a filter rounds the steps of Coulomb friction, which sign(v)
+    in the regressor keeps.
+    """
 
     filter: Filter
     differentiate: bool
@@ -30,17 +32,21 @@ class Processing:
     from_rates: bool = False
 
     def apply(self, recording: Recording, joints: tuple[Joint, ...]) -> Recording:
-        """A recording with v and a; UsageError where it is too short, or v and a are absent."""
+        """Return the recording with v and a, without its spoilt edges.
+
+        Raises UsageError where it is too short, or where needed v or a are absent.
+        """
         smooth, rate = self.filter.smooth, recording.rate
         differences = self.differentiate or self.from_rates
         if isinstance(self.filter, FourierSeries):
             _require_periods(recording, self.filter)
             differences = False
+        # Two central differences use one neighbour each.
         edge = self.filter.edge(rate) + (2 if differences else 0)
         if len(recording) <= 2 * edge + 10:
             raise UsageError(
-                f"{len(recording)} samples are too few for {self.filter}: it spoils {edge} at each "
-                "end."
+                f"{len(recording)} samples are too few for {self.filter}, which spoils {edge} at "
+                "each end."
             )
         q = _smooth_positions(recording.q, joints, self.filter, rate)
         if self.differentiate:
@@ -67,7 +73,10 @@ class Processing:
 
 
 def processing_of(spec: Mapping[str, object]) -> Processing:
-    """The processing of a suite's table {filter, derivatives, torque}."""
+    """Return the processing of a suite's table {filter, derivatives, torque}.
+
+    Raises UsageError for unknown keys and values.
+    """
     for key in spec:
         if key not in SETTINGS:
             raise unknown_name("signals setting", key, SETTINGS)
@@ -82,47 +91,50 @@ def processing_of(spec: Mapping[str, object]) -> Processing:
 
 
 def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> Array:
-    """Quaternions are made continuous in sign before, and of unit length after the filter."""
+    """Return q (N, nq) filtered; quaternions stay continuous in sign and of unit length."""
     q = q.copy()
-    turns = _quaternions(joints)
-    for turn in turns:
-        flips = np.sum(q[1:, turn] * q[:-1, turn], axis=1) < 0
-        q[1:, turn] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, None]
+    rotations = _quaternions(joints)
+    for part in rotations:
+        # q and -q are one rotation; a filter across a change of sign would pass through zero.
+        flips = np.sum(q[1:, part] * q[:-1, part], axis=1) < 0
+        q[1:, part] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, None]
     q = filter.smooth(q, rate)
-    for turn in turns:
-        q[:, turn] /= np.linalg.norm(q[:, turn], axis=1, keepdims=True)
+    for part in rotations:
+        q[:, part] /= np.linalg.norm(q[:, part], axis=1, keepdims=True)
     return q
 
 
 def _require_periods(recording: Recording, filter: Filter) -> None:
-    """A series takes the end of a recording for its start."""
+    """Raise UsageError unless the recording holds whole periods, as the series assumes."""
     samples = 0.0 if recording.period is None else recording.period * recording.rate
     if samples == 0.0 or abs(len(recording) / samples - round(len(recording) / samples)) > 1e-9:
         period = "no period" if recording.period is None else f"periods of {recording.period:g} s"
         raise UsageError(
             f"{filter} needs whole periods; {len(recording)} samples at {recording.rate:g} Hz have "
-            f"{period}. Take an excitation that repeats, or the filter 'butter'."
+            f"{period}. Use a periodic excitation, or the filter 'butter'."
         )
 
 
 def _rates(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> Array:
-    """dq/dt (N, nv); for quaternions the body's angular velocity 2 conj(q) dq/dt."""
+    """Return v (N, nv) from q (N, nq); for quaternions the angular velocity in the body frame,
+    2 conj(q) dq/dt."""
     dq = derivative(filter, q, rate)
     v = np.empty((len(q), sum(len(joint.dofs) for joint in joints)))
     for joint in joints:
-        at, dof = joint.qadr, joint.vadr
+        first, dof = joint.qadr, joint.vadr
         if joint.kind in ("hinge", "slide"):
-            v[:, dof] = dq[:, at]
+            v[:, dof] = dq[:, first]
             continue
         if joint.kind == "free":
-            v[:, dof : dof + 3] = dq[:, at : at + 3]
-            at, dof = at + 3, dof + 3
-        turn = slice(at, at + 4)
-        v[:, dof : dof + 3] = 2 * product(conjugate(q[:, turn]), dq[:, turn])[:, 1:]
+            v[:, dof : dof + 3] = dq[:, first : first + 3]
+            first, dof = first + 3, dof + 3
+        part = slice(first, first + 4)
+        v[:, dof : dof + 3] = 2 * product(conjugate(q[:, part]), dq[:, part])[:, 1:]
     return v
 
 
 def _quaternions(joints: tuple[Joint, ...]) -> list[slice]:
+    """Return the columns of q of each quaternion [w, x, y, z]."""
     starts = {"free": 3, "ball": 0}
     return [
         slice(j.qadr + starts[j.kind], j.qadr + starts[j.kind] + 4)

@@ -1,4 +1,4 @@
-"""Parts of a motion to leave out: stretches of its period where it repeats itself, else of time."""
+"""Folds for cross-validation over time: parts of a motion's period, or of its whole duration."""
 
 from typing import Final
 
@@ -6,13 +6,16 @@ import numpy as np
 
 from sysid_bench.types import Array, Trajectory
 
-SAME: Final = 0.02
-"""Mean squared distance of q from itself one period later, in units of its variance, up to which a
-motion counts as repeated (measured on recorded arms: 0.0002 to 0.002)."""
+_SAME: Final = 0.02
+"""Mean squared distance of q from itself one period later, relative to its variance, up to which a
+motion counts as periodic (measured on recorded arms: 0.0002 to 0.002)."""
 
 
 def time_folds(motion: Trajectory, count: int) -> tuple[Array, str]:
-    """Labels (N,) 0 ... count - 1 of the samples, and in words what the parts are."""
+    """Return the fold (N,) 0 ... count - 1 of each sample, and a description of the folds.
+
+    Samples one period apart share a fold, or the left-out part would be known from its repetition.
+    """
     period = repetition_period(motion.q)
     k = np.arange(len(motion))
     if period is None:
@@ -21,7 +24,7 @@ def time_folds(motion: Trajectory, count: int) -> tuple[Array, str]:
 
 
 def repetition_period(q: Array) -> int | None:
-    """Samples after which a motion q (N, nq) repeats itself; None where it does not."""
+    """Return the period in samples of a motion q (N, nq); None where it does not repeat."""
     spread = q.std(axis=0)
     x = (q - q.mean(axis=0))[:, spread > 0] / spread[spread > 0]
     if x.shape[1] == 0:
@@ -35,13 +38,13 @@ def repetition_period(q: Array) -> int | None:
     lag = np.arange(N)
     energy = squares[N - lag] + squares[N] - squares[lag]
     distance = (energy - 2 * product) / (x.shape[1] * (N - lag))
-    # A lag of a few samples is near to itself; a period comes after the motion has gone away.
+    # At a lag of a few samples any motion is near itself: look for the period after it has left.
     away = np.flatnonzero(distance > 0.5)
     if len(away) == 0:
         return None
     later = distance[away[0] : N - N // 4]
-    if len(later) == 0 or later.min() > SAME:
+    if len(later) == 0 or later.min() > _SAME:
         return None
-    first = int(np.flatnonzero(later <= max(SAME, 2 * later.min()))[0])
+    first = int(np.flatnonzero(later <= max(_SAME, 2 * later.min()))[0])
     window = later[first : first + max(away[0], 10)]
     return int(away[0]) + first + int(np.argmin(window))

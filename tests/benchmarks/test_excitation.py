@@ -22,9 +22,9 @@ from scipy.optimize import Bounds, minimize
 
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.information import information_model
-from sysid_bench.excitation.limit_use import joint_limits
 from sysid_bench.excitation.optimised import Optimised, design_criterion
-from sysid_bench.excitation.search import Search, SearchStopped
+from sysid_bench.excitation.robot_limits import joint_limits
+from sysid_bench.excitation.search import Search, SearchStop
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.types import Array
@@ -96,10 +96,10 @@ def timed(search: Search, work: Callable[[], None], budget: float) -> list[tuple
     def tell(count: int, value: float) -> None:
         course.append((time.process_time() - start, value))
         if course[-1][0] > budget:
-            raise SearchStopped
+            raise SearchStop
 
-    search.tell = tell
-    with suppress(SearchStopped):
+    search.progress = tell
+    with suppress(SearchStop):
         work()
     return course
 

@@ -17,7 +17,7 @@ from sysid_bench.excitation.export.damiao import (
     MOTORS,
     can_log,
     damiao_drives,
-    decode_frame,
+    read_frame,
     table_text,
     within_range,
 )
@@ -48,7 +48,7 @@ def test_every_frame_says_what_was_commanded_within_a_quantum(
     frames = [bytes.fromhex(line.split("#")[1]) for line in text.splitlines()]
     data = np.array([list(f) for f in frames], dtype=np.uint8).reshape(len(asked), 3, 8)
     for j, drive in enumerate(drives):
-        said = decode_frame(drive, data[:, j])
+        said = read_frame(drive, data[:, j])
         s = drive.scaling
         for key, values, span, bits in (
             ("q", inside.q[:, j], 2 * s.p, 16),
@@ -89,7 +89,7 @@ def test_python_can_reads_the_log_back(tmp_path: Path) -> None:
         assert message.arbitration_id == drives[j].id
         assert not message.is_extended_id
         assert abs(message.timestamp - asked.t[sample]) < 1e-6
-        said = decode_frame(drives[j], np.array([list(message.data)], dtype=np.uint8))
+        said = read_frame(drives[j], np.array([list(message.data)], dtype=np.uint8))
         assert abs(said["q"][0] - inside.q[sample, j]) <= 25.0 / (2**16 - 1)
 
 

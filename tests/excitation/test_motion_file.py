@@ -66,15 +66,15 @@ def table(t: list[float], value: float = 0.0, header: str = "t,a") -> str:
 
 EVEN = [0.1 * k for k in range(20)]
 BAD: dict[str, tuple[str | None, dict[str, Any], str]] = {
-    "absent": (None, {}, "no table"),
-    "words": ("t,a\n0,x\n", {}, "no table"),
+    "absent": (None, {}, "not a table"),
+    "words": ("t,a\n0,x\n", {}, "not a table"),
     "joints": (table(EVEN, header="t,b"), {}, "expected t, "),
     "few rows": (table(EVEN[:5]), {}, "ten rows"),
     "not finite": (table(EVEN, float("nan")), {}, "finite"),
     "back in time": (table([0.0, *EVEN]), {}, "rising"),
     "uneven": (table([*EVEN, 5.0]), {}, "evenly"),
     "another period": (table(EVEN), {"period": 3.0}, "not the period"),
-    "too far": (table(EVEN, 1e3), {}, "passes its limit"),
+    "too far": (table(EVEN, 1e3), {}, "exceeds its limit"),
 }
 
 
@@ -100,7 +100,7 @@ def test_what_is_no_motion_of_this_robot_is_told(tmp_path: Path, case: str) -> N
     "settings", [{"cycles": 0}, {"cycles": 2}, {"period": 0.0}, {"period": -1.0}]
 )
 def test_settings_that_make_no_motion_are_refused(settings: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match=r"count from 1|one cycle"):
+    with pytest.raises(UsageError, match=r"cycles >= 1|several cycles need"):
         MotionFile("motion.csv", **settings)  # type: ignore[arg-type]
 
 

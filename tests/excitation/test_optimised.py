@@ -11,7 +11,7 @@ from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.geometry import collision_model
 from sysid_bench.excitation.information import information_model, torque_model
-from sysid_bench.excitation.limit_use import smooth_max
+from sysid_bench.excitation.limit_use import smooth_bound
 from sysid_bench.excitation.optimised import Optimised, design_criterion, torque_prior
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
@@ -58,7 +58,7 @@ def test_families_for_hardware_rest_at_both_ends(kind: str, harmonics: int) -> N
 
 def test_a_smooth_maximum_lies_above_and_near() -> None:
     use = np.random.default_rng(0).uniform(-1, 1, (100, 4))
-    value, slope = smooth_max(use, 60.0)
+    value, slope = smooth_bound(use, 60.0)
     top = np.abs(use).max(axis=0)
     assert (value >= top).all()
     assert (value <= top + np.log(200) / 60.0).all()
@@ -171,7 +171,7 @@ def test_an_interrupt_leaves_the_best_feasible_so_far() -> None:
         if count >= 25:
             raise KeyboardInterrupt
 
-    design = made.solve(told, np.random.default_rng(0), tell=stop)
+    design = made.solve(told, np.random.default_rng(0), progress=stop)
     assert design.interrupted
     assert design.evaluations <= 26
     assert max(used.use for used in made.report(design.C, told).values()) <= 1.0
@@ -196,7 +196,7 @@ def test_settings_that_make_no_design_are_refused(bad: dict[str, object]) -> Non
 def test_what_cannot_be_designed_is_said() -> None:
     robot = named_robot("ur5")
     told = brief(robot)
-    with pytest.raises(UsageError, match="no regressor"):
+    with pytest.raises(UsageError, match="needs a regressor"):
         Optimised(**QUICK).design(design_problem(robot, 100.0), np.random.default_rng(0))  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="elbow_joint"):
         Optimised(joints=("elbo_joint",)).design(told, np.random.default_rng(0))

@@ -277,7 +277,7 @@ def test_a_line_that_broke_off_is_told_a_wrong_one_refused(
     lines = text.splitlines()
     lines[41] = lines[41].replace(",", ",x", 1)
     file.write_text("\n".join(lines))
-    with pytest.raises(UsageError, match=r"line 42, column 2: 'x.*' is no number"):
+    with pytest.raises(UsageError, match=r"line 42, column 2: 'x.*' is not a number"):
         read(robot, path)
     lines[41] = "1.0,2.0"
     file.write_text("\n".join(lines))

@@ -1,4 +1,4 @@
-"""What a robot is commanded along a motion: positions, rates and feed-forward torques of joints."""
+"""Commands along a motion: positions, velocities, accelerations and feed-forward torques."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from sysid_bench.types import Array, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """Joints and their commands over time: t (N,), q v a tau (N, k); SI units."""
+    """Commands of k joints over time: t (N,), q, v, a, tau (N, k), SI."""
 
     joints: tuple[str, ...]
     t: Array
@@ -23,20 +23,20 @@ class Commands:
 
     @property
     def starts_at_rest(self) -> bool:
-        """Whether the motion starts and ends at rest."""
+        """True if the motion starts and ends below 0.001 rad/s (m/s)."""
         return bool(np.abs(self.v[[0, -1]]).max() < 1e-3)
 
 
 def commands_of(
     motion: Trajectory, tau: Array, joints: tuple[str, ...], qadr: list[int], dofs: list[int]
 ) -> Commands:
-    """The commands of joints at `qadr` in q and `dofs` in v, with their torques tau (N, k)."""
+    """Return the commands of joints at `qadr` in q and `dofs` in v, with torques tau (N, k)."""
     return Commands(joints, motion.t, motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs], tau)
 
 
 def csv_text(commands: Commands) -> str:
-    """`t, <joint>.q ..., <joint>.v ..., <joint>.a ..., <joint>.tau ...`, a line per sample; the
-    numbers read back as they were."""
+    """Return CSV text `t, <joint>.q ..., <joint>.v ..., <joint>.a ..., <joint>.tau ...`, a line per
+    sample, whose numbers read back exactly."""
     parts = {"q": commands.q, "v": commands.v, "a": commands.a, "tau": commands.tau}
     head = ["t", *(f"{joint}.{key}" for key in parts for joint in commands.joints)]
     table = np.column_stack([commands.t, *parts.values()])

@@ -1,9 +1,8 @@
-"""Motions for Damiao motors in MIT mode, and the frames that command them.
+"""Export to Damiao motors in MIT mode: limits, clamping and CAN frames.
 
-Two things are called limits, and are kept apart here. *Scaling* (PMAX, VMAX, TMAX: registers of the
-drive) maps numbers to bits; a wrong value commands a wrong motion. *Physical limits* are what the
-motor can do; commands are clamped to a share of them. Where the maker has published none, the user
-gives them or nothing is exported.
+*Scaling* (PMAX, VMAX, TMAX: registers of the drive) maps numbers to bits; a wrong value commands a
+wrong motion. *Physical limits* are those of the motor; commands are clamped to a share of them.
+Where the manufacturer has published none, the user gives them, or nothing is exported.
 """
 
 from collections.abc import Mapping
@@ -16,16 +15,16 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.export.commands import Commands
 from sysid_bench.types import Array
 
-SHARE: Final = 0.9
-"""Of the physical limits: what commands may use."""
+_SHARE: Final = 0.9
+"""Share of the physical limits that commands may use."""
 
-GAINS: Final = (500.0, 5.0)
+_GAINS: Final = (500.0, 5.0)
 """Largest kp (N m / rad) and kd (N m s / rad) of a MIT frame."""
 
 
 @dataclass(frozen=True)
 class MotorScale:
-    """What the bits of a frame mean: positions in +-p (rad), velocities in +-v (rad/s), torques in
+    """Ranges that the bits of a frame span: positions +-p (rad), velocities +-v (rad/s), torques
     +-tau (N m)."""
 
     p: float
@@ -35,8 +34,8 @@ class MotorScale:
 
 @dataclass(frozen=True)
 class Motor:
-    """A motor type: its factory scaling, and its physical limits where they are published: no-load
-    speed (rad/s), peak and rated torque (N m)."""
+    """Motor type: factory scaling, and published physical limits: no-load speed (rad/s), peak and
+    rated torque (N m)."""
 
     scaling: MotorScale
     speed: float | None = None
@@ -44,14 +43,18 @@ class Motor:
     rated: float | None = None
 
 
-def _motor(p: float, v: float, tau: float, rpm: float = 0.0, peak: float = 0.0, rated: float = 0.0):  # type: ignore[no-untyped-def]
+def _motor(
+    p: float, v: float, tau: float, rpm: float = 0.0, peak: float = 0.0, rated: float = 0.0
+) -> Motor:
+    """Return a motor of scaling p, v, tau; without `rpm` nothing else is published."""
     if not rpm:
         return Motor(MotorScale(p, v, tau))
     return Motor(MotorScale(p, v, tau), rpm * 2 * np.pi / 60, peak, rated)
 
 
 MOTORS: Final[Mapping[str, Motor]] = {
-    # PMAX, VMAX, TMAX of the tool of seed 000; no-load rpm, peak and rated torque of the maker.
+    # PMAX, VMAX, TMAX of the tool of seed 000; no-load rpm, peak and rated torque (N m) of the
+    # manufacturer.
     "DM3507": _motor(12.566, 50, 5, 460, 3, 0.8),
     "DM4310": _motor(12.5, 30, 10, 200, 7, 3),
     "DM4310_48V": _motor(12.5, 50, 10, 400, 7, 3),
@@ -72,8 +75,8 @@ MOTORS: Final[Mapping[str, Motor]] = {
 
 @dataclass(frozen=True)
 class DamiaoDrive:
-    """One joint's motor: its CAN id, gains, scaling, and the limits that commands are clamped to:
-    position (low, high) rad, speed rad/s, torque N m."""
+    """Motor of one joint: CAN id, gains, scaling, and limits that commands are clamped to: position
+    (low, high) in rad, speed in rad/s, torque in N m."""
 
     joint: str
     motor: str
@@ -87,7 +90,7 @@ class DamiaoDrive:
     rated: float | None = None  # N m
 
     def to_json(self) -> dict[str, Any]:
-        """What a file states about itself."""
+        """Return the settings that an exported file states."""
         return {
             "joint": self.joint, "motor": self.motor, "id": self.id, "kp": self.kp, "kd": self.kd,
             "scaling": {"p": self.scaling.p, "v": self.scaling.v, "tau": self.scaling.tau},
@@ -95,62 +98,83 @@ class DamiaoDrive:
         }  # fmt: skip
 
 
-KEYS: Final = ("motor", "id", "kp", "kd", "pmax", "vmax", "tmax", "q", "v", "tau", "share")
+_KEYS: Final = ("motor", "id", "kp", "kd", "pmax", "vmax", "tmax", "q", "v", "tau", "share")
 
 
-def _drive_of(joint: str, number: int, told: Mapping[str, Any]) -> DamiaoDrive:
-    """The drive of a joint from the user's table: `motor` (a type), `id` (default: the joint's
-    number), gains `kp kd`, scaling `pmax vmax tmax`, physical limits `q` (two numbers), `v`, `tau`,
-    of which commands may use `share`. Raises UsageError with what is missing."""
-    for key in told:
-        if key not in KEYS:
-            raise unknown_name(f"key of the motor of {joint!r}", key, KEYS)
-    name = str(told.get("motor", ""))
+def _drive(joint: str, number: int, settings: Mapping[str, Any]) -> DamiaoDrive:
+    """Return the drive of a joint from the user's table.
+
+    Keys: `motor` (a type), `id` (default: the joint's number), gains `kp`, `kd`, scaling `pmax`,
+    `vmax`, `tmax`, physical limits `q` (two numbers), `v`, `tau`, and the `share` of them that
+    commands may use. Raises UsageError with what is missing or out of range.
+    """
+    for key in settings:
+        if key not in _KEYS:
+            raise unknown_name(f"key of the motor of {joint!r}", key, _KEYS)
+    name = str(settings.get("motor", ""))
     if name not in MOTORS:
         raise unknown_name("Damiao motor", name, MOTORS)
     motor = MOTORS[name]
-    speed, torque = told.get("v", motor.speed), told.get("tau", motor.torque)
+    speed, torque = settings.get("v", motor.speed), settings.get("tau", motor.torque)
     if speed is None or torque is None:
         raise UsageError(
-            f"The maker publishes no physical limits of {name} (joint {joint!r}); give them: "
-            "v = rad/s and tau = N m. The scaling of its frames is no limit."
+            f"The manufacturer publishes no physical limits of {name} (joint {joint!r}); give "
+            "them: v = rad/s and tau = N m. The scaling of its frames is not a limit."
         )
-    factory = motor.scaling
-    scaling = MotorScale(
-        *(
-            _positive(joint, key, told.get(key, usual))
-            for key, usual in (("pmax", factory.p), ("vmax", factory.v), ("tmax", factory.tau))
-        )
+    scaling = _scaling(joint, motor.scaling, settings)
+    kp, kd = _gains(joint, settings)
+    share = _positive(joint, "share", settings.get("share", _SHARE))
+    low, high = (float(edge) for edge in settings.get("q", (-scaling.p, scaling.p)))
+    return DamiaoDrive(
+        joint=joint,
+        motor=name,
+        id=_identifier(joint, settings.get("id", number)),
+        kp=kp,
+        kd=kd,
+        scaling=scaling,
+        position=(max(low, -scaling.p), min(high, scaling.p)),
+        speed=min(share * _positive(joint, "v", speed), scaling.v),
+        torque=min(share * _positive(joint, "tau", torque), scaling.tau),
+        rated=motor.rated,
     )
-    kp, kd = (float(told.get(key, usual)) for key, usual in (("kp", 20.0), ("kd", 1.0)))
-    if not (0 <= kp <= GAINS[0] and 0 <= kd <= GAINS[1]):
+
+
+def _scaling(joint: str, factory: MotorScale, settings: Mapping[str, Any]) -> MotorScale:
+    return MotorScale(
+        p=_positive(joint, "pmax", settings.get("pmax", factory.p)),
+        v=_positive(joint, "vmax", settings.get("vmax", factory.v)),
+        tau=_positive(joint, "tmax", settings.get("tmax", factory.tau)),
+    )
+
+
+def _gains(joint: str, settings: Mapping[str, Any]) -> tuple[float, float]:
+    kp, kd = (float(settings.get(key, usual)) for key, usual in (("kp", 20.0), ("kd", 1.0)))
+    if not (0 <= kp <= _GAINS[0] and 0 <= kd <= _GAINS[1]):
         raise UsageError(f"{joint!r}: kp lies between 0 and 500, kd between 0 and 5.")
     if kp > 0 and kd == 0:
         raise UsageError(f"{joint!r}: kp > 0 with kd = 0 makes a motor oscillate; give kd.")
-    identifier = told.get("id", number)
-    if isinstance(identifier, bool) or not isinstance(identifier, int) or not 0 < identifier < 2048:
-        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {identifier!r}.")
-    share = _positive(joint, "share", told.get("share", SHARE))
-    low, high = (float(edge) for edge in told.get("q", (-scaling.p, scaling.p)))
-    return DamiaoDrive(
-        joint, name, identifier, kp, kd, scaling,
-        (max(low, -scaling.p), min(high, scaling.p)),
-        min(share * _positive(joint, "v", speed), scaling.v),
-        min(share * _positive(joint, "tau", torque), scaling.tau),
-        motor.rated,
-    )  # fmt: skip
+    return kp, kd
+
+
+def _identifier(joint: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 < value < 2048:
+        raise UsageError(f"{joint!r}: a CAN id lies between 1 and 2047; got {value!r}.")
+    return value
 
 
 def damiao_drives(
-    joints: tuple[str, ...], told: Mapping[str, Mapping[str, Any]]
+    joints: tuple[str, ...], settings: Mapping[str, Mapping[str, Any]]
 ) -> tuple[DamiaoDrive, ...]:
-    """The drives of all joints, from a table by joint name; "all" holds for every joint."""
-    for name in told:
+    """Return the drives of all joints from tables by joint name; "all" applies to each joint.
+
+    Raises UsageError for unknown joints, and for two motors of one id.
+    """
+    for name in settings:
         if name not in (*joints, "all"):
             raise unknown_name("joint of this motion", name, (*joints, "all"))
-    everywhere = told.get("all", {})
+    common = settings.get("all", {})
     drives = tuple(
-        _drive_of(joint, number, {**everywhere, **told.get(joint, {})})
+        _drive(joint, number, {**common, **settings.get(joint, {})})
         for number, joint in enumerate(joints, 1)
     )
     ids = [drive.id for drive in drives]
@@ -162,8 +186,11 @@ def damiao_drives(
 def within_range(
     commands: Commands, drives: tuple[DamiaoDrive, ...], most: float
 ) -> tuple[Commands, list[dict[str, Any]]]:
-    """The commands within the limits of their motors, and per joint the share of samples at which
-    position, velocity and torque were clamped. Raises UsageError where a share is above `most`."""
+    """Return the commands clamped to the limits of their motors, and a report per joint.
+
+    The report has the shares of samples at which position, velocity and torque were clamped, and
+    the rms torque (N m). Raises UsageError where a share is above `most`.
+    """
     low = np.array([drive.position[0] for drive in drives])
     high = np.array([drive.position[1] for drive in drives])
     speed, torque = (np.array([getattr(d, key) for d in drives]) for key in ("speed", "torque"))
@@ -173,45 +200,49 @@ def within_range(
         v=np.clip(commands.v, -speed, speed),
         tau=np.clip(commands.tau, -torque, torque),
     )
-    report: list[dict[str, Any]] = []
-    for j, drive in enumerate(drives):
-        shares = {
-            key: float(np.mean(getattr(inside, key)[:, j] != getattr(commands, key)[:, j]))
-            for key in ("q", "v", "tau")
-        }
-        rms = float(np.sqrt(np.mean(commands.tau[:, j] ** 2)))
-        report.append(
-            {
-                "joint": drive.joint,
-                "clamped": shares,
-                "rms_torque": rms,
-                "rated_torque": drive.rated,
-                "hot": drive.rated is not None and rms > drive.rated,
-            }
-        )
+    report = [_clamping(commands, inside, j, drive) for j, drive in enumerate(drives)]
     worst = max(report, key=lambda entry: max(entry["clamped"].values()))
     share = max(worst["clamped"].values())
     if share > most:
         key = max(worst["clamped"], key=lambda k: worst["clamped"][k])
         raise UsageError(
             f"{share:.1%} of the samples of {worst['joint']!r} break the {_WORDS[key]} limit of "
-            f"its motor, more than {most:.1%}: a clamped motion is another motion. Design it "
-            "within these limits (--limit), or allow a larger share (--clamp)."
+            f"its motor, more than {most:.1%}. Clamping changes the motion: design it within these "
+            "limits (--limit), or allow a larger share (--clamp)."
         )
     return inside, report
+
+
+def _clamping(commands: Commands, inside: Commands, j: int, drive: DamiaoDrive) -> dict[str, Any]:
+    """Return the report of one joint; `hot`: its rms torque exceeds the rated one."""
+    shares = {
+        key: float(np.mean(getattr(inside, key)[:, j] != getattr(commands, key)[:, j]))
+        for key in ("q", "v", "tau")
+    }
+    # Windings heat with the square of the current, so the rms over the motion is what counts.
+    rms = float(np.sqrt(np.mean(commands.tau[:, j] ** 2)))
+    return {
+        "joint": drive.joint,
+        "clamped": shares,
+        "rms_torque": rms,
+        "rated_torque": drive.rated,
+        "hot": drive.rated is not None and rms > drive.rated,
+    }
 
 
 _WORDS: Final = {"q": "position", "v": "velocity", "tau": "torque"}
 
 
-def encode_frame(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:
-    """MIT frames (N, 8), bytes, of commands (N,) that lie within the scaling: position 16 bits,
-    velocity, kp, kd and torque 12 bits each, the most significant first."""
+def _frames(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:
+    """Return MIT frames (N, 8), bytes, of commands (N,) within the scaling.
+
+    Position has 16 bits, velocity, kp, kd and torque 12 bits each, the most significant first.
+    """
     s = drive.scaling
     p_code = _code(q, -s.p, s.p, 16)
     v_code, tau_code = _code(v, -s.v, s.v, 12), _code(tau, -s.tau, s.tau, 12)
-    kp_code = _code(np.full(len(q), drive.kp), 0.0, GAINS[0], 12)
-    kd_code = _code(np.full(len(q), drive.kd), 0.0, GAINS[1], 12)
+    kp_code = _code(np.full(len(q), drive.kp), 0.0, _GAINS[0], 12)
+    kd_code = _code(np.full(len(q), drive.kd), 0.0, _GAINS[1], 12)
     return np.stack(
         [
             p_code >> 8, p_code & 0xFF, v_code >> 4, (v_code & 0xF) << 4 | kp_code >> 8,
@@ -221,14 +252,14 @@ def encode_frame(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:
     ).astype(np.uint8)  # fmt: skip
 
 
-def decode_frame(drive: DamiaoDrive, data: Array) -> dict[str, Array]:
-    """q v kp kd tau (N,) of frames (N, 8): what the drive understands."""
+def read_frame(drive: DamiaoDrive, data: Array) -> dict[str, Array]:
+    """Return q, v, kp, kd, tau (N,) of frames (N, 8), as the drive decodes them."""
     b, s = data.astype(int).T, drive.scaling
     codes = {
         "q": (b[0] << 8 | b[1], -s.p, s.p, 16),
         "v": (b[2] << 4 | b[3] >> 4, -s.v, s.v, 12),
-        "kp": ((b[3] & 0xF) << 8 | b[4], 0.0, GAINS[0], 12),
-        "kd": (b[5] << 4 | b[6] >> 4, 0.0, GAINS[1], 12),
+        "kp": ((b[3] & 0xF) << 8 | b[4], 0.0, _GAINS[0], 12),
+        "kd": (b[5] << 4 | b[6] >> 4, 0.0, _GAINS[1], 12),
         "tau": ((b[6] & 0xF) << 8 | b[7], -s.tau, s.tau, 12),
     }
     return {
@@ -238,11 +269,11 @@ def decode_frame(drive: DamiaoDrive, data: Array) -> dict[str, Array]:
 
 
 def can_log(commands: Commands, drives: tuple[DamiaoDrive, ...], channel: str = "can0") -> str:
-    """A log as `candump -l` writes it and `canplayer` replays it: at every sample one frame per
-    motor, in the order of the drives."""
+    """Return a log in the format of `candump -l` for `canplayer`: one frame per motor and sample,
+    in the order of the drives."""
     frames = np.stack(
         [
-            encode_frame(d, commands.q[:, j], commands.v[:, j], commands.tau[:, j])
+            _frames(d, commands.q[:, j], commands.v[:, j], commands.tau[:, j])
             for j, d in enumerate(drives)
         ],
         axis=1,
@@ -257,8 +288,8 @@ def can_log(commands: Commands, drives: tuple[DamiaoDrive, ...], channel: str = 
 def table_text(
     commands: Commands, drives: tuple[DamiaoDrive, ...], report: list[dict[str, Any]]
 ) -> str:
-    """A text table for a motor controller: what scaling and limits it was made with in comments,
-    then time and for each motor position, velocity and torque."""
+    """Return a text table for a motor controller: scaling and limits in comments, then time and
+    position, velocity and torque of each motor."""
     lines = ["# Damiao MIT mode; t in s, then for each motor q (rad), v (rad/s), tau (N m)"]
     for drive, entry in zip(drives, report, strict=True):
         s, (low, high) = drive.scaling, drive.position
@@ -280,7 +311,7 @@ def table_text(
 def _code(x: Array, low: float, high: float, bits: int) -> Array:
     if not ((x >= low - 1e-12) & (x <= high + 1e-12)).all():
         raise ValueError(f"A command leaves the scaling {low:g} to {high:g}: clamp it first.")
-    return np.round((x - low) * (2**bits - 1) / (high - low)).astype(int)
+    return np.asarray(np.round((x - low) * (2**bits - 1) / (high - low)).astype(int))
 
 
 def _positive(joint: str, key: str, value: Any) -> float:

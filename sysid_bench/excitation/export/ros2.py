@@ -1,4 +1,4 @@
-"""A motion as a ROS 2 message trajectory_msgs/JointTrajectory, in YAML or JSON."""
+"""Export as a ROS 2 message trajectory_msgs/JointTrajectory, in YAML or JSON."""
 
 import json
 from typing import Any
@@ -6,8 +6,8 @@ from typing import Any
 from sysid_bench.excitation.export.commands import Commands
 
 
-def ros2_message(commands: Commands) -> dict[str, Any]:
-    """The message as nested values; `effort` is the feed-forward torque."""
+def _message(commands: Commands) -> dict[str, Any]:
+    """Return the message as nested values; `effort` is the feed-forward torque (N m, N)."""
     points = [
         {
             "positions": commands.q[k].tolist(),
@@ -23,13 +23,13 @@ def ros2_message(commands: Commands) -> dict[str, Any]:
 
 
 def json_text(commands: Commands) -> str:
-    """The message as JSON."""
-    return json.dumps(ros2_message(commands)) + "\n"
+    """Return the message as JSON."""
+    return json.dumps(_message(commands)) + "\n"
 
 
 def yaml_text(commands: Commands) -> str:
-    """The message as YAML: a line per point, whose values are written as JSON, which YAML holds."""
-    whole = ros2_message(commands)
+    """Return the message as YAML, one line per point in the JSON subset of YAML."""
+    whole = _message(commands)
     lines = [
         f"header: {json.dumps(whole['header'])}",
         f"joint_names: {json.dumps(whole['joint_names'])}",

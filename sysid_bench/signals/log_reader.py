@@ -1,0 +1,102 @@
+"""Choice of a log reader, by the suffix of a file or by name, and the reading of one file."""
+
+import inspect
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, Final, Protocol
+
+from sysid_bench import naming
+from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.signals.log_table import LogTable
+
+KIND: Final = "log_reader"
+"""Kind of plug-in; entry points join in the group `sysid_bench.log_readers`."""
+
+ReaderSpec = str | Mapping[str, Any]
+"""Name of a reader ("parquet", "module:object", "file:mine.py:Reader"), or {use = name, ...} with
+its settings."""
+
+
+class LogReader(Protocol):
+    """Reader of one file format; a frozen dataclass whose fields are its settings."""
+
+    suffixes: ClassVar[tuple[str, ...]]
+    """Suffixes of the files it reads, in lower case with their dot; () where it is only named."""
+
+    def read(self, path: Path) -> LogTable:
+        """Return the numbers of an existing file; raises UsageError where it cannot."""
+
+
+def read_table(path: Path, reader: ReaderSpec | None = None) -> LogTable:
+    """Return the numbers of a file, by its suffix where no reader is named.
+
+    Raises UsageError with what is wrong in the file, or with the suffixes that can be read.
+    """
+    try:
+        state = path.stat()
+    except OSError as error:
+        raise UsageError(f"There is no recorded file {str(path)!r} ({error.strerror}).") from error
+    if not path.is_file():
+        raise UsageError(f"{str(path)!r} is not a file; name the recorded file itself.")
+    spec = reader_spec(path, reader)
+    make = naming.resolve(KIND, str(spec.get("use")))
+    settings = json.dumps(spec, sort_keys=True, default=str)
+    return _table(path, (state.st_mtime_ns, state.st_size), make, settings)
+
+
+@lru_cache(maxsize=4)
+def _table(path: Path, state: tuple[int, int], make: Any, settings: str) -> LogTable:
+    # q, v, tau and time often share one file. A file or a plug-in written again is read again.
+    del state, make
+    spec = json.loads(settings)
+    try:
+        table = naming.build(KIND, spec).read(path)
+    except UsageError:
+        raise
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
+    except Exception as error:  # a plug-in's own
+        raise UsageError(
+            f"{path}: the log reader {spec['use']!r} failed with {reason_of(error)}."
+        ) from error
+    if not isinstance(table, LogTable) or table.values.ndim != 2:
+        raise UsageError(
+            f"{path}: the log reader {spec['use']!r} must return a LogTable with values (N, c)."
+        )
+    return table
+
+
+def reader_spec(path: Path, reader: ReaderSpec | None = None) -> Mapping[str, Any]:
+    """Return {use = name, settings} of the reader named, or of the one for the suffix of a file.
+
+    Raises UsageError with the suffixes that can be read.
+    """
+    if reader is not None:
+        return {"use": reader} if isinstance(reader, str) else reader
+    suffix, found = path.suffix.lower(), dict[str, str]()
+    for name in naming.known(KIND):  # built-in readers come first
+        suffixes = naming.resolve(KIND, name).suffixes
+        if suffix in suffixes:
+            return {"use": name}
+        found |= dict.fromkeys(suffixes, name)
+    raise UsageError(
+        f"{path}: no log reader for files that end in {suffix!r}. Readers exist for "
+        f"{', '.join(found)}. Name one with reader = 'delimited-text', or one of your own with "
+        f"reader = 'file:mine.py:Reader' (entry-point group 'sysid_bench.{KIND}s')."
+    )
+
+
+def plugin_file(path: Path, reader: ReaderSpec | None = None) -> Path | None:
+    """Return the Python file of the reader of a file, None for a reader of this package.
+
+    What it returns depends on its code, so rows made with it are stale when that changes.
+    """
+    use = str(reader_spec(path, reader).get("use"))
+    if use in naming.BUILTIN[KIND]:
+        return None
+    try:
+        return Path(inspect.getfile(naming.resolve(KIND, use)))
+    except TypeError:  # compiled, or an instance
+        return None

@@ -1,0 +1,48 @@
+"""MATLAB files up to version 7: variables, and fields of structs as "struct.field"."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.signals.log_table import LogTable, table_of_arrays
+from sysid_bench.types import Array
+
+
+@dataclass(frozen=True)
+class Matlab:
+    """Numeric variables of one length; the others in the file are skipped."""
+
+    suffixes: ClassVar[tuple[str, ...]] = (".mat",)
+
+    def read(self, path: Path) -> LogTable:
+        """Return the variables as columns; raises UsageError for a damaged file, or one in the
+        HDF5 format of MATLAB 7.3."""
+        from scipy.io import loadmat  # 0.1 s, spent only where such a file is read
+
+        try:
+            found = loadmat(path, squeeze_me=True, struct_as_record=False)
+        except NotImplementedError as error:
+            raise UsageError(
+                f"{path} is a MATLAB 7.3 file; save it with -v7 (save('log.mat', '-v7'))."
+            ) from error
+        except Exception as error:  # SciPy's parser raises many types on damaged files
+            raise UsageError(f"{path} is not a MATLAB file that can be read: {error}.") from error
+        variables = {name: value for name, value in found.items() if not name.startswith("__")}
+        return table_of_arrays(
+            path,
+            dict(part for name, value in variables.items() for part in _arrays(name, value)),
+        )
+
+
+def _arrays(name: str, value: Any) -> Iterator[tuple[str, Array]]:
+    """Yield the numeric arrays of a variable, recursing into structs."""
+    fields = getattr(value, "_fieldnames", None)
+    if fields is not None:
+        for field in fields:
+            yield from _arrays(f"{name}.{field}", getattr(value, field))
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+        yield name, value

@@ -1,0 +1,103 @@
+"""Time base of a log: stamps in seconds, the rate of the grid, and findings about both."""
+
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.signals.log_checks import Finding
+from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_reader import read_table
+from sysid_bench.types import Array
+
+LONGEST_GAP: Final = 0.2
+"""Share of samples without numbers, or with stamps that run backwards, that is reported and
+bridged; beyond it the file is not what its description says."""
+
+SHORTEST: Final = 20
+"""Samples; fewer cannot be filtered, differentiated or identified."""
+
+_WIDEST: Final = 3.0
+"""Ratio of a recording's length to its samples beyond which it is more gap than recording."""
+
+_SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def read_times(log: LogDescription, samples: int) -> Array | None:
+    """Return the time stamps (N,) of the chosen samples in s, as they stand in the file; None
+    without a time column.
+
+    Raises UsageError for a wrong unit, column or length.
+    """
+    if log.time is None:
+        return None
+    if log.time.unit not in _SECONDS:
+        raise UsageError(f"{log.source}: time: {unknown_name('unit', log.time.unit, _SECONDS)}")
+    table = read_table(log.file_of(log.time), log.reader_of(log.time))
+    values = table.columns([log.time.column])
+    if values.shape[1] != 1:
+        raise UsageError(f"{log.source}: time must be one column; got {values.shape[1]}.")
+    stamps = np.asarray(values[:, 0] * _SECONDS[log.time.unit])
+    first = 0 if log.rows is None else log.rows[0] - 1
+    # The line that broke off may hold a stamp already; chosen rows end before the file does.
+    spare = 1 if log.rows is None else len(stamps)
+    if not samples <= len(stamps) - first <= samples + spare:
+        raise UsageError(
+            f"{log.source}: there are {len(stamps)} time stamps for {samples} samples."
+        )
+    return stamps[first : first + samples]
+
+
+def time_base(
+    log: LogDescription, stamps: Array | None, invalid: Array
+) -> tuple[Array, float, list[Finding]]:
+    """Return times (N,), NaN where a sample has none, the rate (Hz) of the grid, and findings.
+
+    Without stamps the samples are taken to be evenly spaced. Raises UsageError where fewer than
+    SHORTEST stamps rise, or where they span far more than the samples.
+    """
+    if stamps is None:
+        assert log.rate is not None
+        return np.arange(len(invalid)) / log.rate, log.rate, []
+    t, found = _rising(np.where(invalid, np.nan, stamps))
+    steps = np.diff(t[np.isfinite(t)])
+    if len(steps) < SHORTEST:
+        raise UsageError(
+            f"{log.source}: only {len(steps) + 1} time stamps rise; is this the time column?"
+        )
+    step = float(np.median(steps))  # the median ignores gaps and jitter
+    rate = log.rate or 1.0 / step
+    lost = int(np.maximum(np.round(steps / step) - 1, 0).sum())
+    if lost:
+        longest = f"the longest gap is {steps.max():.4g} s"
+        text = f"{lost} samples are missing between the time stamps; {longest}"
+        found.append(Finding("lost", lost, text))
+    if abs(rate * step - 1) > 0.05:
+        text = (
+            f"a rate of {rate:.6g} Hz is declared, but the time stamps are {step:.4g} s apart "
+            f"({1 / step:.4g} Hz): check the unit of time, or the rate"
+        )
+        found.append(Finding("rate", len(t), text, contradiction=True))
+        rate = 1.0 / step
+    if np.nansum(steps) * rate > _WIDEST * len(t):
+        raise UsageError(
+            f"{log.source}: the time stamps leave a gap of {steps.max():.4g} s in {len(t)} samples "
+            f"{step:.4g} s apart; choose the part that was recorded without a break (rows = "
+            "[first, last])."
+        )
+    return t, rate, found
+
+
+def _rising(t: Array) -> tuple[Array, list[Finding]]:
+    """Return stamps (N,) with those not later than all before them as NaN, and findings."""
+    latest = np.fmax.accumulate(np.concatenate([[-np.inf], t[:-1]]))
+    stale = ~(t > latest) & np.isfinite(t)
+    repeated = int((stale & (t == latest)).sum())
+    backwards = int(stale.sum()) - repeated
+    found = []
+    if repeated:
+        found.append(Finding("time", repeated, f"{repeated} time stamps are repeated"))
+    if backwards:
+        text = f"{backwards} time stamps run backwards"
+        found.append(Finding("time", backwards, text, backwards > LONGEST_GAP * len(t)))
+    return np.where(stale, np.nan, t), found

@@ -1,0 +1,162 @@
+"""Log readers: built-in ones keep the requirements of the check kit, a plug-in of fifteen lines
+joins by suffix or by name, and its errors are one sentence."""
+
+import struct
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid_bench import naming
+from sysid_bench.errors import UsageError
+from sysid_bench.signals.log_description import read_description
+from sysid_bench.signals.log_reader import read_table
+from sysid_bench.signals.log_reader_checks import check_log_reader
+from sysid_bench.signals.log_table import LogTable
+from sysid_bench.verbs.identify_logs import identify_logs
+from tests.robots import named_robot
+
+from .logs import Recorded, recorded, write
+
+PLUGIN = """
+from dataclasses import dataclass
+import numpy as np
+from sysid_bench.errors import UsageError
+from sysid_bench.signals.log_table import LogTable, table_of_arrays
+
+@dataclass(frozen=True)
+class Reader:
+    channels: int = 19
+    suffixes = (".raw",)
+
+    def read(self, path) -> LogTable:
+        x = np.fromfile(path)
+        if len(x) == 0 or len(x) % self.channels:
+            raise UsageError(f"{path} does not hold {self.channels} channels.")
+        return table_of_arrays(path, {"all": x.reshape(-1, self.channels)})
+"""
+"""Doubles, sample after sample; 19 channels are t, q, v, tau of six joints."""
+
+PARTS: dict[str, Any] = {
+    name: {"columns": [f"all:{2 + 6 * i + j}" for j in range(6)]}
+    for i, name in enumerate(("q", "v", "tau"))
+}
+
+
+@pytest.fixture(scope="module")
+def log() -> Recorded:
+    return recorded(named_robot("ur5"), period=2.0)
+
+
+@pytest.fixture
+def raw(tmp_path: Path, log: Recorded) -> Path:
+    """mine.py with the plug-in, and run.raw."""
+    (tmp_path / "mine.py").write_text(PLUGIN)
+    np.column_stack([log.t, log.q, log.v, log.tau]).tofile(tmp_path / "run.raw")
+    return tmp_path / "run.raw"
+
+
+def description(folder: Path, log: Recorded, **changed: Any) -> Path:
+    """run.toml of run.raw."""
+    return write(folder, log, **{"file": "run.raw", **PARTS, **changed})
+
+
+@pytest.mark.parametrize("kind", ["csv", "csv bare", "csv ;", "txt", "npz", "mat", "parquet"])
+def test_built_in_readers_pass_the_check_kit(kind: str, log: Recorded, tmp_path: Path) -> None:
+    file = write(tmp_path, log, kind).with_suffix("." + kind.partition(" ")[0])
+    readers = {name: naming.build("log_reader", name) for name in naming.known("log_reader")}
+    (reader,) = (one for one in readers.values() if file.suffix in one.suffixes)
+    assert check_log_reader(reader, file) == []
+
+
+def test_one_array_without_a_name(tmp_path: Path) -> None:
+    file = tmp_path / "run.npy"
+    np.save(file, np.arange(12.0).reshape(6, 2))
+    np.testing.assert_array_equal(read_table(file).columns([2])[:, 0], np.arange(1.0, 12.0, 2))
+    assert check_log_reader(naming.build("log_reader", "numpy"), file) == []
+
+
+def test_a_plug_in_reader_identifies_a_robot(raw: Path, log: Recorded) -> None:
+    named = description(raw.parent, log, reader="file:mine.py:Reader")
+    answer = identify_logs("ur5", [named], filter="none", derivatives="from v", estimator="ols")
+    assert answer["logs"][0]["samples"] == len(log.t)
+    plain = write(raw.parent, log, name="plain")
+    same = identify_logs("ur5", [plain], filter="none", derivatives="from v", estimator="ols")
+    assert answer["rmse_train"] == pytest.approx(same["rmse_train"], rel=1e-9)
+    assert (
+        check_log_reader(naming.build("log_reader", f"file:{raw.parent}/mine.py:Reader"), raw) == []
+    )
+
+
+def test_a_reader_has_settings_and_one_signal_may_name_its_own(raw: Path, log: Recorded) -> None:
+    np.column_stack([log.t, log.q, log.v]).tofile(raw.parent / "short.raw")
+    reader = {"use": "file:mine.py:Reader", "channels": 13}
+    q = {"file": "short.raw", "reader": reader, "columns": [2, 3, 4, 5, 6, 7]}
+    path = description(raw.parent, log, reader="file:mine.py:Reader", q=q)
+    read = read_description(path)
+    table = read_table(read.file_of(read.q), read.reader_of(read.q))
+    np.testing.assert_array_equal(table.columns(read.q.columns), log.q)
+    assert {file.name for file in read.files} == {"short.raw", "run.raw", "mine.py"}
+
+
+def test_a_file_of_another_suffix_by_the_name_of_its_reader(tmp_path: Path, log: Recorded) -> None:
+    write(tmp_path, log)
+    (tmp_path / "run.csv").rename(tmp_path / "run.log")
+    read = read_description(write(tmp_path, log, file="run.log", reader="delimited-text"))
+    assert len(read_table(read.file_of(read.q), read.reader_of(read.q)).values) == len(log.t)
+    assert [file.name for file in read.files] == ["run.log"]
+
+
+def test_an_installed_reader_is_chosen_by_suffix(
+    raw: Path, log: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def installed(group: str) -> EntryPoints:
+        point = EntryPoint("raw", f"file:{raw.parent / 'mine.py'}:Reader", group)
+        return EntryPoints([point] if group == "sysid_bench.log_readers" else [])
+
+    with pytest.raises(
+        UsageError, match=r"'\.raw'.*\.parquet.*reader = .*sysid_bench\.log_readers"
+    ):
+        read_table(raw)
+    monkeypatch.setattr(naming, "entry_points", installed)
+    assert len(read_table(raw).values) == len(log.t)
+    assert raw.parent / "mine.py" in read_description(description(raw.parent, log)).files
+
+
+def test_errors_of_a_plug_in_are_one_sentence(raw: Path, log: Recorded) -> None:
+    mine = raw.parent / "mine.py"
+    spec = f"file:{mine}:Reader"
+    raw.write_bytes(struct.pack("5d", *range(5)))
+    with pytest.raises(UsageError, match="does not hold 19 channels"):
+        read_table(raw, spec)
+    mine.write_text(PLUGIN.replace("raise UsageError(", "raise KeyError("))
+    with pytest.raises(UsageError, match=r"run\.raw: the log reader .* failed with KeyError"):
+        read_table(raw, spec)
+    mine.write_text(PLUGIN.replace("return table_of_arrays(", "return (").replace("5d", "19d"))
+    raw.write_bytes(struct.pack("19d", *range(19)))
+    with pytest.raises(UsageError, match="must return a LogTable"):
+        read_table(raw, spec)
+    with pytest.raises(UsageError, match="parquet"):
+        read_table(raw, "parket")
+
+
+class _Careless:
+    """Breaks every requirement on reading that it can."""
+
+    suffixes = ("RAW",)
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def read(self, path: Path) -> LogTable:
+        self.calls += 1
+        return LogTable(path, np.full((3, 2), float(self.calls)), {"a": (0,), "b": (0,), "c": (2,)})
+
+
+def test_the_check_kit_finds_what_is_broken(raw: Path) -> None:
+    broken = "\n".join(check_log_reader(_Careless(), raw))  # type: ignore[arg-type]
+    for text in ("suffixes", "hashed", "'c'", "same column", "two calls", "empty", "truncated"):
+        assert text in broken
