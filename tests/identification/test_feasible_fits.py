@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError
+from sysid_bench.conformance.problem_variants import first_samples
 from sysid_bench.identification.estimators.bounded import Bounded
 from sysid_bench.identification.estimators.entropic import Entropic
 from sysid_bench.identification.estimators.lmi import LMI
@@ -237,9 +238,7 @@ def test_without_a_prior_methods_that_need_one_say_so() -> None:
 
 
 def test_a_motion_that_tells_little_still_has_a_feasible_fit() -> None:
-    from sysid_bench.conformance import subset_of_rows
-
-    at = subset_of_rows(problem("ur5"), 2)
+    at = first_samples(problem("ur5"), 2)
     assert identify(WLS(), at).status == "failed"
     for method in METHODS[:4]:  # log-Cholesky creeps along the valley of so few samples
         theta = theta_of(identify(method, at))
