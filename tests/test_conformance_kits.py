@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.conformance import check_plugin_of, failed_checks
-from sysid_bench.conformance.effects import effect_cases
-from sysid_bench.conformance.excitations import design_cases
+from sysid_bench.conformance.effect import effect_cases
+from sysid_bench.conformance.excitation import design_cases
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.naming import BUILTIN, build

@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.conformance.estimators import TestProblem
+from sysid_bench.conformance.estimator import TestProblem
 from sysid_bench.experiments.robot_cache import cached_robot
 from sysid_bench.experiments.simulated.prepare import prepare
 from sysid_bench.experiments.spec import ExperimentSpec

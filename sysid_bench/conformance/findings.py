@@ -46,13 +46,13 @@ def findings_of(
     return findings
 
 
-def exception_finding(error: Exception, law: str, case: str) -> Finding:
+def finding_of_error(error: Exception, law: str, case: str) -> Finding:
     """Finding of an exception: writing to a read-only array violates UNCHANGED, not `law`."""
     name = UNCHANGED if "read-only" in str(error) else law
     return Finding(name, case, False, f"it raised {reason_of(error)}")
 
 
-def array_hash(value: Any) -> str:
+def content_hash(value: Any) -> str:
     """Hash of all arrays that a value holds, through tuples, lists, partials and dataclasses."""
     total = hashlib.sha256()
     for array in _arrays(value):

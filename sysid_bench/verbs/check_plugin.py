@@ -8,7 +8,7 @@ from typing import Any
 def check_plugin(name: str | Mapping[str, Any], robots_dir: Path | None = None) -> dict[str, Any]:
     """The laws of an estimator, built in, "module:object" or "file:path.py:object": {estimator, ok,
     checks, bias, broken: [{law, world, said}]}. Raises UsageError where nothing has that name."""
-    from sysid_bench.conformance.kits import check_estimator
+    from sysid_bench.conformance.plugin import check_estimator
     from sysid_bench.naming import build
 
     estimator = build("estimator", name)

@@ -15,8 +15,8 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    array_hash,
-    exception_finding,
+    content_hash,
+    finding_of_error,
     findings_of,
 )
 from sysid_bench.excitation.design_problem import design_problem
@@ -63,7 +63,7 @@ def check_effect(effect: Any, cases: Sequence[EffectCase] | None = None) -> list
         try:
             law = effect.prepare(case.robot)
         except Exception as error:
-            findings.append(exception_finding(error, "prepares a force law", case.name))
+            findings.append(finding_of_error(error, "prepares a force law", case.name))
             continue
         message = None if law is None or callable(law) else f"it is a {type(law).__name__}"
         findings.append(Finding("prepares a force law", case.name, message is None, message or ""))
@@ -78,7 +78,9 @@ def check_effect(effect: Any, cases: Sequence[EffectCase] | None = None) -> list
 def _state(case: EffectCase) -> str:
     model = case.robot.mj
     arrays = (model.body_mass, model.body_inertia, model.dof_damping, model.dof_frictionloss)
-    return array_hash((case.motion, case.robot.phi, case.robot.joint_terms, *map(np.array, arrays)))
+    return content_hash(
+        (case.motion, case.robot.phi, case.robot.joint_terms, *map(np.array, arrays))
+    )
 
 
 def _torque(law: ForceLaw, motion: Trajectory) -> Array:

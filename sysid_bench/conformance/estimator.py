@@ -14,9 +14,9 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    array_hash,
-    exception_finding,
+    content_hash,
     failed_checks,
+    finding_of_error,
     findings_of,
 )
 from sysid_bench.conformance.problem_variants import (
@@ -65,16 +65,16 @@ def check(estimator: Any, cases: Sequence[TestProblem]) -> list[Finding]:
     findings, reasons = [], dict[str, None]()
     answered = False
     for case in cases:
-        before = array_hash((case.problem, case.experiment))
+        before = content_hash((case.problem, case.experiment))
         try:
             first = _estimate(estimator, case)
         except Exception as error:
-            findings.append(exception_finding(error, "returns an estimate", case.name))
+            findings.append(finding_of_error(error, "returns an estimate", case.name))
             continue
         answered = answered or first.status == "ok"
         reasons[first.reason] = None
         findings += findings_of(LAWS, case.name, estimator, case, first)
-        if array_hash((case.problem, case.experiment)) != before:
+        if content_hash((case.problem, case.experiment)) != before:
             message = "it changed an array of the problem"
             findings.append(Finding(UNCHANGED, case.name, False, message))
     if not answered:

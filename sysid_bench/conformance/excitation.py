@@ -15,8 +15,8 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    array_hash,
-    exception_finding,
+    content_hash,
+    finding_of_error,
     findings_of,
 )
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
@@ -73,17 +73,17 @@ def check_excitation(excitation: Any, cases: Sequence[DesignCase] | None = None)
     """Findings of all laws on all cases (None: `design_cases`)."""
     findings = []
     for case in design_cases() if cases is None else cases:
-        before = array_hash(case.brief)
+        before = content_hash(case.brief)
         try:
             motion = _motion(excitation, case)
         except Exception as error:
-            findings.append(exception_finding(error, "returns a motion", case.name))
+            findings.append(finding_of_error(error, "returns a motion", case.name))
             continue
         shape = findings_of({"has the shapes of the robot": _has_shapes}, case.name, case, motion)
         findings += shape
         if shape[0].passed:  # the other laws compute with these arrays
             findings += findings_of(LAWS, case.name, excitation, case, motion)
-        if array_hash(case.brief) != before:
+        if content_hash(case.brief) != before:
             message = "it changed an array of the design problem"
             findings.append(Finding(UNCHANGED, case.name, False, message))
     return findings
@@ -184,4 +184,4 @@ def _rms(x: Array) -> Array:
 
 def _floored(size: Array) -> Array:
     # A joint at rest has differences of rounding error alone.
-    return np.maximum(size, 1e-6)
+    return np.asarray(np.maximum(size, 1e-6))

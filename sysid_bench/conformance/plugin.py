@@ -5,12 +5,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from sysid_bench.conformance.effects import check_effect
+from sysid_bench.conformance.effect import check_effect
+from sysid_bench.conformance.estimator import check
 from sysid_bench.conformance.estimator_problems import problems_for, problems_of_kind
-from sysid_bench.conformance.estimators import check
-from sysid_bench.conformance.excitations import check_excitation
+from sysid_bench.conformance.excitation import check_excitation
 from sysid_bench.conformance.findings import Finding
-from sysid_bench.conformance.simulations import check_simulation
+from sysid_bench.conformance.simulation import check_simulation
 from sysid_bench.errors import unknown_name
 
 Kit = Callable[[Any], list[Finding]]

@@ -15,8 +15,8 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    array_hash,
-    exception_finding,
+    content_hash,
+    finding_of_error,
     findings_of,
 )
 from sysid_bench.excitation.design_problem import design_problem
@@ -69,7 +69,7 @@ def check_simulation(
             before = _state(case, commanded)
             result = _run(simulation, case, commanded)
         except Exception as error:
-            findings.append(exception_finding(error, "runs", case.name))
+            findings.append(finding_of_error(error, "runs", case.name))
             continue
         shape = findings_of({"has the shapes of the robot": _has_shapes}, case.name,
                             case, commanded, result)  # fmt: skip
@@ -94,7 +94,7 @@ def _run(simulation: Any, case: SimulationCase, commanded: Trajectory) -> Any:
 
 def _state(case: SimulationCase, commanded: Trajectory) -> str:
     plant = case.plant
-    return array_hash((commanded, plant.robot.phi, plant.terms, plant.laws, plant.phi))
+    return content_hash((commanded, plant.robot.phi, plant.terms, plant.laws, plant.phi))
 
 
 def _has_shapes(case: SimulationCase, commanded: Trajectory, result: Any) -> str | None:
