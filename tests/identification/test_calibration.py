@@ -87,7 +87,7 @@ def test_contacts_stand_out_of_the_quietest_half(seed: int, share: float) -> Non
 def test_too_little_to_find_contacts_in_says_so() -> None:
     with pytest.raises(EstimationError, match="too few"):
         free_samples(np.ones((20, 6, 3)), np.ones((20, 6)))
-    with pytest.raises(EstimationError, match="declare their intervals"):
+    with pytest.raises(EstimationError, match="declare the contact intervals"):
         free_samples(np.ones((2000, 6, 3)), np.random.default_rng(0).normal(size=(2000, 6)))
 
 

@@ -225,7 +225,7 @@ def test_a_prior_with_the_right_beta_is_its_own_completion(robot: str) -> None:
 def test_what_cannot_exist_is_not_reconstructed() -> None:
     estimate = identify(Reconstruction(), problem("z1", 0.3))
     assert estimate.status == "failed"
-    assert "can exist" in estimate.reason
+    assert "physically consistent bodies" in estimate.reason
 
 
 def test_without_a_prior_methods_that_need_one_say_so() -> None:
