@@ -1,28 +1,24 @@
-"""For tests of one's own estimators: `from sysid_bench.pytest_plugin import assert_conforms`."""
+"""Conformance checks for tests of plug-ins.
+
+from sysid_bench.pytest_plugin import assert_conforms
+assert_conforms("my_lab.methods:Geodesic"), assert_conforms(Sway(), "excitation")
+"""
 
 from collections.abc import Mapping
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from sysid_bench.conformance import TestProblem
+from sysid_bench.conformance import check_plugin_of, failed_checks
+from sysid_bench.naming import build
 
 
-def assert_conforms(estimator: Any) -> None:
-    """Runs an estimator, or what a name or {use = ...} of a suite stands for, through its laws.
+def assert_conforms(plugin: Any, kind: str = "estimator") -> None:
+    """Check a plug-in (an object, a name or the {use = ...} of a suite) against the laws of its
+    kind: "estimator", "excitation", "plant" or "simulation".
 
-    Raises AssertionError that lists every broken law, UsageError where nothing has that name.
+    Raises AssertionError with all violated laws, UsageError for an unknown name or kind.
     """
-    from sysid_bench import conformance
-    from sysid_bench.naming import build
-
-    if isinstance(estimator, (str, Mapping)):
-        estimator = build("estimator", estimator)
-    conformance.assert_conforms(estimator, _worlds(not hasattr(estimator, "solve")))
-
-
-@cache
-def _worlds(simulating: bool) -> "list[TestProblem]":
-    from sysid_bench.verbs.check_plugin import problems_of_kind
-
-    return problems_of_kind(simulating)
+    if isinstance(plugin, (str, Mapping)):
+        plugin = build(kind, plugin)
+    lines = failed_checks(check_plugin_of(kind, plugin))
+    if lines:
+        raise AssertionError(f"{plugin!r} violates {len(lines)} laws:\n" + "\n".join(lines))

@@ -1,9 +1,9 @@
-"""The nouns: what one room hands to the next. Arrays and labels only.
+"""Data types that packages exchange: arrays and labels only.
 
-Letters: N samples, nq positions, nv velocities (degrees of freedom), p unknown parameters,
-r base parameters. Units are SI; a degree of freedom is an angle (rad, N m) or a length (m, N).
-A method sees `Recording`, `Prior`, `Problem` and `Experiment`; `Oracle` and `Truth` are opened by
-scoring alone, and `tests/test_layers.py` holds that wall.
+Letters: N samples, nq positions, nv velocities (degrees of freedom), p unknown parameters, r base
+parameters. Units are SI; a degree of freedom is an angle (rad, N m) or a length (m, N). A method
+has access to `Recording`, `Prior`, `Problem` and `Experiment`; `Oracle` and `Truth` are for scoring
+alone (`tests/test_layers.py`).
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -19,23 +19,23 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A motion on a time grid, in the coordinates of the MuJoCo model (free joint: linear
-    velocity in the world, angular velocity in the body)."""
+    """Motion on a time grid (s), in the coordinates of the MuJoCo model (free joint: linear
+    velocity in the world frame, angular velocity in the body frame)."""
 
     t: Float[Array, " N"]
     q: Float[Array, "N nq"]
     v: Float[Array, "N nv"]
     a: Float[Array, "N nv"]
     name: str = ""
-    period: float | None = None  # s; the motion repeats after it
+    period: float | None = None  # s; None where the motion is not periodic
 
     def __len__(self) -> int:
         return len(self.t)
 
     @property
     def period_samples(self) -> int:
-        """Samples after which the motion repeats; 0 where it does not, where samples are left out,
-        or where at the end it would be off by half a sample."""
+        """Samples per period; 0 where the motion is not periodic, where samples are missing, or
+        where rounding to whole samples adds up to half a sample over the recording."""
         if self.period is None or len(self.t) < 2:
             return 0
         steps = np.diff(self.t)
@@ -49,9 +49,9 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """The declared joint controller: tau = kp (q_ref - q) + kd (v_ref - v), at `rate`, v with the
-    slope of the encoder's error low-passed at `velocity_cutoff`. The torque is `held` between
-    samples, or else follows the velocity there."""
+    """Declared joint controller tau = kp (q_ref - q) + kd (v_ref - v) at `rate`. v contains the
+    derivative of the encoder error, low-passed at `velocity_cutoff`. The torque is `held` between
+    samples (zero-order hold), else it follows the velocity between them."""
 
     kp: Float[Array, " rows"]
     kd: Float[Array, " rows"]
@@ -62,17 +62,17 @@ class Controller:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a robot would give: sensor signals, their rate, the commanded motion, the controller.
-    Torque is that of `rows`; of joints that follow others q, v and a come from those others.
+    """Sensor data of one recording: signals, rate, commanded motion, controller. `tau` belongs to
+    `rows`; q, v and a of dependent joints are computed from the independent ones.
 
-    `v` and `a` are absent until a filter has made them from q (or an ideal sensor gave them).
+    `v` and `a` are None until a filter has derived them from q (or an ideal sensor measured them).
     """
 
     t: Float[Array, " N"]
     q: Float[Array, "N nq"]
     tau: Float[Array, "N rows"]
     rate: float  # Hz
-    rows: tuple[str, ...]  # names of the degrees of freedom that have torques of their own
+    rows: tuple[str, ...]  # names of the independent degrees of freedom
     v: Float[Array, "N nv"] | None = None
     a: Float[Array, "N nv"] | None = None
     commanded: Trajectory | None = None
@@ -86,23 +86,23 @@ class Recording:
 
     @property
     def motion(self) -> Trajectory:
-        """The measured motion; raises ValueError while v and a are absent."""
+        """Measured motion; raises ValueError while v and a are None."""
         if self.v is None or self.a is None:
-            raise ValueError("This recording has no velocity and acceleration: filter it first.")
+            raise ValueError("This recording has no velocity and acceleration; filter it first.")
         return Trajectory(self.t, self.q, self.v, self.a, "measured", self.period)
 
 
 @dataclass(frozen=True, eq=False)
 class Oracle:
-    """What really happened in one simulated motion: for scoring only."""
+    """Ground truth of one simulated motion, for scoring alone."""
 
     motion: Trajectory  # exact
-    tau: Float[Array, "N rows"]  # noise-free torque of the degrees of freedom that have their own
+    tau: Float[Array, "N rows"]  # noise-free torque of the independent degrees of freedom
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The parameters that the plant was built with, in the order of `Problem.parameters`."""
+    """True parameters of the plant, in the order of `Problem.parameters`."""
 
     parameters: tuple[str, ...]
     theta: Float[Array, " p"]
@@ -110,7 +110,7 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Regressor:
-    """Y of tau = Y theta for a whole motion, dense: small motions and witnesses only."""
+    """Dense regressor Y of tau = Y theta along a motion: for small motions and references."""
 
     Y: Float[Array, "N rows p"]
     rows: tuple[str, ...]
@@ -119,11 +119,12 @@ class Regressor:
 
 @dataclass(frozen=True, eq=False)
 class BaseMap:
-    """beta = K theta: what a regressor can tell. `K[:, pivots]` is the identity.
+    """Base parameters beta = K theta: the identifiable combinations. `K[:, pivots]` is the
+    identity.
 
-    `rank` counts singular values above 1e-5 of the largest (SI columns, random states), `gap` is
-    the ratio of the last kept to the first dropped, `near_degenerate` how many dropped ones lie
-    above 1e-12.
+    `rank` counts singular values above 1e-5 of the largest (SI columns, random states); `gap` is
+    the ratio of the last kept to the first dropped one; `near_degenerate` counts dropped ones above
+    1e-12.
     """
 
     K: Float[Array, "r p"]
@@ -133,11 +134,11 @@ class BaseMap:
     near_degenerate: int
     singular_values: Float[Array, " k"]
     row_space: Float[Array, "r p"] | None = None
-    """An orthonormal basis of the rows of K, sharper than K where its entries are large."""
+    """Orthonormal basis of the row space of K, more accurate than K where its entries are large."""
 
     @property
     def rank(self) -> int:
-        """r, the number of base parameters."""
+        """Number r of base parameters."""
         return len(self.pivots)
 
     @property
@@ -146,7 +147,7 @@ class BaseMap:
         return tuple(self.parameters[i] for i in self.pivots)
 
     def embed(self, beta: Float[Array, " r"]) -> Float[Array, " p"]:
-        """The theta with beta on the pivots and zero elsewhere: the same torques, no more."""
+        """theta with beta at the pivots and zero elsewhere: it gives the same torques."""
         theta = np.zeros(self.K.shape[1])
         theta[self.pivots] = beta
         return theta
@@ -154,9 +155,9 @@ class BaseMap:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """R of the QR factorisation of [W_i | b_i], all samples of one row (joint) i.
+    """R factor of the QR factorisation of [W_i | b_i], all samples of one row (joint) i.
 
-    `columns` are the base parameters that this row touches; the last column of R is b.
+    `columns` are the base parameters that this row depends on; the last column of R is b.
     """
 
     row: str
@@ -167,7 +168,7 @@ class Factor:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What a method is told beforehand: theta0 and the standard deviations it is declared with."""
+    """Prior knowledge of a method: mean theta0 and standard deviations."""
 
     theta: Float[Array, " p"]
     std: Float[Array, " p"]
@@ -175,8 +176,8 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Extent:
-    """Where a body can be: corners of the box, in its frame, that its centre of mass lies in (m),
-    and the volume that can hold its mass (m^3)."""
+    """Extent of a body: corners (m, body frame) of the box that contains its centre of mass, and
+    the volume (m^3) that contains its mass."""
 
     low: Float[Array, "3"]
     high: Float[Array, "3"]
@@ -185,7 +186,7 @@ class Extent:
 
 @dataclass(frozen=True)
 class Body:
-    """One body of the parameter vector and the names of its ten columns, `m` ... `Izz`."""
+    """One body and the names of its ten parameters, `m` ... `Izz`."""
 
     name: str
     columns: tuple[str, ...]
@@ -196,7 +197,8 @@ RowBlock = tuple[Float[Array, "n rows r"], Float[Array, "n rows"]]
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """W beta = b, as per-row R factors; the rows themselves again and again through `blocks()`."""
+    """Identification problem W beta = b, as R factors per row; `blocks()` iterates over the
+    samples."""
 
     parameters: tuple[str, ...]  # p unknowns
     base: BaseMap
@@ -206,13 +208,15 @@ class Problem:
     blocks: Callable[[], Iterator[RowBlock]] = field(repr=False)
     samples: int = 0
     prior: Prior | None = None
-    kinds: tuple[str, ...] = ()  # of each row: what may be compared, "joint N m", "base N", ...
-    torque: Float[Array, " rows"] | None = None  # RMS of each row's whole torque; None: that of b
-    period: int = 0  # samples after which the motion repeats; 0: it does not
+    kinds: tuple[
+        str, ...
+    ] = ()  # of each row, "joint N m", "base N", ...: only equal kinds are compared
+    torque: Float[Array, " rows"] | None = None  # RMS of each row's total torque; None: that of b
+    period: int = 0  # samples per period; 0: not periodic
 
     @cached_property
     def stacked(self) -> tuple[Float[Array, "M r"], Float[Array, " M"]]:
-        """(W, b) of all samples, sample after sample: memory grows with N; prefer `factors`."""
+        """(W, b) of all samples in time order; its memory grows with N, so prefer `factors`."""
         parts = list(self.blocks())
         W = np.concatenate([block.reshape(-1, self.base.rank) for block, _ in parts])
         b = np.concatenate([values.ravel() for _, values in parts])
@@ -221,18 +225,18 @@ class Problem:
 
     @property
     def W(self) -> Float[Array, "M r"]:
-        """The stacked base regressor (N * rows, r)."""
+        """Stacked base regressor (N * rows, r)."""
         return self.stacked[0]
 
     @property
     def b(self) -> Float[Array, " M"]:
-        """The stacked right-hand side (N * rows,)."""
+        """Stacked right-hand side (N * rows,)."""
         return self.stacked[1]
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One recording of several of the same commanded motion, with the payload or without it."""
+    """One of several recordings of the same commanded motion, with or without the payload."""
 
     loaded: bool
     recording: Recording  # filtered as the suite says
@@ -240,15 +244,14 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """What an estimator that simulates or knows the noise is given beside its `problem`.
+    """Data of an estimator that simulates or models the noise, in addition to its `problem`.
 
-    `regress(motion)` yields blocks of the base regressor (n, rows, r) along any motion;
-    `simulate(theta)` runs the method's own noise-free model with these parameters (p,) under the
-    declared controller along the commanded motion and returns a Recording with exact v and a. It
-    raises UnsupportedError where no controller is declared. `known(motion)` is the torque (n, rows)
-    of what the task takes as known along any motion. `runs` are all recordings of the commanded
-    motion in the order taken, where the suite asks for some without the payload; `recording` is
-    then the first loaded one.
+    `regress(motion)` yields blocks of the base regressor (n, rows, r) along any motion.
+    `simulate(theta)` runs the method's model with theta (p,) under the declared controller along
+    the commanded motion and returns a noise-free Recording with exact v and a; it raises
+    UnsupportedError without a controller. `known(motion)` is the torque (n, rows) of the known
+    parameters. `runs` are all recordings in time order where the suite has some without the
+    payload; `recording` is then the first loaded one.
     """
 
     problem: Problem
@@ -265,10 +268,10 @@ EstimateStatus = Literal["ok", "failed", "unsupported"]
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What a method answers. `beta` (r,) are base parameters; `theta` (p,) only where the method
-    claims all of them, and then beta = K theta. `covariance` is the method's own formula; `sigma`
-    is given by least squares on rows divided by it, whose residuals tell how sure it is, too.
-    """
+    """Result of an estimator. `beta` (r,) are base parameters; `theta` (p,) all parameters, where
+    the method determines them, with beta = K theta. `covariance` is by the method's own formula;
+    `sigma` the noise of each row by which least squares has divided, so that residuals give a
+    covariance as well."""
 
     beta: Float[Array, " r"] | None = None
     theta: Float[Array, " p"] | None = None
@@ -280,13 +283,13 @@ class Estimate:
 
 
 class LinearEstimator(Protocol):
-    """A method that needs W beta = b alone."""
+    """Estimator that uses W beta = b alone."""
 
     def solve(self, problem: Problem) -> Estimate: ...
 
 
 class SimulatingEstimator(Protocol):
-    """A method that simulates or knows the noise."""
+    """Estimator that simulates or models the noise."""
 
     def fit(self, experiment: Experiment) -> Estimate: ...
 
@@ -345,10 +348,10 @@ ShapeKind = Literal["mesh", "box", "sphere", "cylinder", "capsule", "ellipsoid"]
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What a body looks like, for pictures alone. `size`: scale of a mesh (3,), half lengths of a
-    box or ellipsoid (3,), (radius, half length) of a cylinder or capsule along z, (radius,)."""
+    """Visual shape of a body. `size`: scale of a mesh (3,), half lengths of a box or ellipsoid
+    (3,), (radius, half length) of a cylinder or capsule along z, (radius,) of a sphere."""
 
-    body: int  # index into Evidence.bodies
+    body: int  # index into CellData.bodies
     kind: ShapeKind
     size: tuple[float, ...]
     position: Float[Array, "3"]  # m, in the body frame
@@ -358,7 +361,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Lines of one picture over time: `series` by name, (K,) each."""
+    """Curves of one figure over time: `series` by name, (K,) each."""
 
     name: str
     t: Float[Array, " K"]  # s
@@ -367,7 +370,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class CellData:
-    """Everything a picture of one cell needs, made by re-executing it; arrays and labels only."""
+    """Data for the figures of one cell, made by re-executing it."""
 
     row: Mapping[str, Any]  # the row as stored (Row)
     motion: Trajectory  # the measured motion

@@ -1,4 +1,4 @@
-"""Our own estimators keep the laws that strangers are held to; wrong ones are caught by name."""
+"""Built-in estimators keep the laws of the kit; wrong estimators are found by the violated law."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,11 +11,12 @@ from click.testing import CliRunner
 
 from sysid_bench.cli import main
 from sysid_bench.conformance import TestProblem, check, failed_checks
+from sysid_bench.conformance.estimator_problems import problems_for, problems_of_kind
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.naming import BUILTIN, build, resolve
-from sysid_bench.pytest_plugin import _worlds, assert_conforms
+from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.types import Estimate, Problem
 from sysid_bench.verbs.check_plugin import check_plugin
 
@@ -30,11 +31,11 @@ def test_our_estimators_keep_the_laws(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", LINEAR)
-def test_who_claims_no_bias_answers_an_exact_world(name: str) -> None:
+def test_a_method_without_bias_solves_an_exact_problem(name: str) -> None:
     """A law that never applies proves nothing."""
     estimator = build("estimator", name)
-    exact = [world for world in _worlds(False) if world.exact]
-    assert any(estimator.solve(world.problem).status == "ok" for world in exact)
+    exact = [case for case in problems_for(False) if case.exact]
+    assert any(estimator.solve(case.problem).status == "ok" for case in exact)
 
 
 # --- Wrong on purpose ---------------------------------------------------------------------------
@@ -62,7 +63,7 @@ def mutating(problem: Problem) -> Estimate:
     return Estimate(beta)
 
 
-def prying(problem: Problem) -> Estimate:
+def writing_to_the_input(problem: Problem) -> Estimate:
     beta = beta_of(problem)
     R = problem.factors[0].R
     R.flags.writeable = True
@@ -71,43 +72,44 @@ def prying(problem: Problem) -> Estimate:
     return Estimate(beta)
 
 
-def starting(problem: Problem) -> Estimate:
+def returning_the_prior(problem: Problem) -> Estimate:
     if problem.prior is None:
-        raise EstimationError("This method starts from a prior, and there is none.")
+        raise EstimationError("This method needs a prior.")
     return Estimate(theta=problem.prior.theta)
 
 
 calls = count()
 
 WRONG: dict[str, tuple[Callable[[Problem], Any], str]] = {
-    "biased": (lambda p: Estimate(1.001 * beta_of(p)), "tells the truth"),
-    "mutating": (mutating, "leaves its input alone"),
-    "prying": (prying, "leaves its input alone"),
-    "silent": (lambda p: Estimate(status="failed"), "says why it cannot"),
-    "failing": (lambda p: Estimate(status="failed", reason="the solver gave up"), "answers"),
-    "zero": (lambda p: Estimate(np.zeros(p.base.rank)), "does more than start"),
-    "starting": (starting, "does more than start"),
-    "restless": (lambda p: Estimate(beta_of(p) + 1e-13 * next(calls)), "answers the same twice"),
-    "in newton": (
+    "biased": (lambda p: Estimate(1.001 * beta_of(p)), "recovers exact parameters"),
+    "mutating": (mutating, "leaves its input unchanged"),
+    "writing": (writing_to_the_input, "leaves its input unchanged"),
+    "silent": (lambda p: Estimate(status="failed"), "gives a reason on failure"),
+    "failing": (
+        lambda p: Estimate(status="failed", reason="the solver gave up"),
+        "returns an estimate",
+    ),
+    "zero": (lambda p: Estimate(np.zeros(p.base.rank)), "uses the data"),
+    "returning the prior": (returning_the_prior, "uses the data"),
+    "random": (lambda p: Estimate(beta_of(p) + 1e-13 * next(calls)), "is deterministic"),
+    "depending on units": (
         lambda p: Estimate(beta_of(p) * (1 + 1e-3 * (np.abs(p.factors[0].R).max() > 200))),
-        "does not care for units",
+        "is invariant to the unit",
     ),
-    "first joint": (
+    "weighing one joint": (
         lambda p: Estimate(solve(stacked_factor(p, [9.0] + [1.0] * (len(p.factors) - 1)))),
-        "does not care for the order",
+        "is invariant to the order",
     ),
-    "guessing": (
+    "minimum norm": (
         lambda p: Estimate(np.linalg.lstsq(p.W, p.b)[0]),
-        "refuses what is not told",
+        "refuses unexcited parameters",
     ),
     "raising": (lambda p: 1 / 0, "ZeroDivisionError"),
 }
 
 
-def copied() -> list[TestProblem]:
-    """Worlds of a test's own: a wrong method may damage them."""
-    from sysid_bench.verbs.check_plugin import problems_of_kind
-
+def copied() -> tuple[TestProblem, ...]:
+    """Test problems of this test alone: a wrong method may damage them."""
     return problems_of_kind()[2:5]
 
 
@@ -120,18 +122,18 @@ def test_a_wrong_estimator_is_caught(name: str) -> None:
 
 
 def test_least_squares_itself_is_not_caught() -> None:
-    """The wrong ones above are caught for their mistake alone."""
+    """The wrong estimators above differ from it by their mistake alone."""
     assert failed_checks(check(Wrong(lambda p: OLS().solve(p)), copied())) == []
 
 
-def test_a_bias_that_is_told_is_no_mistake() -> None:
+def test_a_declared_bias_is_accepted() -> None:
     class Shrunk(Wrong):
         bias = "shrunk by a thousandth"
 
     assert failed_checks(check(Shrunk(lambda p: Estimate(0.999 * beta_of(p))), copied())) == []
 
 
-# --- The verb -----------------------------------------------------------------------------------
+# --- The command --------------------------------------------------------------------------------
 
 MINE = """
 from dataclasses import dataclass
@@ -150,12 +152,12 @@ class Mine:
 
 
 @pytest.mark.parametrize(("factor", "code"), [(1.0, 0), (1.1, 1)])
-def test_check_plugin_tells_right_from_wrong(factor: float, code: int, tmp_path: Any) -> None:
+def test_check_plugin_finds_a_wrong_estimator(factor: float, code: int, tmp_path: Any) -> None:
     file = tmp_path / "mine.py"
     file.write_text(MINE.format(factor=factor))
     result = CliRunner().invoke(main, ["check-plugin", f"file:{file}:Mine"])
     assert result.exit_code == code, result.output
-    assert ("tells the truth" in result.output) == bool(code)
+    assert ("recovers exact parameters" in result.output) == bool(code)
     assert ("keeps its laws" in result.output) == (not code)
 
 

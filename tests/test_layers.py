@@ -38,7 +38,7 @@ MAP: dict[str, frozenset[str]] = {
     "identification": frozenset({"identifiability"}),
     "evaluation": BELOW_EVALUATION,
     # What strangers are held to is measured with the metrics of evaluation, never the reverse.
-    "conformance": BELOW_EVALUATION | {"evaluation"},
+    "conformance": BELOW_EVALUATION | {"evaluation", "experiments"},
     "experiments": BELOW_EVALUATION | {"evaluation"},
     "harness": BELOW_EVALUATION | {"evaluation", "conformance", "experiments"},
     "reporting": BELOW_EVALUATION | {"evaluation", "conformance"},

@@ -1,8 +1,8 @@
-"""Contact periods of a recording: declared by intervals, or found by what free motion cannot be.
+"""Contact detection in recordings of a force/torque sensor, by least trimmed squares.
 
-Nothing but its own weight is to act behind a force/torque sensor. A contact that lasts adds a
-wrench that no parameters explain: the samples are looked at in windows, and those that parameters
-fitted to the quietest of them cannot foretell are left out.
+Without contact, only the weight and inertia of the distal bodies act on the sensor. A lasting
+contact adds a wrench that no parameters explain. The samples are divided into windows, and windows
+that a fit to the quietest ones does not predict are rejected.
 """
 
 from typing import Final
@@ -14,30 +14,30 @@ from sysid_bench.identification.linear.recursive_qr import upper_factor
 from sysid_bench.types import Array
 
 WINDOWS: Final = 100
-"""Into how many parts a recording is cut: half a second of fifty."""
+"""Windows of a recording: half a second each in a recording of fifty seconds."""
 
 QUIET: Final = 0.5
-"""Share of the windows that least trimmed squares trusts: contacts may fill nearly as much."""
+"""Share of the windows that least trimmed squares fits; contacts may fill nearly the rest."""
 
 ROUNDS: Final = 30
-"""Refits at most; each makes the sum over the quietest windows smaller (Rousseeuw and van Driessen
-2006, the C-step)."""
+"""Most concentration steps (C-steps); each reduces the trimmed sum of squares (Rousseeuw and van
+Driessen 2006)."""
 
 LIMIT: Final = 4.0
-"""Largest mean square of a window's residuals, in units of the noise. Free windows may lie above
-one: the noise of a sensor that ends a sub-tree arrives with a lever that changes."""
+"""Largest mean square of a free window's residuals, in units of the noise variance. It may exceed
+one, since the noise of a distal sensor acts through a changing lever arm."""
 
 
 def free_samples(W: Array, f: Array) -> Array:
-    """Which samples (N,) of f (N, m) = W (N, m, r) beta + noise are free of contact.
+    """Return which samples (N,) of f (N, m) = W (N, m, r) beta + noise are free of contact.
 
-    Least trimmed squares on the quietest half of the windows; then all that its fit foretells join
-    it, as long as any do. Raises EstimationError where the recording is too short, or where the
-    quietest half of it does not excite every direction.
+    Least trimmed squares on the quietest half of the windows; then all windows that its fit
+    predicts are added, and the fit is repeated until none changes. Raises EstimationError where the
+    recording is too short or its quietest half does not excite every direction.
     """
     N, m, r = W.shape
     if N * m < 4 * r or N < 2 * WINDOWS:
-        raise EstimationError(f"{N} samples are too few to find contacts in.")
+        raise EstimationError(f"{N} samples are too few for contact detection.")
     window = np.arange(N) * WINDOWS // N
     kept = np.ones(WINDOWS, dtype=bool)
     for _ in range(ROUNDS):
@@ -54,8 +54,8 @@ def free_samples(W: Array, f: Array) -> Array:
 
 
 def _sizes(W: Array, f: Array, kept: Array, window: Array) -> Array:
-    """Mean square (WINDOWS,) of the residuals of each window, over what noise makes of it: that of
-    the windows that are kept, whose fit it is, and in others what this fit does not know yet."""
+    """Mean square (WINDOWS,) of each window's residuals, relative to its expectation: the noise
+    variance, plus the variance of the prediction in windows that the fit does not use."""
     keep = kept[window]
     beta, sigma = _fitted(W, f, keep)
     squares = ((f - W @ beta) / sigma) ** 2
@@ -73,16 +73,16 @@ def _by_window(values: Array, window: Array) -> Array:
 
 
 def _fitted(W: Array, f: Array, keep: Array) -> tuple[Array, Array]:
-    """Least squares (r,), rows weighted by the noise that a fit of each alone leaves (as `wls`),
-    and the noise (m,) that the residuals of all together tell."""
+    """Least squares beta (r,) with rows weighted by their own noise (as `wls`), and the noise (m,)
+    of its residuals."""
     rows, r = range(f.shape[1]), W.shape[-1]
     sigma = _positive(np.array([_own_noise(W[keep, i], f[keep, i]) for i in rows]))
     G, g = (W[keep] / sigma[:, None]).reshape(-1, r), (f[keep] / sigma).ravel()
     beta, _, rank, _ = np.linalg.lstsq(G, g, rcond=1e-9)
     if rank < r:
         raise EstimationError(
-            f"The quietest part of the recording excites {rank} of {r} base parameters: contacts "
-            "cannot be found in it; declare their intervals."
+            f"The quietest part of the recording excites {rank} of {r} base parameters, too few "
+            "for contact detection; declare the contact intervals."
         )
     left = np.sqrt(((f[keep] - W[keep] @ beta) ** 2).mean(axis=0))
     return np.asarray(beta), _positive(left * np.sqrt(len(g) / max(len(g) - r, 1)))
@@ -90,7 +90,7 @@ def _fitted(W: Array, f: Array, keep: Array) -> tuple[Array, Array]:
 
 def _own_noise(W: Array, f: Array) -> float:
     beta, _, rank, _ = np.linalg.lstsq(W, f, rcond=1e-9)
-    return float(np.linalg.norm(f - W @ beta)) / np.sqrt(max(len(f) - rank, 1))
+    return float(np.linalg.norm(f - W @ beta) / np.sqrt(max(len(f) - rank, 1)))
 
 
 def _positive(sigma: Array) -> Array:

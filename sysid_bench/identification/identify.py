@@ -1,4 +1,4 @@
-"""One estimator on one problem, guarded: an estimate always comes back."""
+"""Run one estimator on one problem and return an estimate in any case."""
 
 import time
 from dataclasses import replace
@@ -11,10 +11,11 @@ from sysid_bench.types import Array, Estimate, EstimateStatus, Experiment, Probl
 
 
 def identify(estimator: Any, problem: Problem, experiment: Experiment | None = None) -> Estimate:
-    """The estimate of `solve(problem)`, or of `fit(experiment)` where the method needs one.
+    """Return the estimate of `solve(problem)`, or of `fit(experiment)` for methods that simulate.
 
-    A method that says why not (EstimationError, UnsupportedError) answers with a status; a wrong
-    shape or a number that is not finite is a failure with its reason. `stats["seconds"]` is set.
+    EstimationError and UnsupportedError become the status "failed" or "unsupported" with their
+    reason; so does an estimate with a wrong shape or a value that is not finite. Sets
+    `stats["seconds"]`.
     """
     start = time.perf_counter()
     try:
@@ -33,18 +34,16 @@ def _call(estimator: Any, problem: Problem, experiment: Experiment | None) -> An
         return estimator.solve(problem)
     if hasattr(estimator, "fit"):
         if experiment is None:
-            raise UnsupportedError(
-                f"{estimator!r} needs an experiment, and there is only a problem."
-            )
+            raise UnsupportedError(f"{estimator!r} needs an experiment; only a problem is given.")
         return estimator.fit(experiment)
     raise UsageError(
-        f"{estimator!r} is no estimator: it has neither solve(problem) nor fit(experiment)."
+        f"{estimator!r} is not an estimator: it has neither solve(problem) nor fit(experiment)."
     )
 
 
 def _checked(estimate: Any, problem: Problem) -> Estimate:
     if not isinstance(estimate, Estimate):
-        raise EstimationError(f"The method answered {type(estimate).__name__}, not an Estimate.")
+        raise EstimationError(f"The method returned {type(estimate).__name__}, not an Estimate.")
     known = get_args(EstimateStatus)
     if estimate.status not in known:
         raise EstimationError(
@@ -58,7 +57,7 @@ def _checked(estimate: Any, problem: Problem) -> Estimate:
         theta = _numbers("theta", theta, (len(problem.parameters),))
         beta = problem.base.K @ theta
     if beta is None:
-        raise EstimationError("The method answered neither beta nor theta.")
+        raise EstimationError("The method returned neither beta nor theta.")
     beta = _numbers("beta", beta, (r,))
     if estimate.covariance is not None:
         covariance = _numbers("covariance", estimate.covariance, (r, r))
@@ -67,15 +66,17 @@ def _checked(estimate: Any, problem: Problem) -> Estimate:
     if estimate.sigma is not None:
         sigma = _numbers("sigma", estimate.sigma, (len(problem.rows),))
         if (sigma <= 0).any():
-            raise EstimationError("The method's sigma holds a number that is not positive.")
+            raise EstimationError("The method's sigma has a value that is not positive.")
     return replace(estimate, theta=theta, beta=beta, covariance=covariance, sigma=sigma)
 
 
 def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Array:
-    """A stranger's numbers as an array of this shape, or an EstimationError about what came."""
+    """Convert a plug-in's numbers to an array of this shape; raise EstimationError otherwise."""
     numbers = np.asarray(values)
     if numbers.dtype.kind not in "fiu":
-        raise EstimationError(f"The method's {name} holds no real numbers but {numbers.dtype}.")
+        raise EstimationError(
+            f"The method's {name} has the type {numbers.dtype}, not real numbers."
+        )
     if numbers.shape != shape:
         raise EstimationError(
             f"The method's {name} has the shape {numbers.shape}; expected {shape}."
@@ -83,6 +84,6 @@ def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Array:
     bad = int((~np.isfinite(numbers)).sum())
     if bad:
         raise EstimationError(
-            f"{bad} of {numbers.size} numbers of the method's {name} are not finite."
+            f"{bad} of {numbers.size} values of the method's {name} are not finite."
         )
     return numbers.astype(float)

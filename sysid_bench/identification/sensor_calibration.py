@@ -1,8 +1,8 @@
-"""In-situ calibration of a force/torque sensor: gain, crosstalk, mounting and constants at once.
+"""In-situ calibration of a force/torque sensor: gain, crosstalk, mounting and offset.
 
-With a known load the true wrench is known, f = Y_n phi, and a sensor reads G f + o with one matrix
-G (6, 6), whatever its errors are made of. Readings are noisy and models are not, so that readings
-are regressed on models and the result is inverted: the other way round would be biased.
+With a known load the true wrench f = Y_n phi is known, and the sensor reads G f + o with one matrix
+G (6, 6). Readings are noisy and models are not: readings are regressed on models and the result is
+inverted, since the reverse regression would be biased.
 """
 
 from dataclasses import dataclass
@@ -14,28 +14,29 @@ from sysid_bench.errors import EstimationError
 from sysid_bench.types import Array
 
 SPREAD: Final = 0.02
-"""What is believed of a sensor beforehand: entries of G within 2 % of the ideal (one deviation), by
-the size of their rows and columns. One load moves little but c x f: what it does not tell stays."""
+"""Prior standard deviation of the entries of G - 1, relative to the size of their rows and columns.
+One load excites little besides c x f: the unexcited entries keep their prior mean."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A sensor that reads G f + offset."""
+    """Sensor model: reading = G f + offset, [n; f] in N m and N."""
 
     G: Array  # (6, 6)
     offset: Array  # (6,)
 
     def apply(self, reading: Array) -> Array:
-        """The wrench (N, 6) behind a reading (N, 6)."""
+        """Return the wrench (N, 6) of a reading (N, 6)."""
         return np.linalg.solve(self.G, (reading - self.offset).T).T
 
 
 def calibrate(reading: Array, known: Array, spread: float = SPREAD) -> Calibration:
-    """The calibration of readings (N, 6) of known wrenches (N, 6), of one load or of several one
-    after another. G is found as near to the ideal as the readings let it, row by row: a normal
-    prior with deviations `spread` against the noise that the best fit leaves.
+    """Estimate the calibration from readings (N, 6) of known wrenches (N, 6), of one load or
+    several.
 
-    Raises EstimationError where there are too few samples, or no wrench at all.
+    Maximum a posteriori, row by row: G - 1 has a normal prior with standard deviation `spread`, the
+    noise is the residual of the unconstrained fit. Raises EstimationError for too few samples or
+    zero wrenches.
     """
     if len(known) < 50 or not np.abs(known).max() > 0:
         raise EstimationError(
@@ -48,6 +49,8 @@ def calibrate(reading: Array, known: Array, spread: float = SPREAD) -> Calibrati
     free = np.linalg.lstsq(scaled, residual, rcond=None)[0]
     sigma = np.sqrt(((residual - scaled @ free) ** 2).mean(axis=0))
     H, z = scaled.T @ scaled, scaled.T @ residual
-    believed = np.diag([spread**-2] * 6 + [0.0])
-    told = np.array([np.linalg.solve(H + s**2 * believed, z[:, i]) for i, s in enumerate(sigma)])
-    return Calibration(np.eye(6) + told[:, :6] * size[:, None] / size, told[:, 6] * size)
+    information = np.diag([spread**-2] * 6 + [0.0])
+    posterior = np.array(
+        [np.linalg.solve(H + s**2 * information, z[:, i]) for i, s in enumerate(sigma)]
+    )
+    return Calibration(np.eye(6) + posterior[:, :6] * size[:, None] / size, posterior[:, 6] * size)

@@ -67,7 +67,7 @@ def by_cvxpy(problem: Problem) -> Callable[[], None]:
     def solve() -> None:
         x = cp.Variable(len(problem.parameters))
         constraints = [x[i] >= 0 for i in of.nonnegative]
-        for place in of.places:
+        for place in of.indices:
             J = sum(x[int(i)] * E for i, E in zip(place, BASIS, strict=True))
             constraints.append(J - 1e-7 * cp.trace(J) * np.eye(4) >> 0)
         fit = cp.Minimize(cp.sum_squares(seen @ (x - rows.origin)))

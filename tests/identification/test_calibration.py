@@ -64,7 +64,7 @@ def test_a_recursion_is_the_batch_for_any_rows(seed: int) -> None:
     prior = rng.normal(size=7)
     track = RecursiveEstimator().run(W, f, sigma, prior, P, free)
     np.testing.assert_allclose(track.last, batch_estimate(W, f, sigma, prior, P, free), atol=1e-10)
-    assert track.places[-1] == 199
+    assert track.indices[-1] == 199
     np.testing.assert_array_equal(track.used, free)
 
 
@@ -87,7 +87,7 @@ def test_contacts_stand_out_of_the_quietest_half(seed: int, share: float) -> Non
 def test_too_little_to_find_contacts_in_says_so() -> None:
     with pytest.raises(EstimationError, match="too few"):
         free_samples(np.ones((20, 6, 3)), np.ones((20, 6)))
-    with pytest.raises(EstimationError, match="declare their intervals"):
+    with pytest.raises(EstimationError, match="declare the contact intervals"):
         free_samples(np.ones((2000, 6, 3)), np.random.default_rng(0).normal(size=(2000, 6)))
 
 

@@ -1,0 +1,1 @@
+"""Estimators, one per file: frozen settings with `solve(problem)` or `fit(experiment)`."""

@@ -1,4 +1,4 @@
-"""Least squares with a prior: what the data do not say is taken from what was known."""
+"""Bayesian least squares: a Gaussian prior on all parameters."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,28 +13,29 @@ from sysid_bench.types import Estimate, Problem
 
 @dataclass(frozen=True)
 class APriori:
-    """min |S^-1/2 (W K theta - b)|^2 + weight |(theta - theta0) / std|^2 over all parameters.
+    """min |S^-1/2 (W K theta - b)|^2 + weight |(theta - theta0) / std|^2 over all p parameters.
 
-    Each parameter counts by its declared standard deviation, so that no unit is favoured; S is the
-    noise per joint (as `wls`). With weight 1 it is the most probable theta of a Gaussian prior, and
-    the covariance that of its posterior. Physical consistency is not imposed. Assumes W exact and
-    white noise per joint.
+    theta0 and std are mean and standard deviations of the prior, so that no unit is favoured; S is
+    the noise variance per joint (as `wls`). Closed form by SVD. The default weight 1 gives the
+    maximum a posteriori estimate, and the covariance of its posterior. Physical consistency is not
+    imposed. Assumes W exact and white noise per joint. Tarantola (2005).
     """
 
     weight: float = 1.0
-    bias: ClassVar[str] = "drawn towards the prior, the less the more exact the data are"
+    bias: ClassVar[str] = "drawn towards the prior, less so the more exact the data are"
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate, for motions too that do not excite every direction; raises EstimationError
-        without a prior."""
+        """Return theta and the covariance, also where the motion does not excite every direction.
+
+        Raises EstimationError without a prior."""
         prior = required_prior(problem)
         K, std = problem.base.K, prior.std / np.sqrt(self.weight)
         R = stacked_factor(problem, (1.0 / row_sigmas(problem)).tolist())
         # In x = (theta - theta0) / std the prior is the unit ball, and the data a rank-r map of it.
         U, values, Vt = np.linalg.svd(R[:, :-1] @ (K * std), full_matrices=False)
-        told = U.T @ (R[:, -1] - R[:, :-1] @ (K @ prior.theta))
-        theta = prior.theta + std * (Vt.T @ (values / (values**2 + 1.0) * told))
-        seen = (K * std) @ Vt.T
-        unseen = K * std - seen @ Vt
-        spread = np.hstack([seen / np.sqrt(values**2 + 1.0), unseen])
-        return Estimate(theta=theta, covariance=spread @ spread.T)
+        projected = U.T @ (R[:, -1] - R[:, :-1] @ (K @ prior.theta))
+        theta = prior.theta + std * (Vt.T @ (values / (values**2 + 1.0) * projected))
+        excited = (K * std) @ Vt.T
+        unexcited = K * std - excited @ Vt
+        root = np.hstack([excited / np.sqrt(values**2 + 1.0), unexcited])
+        return Estimate(theta=theta, covariance=root @ root.T)

@@ -8,54 +8,65 @@ from scipy.linalg import solve_toeplitz
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.identification.linear.residuals import at_rest, outlier_weights, residuals, step
+from sysid_bench.identification.linear.residuals import (
+    has_converged,
+    residuals,
+    sample_blocks,
+    step,
+)
 from sysid_bench.identification.linear.weights import weighted_fit, with_floor
 from sysid_bench.types import Array, Estimate, Problem
 
 
 @dataclass(frozen=True)
 class ARGLS:
-    """Noise of joint j follows e_t = -a_1 e_(t-1) - ... + w_t: rows and torque are filtered by what
-    makes it white, coefficients from the residuals (Yule-Walker), until beta rests.
+    """Least squares on rows whitened by an AR model of each joint's noise.
 
-    Covariance of the whitened rows. Cochrane and Orcutt (1949), without the first `order` samples.
-    Assumes W exact, and rows of one recording in the order of time at a steady rate.
+    e_t = -a_1 e_(t-1) - ... - a_order e_(t-order) + w_t; the coefficients come from the residuals
+    (Yule-Walker equations), then beta from the whitened rows, repeated until a step changes the
+    torques by less than 1e-10 of them. The first `order` samples are dropped (Cochrane and Orcutt
+    1949). Order 4 models two resonances; of 50 iterations the problems of the conformance kit take
+    16. Assumes W exact and samples in the order of time at a steady rate.
     """
 
     order: int = 4
     iterations: int = 50
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate; raises EstimationError where the motion does not excite every direction,
-        is too short, or beta does not come to rest."""
+        """Return beta and the covariance of the whitened rows.
+
+        Raises EstimationError where the recording is too short or does not excite every direction,
+        or where the iteration does not converge.
+        """
         if problem.samples <= 4 * self.order:
             raise EstimationError(
                 f"{problem.samples} samples are too few for noise of order {self.order}; record a "
-                "longer motion, or take the method 'wls'."
+                "longer motion, or use the method 'wls'."
             )
         beta, _, _ = weighted_fit(problem)
+        # Columns of each row and coefficients of its filter are estimated from its samples.
         acting = np.array([len(factor.columns) for factor in problem.factors])
         freedom = np.maximum(problem.samples - 2 * self.order - acting, 1)
         for iteration in range(1, self.iterations + 1):
             residual = residuals(problem, beta)
-            taps = np.array([whitening_taps(column, self.order) for column in residual.T])
+            taps = np.array([_whitening_filter(column, self.order) for column in residual.T])
             white = _filtered(residual, taps)
             sigma = with_floor(problem, np.sqrt((white**2).sum(axis=0) / freedom))
             R = stacked_factor(problem, (1.0 / sigma).tolist())[:-1, :-1]
             change, spread = step(R, _whitened(problem, residual, taps / sigma[:, None]))
             beta = beta + change
-            if at_rest(R, change, beta):
+            if has_converged(R, change, beta):
                 poles = [float(np.abs(np.roots(tap)).max(initial=0.0)) for tap in taps]
                 stats = {"iterations": float(iteration), "largest_pole": max(poles)}
                 return Estimate(beta, covariance=spread @ spread.T, stats=stats)
         raise EstimationError(
-            f"beta did not come to rest in {self.iterations} iterations; allow more, or take the "
+            f"The method did not converge in {self.iterations} iterations; allow more, or use the "
             "method 'wls'."
         )
 
 
-def whitening_taps(noise: Array, order: int) -> Array:
-    """[1, a_1, ..., a_order]: the filter that makes a series (N,) white, by Yule and Walker."""
+def _whitening_filter(noise: Array, order: int) -> Array:
+    """Filter [1, a_1, ..., a_order] that whitens a series (N,), by the Yule-Walker equations."""
     lags = np.array([noise[k:] @ noise[: len(noise) - k] for k in range(order + 1)])
     if order == 0 or lags[0] == 0.0:
         return np.concatenate([[1.0], np.zeros(order)])
@@ -63,10 +74,10 @@ def whitening_taps(noise: Array, order: int) -> Array:
 
 
 def _whitened(problem: Problem, residual: Array, taps: Array) -> Iterator[tuple[Array, Array]]:
-    """Rows and residuals filtered in time, block after block; `order` samples are lost."""
+    """Rows and residuals filtered in time, block by block, without the first `order` samples."""
     order = taps.shape[1] - 1
     past = np.zeros((0, *(len(problem.rows), problem.base.rank))), residual[:0]
-    for Y, rest in outlier_weights(problem, residual):
+    for Y, rest in sample_blocks(problem, residual):
         Y, rest = np.concatenate([past[0], Y]), np.concatenate([past[1], rest])
         if len(Y) > order:
             yield _filtered(Y, taps[..., None]), _filtered(rest, taps)
@@ -77,4 +88,6 @@ def _filtered(values: Array, taps: Array) -> Array:
     """sum_k taps_k (rows, order + 1, ...) values_(t - k) (N, rows, ...): (N - order, rows, ...)."""
     order = taps.shape[1] - 1
     count = len(values) - order
-    return sum(taps[:, k] * values[order - k : order - k + count] for k in range(order + 1))
+    return np.asarray(
+        sum(taps[:, k] * values[order - k : order - k + count] for k in range(order + 1))
+    )

@@ -1,4 +1,4 @@
-"""EKF: states and parameters together, the model linearised at every sample."""
+"""EKF: joint estimation of states and parameters with linearised dynamics."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,25 +10,27 @@ from sysid_bench.identification.simulation_based.filters import (
     JointFilter,
     joint_filter,
 )
-from sysid_bench.identification.simulation_based.forward_dynamics import differences
+from sysid_bench.identification.simulation_based.forward_dynamics import finite_differences
 from sysid_bench.types import Array, Estimate, Experiment
 
 
 @dataclass(frozen=True)
 class EKF:
-    """Extended Kalman filter on [q v beta], beta constant, driven by the measured torques and
-    corrected by the measured positions (Gautier, Poignet 2001).
+    """Extended Kalman filter on the state [q v beta] (Gautier and Poignet 2001).
 
-    Noise levels are read off the signals. Starts from the prior and its spread, else from least
-    squares. Not consistent: torques between samples are taken as straight lines, and the
-    linearisation forgets what it has not seen; `substeps` of Heun's rule per sample.
+    beta is constant, measured torques are inputs, measured positions are outputs. Noise levels come
+    from high-order differences of the signals; starts from the prior and its standard deviations,
+    else from least squares. Biased: torques between samples are interpolated linearly (`substeps`
+    steps of Heun's rule per sample), and errors of the linearisation are not part of the
+    covariance. One pass, no stop rule. Assumes white noise on q and tau.
     """
 
-    bias: ClassVar[str] = "torques between samples are taken as straight lines"
+    bias: ClassVar[str] = "torques between samples are interpolated linearly"
     substeps: int = 1
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """The estimate after the last sample; raises EstimationError where it runs away."""
+        """Return the estimate after the last sample; raises EstimationError where the filter
+        diverges, UnsupportedError for joints without scalar positions."""
         model = joint_filter(experiment, "The EKF", self.substeps)
         start = belief = model.measured(model.start(), 0)
         for k in range(len(model.q) - 1):
@@ -38,12 +40,14 @@ class EKF:
 
 def _predicted(model: JointFilter, belief: FilterState, k: int) -> FilterState:
     sizes = _sizes(belief)
-    F = differences(lambda states: model.step(states, k), belief.mean, sizes)
+    F = finite_differences(lambda states: model.step(states, k), belief.mean, sizes)
     mean = model.step(belief.mean[None], k)[0]
     P = F @ belief.covariance @ F.T + model.process_noise(belief.mean)
     return FilterState(mean, 0.5 * (P + P.T))
 
 
 def _sizes(belief: FilterState) -> Array:
-    """Steps (k,) of the differences: a hundredth of what is uncertain, above rounding."""
-    return np.maximum(1e-2 * np.sqrt(np.diag(belief.covariance)), 1e-7 * np.abs(belief.mean) + 1e-9)
+    """Finite-difference steps (k,): a hundredth of the standard deviations, above rounding."""
+    return np.asarray(
+        np.maximum(1e-2 * np.sqrt(np.diag(belief.covariance)), 1e-7 * np.abs(belief.mean) + 1e-9)
+    )

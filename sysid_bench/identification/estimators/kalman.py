@@ -1,4 +1,4 @@
-"""The Kalman filter for parameters that wander: a random walk measured by torques."""
+"""Kalman filter of drifting parameters: a random walk measured by torques."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,8 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.feasibility.required_prior import required_prior
 from sysid_bench.identification.linear.normal_qr import (
+    check_excited,
     inverse_of,
-    require_excited,
     solve_upper,
     stacked_factor,
 )
@@ -19,24 +19,25 @@ from sysid_bench.types import Array, Estimate, Problem
 
 @dataclass(frozen=True)
 class Kalman:
-    """beta_(k+1) = beta_k + w_k, b_k = W_k beta_k + v_k; the answer is that after the last sample.
+    """beta_(k+1) = beta_k + w_k, b_k = W_k beta_k + v_k; returns beta after the last sample.
 
-    v has the noise of each joint (as `wls`). `drift` is the standard deviation of the walk over the
-    whole recording, relative to the prior's: parameter by parameter, so that no unit is favoured.
-    The start is diffuse, so that without drift the answer is that of `wls`. Square-root information
-    form (Bierman 1977, chapter 5); the walk takes a step every `hold` samples, which are taken as
-    one state. Gautier and Poignet (2001). Assumes W exact and white noise.
+    v has the noise of each joint (as `wls`). `drift`: standard deviation of the walk over the whole
+    recording relative to that of the prior, parameter by parameter; the default 0 gives `wls`,
+    since the start is diffuse. Square-root information filter (Bierman 1977, chapter 5); the walk
+    takes a step every `hold` samples (20: parameters drift slowly against the sampling). Assumes W
+    exact, white noise. Gautier and Poignet (2001).
     """
 
     drift: float = 0.0
     hold: int = 20
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate; raises EstimationError where the motion does not excite every direction, or
-        where there is a drift and no prior to scale it."""
+        """Return beta and its covariance; raises EstimationError where the motion does not excite
+        every direction, or where a drift has no prior to scale it; UsageError for invalid settings.
+        """
         if self.drift < 0 or self.hold < 1:
-            raise UsageError(f"{self} is no filter: drift is 0 or more, hold at least 1.")
-        require_excited(stacked_factor(problem))
+            raise UsageError(f"{self} is invalid: drift must be 0 or more, hold at least 1.")
+        check_excited(stacked_factor(problem))
         sigma, r = row_sigmas(problem), problem.base.rank
         walk = self._walk(problem) if self.drift > 0 else None
         R = np.zeros((r + 1, r + 1))
@@ -48,15 +49,15 @@ class Kalman:
         return Estimate(solve_upper(R), covariance=inverse @ inverse.T)
 
     def _walk(self, problem: Problem) -> Array:
-        """S (r, r) with S S' the covariance of one step of the walk."""
+        """Square root S (r, r) of the covariance S S' of one step of the walk."""
         steps = max(problem.samples / self.hold, 1.0)
         spread = problem.base.K * required_prior(problem).std
-        return np.asarray(upper_factor(spread.T).T) * self.drift / np.sqrt(steps)
+        return np.asarray(np.asarray(upper_factor(spread.T).T) * self.drift / np.sqrt(steps))
 
 
 def _walked(R: Array, walk: Array) -> Array:
-    """[R | z] after one step of the walk: what is known of beta + S u is what [1, 0; -R S, R]
-    says of (u, beta + S u), u eliminated."""
+    """[R | z] after one step beta + S u of the walk: u is eliminated from the rows [1, 0; -R S, R]
+    of (u, beta + S u) by QR."""
     r = len(walk)
     known = np.vstack(
         [np.hstack([np.eye(r), np.zeros((r, r + 1))]), np.hstack([-R[:, :r] @ walk, R])]

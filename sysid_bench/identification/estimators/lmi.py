@@ -1,4 +1,4 @@
-"""The best fit that can exist: least squares under linear matrix inequalities."""
+"""Least squares under linear matrix inequalities of physical consistency."""
 
 from dataclasses import dataclass, field
 
@@ -12,14 +12,14 @@ from sysid_bench.types import Estimate, Problem
 
 @dataclass(frozen=True)
 class LMI:
-    """min |S^-1/2 (W K theta - b)|^2 where every body has a pseudo-inertia J >= margin tr(J) 1,
-    joint terms that take or store energy are not negative, and masses (kg) and centres of mass (m
-    from the body's frame) lie within limits; S is the noise per joint (as `wls`).
+    """min |S^-1/2 (W K theta - b)|^2 with pseudo-inertias J_i >= margin tr(J_i) 1, S as in `wls`.
 
-    What the torques do not tell comes from the prior, or from spheres of a kilogram, as near as the
-    constraints let it: it means nothing by itself. Where least squares can exist, its torques are
-    the answer's. Sousa and Cortesao (2014, 2019); Wensing, Kim, Slotine (2018). Solved by Clarabel;
-    `duality_gap` and `roundness` (smallest eigenvalue of any J over its trace) are the certificate.
+    Dissipative and elastic joint terms are non-negative; masses (kg) and centres of mass (m from
+    the body frame) lie within limits. A semidefinite program, solved by Clarabel; `duality_gap` and
+    `roundness` (smallest eigenvalue of any J over its trace) are the certificate. Unobservable
+    parameters come from the prior, else from spheres of 1 kg, and mean nothing by themselves.
+    margin = 1e-7 exceeds Clarabel's tolerance. Sousa and Cortesao (2014, 2019); Wensing, Kim,
+    Slotine (2018).
     """
 
     margin: float = 1e-7
@@ -27,8 +27,10 @@ class LMI:
     com: float = field(default=np.inf, metadata={"unit": "m"})
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate, for motions too that do not excite every direction; raises EstimationError
-        where Clarabel does not solve it."""
-        of = feasible_set_of(problem)
+        """Return theta, also where the motion does not excite every direction; raises
+        EstimationError where Clarabel does not solve the program."""
+        feasible = feasible_set_of(problem)
         limits = Limits(self.margin, (self.mass[0], self.mass[1]), self.com)
-        return estimate_of(of, fit(of, problem, limits, start_of(of, problem.prior)))
+        return estimate_of(
+            feasible, fit(feasible, problem, limits, start_of(feasible, problem.prior))
+        )

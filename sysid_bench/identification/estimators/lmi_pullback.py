@@ -1,4 +1,4 @@
-"""The feasible fit drawn towards the prior by the geometry of inertias at the prior."""
+"""Physically consistent fit with the affine-invariant metric at the prior."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -16,20 +16,27 @@ from sysid_bench.types import Estimate, Problem
 
 @dataclass(frozen=True)
 class LMIPullback:
-    """min |S^-1/2 (W K theta - b)|^2 + weight d' M d, d = theta - theta0, where every body can
-    exist (as `lmi`); M_kl = tr(J0^-1 E_k J0^-1 E_l) is the affine-invariant metric of
-    pseudo-inertias pulled back to theta and held at the prior. It does not
-    depend on frames or units. Lee and Park (2018); Lee, Wensing, Park (2020)."""
+    """min |S^-1/2 (W K theta - b)|^2 + weight d' M d, d = theta - theta0, under the LMIs of `lmi`.
+
+    M_kl = tr(J0^-1 E_k J0^-1 E_l) is the affine-invariant metric of pseudo-inertias, pulled back to
+    theta and held at the prior: invariant to frames and units. With the default weight 1 the prior
+    counts like one sample. Solved by Clarabel to a duality gap of 1e-7; margin as in `lmi`. Assumes
+    W exact and white noise per joint. Lee and Park (2018); Lee, Wensing, Park (2020).
+    """
 
     weight: float = 1.0
     margin: float = 1e-7
-    bias: ClassVar[str] = "drawn towards the prior, as if torques had 0.001 % of noise at least"
+    bias: ClassVar[str] = (
+        "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
+    )
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate, for motions too that do not excite every direction; raises EstimationError
-        without a prior, or where Clarabel does not solve it."""
-        of, prior = feasible_set_of(problem), required_prior(problem)
-        std = spread_of(of, prior)
-        x0 = feasible_point(of, prior.theta / of.scale, std)
-        metric = divergence(of, x0, std).metric
-        return estimate_of(of, fit(of, problem, Limits(self.margin), x0, self.weight * metric))
+        """Return theta, also where the motion does not excite every direction; raises
+        EstimationError without a prior, or where Clarabel does not solve the program."""
+        feasible, prior = feasible_set_of(problem), required_prior(problem)
+        std = spread_of(feasible, prior)
+        x0 = feasible_point(feasible, prior.theta / feasible.scale, std)
+        metric = divergence(feasible, x0, std).metric
+        return estimate_of(
+            feasible, fit(feasible, problem, Limits(self.margin), x0, self.weight * metric)
+        )

@@ -1,4 +1,4 @@
-"""Nonlinear least squares in coordinates that can hold nothing but bodies that exist."""
+"""Nonlinear least squares in log-Cholesky coordinates of the pseudo-inertias."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -16,36 +16,39 @@ from sysid_bench.identification.linear.base_coordinates import weighted_coordina
 from sysid_bench.types import Estimate, Problem
 
 STAGE = 10.0
-"""By how much the weight of the rows grows from one stage to the next."""
+"""Growth of the weight of the rows from one stage to the next."""
 
 
 @dataclass(frozen=True)
 class LogCholesky:
-    """min |S^-1/2 (W K theta(eta) - b)|^2 + weight |eta - eta0|^2 with J = U U', U upper triangular
-    with exponentials on its diagonal (Rucker and Wensing 2022): ten free numbers for a body.
+    """min |S^-1/2 (W K theta(eta) - b)|^2 + weight |eta - eta0|^2, S as in `wls`.
 
-    By Newton's method from the prior, the rows weighing more from stage to stage: at once they
-    would make a narrow curved valley. The weight keeps eta from running off along what torques do
-    not tell, and from the boundary, where least squares alone never comes to rest. S is the noise
-    per joint (as `wls`).
+    J = U U', U upper triangular with exponentials on its diagonal: ten unconstrained numbers per
+    body, all of them physically consistent (Rucker and Wensing 2022). Damped Newton from the prior,
+    the weight of the rows growing tenfold from stage to stage: at once they form a narrow curved
+    valley. The default weight 1 counts like one sample; it keeps unexcited eta finite. Stops at a
+    Newton decrement of 1e-9 weight, within 100 iterations per stage. Assumes W exact and white
+    noise per joint.
     """
 
     weight: float = 1.0
     iterations: int = 100  # of each stage
-    bias: ClassVar[str] = "drawn towards the prior, as if torques had 0.001 % of noise at least"
+    bias: ClassVar[str] = (
+        "drawn towards the prior; torques are taken to have 0.001 % of noise at least"
+    )
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate, for motions too that do not excite every direction; raises EstimationError
-        without a prior, or where the iteration does not come to rest."""
-        of, prior = feasible_set_of(problem), required_prior(problem)
-        x0 = feasible_point(of, prior.theta / of.scale, spread_of(of, prior))
-        at, rows = coordinates(of, x0), weighted_coordinates(of, problem, x0)
-        inverse = np.linalg.inv(rows.T)[: rows.rank]
-        eta, total = at.eta0, 0
-        share = 1.0 / max(float(np.linalg.norm(inverse @ (x0 - rows.origin))), 1.0)
+        """Return theta, also where the motion does not excite every direction; raises
+        EstimationError without a prior, or where the iteration does not converge."""
+        feasible, prior = feasible_set_of(problem), required_prior(problem)
+        x0 = feasible_point(feasible, prior.theta / feasible.scale, spread_of(feasible, prior))
+        chart, base = coordinates(feasible, x0), weighted_coordinates(feasible, problem, x0)
+        inverse = np.linalg.inv(base.T)[: base.rank]
+        eta, total = chart.eta0, 0
+        share = 1.0 / max(float(np.linalg.norm(inverse @ (x0 - base.origin))), 1.0)
         while True:
             eta, count, decrement = damped_newton(
-                share * inverse, rows.origin, at, eta, self.weight, self.iterations
+                share * inverse, base.origin, chart, eta, self.weight, self.iterations
             )
             total += count
             if share == 1.0:
@@ -54,6 +57,6 @@ class LogCholesky:
         stats = {
             "iterations": float(total),
             "decrement": decrement,
-            "roundness": float(of.regularity(at.x(eta)).min(initial=0.25)),
+            "roundness": float(feasible.regularity(chart.x(eta)).min(initial=0.25)),
         }
-        return Estimate(theta=of.scale * at.x(eta), stats=stats)
+        return Estimate(theta=feasible.scale * chart.x(eta), stats=stats)

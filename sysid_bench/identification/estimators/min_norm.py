@@ -1,4 +1,4 @@
-"""The shortest theta that explains the torques: the pseudoinverse on all parameters."""
+"""Minimum-norm least squares: the pseudoinverse on all parameters."""
 
 from dataclasses import dataclass
 
@@ -11,18 +11,19 @@ from sysid_bench.types import Estimate, Problem
 
 @dataclass(frozen=True)
 class MinNorm:
-    """theta = pinv(Y) tau, all p parameters, singular values below `rcond` of the largest dropped.
+    """theta = Y^+ tau on all p parameters, singular values below `rcond` of the largest dropped.
 
-    Of everything that explains the torques it takes the shortest vector of SI numbers: what no
-    motion tells comes out as zero or as a share of a sum, and the residual cannot show it. Only
-    parameters with the verdict "identifiable" mean anything. Covariance s^2 (Y'Y)^+ on the base
-    parameters. Penrose (1955); assumes Y exact and torque noise white and equal on all rows.
+    Among all theta with minimal residual it returns the one of smallest norm in SI numbers:
+    unobservable parameters become zero, or a share of a sum, and the residual does not show it.
+    Only parameters with the verdict "identifiable" have a meaning. rcond = 1e-10 lies between
+    rounding and weak excitation. Covariance s^2 (Y'Y)^+ on the base parameters. Closed form.
+    Assumes Y exact, torque noise white and equal on all rows. Penrose (1955).
     """
 
     rcond: float = 1e-10
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate; with a rank-deficient Y too, which it does not complain about."""
+        """Return theta and the covariance of beta, also for a rank-deficient regressor."""
         base = problem.base
         R = stacked_factor(problem)
         # Y = W K and R is the factor of [W | tau]: R K has the singular values of Y.

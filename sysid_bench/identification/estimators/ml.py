@@ -1,4 +1,4 @@
-"""Maximum likelihood: noise on positions and torques, the motion as nuisance."""
+"""Maximum likelihood with noise on positions and torques."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -12,41 +12,42 @@ from sysid_bench.identification.linear.noise_level import white_noise
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.simulation_based.forward_dynamics import scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    accumulated_factor,
     covariance,
     has_converged,
-    regressor_along,
+    regressor_of,
+    residual_factor,
     rows_of,
     step_length,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
-LEAST: Final = (1e-13, 1e-10)
-"""Noise of positions and torques at least, relative to their RMS: rounding."""
+NOISE_FLOOR: Final = (1e-13, 1e-10)
+"""Least noise of positions and torques, relative to their RMS: rounding."""
 
-NUDGE: Final = 1e-6
-"""Of the finite differences of the torque, relative to the size of q, v and a."""
+RELATIVE_STEP: Final = 1e-6
+"""Finite-difference step of the torque, relative to the largest q, v and a."""
 
 SHRINKS: Final = 0.7
-"""Steps that do not shrink to this share of the one before go to and fro: half of them is taken."""
+"""A step longer than this share of the previous one oscillates: the step length is halved."""
 
 
 @dataclass(frozen=True)
 class ML:
-    """Most likely beta and motion under white noise on q and tau, each joint its own (Olsen,
-    Swevers, Verdonck 2002, here with the motion itself among the unknowns: Britt, Luecke 1973).
+    """Maximum likelihood of beta and the motion under white noise on q and tau, per joint.
 
-    The true positions are nuisance; v and a are their differences. Each step linearises the torque
-    about the motion found so far, weighs its residual with (S_tau + A S_q A')^-1, A its derivative
-    by the positions through the differences, a banded matrix, and corrects the motion by what the
-    residual tells. So the regressor is not taken along the noise, and no filter is needed. The
-    noise of q is read off its sixth differences, that of tau off the residual.
+    Errors in variables (Olsen, Swevers, Verdonck 2002; Britt, Luecke 1973): the true positions are
+    nuisance parameters, v and a their central differences. Each iteration linearises the torque
+    about the current motion, weighs its residual with (S_tau + A S_q A')^-1, A = d tau / d q
+    (banded), and corrects the motion; no filter is needed. S_q comes from sixth differences of q,
+    S_tau from the residual. Stops at a step below 0.1 standard deviations; of 30 iterations the
+    problems of the conformance kit take 3.
     """
 
     iterations: int = 30
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """The estimate; raises EstimationError where the iteration does not settle."""
+        """Return beta and its covariance; raises EstimationError where the iteration does not
+        converge, UnsupportedError for joints without scalar positions."""
         scalar_joints(experiment, "Maximum likelihood")
         data = _Data(experiment, _differences(experiment))
         beta, q = solve(stacked_factor(experiment.problem)), data.q
@@ -60,7 +61,7 @@ class ML:
                 return Estimate(
                     beta + step, covariance=covariance(R), stats={"iterations": float(count)}
                 )
-            if size > SHRINKS * before:  # it goes to and fro
+            if size > SHRINKS * before:
                 share *= 0.5
             before = size
             beta, q = beta + share * step, q + share * (q_new - q)
@@ -68,8 +69,8 @@ class ML:
             if not np.isfinite(beta).all():
                 break
         raise EstimationError(
-            f"{self.iterations} iterations did not settle: the last moved the base parameters by "
-            f"{size:.3g} standard deviations; the noise is too large."
+            f"The method did not converge in {self.iterations} iterations: the last changed the "
+            f"base parameters by {size:.3g} standard deviations; the noise is too large."
         )
 
 
@@ -80,7 +81,7 @@ def _torque_noise(data: "_Data", beta: Array, q: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """Positions and torques as measured, and the differences (N, N) that make v and a."""
+    """Measured positions and torques, and the difference matrices (N, N) that give v and a."""
 
     experiment: Experiment
     rates: tuple[csr_array, csr_array]
@@ -96,10 +97,10 @@ class _Data:
         return Trajectory(raw.t, q, *(D @ q for D in self.rates))
 
     def line(self, beta: Array, q: Array) -> "_Line":
-        """The torques of beta along a motion, and how they hang on both."""
+        """Torque residual of beta along a motion, linearised in beta and q."""
         experiment, motion = self.experiment, self.motion(q)
         inner = slice(1, len(q) - 1)  # the ends have no differences
-        W = regressor_along(experiment, motion)[inner]
+        W = regressor_of(experiment, motion)[inner]
         model = W @ beta + experiment.known(motion)[inner]
         tau = rows_of(experiment, experiment.raw.tau)
         exact = experiment.raw.v is not None
@@ -114,31 +115,30 @@ class _Data:
             part = csr_array(B @ kron(pick, eye_array(n), format="csr"))
             A = part if A is None else A + part
         assert A is not None
-        at_least = LEAST[0] * np.sqrt((self.q**2).mean(axis=0)).max()
+        at_least = NOISE_FLOOR[0] * np.sqrt((self.q**2).mean(axis=0)).max()
         noise = np.maximum(white_noise(self.q), at_least)
-        return _Line(W, (tau[inner] - model).ravel(), A, (self.q - q).ravel(), noise, q, tau)
+        error, away = (tau[inner] - model).ravel(), (self.q - q).ravel()
+        return _Line(W, error, A, away, noise, q=q, tau=tau)
 
     def _slope(self, beta: Array, motion: Trajectory, which: int, j: int) -> Array:
-        """Derivative (N, rows) of the torque by q, v or a of joint j."""
+        """Derivative (N, rows) of the torque by q, v or a (`which` 0, 1, 2) of joint j."""
         arrays = [motion.q.copy(), motion.v.copy(), motion.a.copy()]
-        size = NUDGE * max(float(np.abs(arrays[which][:, j]).max()), 1e-3)
+        size = RELATIVE_STEP * max(float(np.abs(arrays[which][:, j]).max()), 1e-3)
         sides = []
         for sign in (1, -1):
             moved = [x.copy() for x in arrays]
             moved[which][:, j] += sign * size
             there = Trajectory(motion.t, moved[0], moved[1], moved[2])
-            sides.append(
-                regressor_along(self.experiment, there) @ beta + self.experiment.known(there)
-            )
+            sides.append(regressor_of(self.experiment, there) @ beta + self.experiment.known(there))
         slope = (sides[0] - sides[1]) / (2 * size)
-        if which == 1:  # friction's step at standstill is no slope
+        if which == 1:  # the jump of Coulomb friction at standstill has no derivative
             slope[np.abs(motion.v[:, j]) <= size] = 0.0
-        return slope
+        return np.asarray(slope)
 
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """The linear problem about (beta, q): e = W dbeta + A dq + noise."""
+    """Linearisation about (beta, q): e = W dbeta + A dq + noise."""
 
     W: Array  # (M, rows, r)
     error: Array  # (M rows,)
@@ -150,10 +150,11 @@ class _Line:
 
     @property
     def rows(self) -> int:
-        return self.W.shape[1]
+        return int(self.W.shape[1])
 
     def solved(self, sigma: Array) -> tuple[Array, Array, Array, Array]:
-        """R of the whitened rows, the step of beta, the motion after it, the residual (M, rows)."""
+        """QR factor of the whitened rows, the step of beta, the corrected motion and the residual
+        (M, rows)."""
         r, M = self.W.shape[-1], len(self.W)
         spread = np.tile(self.q_noise**2, len(self.q))
         weighted = csr_array(self.A @ diags_array(spread))
@@ -161,7 +162,7 @@ class _Line:
         L = _banded_root(C.tocsr(), 3 * self.rows)
         e = self.error - self.A @ self.away
         white = _whiten(L, np.column_stack([self.W.reshape(-1, r), e]))
-        R = accumulated_factor(white[:, None, :r], white[:, r:])
+        R = residual_factor(white[:, None, :r], white[:, r:])
         step = solve(R)
         rest = e - self.W.reshape(-1, r) @ step
         found = _whiten(L, _whiten(L, rest[:, None]), transposed=True)[:, 0]
@@ -169,17 +170,17 @@ class _Line:
         return R, step, q, rest.reshape(M, -1)
 
     def torque_noise(self, rest: Array, before: Array) -> Array:
-        """What the noise of positions does not explain of the residuals (rows,)."""
+        """Standard deviation (rows,) of the residual beyond what position noise explains."""
         spread = np.tile(self.q_noise**2, len(self.q))
         explained = (self.A.multiply(self.A) @ spread).reshape(-1, self.rows).mean(axis=0)
         total = (rest**2).mean(axis=0)
-        floor = LEAST[1] ** 2 * (self.tau**2).mean(axis=0)
+        floor = NOISE_FLOOR[1] ** 2 * (self.tau**2).mean(axis=0)
         left = np.maximum(total - explained, 0.01 * total)
-        return np.sqrt(np.maximum(left, np.maximum(floor, floor.max() * 1e-6)))
+        return np.asarray(np.sqrt(np.maximum(left, np.maximum(floor, floor.max() * 1e-6))))
 
 
 def _differences(experiment: Experiment) -> tuple[csr_array, csr_array]:
-    """First and second central differences (N, N); zero at the ends."""
+    """First and second central differences as matrices (N, N), zero at both ends."""
     N, rate = len(experiment.raw), experiment.raw.rate
     inside = np.ones(N)
     inside[[0, -1]] = 0
@@ -190,7 +191,7 @@ def _differences(experiment: Experiment) -> tuple[csr_array, csr_array]:
 
 
 def _banded_root(C: csr_array, width: int) -> Array:
-    """The lower Cholesky factor of a banded matrix, in LAPACK's band storage."""
+    """Lower Cholesky factor of a banded matrix, in LAPACK's band storage."""
     coo = C.tocoo()
     band = np.zeros((width, C.shape[0]))
     low = coo.row >= coo.col
@@ -206,4 +207,4 @@ def _whiten(L: Array, rows: Array, transposed: bool = False) -> Array:
     solved, info = lapack.dtbtrs(L, rows, uplo="L", trans="T" if transposed else "N")
     if info != 0:
         raise np.linalg.LinAlgError(f"dtbtrs refused its argument {info}.")
-    return solved
+    return np.asarray(solved)

@@ -11,14 +11,14 @@ from sysid_bench.types import Estimate, Problem
 
 @dataclass(frozen=True)
 class OLS:
-    """beta = (W'W)^-1 W'b by QR; covariance s^2 (W'W)^-1 with s^2 = |r|^2 / (M - r).
+    """beta = (W'W)^-1 W'b by QR; covariance s^2 (W'W)^-1, s^2 = |b - W beta|^2 / (M - r).
 
-    Atkeson, An, Hollerbach (1986); Gautier and Khalil (1990). Assumes W exact and torque noise
-    white and equal on all rows; physical consistency is not imposed.
-    """
+    Closed form, no settings. Assumes W exact, torque noise white and equal on all rows; physical
+    consistency is not imposed. Atkeson, An, Hollerbach (1986); Gautier and Khalil (1990)."""
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate; raises EstimationError where the motion does not excite every direction."""
+        """Return beta and its covariance; raises EstimationError where the motion does not excite
+        every direction."""
         R = stacked_factor(problem)
         r = problem.base.rank
         beta = solve(R)

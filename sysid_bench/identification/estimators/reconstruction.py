@@ -1,4 +1,4 @@
-"""Exact reconstruction: the bodies nearest to the prior that have the least-squares torques."""
+"""Physically consistent bodies with exactly the base parameters of least squares."""
 
 from dataclasses import dataclass, replace
 
@@ -11,21 +11,24 @@ from sysid_bench.types import Estimate, Problem
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """theta = argmin d(theta, theta0) over what can exist with K theta = beta, beta that of `wls`.
+    """theta = argmin d(theta, theta0) over physically consistent theta with K theta = beta of
+    `wls`.
 
-    `distance`: "entropic", "euclidean" or "pullback". It changes nothing of the fit: where noise
-    has carried beta out of what can exist, it says so and fails. Sousa and Cortesao (2014); Gaz,
-    Flacco, De Luca (2016).
+    `distance` d: "entropic" (log-det divergence, the default, invariant to frames and units),
+    "euclidean" or "pullback". The fit itself is unchanged: it fails where noise has carried beta
+    out of the feasible set. Convex, with the stop rules of bregman.py and lmi_fit.py. Assumptions
+    of `wls`. Sousa and Cortesao (2014); Gaz, Flacco, De Luca (2016).
     """
 
     distance: str = "entropic"
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate; raises EstimationError without a prior, where the motion does not excite
-        every direction, or where no body can have these base parameters."""
+        """Return theta with the covariance of `wls`; raises EstimationError without a prior, where
+        the motion does not excite every direction, or where no physically consistent body has this
+        beta."""
         prior, fit = required_prior(problem), WLS().solve(problem)
         assert fit.beta is not None
-        of = feasible_set_of(problem)
-        theta = complete(of, problem.base, fit.beta, prior, self.distance)
-        roundness = float(of.regularity(theta / of.scale).min(initial=0.25))
+        feasible = feasible_set_of(problem)
+        theta = complete(feasible, problem.base, fit.beta, prior, self.distance)
+        roundness = float(feasible.regularity(theta / feasible.scale).min(initial=0.25))
         return replace(fit, theta=theta, stats={"roundness": roundness})

@@ -1,4 +1,4 @@
-"""Ridge regression: least squares drawn towards zero where the data say little."""
+"""Ridge regression: least squares with a penalty on unit columns."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -6,44 +6,41 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.identification.linear.normal_qr import require_excited, stacked_factor
+from sysid_bench.identification.linear.normal_qr import check_excited, stacked_factor
 from sysid_bench.identification.linear.weights import row_sigmas
 from sysid_bench.types import Estimate, Problem
 
 
 @dataclass(frozen=True)
 class Ridge:
-    """min |W beta - b|^2 + k |beta|^2 on unit columns of rows divided by their noise (as `wls`), so
-    that kg and kg m^2 are not mixed.
+    """min |S^-1/2 (W beta - b)|^2 + k |D beta|^2, D scaling the weighted columns to unit norm.
 
-    `weight` is k; None takes r / |beta|^2 of weighted least squares (Hoerl, Kennard, Baldwin 1975),
-    which fades where the data are exact. With a weight it answers for motions too that do not
-    excite every direction. Covariance without the bias: its variance alone. Hoerl and Kennard
-    (1970). Assumes W exact and white noise per joint.
+    S is the noise variance per joint (as `wls`), so that kg and kg m^2 are not mixed. `weight` is
+    k; the default None takes r / |D beta|^2 of weighted least squares (Hoerl, Kennard, Baldwin
+    1975), which vanishes for exact data. Closed form by SVD; the covariance is the variance without
+    the bias. Assumes W exact and white noise per joint. Hoerl and Kennard (1970).
     """
 
     weight: float | None = None
     bias: ClassVar[str] = (
-        "drawn towards zero by the weight; none where data are exact and no weight is set"
+        "drawn towards zero by the weight; unbiased for exact data without a weight"
     )
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate; without a weight raises EstimationError where the motion does not excite
-        every direction."""
+        """Return beta and its covariance; with a weight also where the motion does not excite every
+        direction, without one EstimationError is raised there."""
         if self.weight is not None and not self.weight > 0:
-            raise UsageError(
-                f"The ridge's weight is {self.weight}; it has to be positive, or none."
-            )
+            raise UsageError(f"The ridge's weight is {self.weight}; it must be positive, or None.")
         R = stacked_factor(problem, (1.0 / row_sigmas(problem)).tolist())
         norms = np.linalg.norm(R[:, :-1], axis=0)
         norms = np.where(norms > 0, norms, 1.0)
         U, values, Vt = np.linalg.svd(R[:, :-1] / norms, full_matrices=False)
-        told = U.T @ R[:, -1]
+        projected = U.T @ R[:, -1]
         weight = self.weight
         if weight is None:
-            require_excited(stacked_factor(problem))
-            weight = problem.base.rank / max(float(np.sum((told / values) ** 2)), 1e-300)
+            check_excited(stacked_factor(problem))
+            weight = problem.base.rank / max(float(np.sum((projected / values) ** 2)), 1e-300)
         gains = values / (values**2 + weight)
-        spread = Vt.T * gains / norms[:, None]
-        beta = Vt.T @ (gains * told) / norms
-        return Estimate(beta, covariance=spread @ spread.T, stats={"weight": float(weight)})
+        root = Vt.T * gains / norms[:, None]
+        beta = Vt.T @ (gains * projected) / norms
+        return Estimate(beta, covariance=root @ root.T, stats={"weight": float(weight)})

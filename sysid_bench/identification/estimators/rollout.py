@@ -1,4 +1,4 @@
-"""Rollouts: short open-loop predictions of the positions, compared by least squares."""
+"""Multiple shooting: open-loop predictions of short segments."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,43 +15,45 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     GaussNewton,
     floor_of,
 )
-from sysid_bench.identification.simulation_based.output_error import NUDGE
+from sysid_bench.identification.simulation_based.output_error import TORQUE_CHANGE
 from sysid_bench.types import Array, Estimate, Experiment
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """Multiple shooting (Bock 1983): the motion is cut into pieces of `horizon`, the model runs
-    over each under the measured torques, and beta and every piece's start are what predicts the
-    measured positions best; the starts are eliminated piece by piece.
+    """min sum |q - q_s|^2 over beta and the initial states of segments of length `horizon`.
 
-    Starts from the prior, else from least squares. Not consistent: measured torques are inputs with
-    noise, taken as straight lines between the samples; `substeps` of Heun's rule per sample.
+    Multiple shooting (Bock 1983): the model runs over each segment under the measured torques; the
+    initial states are eliminated segment by segment. Gauss-Newton from the prior, else from least
+    squares; stops at a step below 0.1 standard deviations. Biased: torques between samples are
+    interpolated linearly (`substeps` steps of Heun's rule per sample). Segments of 0.2 s keep the
+    open-loop error of unstable dynamics small. Assumes white noise on q.
     """
 
-    bias: ClassVar[str] = "torques between samples are taken as straight lines"
+    bias: ClassVar[str] = "torques between samples are interpolated linearly"
     horizon: float = field(default=0.2, metadata={"unit": "s"})
     substeps: int = 1
     iterations: int = 20
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """The estimate; raises EstimationError where the iteration does not settle."""
+        """Return beta and its covariance; raises EstimationError where the iteration does not
+        converge, UsageError for a horizon of fewer than 5 samples."""
         scalar_joints(experiment, "A rollout")
-        room = simulatable_set(experiment.problem)
+        simulatable = simulatable_set(experiment.problem)
         pieces = _pieces(experiment, self.horizon, self.substeps)
-        return GaussNewton(self.iterations).run(pieces, room, _start(room))
+        return GaussNewton(self.iterations).run(pieces, simulatable, _start(simulatable))
 
 
-def _start(room: SimulatableSet) -> Array:
-    if room.problem.prior is not None:
-        return room.centre
-    R = stacked_factor(room.problem)
-    return room.nearest(solve(R), R[:-1, :-1])
+def _start(simulatable: SimulatableSet) -> Array:
+    if simulatable.problem.prior is not None:
+        return simulatable.centre
+    R = stacked_factor(simulatable.problem)
+    return simulatable.nearest(solve(R), R[:-1, :-1])
 
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Measured positions and torques (S, C, n) of C pieces, and where each begins (C, 2 n)."""
+    """Measured positions and torques (S, C, n) of C segments, and their initial states (C, 2 n)."""
 
     experiment: Experiment
     forward: ForwardModel
@@ -62,23 +64,25 @@ class _Pieces:
 
     @cached_property
     def floor(self) -> Array:
-        """Rounding of the positions (n,)."""
+        """Rounding error of the positions (n,)."""
         return np.asarray(floor_of(self.q.reshape(-1, self.q.shape[-1])))
 
     @cached_property
     def nudges(self) -> Array:
         """Steps (r,) of beta that change the torques a little."""
         R = stacked_factor(self.experiment.problem)
-        return NUDGE * np.linalg.norm(R[:, -1]) / np.linalg.norm(R[:, :-1], axis=0)
+        return np.asarray(
+            TORQUE_CHANGE * np.linalg.norm(R[:, -1]) / np.linalg.norm(R[:, :-1], axis=0)
+        )
 
     def evaluate(self, theta: Array) -> Candidate:
-        """Predictions, and what no start of a piece explains of their errors."""
+        """Prediction errors, projected off the initial states."""
         beta = self.experiment.problem.base.K @ theta
         Q, ahead = self._starts(beta)
         return Candidate(theta, beta, self._unexplained(Q, self.q - ahead))
 
     def jacobian(self, trial: Candidate) -> Array:
-        """Derivative (M, n, r) of the predictions, without what the starts take."""
+        """Derivative (M, n, r) of the predictions, projected off the initial states."""
         Q, ahead = self._starts(trial.beta)
         betas = trial.beta + np.diag(self.nudges)
         moved = self._run(betas, np.tile(self.begin, (len(betas), 1, 1)))
@@ -89,7 +93,8 @@ class _Pieces:
         return np.stack(columns, axis=-1)
 
     def _starts(self, beta: Array) -> tuple[Array, Array]:
-        """An orthonormal basis (C, S n, 2 n) of what the starts can do, and the predictions."""
+        """Orthonormal basis (C, S n, 2 n) of the derivative by the initial states, and the
+        predictions."""
         S, C, n = self.q.shape
         size = 1e-6 * np.maximum(np.abs(self.begin).max(axis=0), 1e-3)
         begins = self.begin + np.concatenate([np.zeros((1, 2 * n)), np.diag(size)])[:, None]
@@ -98,14 +103,14 @@ class _Pieces:
         return np.linalg.qr(slopes.transpose(2, 1, 3, 0).reshape(C, S * n, 2 * n))[0], runs[0]
 
     def _unexplained(self, Q: Array, errors: Array) -> Array:
-        """Errors (S, C, n) less what the starts explain, (S C, n)."""
+        """Errors (S, C, n) minus their projection on the basis Q, as (S C, n)."""
         S, C, n = errors.shape
         flat = errors.transpose(1, 0, 2).reshape(C, S * n, 1)
         rest = flat - Q @ (Q.transpose(0, 2, 1) @ flat)
-        return rest.reshape(C * S, n)
+        return np.asarray(rest.reshape(C * S, n))
 
     def _run(self, betas: Array, begins: Array) -> Array:
-        """Positions (P, S, C, n) for P betas (P, r) and starts (P, C, 2 n)."""
+        """Predicted positions (P, S, C, n) for P betas (P, r) and initial states (P, C, 2 n)."""
         P, (S, C, n) = len(betas), self.q.shape
         beta = np.repeat(betas, C, axis=0)
         q, v = begins.reshape(P * C, 2 * n)[:, :n], begins.reshape(P * C, 2 * n)[:, n:]
@@ -124,7 +129,7 @@ def _pieces(experiment: Experiment, horizon: float, substeps: int) -> _Pieces:
     if S < 6 or C < 1:
         raise UsageError(
             f"A horizon of {horizon} s at {raw.rate} Hz is {S - 1} samples of {len(recording)}; a "
-            "piece needs 5, and the recording one piece."
+            "segment needs 5, and the recording one segment."
         )
     first = int(np.argmin(np.abs(raw.t - recording.t[0])))
     part = slice(first, first + C * S)

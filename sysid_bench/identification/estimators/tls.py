@@ -1,11 +1,11 @@
-"""Total least squares: errors in the regressor as well as in the torque."""
+"""Total least squares: errors in the regressor and in the torque."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.normal_qr import require_excited, stacked_factor
+from sysid_bench.identification.linear.normal_qr import check_excited, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 
@@ -13,36 +13,36 @@ from sysid_bench.types import Estimate, Problem
 class TLS:
     """beta = (W'W - s^2 1)^-1 W'b on unit columns, s the smallest singular value of [W b].
 
-    Assumes independent errors of equal size in all columns of W and in b, each relative to its
-    RMS: so the answer does not depend on units, but on which base parameters are taken. Encoder
-    noise makes dependent errors of different size: TLS is then biased. Covariance (1 + |beta|^2)
-    s^2 / M (W'W - s^2 1)^-1, first order in the noise. Golub and Van Loan (1980); Van Huffel and
-    Vandewalle (1991), section 8.3; Gautier, Vandanjon, Presse (1994).
+    Assumes independent errors of equal size, relative to the RMS, in all columns of W and in b: the
+    result does not depend on units, but on the choice of base parameters. Encoder noise gives
+    dependent errors of unequal size, and TLS is then biased. Closed form, no settings. Covariance
+    (1 + |beta|^2) s^2 / M (W'W - s^2 1)^-1 to first order. Golub and Van Loan (1980); Van Huffel
+    and Vandewalle (1991), section 8.3; Gautier, Vandanjon, Presse (1994).
     """
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate; raises EstimationError where the motion does not excite every direction or
-        the errors are too large for W to tell beta."""
+        """Return beta and its covariance; raises EstimationError where the motion does not excite
+        every direction or the errors exceed the least excited direction."""
         R = stacked_factor(problem)
-        require_excited(R)
+        check_excited(R)
         norms = np.linalg.norm(R, axis=0)
         if norms[-1] == 0.0:
             return Estimate(np.zeros(problem.base.rank))
         unit = R / norms
         smallest = np.linalg.svd(unit, compute_uv=False)[-1]
         U, values, Vt = np.linalg.svd(unit[:, :-1], full_matrices=False)
-        room = values**2 - smallest**2
-        if room[-1] <= 1e-3 * values[-1] ** 2:
+        reduced = values**2 - smallest**2
+        if reduced[-1] <= 1e-3 * values[-1] ** 2:
             raise EstimationError(
                 "Errors in the regressor are as large as its least excited direction: total least "
-                "squares has no answer; filter the signals, or record a richer motion."
+                "squares has no solution; filter the signals, or record a richer motion."
             )
         scale = norms[-1] / norms[:-1]
-        beta = Vt.T @ (values / room * (U.T @ unit[:, -1]))
-        spread = Vt.T / np.sqrt(room) * smallest * np.sqrt((1 + beta @ beta) / self._rows(problem))
-        spread = scale[:, None] * spread
+        beta = Vt.T @ (values / reduced * (U.T @ unit[:, -1]))
+        root = Vt.T / np.sqrt(reduced) * smallest * np.sqrt((1 + beta @ beta) / self._rows(problem))
+        root = scale[:, None] * root
         stats = {"smallest_singular_value": float(smallest)}
-        return Estimate(scale * beta, covariance=spread @ spread.T, stats=stats)
+        return Estimate(scale * beta, covariance=root @ root.T, stats=stats)
 
     def _rows(self, problem: Problem) -> int:
         return max(sum(f.samples for f in problem.factors if len(f.columns)), 1)

@@ -1,4 +1,4 @@
-"""Tukey's M-estimate: far residuals do not count at all."""
+"""Tukey's M-estimator: residuals beyond a threshold do not count."""
 
 from dataclasses import dataclass
 
@@ -12,19 +12,21 @@ from sysid_bench.types import Array, Estimate, Problem
 
 @dataclass(frozen=True)
 class Tukey:
-    """Rows weighted (1 - (r / s / cut)^2)^2 within `cut`, 0 beyond, from Huber's estimate and with
-    its scales s: the loss is not convex, so that where it ends depends on where it starts.
+    """M-estimate with the weights (1 - (r / s / cut)^2)^2 for |r / s| <= cut, zero beyond.
 
-    Beaton and Tukey (1974); Holland and Welsch (1977). With cut = 4.685 it has 95 % of the
-    efficiency of least squares under Gaussian noise. Assumes W exact; outliers in torque alone.
+    Iteratively reweighted least squares from Huber's estimate, whose scales s it holds: the loss is
+    not convex, so that the start decides between local minima. Stops where a step changes the
+    torques by less than 1e-10 of them. cut = 4.685 has 95 % of the efficiency of least squares
+    under Gaussian noise. Assumes W exact; outliers in the torques alone. Beaton and Tukey (1974);
+    Holland, Welsch (1977).
     """
 
     cut: float = 4.685
     iterations: int = 200
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate; raises EstimationError where the motion does not excite every direction or
-        the weights do not come to rest."""
+        """Return beta and its covariance; raises EstimationError where the motion does not excite
+        every direction or the iteration does not converge."""
         start, _, _ = weighted_fit(problem)
         first = m_estimate(problem, huber_loss(Huber.cut), start, self.iterations)
         loss = tukey_loss(self.cut)
@@ -33,7 +35,7 @@ class Tukey:
 
 
 def tukey_loss(cut: float) -> Loss:
-    """psi(u) = u (1 - (u / cut)^2)^2 inside of `cut`, zero outside."""
+    """Return psi(u) = u (1 - (u / cut)^2)^2 for |u| <= cut, zero beyond."""
 
     def inside(u: Array) -> Array:
         return np.maximum(1.0 - (u / cut) ** 2, 0.0)

@@ -1,4 +1,4 @@
-"""UKF: states and parameters together, carried by sigma points."""
+"""UKF: joint estimation of states and parameters with the unscented transform."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -16,16 +16,21 @@ from sysid_bench.types import Array, Estimate, Experiment
 
 @dataclass(frozen=True)
 class UKF:
-    """Unscented Kalman filter on [q v beta], beta constant: as the EKF, with 2 k + 1 sigma points
-    in place of derivatives (van der Merwe 2004); `spread` is how far they lie, in standard
-    deviations."""
+    """Unscented Kalman filter on the state [q v beta] (van der Merwe 2004).
+
+    As `ekf`, with 2 k + 1 sigma points instead of derivatives; `spread` is their distance from the
+    mean in standard deviations: 1 keeps them where the model is accurate. Biased: torques between
+    samples are interpolated linearly (`substeps` steps of Heun's rule per sample). One pass, no
+    stop rule. Assumes white noise on q and tau.
+    """
 
     spread: float = 1.0
-    bias: ClassVar[str] = "torques between samples are taken as straight lines"
+    bias: ClassVar[str] = "torques between samples are interpolated linearly"
     substeps: int = 1
 
     def fit(self, experiment: Experiment) -> Estimate:
-        """The estimate after the last sample; raises EstimationError where it runs away."""
+        """Return the estimate after the last sample; raises EstimationError where the filter
+        diverges, UnsupportedError for joints without scalar positions."""
         model = joint_filter(experiment, "The UKF", self.substeps)
         start = belief = model.measured(model.start(), 0)
         for k in range(len(model.q) - 1):
@@ -47,7 +52,8 @@ class UKF:
 
 
 def _root(P: Array) -> Array:
-    """L (k, k) with L L' = P; what rounding takes is given back."""
+    """Cholesky factor L (k, k) of P, with a small multiple of the diagonal added where rounding
+    has made P indefinite."""
     scale = np.sqrt(np.diag(P))
     scale = np.where(scale > 0, scale, 1.0)
     even = P / np.outer(scale, scale)
@@ -56,4 +62,6 @@ def _root(P: Array) -> Array:
             return scale[:, None] * np.linalg.cholesky(even + share * np.eye(len(P)))
         except np.linalg.LinAlgError:
             continue
-    raise EstimationError("The filter's covariance lost its meaning: the noise is too large.")
+    raise EstimationError(
+        "The filter's covariance is not positive definite: the noise is too large."
+    )

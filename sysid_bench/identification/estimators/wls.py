@@ -1,4 +1,4 @@
-"""Weighted least squares: each joint by its own residual."""
+"""Weighted least squares: rows are weighted by the noise of their joint."""
 
 from dataclasses import dataclass
 
@@ -9,20 +9,20 @@ from sysid_bench.types import Estimate, Problem
 
 @dataclass(frozen=True)
 class WLS:
-    """Rows of joint j divided by sigma_j; covariance (W' S^-1 W)^-1.
+    """beta = (W' S^-1 W)^-1 W' S^-1 b by QR, S = diag(sigma_j^2); covariance (W' S^-1 W)^-1.
 
-    sigma_j is the residual of joint j's own least squares with N_j - b_j degrees of freedom, b_j
-    base parameters that joint j tells apart: unbiased whatever the noise of other joints. Each of
-    `iterations` beyond the first takes the residuals of the weighted fit instead, with
-    N_j - tr(H_jj) degrees of freedom, H its hat matrix.
-
-    Gautier (1997); Gautier and Poignet (2001). Assumes W exact and white noise per joint.
+    sigma_j comes from joint j's own least squares with N_j - b_j degrees of freedom, b_j its base
+    parameters: unbiased whatever the noise of the other joints, so that one iteration suffices.
+    Each further one of `iterations` uses the residuals of the weighted fit with N_j - tr(H_jj)
+    degrees of freedom, H the hat matrix. Assumes W exact and white noise per joint. Gautier (1997);
+    Gautier and Poignet (2001).
     """
 
     iterations: int = 1
 
     def solve(self, problem: Problem) -> Estimate:
-        """The estimate; raises EstimationError where the motion does not excite every direction."""
+        """Return beta and its covariance; raises EstimationError where the motion does not excite
+        every direction."""
         beta, R, sigma = weighted_fit(problem)
         for _ in range(self.iterations - 1):
             beta, R, sigma = weighted_fit(problem, fit_sigmas(problem, beta, R, sigma))

@@ -1,9 +1,9 @@
-"""Entropic fits: the log-det divergence from the prior, by a primal-dual interior-point method.
+"""Fits with the log-det divergence from the prior, by a primal-dual interior-point method.
 
-d(J, J0) = -log det J + tr(J0^-1 J) + log det J0 - 4, the Bregman divergence of -log det (Lee,
-Wensing, Park 2020): it does not depend on frames or units, and keeps every body inside of what can
-exist. Joint terms that are not negative have the same in one dimension, -log f + f / f0; the others
-are drawn quadratically.
+d(J, J0) = -log det J + tr(J0^-1 J) + log det J0 - 4 is the Bregman divergence of -log det (Lee,
+Wensing, Park 2020): invariant to frames and units, and a barrier of physical consistency.
+Non-negative joint terms have its one-dimensional form -log f + f / f0; terms of either sign have a
+quadratic penalty.
 """
 
 from collections.abc import Callable
@@ -20,41 +20,41 @@ from sysid_bench.identification.linear.base_coordinates import BaseCoordinates
 from sysid_bench.types import Array
 
 DECREMENT: Final = 1e-10
-"""Newton's decrement, relative to the weight of the divergence, at which the fit is at rest."""
+"""Newton decrement at convergence, relative to the weight of the divergence."""
 
 FIRST: Final = 1e-6
-"""The first products J Z over the mean square: small ones are quick, large ones lead far."""
+"""First barrier parameter relative to the mean square: small is fast, large is robust."""
 
 CENTRAL: Final = 1.01
-"""Times the weight: products J Z that are as they shall be."""
+"""Largest mean of J Z, relative to the weight, that counts as on the central path."""
 
 ROUNDED: Final = 1e-3
-"""The same where it no longer sinks: what is left is rounding."""
+"""Newton decrement at convergence where it no longer decreases because of rounding."""
 
 MOST: Final = 150
-"""Iterations; whole humanoids with exact data need about 40."""
+"""Most iterations; whole humanoids with exact data take about 40."""
 
 WITHIN: Final = 0.95
-"""The share of the way to the edge of what can exist that a step takes at most."""
+"""Largest share of the distance to the boundary of the feasible set that a step takes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Divergence:
-    """d(x, x0) of all bodies and joint terms; x0 (p,) has to be strictly possible."""
+    """d(x, x0) of all bodies and joint terms; x0 (p,) must be strictly feasible."""
 
-    of: FeasibleSet
+    feasible: FeasibleSet
     x0: Array
-    free: Array  # places of what has no sign
+    free: Array  # indices of the terms of either sign
     pull: Array  # 1 / variance of those
     linear: Array  # (p,): derivative of tr(J0^-1 J) + f / f0
 
     def value(self, x: Array) -> float:
-        """Up to a constant; infinite outside of what can exist."""
-        terms = x[self.of.nonnegative]
+        """Divergence up to a constant; infinite outside the feasible set."""
+        terms = x[self.feasible.nonnegative]
         if terms.min(initial=1.0) <= 0:
             return np.inf
         try:
-            roots = np.linalg.cholesky(self.of.pseudo_inertias(x))
+            roots = np.linalg.cholesky(self.feasible.pseudo_inertias(x))
         except np.linalg.LinAlgError:
             return np.inf
         logs = 2 * np.log(np.einsum("bii->bi", roots)).sum() + np.log(terms).sum()
@@ -63,79 +63,82 @@ class Divergence:
 
     @property
     def metric(self) -> Array:
-        """The Hessian (p, p) at x0."""
-        of, out = self.of, np.zeros((len(self.x0), len(self.x0)))
-        inverse = np.linalg.inv(of.pseudo_inertias(self.x0))
-        out[of.places[:, :, None], of.places[:, None, :]] = rotated_coordinates(inverse)
-        out[of.nonnegative, of.nonnegative] = 1 / self.x0[of.nonnegative] ** 2
+        """Hessian (p, p) at x0: the affine-invariant metric."""
+        feasible, out = self.feasible, np.zeros((len(self.x0), len(self.x0)))
+        inverse = np.linalg.inv(feasible.pseudo_inertias(self.x0))
+        out[feasible.indices[:, :, None], feasible.indices[:, None, :]] = metric_blocks(inverse)
+        out[feasible.nonnegative, feasible.nonnegative] = 1 / self.x0[feasible.nonnegative] ** 2
         out[self.free, self.free] = self.pull
         return out
 
 
-def rotated_coordinates(S: Array) -> Array:
+def metric_blocks(S: Array) -> Array:
     """tr(S E_k S E_l) (nb, 10, 10) of symmetric S (nb, 4, 4), E_k = dJ / dx_k."""
     left, right = S[:, None] @ BASIS, BASIS @ S[:, None]
-    return left.reshape(-1, 10, 16) @ right.reshape(-1, 10, 16).swapaxes(1, 2)
+    return np.asarray(left.reshape(-1, 10, 16) @ right.reshape(-1, 10, 16).swapaxes(1, 2))
 
 
-def divergence(of: FeasibleSet, x0: Array, std: Array) -> Divergence:
-    """The divergence from x0 (p,); `std` (p,) that of the terms that have no sign."""
+def divergence(feasible: FeasibleSet, x0: Array, std: Array) -> Divergence:
+    """Divergence from x0 (p,); `std` (p,): standard deviations, for the terms of either sign."""
     signed = np.ones(len(x0), dtype=bool)
-    signed[of.places] = signed[of.nonnegative] = False
+    signed[feasible.indices] = signed[feasible.nonnegative] = False
     free, linear = np.flatnonzero(signed), np.zeros(len(x0))
-    inverse = np.linalg.inv(of.pseudo_inertias(x0))
-    linear[of.places] = np.einsum("bij,kji->bk", inverse, BASIS)
-    linear[of.nonnegative] = 1 / x0[of.nonnegative]
-    return Divergence(of, x0, free, 1 / np.maximum(std[free], 1e-6) ** 2, linear)
+    inverse = np.linalg.inv(feasible.pseudo_inertias(x0))
+    linear[feasible.indices] = np.einsum("bij,kji->bk", inverse, BASIS)
+    linear[feasible.nonnegative] = 1 / x0[feasible.nonnegative]
+    return Divergence(feasible, x0, free, 1 / np.maximum(std[free], 1e-6) ** 2, linear)
 
 
 def newton(
-    from_prior: Divergence, at: BaseCoordinates, weight: float, y: Array
+    from_prior: Divergence, coordinates: BaseCoordinates, weight: float, y: Array
 ) -> tuple[Array, int, float]:
-    """(x, iterations, decrement) of min |y[:rank]|^2 / 2 + weight d(x(y), x0), started at y.
+    """Minimise |y[:rank]|^2 / 2 + weight d(x(y), x0) from y; return (x, iterations, decrement).
 
-    Newton's method on the divergence alone creeps along the edge of what can exist. Beside J stands
-    its dual Z, until J Z = weight 1: directions of Nesterov and Todd, and Mehrotra's choice of how
-    much nearer to that a step goes. Convex, so that it ends at the only minimum. Raises
-    EstimationError where it does not come to rest.
+    A primal Newton method converges slowly along the boundary. The dual Z of J satisfies J Z =
+    weight 1 at the solution: Nesterov-Todd directions (1997), with Mehrotra's choice of the barrier
+    parameter. The problem is convex with a unique minimum. Raises EstimationError where it does not
+    converge.
     """
-    if len(y) == 0:  # nothing is left to choose
-        return at.x(y), 0, 0.0
-    squares = float(np.sum(y[: at.rank] ** 2)) / len(y)
-    here, before = _start(from_prior, at, weight, y, max(weight, FIRST * squares)), np.inf
+    if len(y) == 0:  # all parameters are determined
+        return coordinates.x(y), 0, 0.0
+    squares = float(np.sum(y[: coordinates.rank] ** 2)) / len(y)
+    iterate, before = (
+        _start(from_prior, coordinates, weight, y, max(weight, FIRST * squares)),
+        np.inf,
+    )
     for iteration in range(1, MOST + 1):
         try:
-            last = here.move(weight)
-            if last.decrement <= DECREMENT * weight or (
-                here.mu <= CENTRAL * weight and ROUNDED * weight >= last.decrement > 0.5 * before
+            step = iterate.direction(weight)
+            if step.decrement <= DECREMENT * weight or (
+                iterate.mu <= CENTRAL * weight and ROUNDED * weight >= step.decrement > 0.5 * before
             ):
-                return at.x(here.y), iteration, last.decrement
-            here, before = here.after(here.led(last)), last.decrement
-        except np.linalg.LinAlgError:  # on the edge, where numbers end
+                return coordinates.x(iterate.y), iteration, step.decrement
+            iterate, before = iterate.updated(iterate.centred_step(step)), step.decrement
+        except np.linalg.LinAlgError:  # at the boundary, within rounding
             break
     raise EstimationError(
-        f"The fit did not come to rest in {iteration} iterations: the prior and the data are too "
-        "far apart; check the units of both."
+        f"The fit did not converge in {iteration} iterations: the prior and the data are too far "
+        "apart; check the units of both."
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Move:
-    """A direction from a place, and how far it goes before something cannot exist."""
+class _Step:
+    """Search direction, its Newton decrement, and the step length to the boundary."""
 
     y: Array
     Z: Array
     z: Array
     decrement: float
-    room: float
+    step_limit: float
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
-    """y with its duals Z (nb, 4, 4) and z (k,), those of the joint terms."""
+class _Iterate:
+    """y with its duals Z (nb, 4, 4) of the bodies and z (k,) of the joint terms."""
 
     d: Divergence
-    at: BaseCoordinates
+    coordinates: BaseCoordinates
     weight: float
     y: Array
     Z: Array
@@ -144,17 +147,17 @@ class _Place:
     @cached_property
     def x(self) -> Array:
         """x (p,)."""
-        return self.at.x(self.y)
+        return self.coordinates.x(self.y)
 
     @cached_property
     def terms(self) -> Array:
-        """Of x those that are not negative (k,)."""
-        return self.x[self.d.of.nonnegative]
+        """Non-negative joint terms (k,) of x."""
+        return np.asarray(self.x[self.d.feasible.nonnegative])
 
     @cached_property
     def J(self) -> Array:
         """Pseudo-inertias (nb, 4, 4)."""
-        return self.d.of.pseudo_inertias(self.x)
+        return self.d.feasible.pseudo_inertias(self.x)
 
     @cached_property
     def roots(self) -> Array:
@@ -164,7 +167,7 @@ class _Place:
     @cached_property
     def inverse(self) -> Array:
         """J^-1."""
-        return self.roots.swapaxes(1, 2) @ self.roots
+        return np.asarray(self.roots.swapaxes(1, 2) @ self.roots)
 
     @cached_property
     def scaling(self) -> Array:
@@ -172,11 +175,13 @@ class _Place:
         L = np.linalg.cholesky(self.J)
         values, V = np.linalg.eigh(L.swapaxes(1, 2) @ self.Z @ L)
         half = V.swapaxes(1, 2) @ self.roots
-        return half.swapaxes(1, 2) @ (np.sqrt(np.maximum(values, 0.0))[:, :, None] * half)
+        return np.asarray(
+            half.swapaxes(1, 2) @ (np.sqrt(np.maximum(values, 0.0))[:, :, None] * half)
+        )
 
     @cached_property
     def mu(self) -> float:
-        """The mean of the eigenvalues of all J Z."""
+        """Barrier parameter: mean eigenvalue of all J Z."""
         return self.mu_of(self.J, self.Z, self.terms, self.z)
 
     def mu_of(self, J: Array, Z: Array, terms: Array, z: Array) -> float:
@@ -184,70 +189,74 @@ class _Place:
 
     @cached_property
     def solve(self) -> Callable[[Array], Array]:
-        """Newton's matrix, factored: a gradient (m,) becomes a direction."""
-        d, of, T = self.d, self.d.of, self.at.T
-        curved = np.empty_like(T)  # the Hessian by x, body by body, times T
-        places, blocks = of.places.ravel(), rotated_coordinates(self.scaling)
-        curved[places] = (blocks @ T[of.places]).reshape(-1, T.shape[1])
-        curved[of.nonnegative] = (self.z / self.terms)[:, None] * T[of.nonnegative]
+        """Newton's matrix, factored: the map of a gradient (m,) to a direction."""
+        d, feasible, T = self.d, self.d.feasible, self.coordinates.T
+        curved = np.empty_like(T)  # Hessian by x, block diagonal, times T
+        places, blocks = feasible.indices.ravel(), metric_blocks(self.scaling)
+        curved[places] = (blocks @ T[feasible.indices]).reshape(-1, T.shape[1])
+        curved[feasible.nonnegative] = (self.z / self.terms)[:, None] * T[feasible.nonnegative]
         curved[d.free] = self.weight * d.pull[:, None] * T[d.free]
         hessian = T.T @ curved
-        inner = np.arange(self.at.rank)
+        inner = np.arange(self.coordinates.rank)
         hessian[inner, inner] += 1.0
         return _factored(hessian)
 
-    def move(self, target: float) -> _Move:
-        """The direction to where J Z = target 1; its decrement counts for target = weight."""
-        d, of, at = self.d, self.d.of, self.at
+    def direction(self, target: float) -> _Step:
+        """Newton direction towards J Z = target 1."""
+        d, feasible, coordinates = self.d, self.d.feasible, self.coordinates
         slope = self.weight * d.linear
-        slope[of.places] -= target * np.einsum("bij,kji->bk", self.inverse, BASIS)
-        slope[of.nonnegative] -= target / self.terms
+        slope[feasible.indices] -= target * np.einsum("bij,kji->bk", self.inverse, BASIS)
+        slope[feasible.nonnegative] -= target / self.terms
         slope[d.free] += self.weight * d.pull * (self.x[d.free] - d.x0[d.free])
-        gradient = at.T.T @ slope
-        gradient[: at.rank] += self.y[: at.rank]
+        gradient = coordinates.T.T @ slope
+        gradient[: coordinates.rank] += self.y[: coordinates.rank]
         y = self.solve(gradient)
-        x = at.T @ y
-        J, terms = of.pseudo_inertias(x), x[of.nonnegative]
+        x = coordinates.T @ y
+        J, terms = feasible.pseudo_inertias(x), x[feasible.nonnegative]
         Z = target * self.inverse - self.Z - self.scaling @ J @ self.scaling
         z = (target - self.z * terms) / self.terms - self.z
         dual_roots = np.linalg.inv(np.linalg.cholesky(self.Z))
-        room = min(_room(self.roots, J, self.terms, terms), _room(dual_roots, Z, self.z, z))
-        return _Move(y, Z, z, float(-gradient @ y), room)
+        step_limit = min(
+            _step_limit(self.roots, J, self.terms, terms), _step_limit(dual_roots, Z, self.z, z)
+        )
+        return _Step(y, Z, z, float(-gradient @ y), step_limit)
 
-    def led(self, last: _Move) -> _Move:
-        """The move to take where `last` leads to the weight at once: a nearer goal where that one
-        is out of reach, the nearer the less of the way is free."""
-        share = min(1.0, WITHIN * last.room)
+    def centred_step(self, step: _Step) -> _Step:
+        """The step to take, given the one that aims at the weight directly: a larger barrier
+        parameter where that one soon reaches the boundary (Mehrotra's rule, third power of the
+        predicted reduction)."""
+        share = min(1.0, WITHIN * step.step_limit)
         if self.mu <= CENTRAL * self.weight or share > 0.9:
-            return last
-        x = self.x + share * (self.at.T @ last.y)
+            return step
+        x = self.x + share * (self.coordinates.T @ step.y)
         left = self.mu_of(
-            self.d.of.pseudo_inertias(x), self.Z + share * last.Z,
-            x[self.d.of.nonnegative], self.z + share * last.z,
+            self.d.feasible.pseudo_inertias(x), self.Z + share * step.Z,
+            x[self.d.feasible.nonnegative], self.z + share * step.z,
         ) / self.mu  # fmt: skip
         target = self.mu * min(max(left, 0.0), 1.0) ** 3
-        return self.move(target) if target > self.weight else last
+        return self.direction(target) if target > self.weight else step
 
-    def after(self, move: _Move) -> "_Place":
-        """The place after as much of a move as there is room for: one share for all, as squares
-        tie the duals to where they belong."""
-        share = min(1.0, WITHIN * move.room)
+    def updated(self, step: _Step) -> "_Iterate":
+        """Iterate after a step; one step length for primal and dual, which the squares couple."""
+        share = min(1.0, WITHIN * step.step_limit)
         return replace(
             self,
-            y=self.y + share * move.y, Z=self.Z + share * move.Z, z=self.z + share * move.z,
+            y=self.y + share * step.y, Z=self.Z + share * step.Z, z=self.z + share * step.z,
         )  # fmt: skip
 
 
-def _start(d: Divergence, at: BaseCoordinates, weight: float, y: Array, mu: float) -> _Place:
-    x = at.x(y)
-    Z = mu * np.linalg.inv(d.of.pseudo_inertias(x))
-    return _Place(d, at, weight, y, Z, mu / x[d.of.nonnegative])
+def _start(
+    d: Divergence, coordinates: BaseCoordinates, weight: float, y: Array, mu: float
+) -> _Iterate:
+    x = coordinates.x(y)
+    Z = mu * np.linalg.inv(d.feasible.pseudo_inertias(x))
+    return _Iterate(d, coordinates, weight, y, Z, mu / x[d.feasible.nonnegative])
 
 
-def _room(roots: Array, move: Array, terms: Array, more: Array) -> float:
-    """The share of a move (nb, 4, 4), and of `more` (k,), that leaves nothing of some body whose
-    inverse Cholesky factors are `roots`, or of some of the terms (k,)."""
-    turned = roots @ move @ roots.swapaxes(1, 2)
+def _step_limit(roots: Array, direction: Array, terms: Array, more: Array) -> float:
+    """Step length at which the change `direction` (nb, 4, 4), or `more` (k,), reaches the boundary,
+    for bodies with the inverse Cholesky factors `roots` and the joint terms `terms` (k,)."""
+    turned = roots @ direction @ roots.swapaxes(1, 2)
     most = max(
         -float(np.linalg.eigvalsh(turned).min(initial=0.0)),
         -float((more / terms).min(initial=0.0)),
@@ -256,8 +265,8 @@ def _room(roots: Array, move: Array, terms: Array, more: Array) -> float:
 
 
 def _factored(hessian: Array) -> Callable[[Array], Array]:
-    """g -> -H^-1 g, with coordinates scaled to a diagonal of ones; where rounding has made H
-    indefinite, with as much more on the diagonal as it takes."""
+    """g -> -H^-1 g with a diagonal scaled to one; where rounding has made H indefinite, the least
+    multiple of the unit matrix that restores it is added."""
     size = 1 / np.sqrt(np.diag(hessian))
     scaled = hessian * size * size[:, None]
     more = 0.0

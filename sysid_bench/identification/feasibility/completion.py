@@ -1,4 +1,4 @@
-"""From base parameters to whole bodies: the nearest to a prior that can exist."""
+"""Completion of base parameters to physically consistent bodies nearest to a prior."""
 
 from dataclasses import replace
 from typing import Final
@@ -15,74 +15,72 @@ from sysid_bench.identification.feasibility.required_prior import (
     spread_of,
     start_of,
 )
-from sysid_bench.identification.linear.base_coordinates import BaseCoordinates, unobserved
+from sysid_bench.identification.linear.base_coordinates import BaseCoordinates, nullspace
 from sysid_bench.types import Array, BaseMap, Estimate, Prior, Problem
 
 DISTANCES: Final = ("entropic", "euclidean", "pullback")
 
 TINY: Final = 1e-12
-"""N m and the like: a joint term of zero, whose logarithm is asked for."""
+"""Least joint term (SI) whose logarithm is taken."""
 
 
 def complete(
-    of: FeasibleSet, base: BaseMap, beta: Array, prior: Prior, distance: str = "entropic"
+    feasible: FeasibleSet, base: BaseMap, beta: Array, prior: Prior, distance: str = "entropic"
 ) -> Array:
-    """theta (p,) that can exist, with K theta = beta, nearest to the prior in a distance: the
-    log-det divergence ("entropic"), standard deviations ("euclidean"), or the metric of
-    pseudo-inertias at the prior ("pullback").
+    """Return the physically consistent theta (p,) with K theta = beta nearest to the prior.
 
-    What beta does not tell is the prior's, moved as little as it takes. Raises EstimationError
-    where nothing that can exist has these base parameters.
+    `distance`: log-det divergence ("entropic"), standard deviations ("euclidean"), or the
+    affine-invariant metric at the prior ("pullback"). Raises EstimationError where no feasible
+    theta has this beta, UsageError for an unknown distance.
     """
     if distance not in DISTANCES:
         raise unknown_name("distance", distance, DISTANCES)
-    std = spread_of(of, prior)
-    x0 = feasible_point(of, prior.theta / of.scale, std)
-    near = divergence(of, x0, std)
+    std = spread_of(feasible, prior)
+    x0 = feasible_point(feasible, prior.theta / feasible.scale, std)
+    near = divergence(feasible, x0, std)
     metric = np.diag(1 / std**2) if distance == "euclidean" else near.metric
-    found = nearest(of, base, beta, x0, metric)
+    found = nearest(feasible, base, beta, x0, metric)
     if distance != "entropic":
-        return of.scale * found.x
-    return of.scale * _entropic(near, found.x, unobserved(of, base))
+        return np.asarray(feasible.scale * found.x)
+    return np.asarray(feasible.scale * _entropic(near, found.x, nullspace(feasible, base)))
 
 
 def completed_estimate(estimate: Estimate, problem: Problem, distance: str) -> Estimate:
-    """The estimate with a theta that can exist.
+    """Return the estimate with a physically consistent theta.
 
-    It has the same base parameters; where noise has carried those out of all that can exist, the
-    nearest that do, as the data weigh them, and `stats` tells in `moved` how much that adds to the
-    squares of the residuals (noise has the variance one). Raises EstimationError without a prior,
-    or where no such fit is found.
+    beta is unchanged where it is feasible; otherwise it becomes the nearest feasible one in the
+    metric of the data, and `stats["moved"]` is the increase of the sum of squares (unit noise
+    variance). Raises EstimationError without a prior, or where no feasible fit is found.
     """
     if estimate.beta is None:
-        raise EstimationError("There are no base parameters to complete: the method gave none.")
-    of, prior = feasible_set_of(problem), required_prior(problem)
+        raise EstimationError("The method returned no base parameters to complete.")
+    feasible, prior = feasible_set_of(problem), required_prior(problem)
     try:
-        theta = complete(of, problem.base, estimate.beta, prior, distance)
+        theta = complete(feasible, problem.base, estimate.beta, prior, distance)
     except EstimationError:
         return _moved(estimate, problem)
     return replace(estimate, theta=theta)
 
 
 def _moved(estimate: Estimate, problem: Problem) -> Estimate:
-    """The nearest to the base parameters of an estimate that can exist, as the data weigh them: on
-    the border, where no distance has a choice left. A method's own that exist stay."""
-    of, prior = feasible_set_of(problem), required_prior(problem)
-    if estimate.theta is not None and _exists(of, estimate.theta):
+    """Nearest feasible estimate in the metric of the data: on the boundary, where no distance has a
+    choice left. A physically consistent theta of the method itself is kept."""
+    feasible, prior = feasible_set_of(problem), required_prior(problem)
+    if estimate.theta is not None and _exists(feasible, estimate.theta):
         return estimate
-    found = fit(of, problem, Limits(), start_of(of, prior))
-    theta, stats = of.scale * found.x, {**estimate.stats, "moved": found.excess}
+    found = fit(feasible, problem, Limits(), start_of(feasible, prior))
+    theta, stats = feasible.scale * found.x, {**estimate.stats, "moved": found.excess}
     return replace(estimate, beta=problem.base.K @ theta, theta=theta, stats=stats)
 
 
-def _exists(of: FeasibleSet, theta: Array) -> bool:
-    return bool(of.regularity(theta / of.scale).min(initial=0.25) > 0)
+def _exists(feasible: FeasibleSet, theta: Array) -> bool:
+    return bool(feasible.regularity(theta / feasible.scale).min(initial=0.25) > 0)
 
 
 def _entropic(near: Divergence, start: Array, N: Array) -> Array:
-    """Newton's method among start + N n, from one that can exist, if barely."""
+    """Minimum of the divergence over start + N n, from a feasible start."""
     x = start.copy()
-    terms = near.of.nonnegative
+    terms = near.feasible.nonnegative
     x[terms] = np.maximum(x[terms], TINY)
     found, _, _ = newton(near, BaseCoordinates(x, N, 0), 1.0, np.zeros(N.shape[1]))
     return found

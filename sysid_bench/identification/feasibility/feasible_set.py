@@ -1,9 +1,9 @@
-"""Which parameters can exist: the set that feasible fits look in, built once per robot.
+"""Feasible set of physically consistent parameters, built once per robot.
 
-A body can exist iff its pseudo-inertia J(phi) (4, 4) is positive definite (Wensing, Kim, Slotine
-2018). With lengths in LENGTH the margin J >= margin tr(J) 1 is linear in phi, scaled to each body
-without knowing its mass, and satisfied by a body of nothing. Friction, rotor inertia and stiffness
-are not negative.
+A body is physically consistent iff its pseudo-inertia J(phi) (4, 4) is positive definite (Wensing,
+Kim, Slotine 2018). With lengths in units of LENGTH, the margin J >= margin tr(J) 1 is linear in
+phi, scales with the body's mass and holds for a massless body. Friction, rotor inertia and
+stiffness are non-negative.
 """
 
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ from sysid_bench.spatial.inertia import pseudo_inertia
 from sysid_bench.types import Array, Body, Problem
 
 LENGTH: Final = 0.1
-"""m; the size of a robot's link, in which inertias of a kilogram are of the order of one."""
+"""m; a typical link size: moments of inertia of 1 kg are then of the order of one."""
 
 NOT_NEGATIVE: Final = (".fv", ".fc", ".Ia", ".k")
-"""Endings of joint terms that take energy or store it."""
+"""Suffixes of dissipative and elastic joint terms."""
 
 SCALE: Final = np.array([1.0] + [LENGTH] * 3 + [LENGTH**2] * 6)
 """phi (10,) of a body of 1 kg and LENGTH."""
@@ -31,22 +31,22 @@ BASIS: Final = _UNITS @ pseudo_inertia(np.diag(SCALE)) @ _UNITS
 
 @dataclass(frozen=True, eq=False)
 class FeasibleSet:
-    """The places of bodies and joint terms in x (p,), theta = scale x."""
+    """Indices of bodies and joint terms in the scaled parameters x (p,), theta = scale x."""
 
     parameters: tuple[str, ...]
     bodies: tuple[Body, ...]
 
     @cached_property
-    def places(self) -> Array:
-        """Of each body's ten numbers (nb, 10)."""
+    def indices(self) -> Array:
+        """Indices (nb, 10) of the parameters of each body."""
         index = {name: i for i, name in enumerate(self.parameters)}
-        places = [[index[column] for column in body.columns] for body in self.bodies]
-        return np.array(places, dtype=int).reshape(-1, 10)
+        indices = [[index[column] for column in body.columns] for body in self.bodies]
+        return np.array(indices, dtype=int).reshape(-1, 10)
 
     @cached_property
     def nonnegative(self) -> Array:
-        """Of the joint terms that are at least zero; coupled viscous friction has either sign."""
-        inertial = set(self.places.ravel().tolist())
+        """Indices (k,) of non-negative joint terms; coupled viscous friction has either sign."""
+        inertial = set(self.indices.ravel().tolist())
         return np.array(
             [
                 i
@@ -58,17 +58,17 @@ class FeasibleSet:
 
     @cached_property
     def scale(self) -> Array:
-        """theta of one x (p,)."""
+        """Scale (p,): theta of x = 1."""
         scale = np.ones(len(self.parameters))
-        scale[self.places] = SCALE
+        scale[self.indices] = SCALE
         return scale
 
     def pseudo_inertias(self, x: Array) -> Array:
-        """J (nb, 4, 4) in LENGTH and kg."""
-        return np.einsum("bk,kij->bij", x[self.places], BASIS)
+        """Pseudo-inertias J (nb, 4, 4), lengths in LENGTH, kg."""
+        return np.asarray(np.einsum("bk,kij->bij", x[self.indices], BASIS))
 
     def regularity(self, x: Array) -> Array:
-        """The smallest eigenvalue of each J over its trace (nb,): at most 1/4; 0 for nothing."""
+        """Smallest eigenvalue of each J over its trace (nb,), at most 1/4; 0 if massless."""
         J = self.pseudo_inertias(x)
         trace = np.trace(J, axis1=1, axis2=2)
         smallest = np.linalg.eigvalsh(J)[:, 0]
@@ -79,10 +79,10 @@ class FeasibleSet:
 
 @lru_cache(maxsize=64)
 def feasible_set(parameters: tuple[str, ...], bodies: tuple[Body, ...]) -> FeasibleSet:
-    """The set of a robot, its places looked up once."""
+    """Feasible set of a robot, cached."""
     return FeasibleSet(parameters, bodies)
 
 
 def feasible_set_of(problem: Problem) -> FeasibleSet:
-    """The set of a problem's parameters."""
+    """Feasible set of a problem's parameters."""
     return feasible_set(problem.parameters, problem.bodies)

@@ -1,4 +1,4 @@
-"""Quadratic fits in the set of parameters that can exist, solved by Clarabel on the R factor."""
+"""Quadratic programs over the feasible set, solved by Clarabel on the R factor."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,33 +18,32 @@ from sysid_bench.identification.feasibility.feasible_set import (
 )
 from sysid_bench.identification.linear.base_coordinates import (
     WEAK,
-    unobserved,
+    nullspace,
     weighted_coordinates,
 )
 from sysid_bench.types import Array, BaseMap, Body, Estimate, Problem
 
 TOLERANCE: Final = 1e-7
-"""Of Clarabel's duality gap: squares of residuals whose noise has the variance one."""
+"""Clarabel's tolerance of the duality gap, a sum of squares with unit noise variance."""
 
 STEPS: Final = (0.99, 0.95, 0.9)
-"""Shares of the way to the border that Clarabel goes at once: its own, and shorter ones where
-rounding stops it there."""
+"""Largest step fractions: Clarabel's default, and smaller ones where rounding stops it."""
 
 FEASIBLE: Final = (1e-9, 1e-8)
-"""What constraints may be missed by, and what is taken where rounding allows no less."""
+"""Tolerance of the constraints, and the one accepted where rounding allows no less."""
 
 LEAST: Final = 3e-8
-"""kg, lengths in LENGTH: the least eigenvalue of J, above what constraints may be missed by."""
+"""Least eigenvalue of J (kg, lengths in LENGTH), above the tolerance of the constraints."""
 
 ACCEPTED: Final = 1e-4
-"""The gap, absolute or relative, that is taken where rounding allows no less."""
+"""Duality gap, absolute or relative, accepted where rounding allows no less."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a method is told a body has to keep: `margin`, the least eigenvalue of J over its trace
-    (None: no pseudo-inertia at all, masses and moments alone are not negative); `mass` (kg) of each
-    body; `com`, the largest coordinate (m) of a centre of mass from the body's frame."""
+    """Constraints of each body: `margin`, least eigenvalue of J over its trace (None: no LMI, only
+    non-negative masses and moments with the triangle inequality); `mass` (kg); `com`, the largest
+    coordinate (m) of the centre of mass in the body frame."""
 
     margin: float | None = 1e-7
     mass: tuple[float, float] = (0.0, np.inf)
@@ -53,7 +52,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
-    """h - G x in a product of cones; `linear` of them are half-spaces, then PSD triangles."""
+    """Constraints h - G x in a product of cones: `linear` half-spaces, then PSD triangles."""
 
     G: sparse.csc_matrix
     h: Array
@@ -67,7 +66,7 @@ class _Cones:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """x (p,) that can exist, and the certificate that nothing better does."""
+    """Feasible x (p,) with its optimality certificate."""
 
     x: Array
     gap: float  # primal minus dual objective, where noise has the variance one
@@ -77,13 +76,15 @@ class Fit:
 
 @lru_cache(maxsize=64)
 def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Limits) -> _Cones:
-    """The constraints of a robot, built once."""
-    of = feasible_set(parameters, bodies)
+    """Constraints of a robot, cached."""
+    feasible = feasible_set(parameters, bodies)
     p, nb = len(parameters), len(bodies)
-    rows: list[tuple[Array, Array, float]] = []  # places, coefficients, bound: coeff x <= bound
-    for i in of.nonnegative:
+    rows: list[
+        tuple[Array, Array, float]
+    ] = []  # indices, coefficients, bound: coefficients x <= bound
+    for i in feasible.nonnegative:
         rows.append((np.array([i]), np.array([-1.0]), 0.0))
-    for at in of.places:
+    for at in feasible.indices:
         rows += _body_rows(at, limits)
     G = sparse.lil_matrix((len(rows), p))
     for k, (at, coefficients, _) in enumerate(rows):
@@ -93,7 +94,7 @@ def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Lim
         return _Cones(G.tocsc(), h, len(rows), 0)
     triangle = _triangle(limits.margin)
     blocks = sparse.lil_matrix((10 * nb, p))
-    for b, at in enumerate(of.places):
+    for b, at in enumerate(feasible.indices):
         blocks[10 * b : 10 * b + 10, at] = -triangle
     stacked = sparse.vstack([G, blocks], format="csc")
     least = np.tile(-LEAST * _entries(np.eye(4)), nb)
@@ -120,60 +121,60 @@ def _body_rows(at: Array, limits: Limits) -> list[tuple[Array, Array, float]]:
 
 
 def _triangle(margin: float) -> Array:
-    """Entries (10, 10) of J - margin tr(J) 1 for each unit x: the upper triangle, column by column,
-    off the diagonal times the root of two."""
+    """Clarabel's triangle (10, 10) of J - margin tr(J) 1 for each unit x: the upper triangle by
+    columns, off-diagonal entries times sqrt(2)."""
     inner = BASIS - margin * np.trace(BASIS, axis1=1, axis2=2)[:, None, None] * np.eye(4)
     return np.stack([_entries(one) for one in inner], axis=1)
 
 
 def _entries(M: Array) -> Array:
-    """The ten numbers of a symmetric matrix (4, 4) that Clarabel calls its triangle."""
+    """Clarabel's triangle (10,) of a symmetric matrix (4, 4)."""
     return np.array(
         [M[i, j] * (1.0 if i == j else np.sqrt(2.0)) for j in range(4) for i in range(j + 1)]
     )
 
 
 def fit(
-    of: FeasibleSet, problem: Problem, limits: Limits, start: Array, pull: Array | None = None
+    feasible: FeasibleSet, problem: Problem, limits: Limits, start: Array, pull: Array | None = None
 ) -> Fit:
-    """The least-squares fit, plus (x - start)' pull (x - start) / 2, over what can exist.
+    """Return the weighted least-squares fit, plus (x - start)' pull (x - start) / 2, over the
+    feasible set.
 
-    Without a pull the fit alone decides, and `start` only where it says nothing. Raises
-    EstimationError with Clarabel's status where it does not solve to TOLERANCE.
+    Without `pull` the start (p,) matters along unexcited directions alone. Raises EstimationError
+    with Clarabel's status where it does not solve to TOLERANCE.
     """
-    at = weighted_coordinates(of, problem, start)
+    at = weighted_coordinates(feasible, problem, start)
     p, r = len(start), at.rank
     P, q = np.diag(np.repeat([1.0, WEAK], [r, p - r])), np.zeros(p)
     if pull is not None:
         P, q = P + at.T.T @ pull @ at.T, at.T.T @ (pull @ (at.origin - start))
-    y, gap, iterations = _solved(of, limits, at.origin, at.T, P, q)
-    x = _existing(of, limits, at.origin + at.T @ y)
+    y, gap, iterations = _solved(feasible, limits, at.origin, at.T, P, q)
+    x = _existing(feasible, limits, at.origin + at.T @ y)
     return Fit(x, gap, iterations, float(y[:r] @ y[:r]))
 
 
-def nearest(of: FeasibleSet, base: BaseMap, beta: Array, start: Array, metric: Array) -> Fit:
-    """min (x - start)' metric (x - start) / 2 over what can exist with the base parameters beta.
+def nearest(feasible: FeasibleSet, base: BaseMap, beta: Array, start: Array, metric: Array) -> Fit:
+    """Minimise (x - start)' metric (x - start) / 2 over feasible x with the base parameters beta.
 
-    Raises EstimationError where nothing can exist that has them.
-    """
-    N = unobserved(of, base)
+    Raises EstimationError where no feasible x has them."""
+    N = nullspace(feasible, base)
     x = start.copy()
     free = np.setdiff1d(np.arange(len(x)), base.pivots)
-    x[base.pivots] = beta / of.scale[base.pivots] + N[base.pivots] @ start[free]
+    x[base.pivots] = beta / feasible.scale[base.pivots] + N[base.pivots] @ start[free]
     P, q = N.T @ metric @ N, N.T @ (metric @ (x - start))
-    n, gap, iterations = _solved(of, Limits(), x, N, P, q)
-    return Fit(_existing(of, Limits(), x + N @ n), gap, iterations, 0.0)
+    n, gap, iterations = _solved(feasible, Limits(), x, N, P, q)
+    return Fit(_existing(feasible, Limits(), x + N @ n), gap, iterations, 0.0)
 
 
-def estimate_of(of: FeasibleSet, fit: Fit) -> Estimate:
-    """All parameters, with the certificate of the fit."""
+def estimate_of(feasible: FeasibleSet, fit: Fit) -> Estimate:
+    """Estimate of all parameters with the certificate of the fit."""
     stats = {
         "duality_gap": fit.gap,
         "iterations": float(fit.iterations),
-        "roundness": float(of.regularity(fit.x).min(initial=0.25)),
+        "roundness": float(feasible.regularity(fit.x).min(initial=0.25)),
         "excess": fit.excess,
     }
-    return Estimate(theta=of.scale * fit.x, stats=stats)
+    return Estimate(theta=feasible.scale * fit.x, stats=stats)
 
 
 def _settings(step: float) -> clarabel.DefaultSettings:
@@ -187,14 +188,14 @@ def _settings(step: float) -> clarabel.DefaultSettings:
 
 
 def _solved(
-    of: FeasibleSet, limits: Limits, origin: Array, T: Array, P: Array, q: Array
+    feasible: FeasibleSet, limits: Limits, origin: Array, T: Array, P: Array, q: Array
 ) -> tuple[Array, float, int]:
-    """(y, duality gap, iterations) of min y'Py / 2 + q'y where origin + T y can exist.
+    """(y, duality gap, iterations) of min y'Py / 2 + q'y with origin + T y feasible.
 
-    Solved for the way d from the minimum y0 without constraints, y = y0 + d / sqrt(diag(P)): the
-    objective is then what the constraints cost, and its accuracy that of the cost alone.
+    Solved for the offset d from the unconstrained minimum y0, y = y0 + d / sqrt(diag(P)): the
+    objective is then the cost of the constraints alone, and so is its accuracy.
     """
-    cones = _cones_of(of.parameters, of.bodies, limits)
+    cones = _cones_of(feasible.parameters, feasible.bodies, limits)
     size = 1 / np.sqrt(np.maximum(np.diag(P), 1.0))
     P = P * size * size[:, None]
     free = -size * cho_solve(cho_factor(P), size * q) if q.any() else np.zeros(len(q))
@@ -213,28 +214,28 @@ def _solved(
             break
     if "PrimalInfeasible" in status:
         raise EstimationError(
-            "No bodies that can exist have these parameters: Clarabel finds the constraints "
-            "contradictory. Take a feasible fit instead, or wider limits."
+            "No physically consistent bodies have these parameters: Clarabel finds the constraints "
+            "infeasible. Use a feasible fit instead, or wider limits."
         )
     if status not in ("Solved", "AlmostSolved"):
         raise EstimationError(
-            f"Clarabel answers {status} after {answer.iterations} iterations: no fit that can "
-            "exist was found to full accuracy; a prior or limits on mass would bound it."
+            f"Clarabel returned {status} after {answer.iterations} iterations: no feasible fit was "
+            "found to full accuracy; a prior or limits on mass would bound it."
         )
     gap = abs(answer.obj_val - answer.obj_val_dual)
     return free + size * np.array(answer.x), gap, int(answer.iterations)
 
 
-def _existing(of: FeasibleSet, limits: Limits, x: Array) -> Array:
-    """x (p,) with joint terms that are negative by rounding made zero; raises EstimationError where
-    the eigenvalues of a body say that it cannot exist, whatever the solver does."""
+def _existing(feasible: FeasibleSet, limits: Limits, x: Array) -> Array:
+    """x (p,) with joint terms that are negative by rounding set to zero; raises EstimationError
+    where a pseudo-inertia has a negative eigenvalue."""
     out = x.copy()
-    out[of.nonnegative] = np.maximum(x[of.nonnegative], 0.0)
-    if limits.margin is not None and of.bodies:
-        smallest = float(np.linalg.eigvalsh(of.pseudo_inertias(out))[:, 0].min())
+    out[feasible.nonnegative] = np.maximum(x[feasible.nonnegative], 0.0)
+    if limits.margin is not None and feasible.bodies:
+        smallest = float(np.linalg.eigvalsh(feasible.pseudo_inertias(out))[:, 0].min())
         if not smallest >= 0:
             raise EstimationError(
-                f"Clarabel's answer has a pseudo-inertia with the eigenvalue {smallest:.1e}: it "
-                "cannot exist; a larger margin leaves more room for rounding."
+                f"Clarabel's solution has a pseudo-inertia with the eigenvalue {smallest:.1e}: it "
+                "is not physically consistent; use a larger margin."
             )
     return out

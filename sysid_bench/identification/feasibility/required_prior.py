@@ -1,4 +1,4 @@
-"""What a method is told beforehand: asked for in words, and made such that it can exist."""
+"""Prior of methods that need one, and its nearest strictly feasible point."""
 
 from typing import Final
 
@@ -9,49 +9,51 @@ from sysid_bench.identification.feasibility.feasible_set import BASIS, FeasibleS
 from sysid_bench.types import Array, Prior, Problem
 
 ROUND: Final = 1e-4
-"""The least roundness of a prior body: point masses and sheets have no distance to anything."""
+"""Least roundness of a prior body: the divergence from point masses and plates is infinite."""
 
 LIGHTEST: Final = 1e-3
-"""kg; what a body that the prior says weighs nothing is taken for."""
+"""kg; mass of a body that the prior declares massless."""
 
 
 def required_prior(problem: Problem) -> Prior:
-    """The prior; raises EstimationError where there is none."""
+    """Return the prior; raises EstimationError without one."""
     if problem.prior is None:
         raise EstimationError(
-            "This method starts from a prior, and there is none: declare one "
-            '(prior = { mass = "20 %", ... }), or take a method without.'
+            "This method needs a prior: declare one "
+            '(prior = { mass = "20 %", ... }), or use a method without.'
         )
     return problem.prior
 
 
-def start_of(of: FeasibleSet, prior: Prior | None) -> Array:
-    """x (p,) of the prior; without one solid spheres of a kilogram and of LENGTH, and no joint
-    terms."""
+def start_of(feasible: FeasibleSet, prior: Prior | None) -> Array:
+    """x (p,) of the prior; without one, solid spheres of 1 kg and radius LENGTH, no joint terms."""
     if prior is not None:
-        return prior.theta / of.scale
-    x = np.zeros(len(of.parameters))
-    x[of.places[:, [0]]] = 1.0
-    x[of.places[:, [4, 7, 9]]] = 0.4
+        return np.asarray(prior.theta / feasible.scale)
+    x = np.zeros(len(feasible.parameters))
+    x[feasible.indices[:, [0]]] = 1.0
+    x[feasible.indices[:, [4, 7, 9]]] = 0.4
     return x
 
 
-def feasible_point(of: FeasibleSet, x: Array, std: Array) -> Array:
-    """The nearest x (p,) whose bodies are strictly possible and whose joint terms are positive, by
-    their spread `std` (p,) at least where they are zero."""
-    out, J = x.copy(), of.pseudo_inertias(x)
+def feasible_point(feasible: FeasibleSet, x: Array, std: Array) -> Array:
+    """Nearest strictly feasible x (p,); joint terms that are not positive become their standard
+    deviation `std` (p,)."""
+    out, J = x.copy(), feasible.pseudo_inertias(x)
     smallest = np.linalg.eigvalsh(J)[:, 0]
     trace = np.maximum(np.trace(J, axis1=1, axis2=2), LIGHTEST)
     lift = np.maximum(ROUND * trace - smallest, 0.0)
-    # A multiple of the unit matrix: mass, and the same second moment along every axis.
+    # x of J = 1: mass, and equal second moments along all axes.
     unit = np.linalg.lstsq(BASIS.reshape(10, 16).T, np.eye(4).ravel(), rcond=None)[0]
-    out[of.places] += lift[:, None] * unit
-    at = of.nonnegative
-    out[at] = np.maximum(out[at], np.maximum(std[at], 1e-6) * (out[at] <= 0))
+    out[feasible.indices] += lift[:, None] * unit
+    terms = feasible.nonnegative
+    out[terms] = np.maximum(out[terms], np.maximum(std[terms], 1e-6) * (out[terms] <= 0))
     return out
 
 
-def spread_of(of: FeasibleSet, prior: Prior) -> Array:
-    """Standard deviations of x (p,) as declared; a prior that claims to be exact is taken to be so
-    to a millionth."""
-    return np.maximum(prior.std / of.scale, 1e-6 * np.maximum(np.abs(prior.theta / of.scale), 1.0))
+def spread_of(feasible: FeasibleSet, prior: Prior) -> Array:
+    """Declared standard deviations of x (p,), at least a millionth of its size."""
+    return np.asarray(
+        np.maximum(
+            prior.std / feasible.scale, 1e-6 * np.maximum(np.abs(prior.theta / feasible.scale), 1.0)
+        )
+    )

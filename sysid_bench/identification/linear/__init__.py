@@ -1,0 +1,1 @@
+"""Linear estimation: QR factors, noise weights, residuals, M-estimation, recursion, selection."""

@@ -1,7 +1,7 @@
-"""Which columns are worth having: chosen by what they predict on parts that were left out.
+"""Forward selection of regressor columns by cross-validation.
 
-Everything happens inside the training data. Factors of every fold are computed once, with all
-candidates; a set of columns is a choice of columns in them.
+It uses the training data alone. The QR factors of each fold are computed once with all candidate
+columns; a subset of columns is a subset of the columns of these factors.
 """
 
 from collections.abc import Sequence
@@ -13,16 +13,16 @@ import numpy as np
 from sysid_bench.types import Array
 
 GAIN: Final = 0.02
-"""Relative; a column has to lower its joint's error on left-out parts by as much."""
+"""Least relative reduction of a joint's validation error by an added column."""
 
 RIDGE: Final = 1e-9
-"""Of unit columns: keeps directions that a fold does not excite from growing."""
+"""Ridge weight on unit columns: bounds directions that a fold does not excite."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoldedRow:
-    """One joint in one fold: R (k + 1, k + 1) of [W | b] of what is trained on and of what is left
-    out, all candidate columns at their places among all, and how many samples are left out."""
+    """One row (joint) in one fold: factors R (k + 1, k + 1) of [W | b] of the training and the
+    validation part, with all candidate columns."""
 
     train: Array
     test: Array
@@ -30,7 +30,7 @@ class FoldedRow:
 
 @dataclass(frozen=True, eq=False)
 class ColumnSelection:
-    """The columns chosen (places), and what was added at each step with the mean error after it."""
+    """Indices of the chosen columns, and (column, mean error after adding it) of each step."""
 
     columns: tuple[int, ...]
     steps: tuple[tuple[int, float], ...]
@@ -43,8 +43,8 @@ def select_columns(
     start: Sequence[int],
     candidates: Sequence[tuple[Sequence[int], int]],
 ) -> ColumnSelection:
-    """Forward selection: of the candidates (rows, column) the one that lowers the error of one of
-    its rows most is added, until none lowers any by GAIN. `folds[f][i]` is row i in fold f.
+    """Forward selection: add the candidate (rows, column) that reduces the error of one of its rows
+    most, until none reduces any by GAIN. `folds[f][i]` is row i in fold f.
 
     Rows are weighted by their RMS torque in training, so that each counts alike.
     """
@@ -59,10 +59,10 @@ def select_columns(
         trials = []
         for rows, column in left:
             trial = [*current, column]
-            told = _errors(folds, grams, trial)
-            total = float(np.sqrt(np.mean(told**2)))
-            gain = float(np.max(1.0 - told[list(rows)] / errors[list(rows)]))
-            trials.append((gain, total, column, trial, told))
+            trial_errors = _errors(folds, grams, trial)
+            total = float(np.sqrt(np.mean(trial_errors**2)))
+            gain = float(np.max(1.0 - trial_errors[list(rows)] / errors[list(rows)]))
+            trials.append((gain, total, column, trial, trial_errors))
         base = float(np.sqrt(np.mean(errors**2)))
         good = [t for t in trials if t[0] >= GAIN and t[1] < base]
         if not good:
@@ -75,15 +75,15 @@ def select_columns(
 
 
 def _weights(folds: Sequence[Sequence[FoldedRow]]) -> Array:
-    """1 / |b| of each row over all folds' training parts."""
+    """1 / |b| of each row over the training parts of all folds."""
     sizes = np.array([[np.linalg.norm(row.train[:, -1]) for row in fold] for fold in folds])
     total = np.sqrt((sizes**2).sum(axis=0))
     return np.where(total > 0, 1.0 / np.where(total > 0, total, 1.0), 0.0)
 
 
 def _gram(fold: Sequence[FoldedRow], weights: Array) -> Array:
-    """[W | b]' [W | b] of a fold's training part, rows weighted."""
-    return sum(  # type: ignore[return-value]
+    """Normal matrix [W | b]' [W | b] of a fold's training part, rows weighted."""
+    return sum(
         (weight**2 * row.train.T @ row.train for row, weight in zip(fold, weights, strict=True)),
         start=np.zeros((fold[0].train.shape[1],) * 2),
     )
@@ -92,20 +92,20 @@ def _gram(fold: Sequence[FoldedRow], weights: Array) -> Array:
 def _errors(
     folds: Sequence[Sequence[FoldedRow]], grams: Sequence[Array], columns: Sequence[int]
 ) -> Array:
-    """Relative error (rows,) on the left-out parts of all folds together."""
+    """Relative error (rows,) on the validation parts of all folds."""
     errors = np.zeros(len(folds[0]))
     sizes = np.zeros(len(folds[0]))
-    at = np.array(columns)
+    selected = np.array(columns)
     for fold, gram in zip(folds, grams, strict=True):
-        beta = _solve(gram, at)
+        beta = _solve(gram, selected)
         for i, row in enumerate(fold):
-            errors[i] += np.sum((row.test[:, at] @ beta - row.test[:, -1]) ** 2)
+            errors[i] += np.sum((row.test[:, selected] @ beta - row.test[:, -1]) ** 2)
             sizes[i] += np.sum(row.test[:, -1] ** 2)
     return np.sqrt(errors / np.where(sizes > 0, sizes, 1.0))
 
 
-def _solve(gram: Array, at: Array) -> Array:
-    A, b = gram[np.ix_(at, at)], gram[at, -1]
+def _solve(gram: Array, selected: Array) -> Array:
+    A, b = gram[np.ix_(selected, selected)], gram[selected, -1]
     scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    A = A / np.outer(scale, scale) + RIDGE * np.eye(len(at))
+    A = A / np.outer(scale, scale) + RIDGE * np.eye(len(selected))
     return np.linalg.solve(A, b / scale) / scale

@@ -1,7 +1,7 @@
-"""M-estimates: least squares again and again, samples weighted by their residuals.
+"""M-estimation by iteratively reweighted least squares.
 
-Each row of the robot has its own scale, the median of its absolute residuals over 0.6745: the
-standard deviation of Gaussian noise, which outliers do not move (Holland and Welsch 1977).
+Each row has its own scale, the median absolute residual over 0.6745 (MAD): the standard deviation
+for Gaussian noise, insensitive to outliers (Holland and Welsch 1977).
 """
 
 from collections.abc import Callable
@@ -12,20 +12,25 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import inverse_of, stacked_factor
-from sysid_bench.identification.linear.residuals import at_rest, outlier_weights, residuals, step
+from sysid_bench.identification.linear.residuals import (
+    has_converged,
+    residuals,
+    sample_blocks,
+    step,
+)
 from sysid_bench.identification.linear.weights import with_floor
 from sysid_bench.types import Array, Estimate, Problem
 
 MAD_OF_GAUSSIAN: Final = 0.6745
 """Median of |x| of the standard normal distribution."""
 
-SETTLED: Final = 10
+HOLD_AFTER: Final = 10
 """Iterations after which the scales are held: with held scales a convex loss always converges."""
 
 
 @dataclass(frozen=True)
 class Loss:
-    """weight(u) = psi(u) / u of residuals u over their scale, and slope(u) = psi'(u)."""
+    """Loss function by weight(u) = psi(u) / u and slope(u) = psi'(u) of scaled residuals u."""
 
     weight: Callable[[Array], Array]
     slope: Callable[[Array], Array]
@@ -33,7 +38,7 @@ class Loss:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Where an M-estimate came to rest."""
+    """Converged M-estimate."""
 
     beta: Array  # (r,)
     scales: Array  # (rows,)
@@ -43,33 +48,32 @@ class Fit:
 def m_estimate(
     problem: Problem, loss: Loss, beta: Array, iterations: int, scales: Array | None = None
 ) -> Fit:
-    """The M-estimate from a start beta (r,); given scales (rows,) are held.
+    """Return the M-estimate from a start beta (r,); given `scales` (rows,) are held.
 
-    Raises EstimationError where `iterations` do not bring it to rest.
-    """
-    settled = 0 if scales is not None else SETTLED
+    Raises EstimationError where it does not converge in `iterations`."""
+    hold_after = 0 if scales is not None else HOLD_AFTER
     for iteration in range(1, iterations + 1):
         residual = residuals(problem, beta)
-        if scales is None or iteration <= settled:
-            scales = robust_scales(problem, residual)
+        if scales is None or iteration <= hold_after:
+            scales = row_scales(problem, residual)
         R = stacked_factor(problem, (1.0 / scales).tolist())[:-1, :-1]
         roots = np.sqrt(loss.weight(residual / scales)) / scales
         weighted = (
             (Y * root[..., None], rest * root)
-            for Y, rest, root in outlier_weights(problem, residual, roots)
+            for Y, rest, root in sample_blocks(problem, residual, roots)
         )
         change, _ = step(R, weighted)
         beta = beta + change
-        if iteration > settled and at_rest(R, change, beta):
+        if iteration > hold_after and has_converged(R, change, beta):
             return Fit(beta, scales, iteration)
     raise EstimationError(
-        f"The weights did not come to rest in {iterations} iterations; allow more, or ask whether "
-        "most of the samples are outliers."
+        f"The method did not converge in {iterations} iterations; allow more, or check whether "
+        "most samples are outliers."
     )
 
 
 def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
-    """The estimate of a fit, with the covariance A^-1 B A^-1 of Huber (1981, section 7.6):
+    """Return the estimate with the covariance A^-1 B A^-1 of Huber (1981, section 7.6):
     A = sum E psi' W_j'W_j / s_j^2, B = sum E psi^2 W_j'W_j / s_j^2, expectations over each row."""
     u = residuals(problem, fit.beta) / fit.scales
     weight = loss.weight(u)
@@ -83,6 +87,6 @@ def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
     return Estimate(fit.beta, covariance=spread @ spread.T, stats=stats)
 
 
-def robust_scales(problem: Problem, residual: Array) -> Array:
-    """Scale (rows,) of each row's residuals (N, rows), above rounding."""
+def row_scales(problem: Problem, residual: Array) -> Array:
+    """MAD scale (rows,) of residuals (N, rows), above rounding."""
     return with_floor(problem, np.median(np.abs(residual), axis=0) / MAD_OF_GAUSSIAN)

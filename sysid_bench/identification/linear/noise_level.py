@@ -1,4 +1,4 @@
-"""How much of a signal is noise, from the signal alone."""
+"""Noise level of a sampled signal."""
 
 from math import comb
 
@@ -7,11 +7,14 @@ import numpy as np
 from sysid_bench.types import Array
 
 ORDER = 6
-"""Of the difference that leaves white noise and takes a smooth motion away."""
+"""Order of the difference: it removes a smooth motion and keeps white noise."""
 
 
 def white_noise(x: Array) -> Array:
-    """Standard deviation (k,) of white noise on smooth signals x (N, k): the median size of sixth
-    differences, which a motion well below the sampling rate does not reach."""
+    """Standard deviation (k,) of white noise on smooth signals x (N, k).
+
+    MAD of the sixth differences over their gain sqrt(C(12, 6)); a motion well below the sampling
+    rate does not contribute.
+    """
     gain = np.sqrt(comb(2 * ORDER, ORDER))
-    return np.median(np.abs(np.diff(x, ORDER, axis=0)), axis=0) / (0.6745 * gain)
+    return np.asarray(np.median(np.abs(np.diff(x, ORDER, axis=0)), axis=0) / (0.6745 * gain))

@@ -1,4 +1,4 @@
-"""What every least-squares method needs from a problem's R factors."""
+"""Least squares from the R factors of a problem (normal equations in square-root form)."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -10,12 +10,12 @@ from sysid_bench.errors import EstimationError
 from sysid_bench.types import Array, Factor, Problem
 
 EXCITED: Final = 1e-9
-"""A direction whose singular value, with unit columns, is below this share of the largest is not
-excited by the data: what is found along it is rounding error."""
+"""Excitation threshold: directions with a smaller singular value (unit columns, relative to the
+largest) contain rounding error alone."""
 
 
 def stacked_factor(problem: Problem, weights: Sequence[float] | None = None) -> Array:
-    """R (r + 1, r + 1) of [W | b] with each row of the robot times its weight."""
+    """R (r + 1, r + 1) of [W | b], each row of the robot times its weight."""
     r = problem.base.rank
     scales = [1.0] * len(problem.factors) if weights is None else weights
     parts = [
@@ -27,7 +27,7 @@ def stacked_factor(problem: Problem, weights: Sequence[float] | None = None) -> 
 
 
 def spread(factor: Factor, r: int) -> Array:
-    """A factor's rows (m, r + 1) with its columns at their places among all base parameters."""
+    """Rows (m, r + 1) of a factor, its columns at their indices among all base parameters."""
     wide = np.zeros((len(factor.R), r + 1))
     wide[:, factor.columns] = factor.R[:, :-1]
     wide[:, r] = factor.R[:, -1]
@@ -35,13 +35,13 @@ def spread(factor: Factor, r: int) -> Array:
 
 
 def solve(R: Array) -> Array:
-    """beta (r,) that minimises |R [beta; -1]|; raises EstimationError naming the rank it has."""
-    require_excited(R)
+    """Return beta (r,) = argmin |R [beta; -1]|; raises EstimationError for a rank-deficient R."""
+    check_excited(R)
     return solve_upper(R)
 
 
-def require_excited(R: Array) -> None:
-    """Raises EstimationError where the data do not excite every base parameter."""
+def check_excited(R: Array) -> None:
+    """Raise EstimationError where the data do not excite every base parameter."""
     r = R.shape[1] - 1
     rank = excited_rank(R[:r, :r])
     if rank < r:
@@ -52,19 +52,19 @@ def require_excited(R: Array) -> None:
 
 
 def solve_upper(R: Array) -> Array:
-    """beta (r,) of R (r + 1, r + 1) whose data are known to excite every direction."""
+    """Return beta (r,) of R (r + 1, r + 1) known to have full rank."""
     r = R.shape[1] - 1
     return solve_triangular(R[:r, :r], R[:r, r])
 
 
 def inverse_of(R: Array) -> Array:
-    """R^-1 (r, r) of the base parameters' part of R (r + 1, r + 1)."""
+    """R^-1 (r, r) of the regressor columns of R (r + 1, r + 1)."""
     r = R.shape[1] - 1
     return solve_triangular(R[:r, :r], np.eye(r))
 
 
 def excited_rank(R: Array) -> int:
-    """How many directions the data excite."""
+    """Number of directions that the data excite."""
     norms = np.linalg.norm(R, axis=0)
     if not norms.any():
         return 0
@@ -73,7 +73,7 @@ def excited_rank(R: Array) -> int:
 
 
 def residual_norms(problem: Problem, beta: Array) -> Array:
-    """|b_i - W_i beta| of every row of the robot (rows,)."""
+    """|b_i - W_i beta| (rows,) of each row of the robot."""
     return np.array(
         [np.linalg.norm(f.R @ np.append(beta[f.columns], -1.0)) for f in problem.factors]
     )

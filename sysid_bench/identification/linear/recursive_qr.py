@@ -1,4 +1,4 @@
-"""Sample after sample: square-root updates of [R | z], as online methods make them."""
+"""Square-root updates of [R | z] with forgetting, for recursive estimators."""
 
 import numpy as np
 from scipy.linalg import lapack
@@ -7,8 +7,8 @@ from sysid_bench.types import Array, Problem
 
 
 def update(problem: Problem, sigma: Array, forgetting: float) -> Array:
-    """R (r + 1, r + 1) of all samples with rows divided by `sigma` (rows,), sample k of N times
-    forgetting^((N - 1 - k) / 2): the squares are forgotten exponentially."""
+    """R (r + 1, r + 1) of all samples, rows divided by `sigma` (rows,), sample k of N times
+    forgetting^((N - 1 - k) / 2): exponential forgetting of the squares."""
     R = np.zeros((problem.base.rank + 1,) * 2)
     for Y, b in problem.blocks():
         R = rank_update(R * forgetting ** (0.5 * len(b)), Y, b, sigma, forgetting)
@@ -16,14 +16,14 @@ def update(problem: Problem, sigma: Array, forgetting: float) -> Array:
 
 
 def rank_update(R: Array, Y: Array, b: Array, sigma: Array, forgetting: float = 1.0) -> Array:
-    """R (r + 1, r + 1) with the rows (n, rows, r) and torques (n, rows) of one more block."""
+    """R (r + 1, r + 1) updated by the rows (n, rows, r) and torques (n, rows) of one block."""
     root = forgetting ** (0.5 * np.arange(len(b) - 1, -1, -1))[:, None] / sigma
     rows = np.concatenate([Y * root[..., None], (b * root)[..., None]], axis=-1)
     return upper_factor(np.concatenate([R, rows.reshape(-1, len(R))]))
 
 
 def upper_factor(stack: Array) -> Array:
-    """The factor (k, k) of a matrix (m, k) with m >= k."""
+    """Triangular QR factor (k, k) of a matrix (m, k), m >= k."""
     k = stack.shape[1]
     packed, _, _, _ = lapack.dgeqrf(np.asfortranarray(stack), lwork=64 * k, overwrite_a=1)
     return np.triu(packed[:k])

@@ -1,4 +1,4 @@
-"""What methods that look at every sample need: residuals, and steps that weigh each sample."""
+"""Residuals sample by sample, and least-squares steps with a weight per sample."""
 
 from collections.abc import Iterable, Iterator
 
@@ -9,11 +9,11 @@ from sysid_bench.types import Array, Problem
 
 
 def residuals(problem: Problem, beta: Array) -> Array:
-    """b - W beta of every sample (N, rows)."""
+    """b - W beta of each sample (N, rows)."""
     return np.concatenate([b - Y @ beta for Y, b in problem.blocks()])
 
 
-def outlier_weights(problem: Problem, *values: Array) -> Iterator[tuple[Array, ...]]:
+def sample_blocks(problem: Problem, *values: Array) -> Iterator[tuple[Array, ...]]:
     """Blocks of the regressor (n, rows, r), each with its samples of the `values` (N, ...)."""
     start = 0
     for Y, b in problem.blocks():
@@ -23,11 +23,11 @@ def outlier_weights(problem: Problem, *values: Array) -> Iterator[tuple[Array, .
 
 
 def step(R: Array, blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """The least-squares step (r,) of weighted rows (Y, residual), and C (r, r) with C C' the
-    covariance of the estimate where these rows have unit noise.
+    """Least-squares step (r,) of weighted rows (Y, residual), and C (r, r) with C C' its covariance
+    for unit noise.
 
-    `R` (r, r) is a factor of similar rows: Y R^-1 is nearly orthonormal, so that squaring it loses
-    nothing, and what the step lacks the next one, from its own residual, makes up for.
+    R (r, r) is a factor of similar rows: Y R^-1 is nearly orthonormal, so that its normal equations
+    lose no digits, and the next step corrects the rounding error of this one.
     """
     r = len(R)
     information, gradient = np.zeros((r, r)), np.zeros(r)
@@ -41,6 +41,7 @@ def step(R: Array, blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]
     return solve_triangular(R, cho_solve(factor, gradient)), spread
 
 
-def at_rest(R: Array, change: Array, beta: Array, share: float = 1e-10) -> bool:
-    """Whether a step changes the torques of the factor R (r, r) by less than `share` of them."""
+def has_converged(R: Array, change: Array, beta: Array, share: float = 1e-10) -> bool:
+    """Return whether a step changes the torques, by the factor R (r, r), by less than `share` of
+    them."""
     return bool(np.linalg.norm(R @ change) <= share * np.linalg.norm(R @ beta))

@@ -1,4 +1,4 @@
-"""How much each row of the robot is worth: the noise of its torque, estimated from the residual."""
+"""Weights of the rows: the noise of each joint's torque, estimated from residuals."""
 
 from typing import Final
 
@@ -7,7 +7,7 @@ from scipy.linalg import solve_triangular
 
 from sysid_bench.identification.linear.normal_qr import (
     EXCITED,
-    require_excited,
+    check_excited,
     residual_norms,
     solve_upper,
     spread,
@@ -16,27 +16,28 @@ from sysid_bench.identification.linear.normal_qr import (
 from sysid_bench.types import Array, Factor, Problem
 
 ROUNDING: Final = 1e-10
-"""Residuals below this share of a row's RMS torque are rounding error and tell no noise: a floor
-that keeps exact data from being weighted by chance."""
+"""Floor of a row's noise relative to its RMS torque: residuals below it are rounding error, which
+must not weigh exact data by chance."""
 
 
 def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, Array, Array]:
-    """(beta (r,), R (r + 1, r + 1), sigma (rows,)) of least squares on rows divided by `sigma`;
-    None: `own_sigmas`. Raises EstimationError where the motion does not excite every direction.
+    """Return (beta (r,), R (r + 1, r + 1), sigma (rows,)) of least squares with rows divided by
+    `sigma`; None: `row_sigmas`. Raises EstimationError where the motion does not excite every
+    direction.
 
-    Excitation is judged on the rows as they are: weights that differ by many orders would hide it.
+    Excitation is checked on the unweighted rows: weights of very different size would hide it.
     """
-    require_excited(stacked_factor(problem))
+    check_excited(stacked_factor(problem))
     sigma = row_sigmas(problem) if sigma is None else sigma
     R = stacked_factor(problem, (1.0 / sigma).tolist())
     return solve_upper(R), R, sigma
 
 
 def row_sigmas(problem: Problem) -> Array:
-    """Noise (rows,) of each row, from a fit of that row alone: N_j - b_j degrees of freedom.
+    """Noise (rows,) of each row, from a fit of that row alone with N_j - b_j degrees of freedom,
+    b_j the base parameters that row j depends on.
 
-    b_j base parameters are told apart by row j. A fit of its own leaves out what other rows add:
-    the expected variance is that of the row, however loud its neighbours are.
+    A separate fit excludes the misfit of other rows: its expected variance is that of the row.
     """
     return with_floor(problem, np.array([_own_sigma(factor) for factor in problem.factors]))
 
@@ -49,18 +50,18 @@ def _own_sigma(factor: Factor) -> float:
     norms = np.where(norms > 0, norms, 1.0)
     rank, rest = k, R[k:, k]
     if np.abs(np.diag(R)[:k] / norms).min(initial=1.0) <= EXCITED:
-        # Columns that depend on one another leave rows of R that are residual.
+        # With linearly dependent columns, rows of R within the triangle are residual as well.
         U, values, _ = np.linalg.svd(R[:, :k] / norms, full_matrices=False)
         rank = int((values > EXCITED * values[0]).sum())
         rest = R[:, k] - U[:, :rank] @ (U[:, :rank].T @ R[:, k])
-    return float(np.linalg.norm(rest)) / np.sqrt(max(factor.samples - rank, 1))
+    return float(np.linalg.norm(rest) / np.sqrt(max(factor.samples - rank, 1)))
 
 
 def fit_sigmas(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
-    """Noise (rows,) of each row from the residual of the fit beta that weighted them by `sigma`, R
-    (r + 1, r + 1) its factor: N_j - tr(H_jj) degrees of freedom, H the hat matrix of that fit.
+    """Noise (rows,) of each row from the residual of the fit beta weighted by `sigma`, R (r + 1, r
+    + 1) its factor: N_j - tr(H_jj) degrees of freedom, H the hat matrix.
 
-    The leverages tr(H_jj) of all rows sum up to r.
+    The leverages tr(H_jj) of all rows sum to r.
     """
     r = problem.base.rank
     rows = [spread(factor, r)[:, :r].T for factor in problem.factors]
@@ -72,8 +73,8 @@ def fit_sigmas(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
 
 
 def with_floor(problem: Problem, sigma: Array) -> Array:
-    """Standard deviations (rows,) above rounding; a row without torque or columns weighs nothing,
-    so that any positive number serves."""
+    """Standard deviations (rows,) above rounding; a row without torque or columns has no weight, so
+    that any positive number serves."""
     sigma = np.maximum(sigma, ROUNDING * torque_rms(problem))
     return np.where(sigma > 0, sigma, sigma.max() if sigma.any() else 1.0)
 

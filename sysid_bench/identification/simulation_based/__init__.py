@@ -1,0 +1,1 @@
+"""Estimation by simulation: Gauss-Newton, output error, forward dynamics, joint filters."""

@@ -1,4 +1,4 @@
-"""What the joint filters share: the state [q v beta], its start and its noise."""
+"""Joint state and parameter filters: the state [q v beta], its start and its noise."""
 
 from dataclasses import dataclass
 
@@ -8,20 +8,20 @@ from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.noise_level import white_noise
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.simulation_based.forward_dynamics import ForwardModel, scalar_joints
-from sysid_bench.identification.simulation_based.gauss_newton import accumulated_factor, step_length
+from sysid_bench.identification.simulation_based.gauss_newton import residual_factor, step_length
 from sysid_bench.types import Array, Estimate, Experiment
 
-TOLD = 0.1
-"""Torque that the start is trusted with, relative to the RMS, where no prior says how well."""
+START_ERROR = 0.1
+"""Torque error of the start without a prior, relative to the RMS torque."""
 
-LEAST = (1e-5, 1e-2)
-"""Noise of positions and torques that a filter reckons with at least, relative to their RMS: time
-steps and differences are not exact, and a filter that takes them so runs away."""
+NOISE_FLOOR = (1e-5, 1e-2)
+"""Least noise of positions and torques in a filter, relative to their RMS: discretisation errors
+count as noise, or the filter diverges."""
 
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
-    """Mean (k,) and covariance (k, k) of [q v beta]."""
+    """Mean (k,) and covariance (k, k) of the state [q v beta]."""
 
     mean: Array
     covariance: Array
@@ -29,7 +29,7 @@ class FilterState:
 
 @dataclass(frozen=True, eq=False)
 class JointFilter:
-    """The model of a joint filter: measured positions, torques between them, noises."""
+    """Model of a joint filter: measured positions (N, n), torques (N, n) and their noise (n,)."""
 
     experiment: Experiment
     forward: ForwardModel
@@ -41,10 +41,10 @@ class JointFilter:
     @property
     def n(self) -> int:
         """Number of joints."""
-        return self.q.shape[1]
+        return int(self.q.shape[1])
 
     def step(self, states: Array, k: int) -> Array:
-        """States (S, k) from sample k to k + 1."""
+        """Predict states (S, k) from sample k to k + 1."""
         n, S = self.n, len(states)
         tau, after = (np.broadcast_to(self.tau[i], (S, n)) for i in (k, k + 1))
         q, v, beta = states[:, :n], states[:, n : 2 * n], states[:, 2 * n :]
@@ -52,17 +52,17 @@ class JointFilter:
         return np.concatenate([q, v, beta], axis=1)
 
     def process_noise(self, mean: Array) -> Array:
-        """Covariance (k, k) that torque noise adds in a step."""
+        """Covariance (k, k) that torque noise adds in one step."""
         n, dt = self.n, self.forward.dt
         q, v, beta = (np.tile(x, (n + 1, 1)) for x in np.split(mean, [n, 2 * n]))
         pushed = np.concatenate([np.zeros((1, n)), np.diag(self.tau_noise)])
         a = self.forward.acceleration(beta, q, v, pushed)
         push = (a[1:] - a[0]).T
         gain = np.concatenate([0.5 * dt**2 * push, dt * push, np.zeros((len(mean) - 2 * n, n))])
-        return gain @ gain.T
+        return np.asarray(gain @ gain.T)
 
     def measured(self, belief: FilterState, k: int) -> FilterState:
-        """The belief after the positions of sample k (Joseph's form)."""
+        """Measurement update with the positions of sample k (Joseph form)."""
         n, P = self.n, belief.covariance
         S = P[:n, :n] + np.diag(self.q_noise**2)
         gain = np.linalg.solve(S, P[:n]).T
@@ -73,7 +73,7 @@ class JointFilter:
         return FilterState(mean, 0.5 * (P + P.T))
 
     def start(self) -> FilterState:
-        """The first sample's state, and the prior or, without one, least squares."""
+        """State of the first sample, with beta of the prior, else of least squares."""
         n, recording = self.n, self.experiment.recording
         beta, covariance = _begin(self.experiment)
         v = recording.motion.v[0]
@@ -86,19 +86,20 @@ class JointFilter:
         return FilterState(np.concatenate([self.q[0], v, beta]), P)
 
     def result(self, belief: FilterState, start: FilterState) -> Estimate:
-        """What the filter ends with; a failure where it only kept its start."""
+        """Estimate of the last state;
+        raises EstimationError where it diverged or kept its start."""
         beta, first = belief.mean[2 * self.n :], start.mean[2 * self.n :]
         if not np.isfinite(belief.mean).all() or np.array_equal(beta, first):
-            raise EstimationError("The filter lost its numbers, or learnt nothing from its start.")
+            raise EstimationError("The filter's state is not finite, or it has not left its start.")
         R = stacked_factor(self.experiment.problem)
         if step_length(R, beta - first) > 100 * step_length(R, first):
-            raise EstimationError("The filter runs away from its start: the noise is too large.")
+            raise EstimationError("The filter diverges from its start: the noise is too large.")
         part = slice(2 * self.n, None)
         return Estimate(beta, covariance=belief.covariance[part, part])
 
 
 def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilter:
-    """The model of a joint filter on the recorded samples that filtering left."""
+    """Return the model of a joint filter on the raw samples that filtering kept."""
     scalar_joints(experiment, what)
     raw, recording = experiment.raw, experiment.recording
     first = int(np.argmin(np.abs(raw.t - recording.t[0])))
@@ -106,12 +107,13 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     q, tau = raw.q[part], raw.tau[part]
     sizes = [np.sqrt((x**2).mean(axis=0)) for x in (q, tau)]
     least = [
-        np.maximum(share * x, 0.1 * share * x.max()) for share, x in zip(LEAST, sizes, strict=True)
+        np.maximum(share * x, 0.1 * share * x.max())
+        for share, x in zip(NOISE_FLOOR, sizes, strict=True)
     ]
     q_noise, tau_noise = (
         np.maximum(white_noise(x), at_least) for x, at_least in zip((q, tau), least, strict=True)
     )
-    # Between two samples the torque is taken as a straight line: what it bends is noise as well.
+    # The error of linear interpolation between samples counts as torque noise.
     tau_noise = np.hypot(tau_noise, np.sqrt((np.diff(tau, 2, axis=0) ** 2).mean(axis=0)) / 8)
     forward = ForwardModel(experiment, 1 / raw.rate, substeps)
     return JointFilter(experiment, forward, q, tau, q_noise, tau_noise)
@@ -127,9 +129,9 @@ def _begin(experiment: Experiment) -> tuple[Array, Array]:
     parts = list(problem.blocks())
     W, b = (np.concatenate(x) for x in zip(*parts, strict=True))
     sigma = np.sqrt((b**2).mean(axis=0))
-    R = accumulated_factor(
+    R = residual_factor(
         W / np.where(sigma > 0, sigma, 1.0)[:, None], b / np.where(sigma > 0, sigma, 1.0)
     )
     r = len(K)
-    inverse = np.linalg.inv(R[:r, :r]) * TOLD * np.sqrt(len(b))
+    inverse = np.linalg.inv(R[:r, :r]) * START_ERROR * np.sqrt(len(b))
     return solve(R), inverse @ inverse.T

@@ -1,7 +1,7 @@
-"""The model run forward by its own regressor: accelerations under given torques, any beta.
+"""Forward dynamics from the base regressor: accelerations under given torques, for any beta.
 
-Filters need what bodies that exist do not give: a model for every beta they try on the way. The
-mass matrix and the bias are read off inverse dynamics, Y(q, v, a) beta plus what is known.
+Filters evaluate beta that belong to no physical body, which MuJoCo cannot simulate. Mass matrix and
+bias come from inverse dynamics, Y(q, v, a) beta plus the torque of the known parameters.
 """
 
 from collections.abc import Callable
@@ -14,12 +14,12 @@ from sysid_bench.errors import EstimationError, SimulationError, UnsupportedErro
 from sysid_bench.types import Array, Experiment, Trajectory
 
 FAR: Final = 1e6
-"""A position, rate or acceleration beyond this (rad, rad/s ...) is a model that runs away."""
+"""Position or velocity (rad, rad/s, m, m/s) beyond which the model counts as divergent."""
 
 
 @dataclass(frozen=True, eq=False)
 class ForwardModel:
-    """Steps of a model; q, v, tau (S, n) of S states at once, each with its own beta (S, r)."""
+    """Time steps of a model; q, v, tau (S, n) of S states, each with its own beta (S, r)."""
 
     experiment: Experiment
     dt: float
@@ -28,7 +28,8 @@ class ForwardModel:
     def step(
         self, beta: Array, q: Array, v: Array, tau: Array, after: Array
     ) -> tuple[Array, Array]:
-        """q and v (S, n) after dt, the torque going from `tau` to `after`, by Heun's rule."""
+        """Return q and v (S, n) after dt by Heun's rule, the torque interpolated from `tau` to
+        `after`."""
         h = self.dt / self.substeps
         for k in range(self.substeps):
             one = tau + k / self.substeps * (after - tau)
@@ -38,11 +39,11 @@ class ForwardModel:
             q = q + h * v + h * h / 6 * (2 * a + b)
             v = v + 0.5 * h * (a + b)
         if not (np.abs(q) < FAR).all() or not (np.abs(v) < FAR).all():
-            raise SimulationError("The model runs away with these parameters.")
+            raise SimulationError("The model diverges with these parameters.")
         return q, v
 
     def acceleration(self, beta: Array, q: Array, v: Array, tau: Array) -> Array:
-        """(S, n): M^-1 (tau - bias)."""
+        """Acceleration (S, n): M^-1 (tau - bias)."""
         S, n = q.shape
         unit = np.concatenate([np.zeros((1, n)), np.eye(n)])
         motion = Trajectory(
@@ -56,7 +57,7 @@ class ForwardModel:
         try:
             return np.linalg.solve(M, (tau - bias)[..., None])[..., 0]
         except np.linalg.LinAlgError as error:
-            raise EstimationError("The model of these parameters has no inertia.") from error
+            raise EstimationError("The mass matrix of these parameters is singular.") from error
 
     def torque(self, beta: Array, motion: Trajectory) -> Array:
         """Inverse dynamics (S, n), each sample with its own beta (S, r)."""
@@ -70,21 +71,23 @@ class ForwardModel:
 
 
 def scalar_joints(experiment: Experiment, what: str) -> int:
-    """The number of joints; raises UnsupportedError where positions are no numbers per joint, or
-    not every torque is measured."""
+    """Return the number of joints; raises UnsupportedError for joints without scalar positions, or
+    where some torque is not measured."""
     raw, problem = experiment.raw, experiment.problem
     if raw.q.shape[1] != len(raw.rows):
         raise UnsupportedError(
-            f"{what} needs hinges and slides that move on their own: orientations and joints that "
-            "follow others are no such states."
+            f"{what} needs independent hinges and slides; ball, free and coupled joints are not "
+            "supported."
         )
     if problem.rows != raw.rows:
-        raise UnsupportedError(f"{what} needs every joint's torque; this task measures a part.")
+        raise UnsupportedError(
+            f"{what} needs the torque of every joint; this task measures only some."
+        )
     return len(raw.rows)
 
 
-def differences(f: Callable[[Array], Array], x: Array, sizes: Array) -> Array:
-    """Forward differences (..., k) of f at x (k,), all at once: f takes (k + 1, k)."""
+def finite_differences(f: Callable[[Array], Array], x: Array, sizes: Array) -> Array:
+    """Forward differences (..., k) of f at x (k,); f takes all k + 1 points at once."""
     points = np.concatenate([x[None], x + np.diag(sizes)])
     values = f(points)
     return np.moveaxis(

@@ -1,6 +1,7 @@
 """Stribeck friction: more Coulomb friction near standstill than in motion."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +21,7 @@ class Stribeck:
     share: float = field(default=0.1, metadata={"unit": "%"})
     vs: float = field(default=0.1, metadata={"unit": "rad|m"})  # per second
     v0: float = field(default=0.005, metadata={"unit": "rad|m"})  # per second
+    vanishes_at_rest: ClassVar[bool] = True
 
     def prepare(self, robot: RobotModel) -> "Law":
         """The force law of this robot."""

@@ -76,7 +76,7 @@ def test_what_is_taken_for_an_impossible_beta_is_near_it(robot: str) -> None:
 def test_a_lift_moves_beta_alone_and_stays_inside_its_reach() -> None:
     problem = ready_once(RICH).problem
     room = simulatable_set(problem)
-    lift = room.lift_of(room.centre)
+    lift = room.right_inverse(room.centre)
     K = problem.base.K
     rounding = 1e-11 * (np.abs(K) @ np.abs(lift)).max()
     np.testing.assert_allclose(K @ lift, np.eye(problem.base.rank), atol=rounding)
@@ -90,11 +90,11 @@ def test_slopes_are_those_of_the_divergence() -> None:
     problem = ready_once(RICH).problem
     first, prior = simulatable_set(replace(problem, prior=None)), simulatable_set(problem)
     theta = 0.5 * (first.centre + prior.centre)
-    gradient, hessian = prior.gradients(theta)
+    gradient, hessian = prior.derivatives(theta)
     for j in range(len(theta)):
         size = 1e-6 * max(abs(theta[j]), 1e-4)
         step = size * (np.arange(len(theta)) == j)
         rise = (prior.divergence(theta + step) - prior.divergence(theta - step)) / (2 * size)
-        bend = (prior.gradients(theta + step)[0] - prior.gradients(theta - step)[0]) / (2 * size)
+        bend = (prior.derivatives(theta + step)[0] - prior.derivatives(theta - step)[0]) / (2 * size)
         assert rise == pytest.approx(gradient[j], rel=1e-4, abs=1e-4 * np.abs(gradient).max())
         np.testing.assert_allclose(bend, hessian[j], atol=1e-4 * np.abs(hessian[j]).max())

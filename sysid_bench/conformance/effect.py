@@ -1,0 +1,137 @@
+"""Conformance kit of plant effects: `prepare(robot)` gives a force law or None.
+
+A force law is a function (t, q, v) -> torque (..., nv) that the motors supply on top of the rigid
+body dynamics. The closed loop calls it sample by sample, the inverse simulation on whole motions.
+An effect with the class attribute `vanishes_at_rest = True` declares zero torque at v = 0.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.conformance.findings import (
+    UNCHANGED,
+    Finding,
+    content_hash,
+    finding_of_error,
+    findings_of,
+)
+from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.experiments.robot_cache import cached_robot
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.types import Array, Trajectory
+
+ForceLaw = Callable[[Array, Array, Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class EffectCase:
+    """A robot and a motion to evaluate force laws along."""
+
+    name: str
+    robot: RobotModel
+    motion: Trajectory
+
+
+Law = Callable[[Any, EffectCase, ForceLaw], str | None]
+"""(effect, case, its force law) -> description of the violation, or None."""
+
+
+@cache
+def effect_cases() -> tuple[EffectCase, ...]:
+    """An arm and a random tree, along Fourier series."""
+    cases = []
+    for name in ("ur5", "random:7"):
+        robot = cached_robot(name, "none", None, None).robot
+        motion = Fourier(period=2.0, cycles=1).design(
+            design_problem(robot, 50.0), np.random.default_rng(1)
+        )
+        cases.append(EffectCase(name, robot, motion))
+    return tuple(cases)
+
+
+def check_effect(effect: Any, cases: Sequence[EffectCase] | None = None) -> list[Finding]:
+    """Findings of all laws on all cases (None: `effect_cases`); an effect that prepares None adds
+    no torque and has no law to keep."""
+    findings = []
+    for case in effect_cases() if cases is None else cases:
+        before = _state(case)
+        try:
+            law = effect.prepare(case.robot)
+        except Exception as error:
+            findings.append(finding_of_error(error, "prepares a force law", case.name))
+            continue
+        message = None if law is None or callable(law) else f"it is a {type(law).__name__}"
+        findings.append(Finding("prepares a force law", case.name, message is None, message or ""))
+        if callable(law):
+            findings += findings_of(LAWS, case.name, effect, case, law)
+        if _state(case) != before:
+            message = "it changed the robot or the motion"
+            findings.append(Finding(UNCHANGED, case.name, False, message))
+    return findings
+
+
+def _state(case: EffectCase) -> str:
+    model = case.robot.mj
+    arrays = (model.body_mass, model.body_inertia, model.dof_damping, model.dof_frictionloss)
+    return content_hash(
+        (case.motion, case.robot.phi, case.robot.joint_terms, *map(np.array, arrays))
+    )
+
+
+def _torque(law: ForceLaw, motion: Trajectory) -> Array:
+    return np.asarray(law(motion.t, motion.q.copy(), motion.v.copy()))
+
+
+def _is_finite(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
+    """Torque (N, nv) of a motion, and (nv,) of one sample, finite."""
+    motion = case.motion
+    one = np.asarray(law(motion.t[0], motion.q[0], motion.v[0]))
+    expected = motion.v.shape
+    for torque, shape in ((_torque(law, motion), expected), (one, expected[1:])):
+        if torque.shape != shape:
+            return f"its torque has the shape {torque.shape}; expected {shape}"
+        if not np.isfinite(torque).all():
+            return "its torque has values that are not finite"
+    return None
+
+
+def _is_the_same_sample_by_sample(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
+    motion, whole = case.motion, _torque(law, case.motion)
+    for k in range(0, len(motion), 10):
+        one = np.asarray(law(motion.t[k], motion.q[k], motion.v[k]))
+        if np.abs(one - whole[k]).max() > 1e-9 * np.abs(whole).max():
+            return f"sample {k} alone gives another torque than within the whole motion"
+    return None
+
+
+def _is_deterministic(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
+    """The law called twice, and the law prepared twice, give the same torque."""
+    torque = _torque(law, case.motion)
+    if not np.array_equal(torque, _torque(law, case.motion)):
+        return "the same motion gives another torque in the next call: a force law has no memory"
+    if not np.array_equal(torque, _torque(effect.prepare(case.robot), case.motion)):
+        return "prepared twice it gives two torques: draw random numbers from a seed of its own"
+    return None
+
+
+def _vanishes_at_rest(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
+    """Zero torque at v = 0 where the effect declares it."""
+    if not getattr(effect, "vanishes_at_rest", False):
+        return None
+    motion = case.motion
+    torque = np.asarray(law(motion.t, motion.q, np.zeros_like(motion.v)))
+    largest = float(np.abs(torque).max())
+    return None if largest == 0.0 else f"its torque at rest is up to {largest:.3g} N m or N"
+
+
+LAWS: Final[dict[str, Law]] = {
+    "gives finite torques": _is_finite,
+    "is the same sample by sample": _is_the_same_sample_by_sample,
+    "is deterministic": _is_deterministic,
+    "vanishes at rest where declared": _vanishes_at_rest,
+}

@@ -1,0 +1,228 @@
+"""Kits of excitations, plant effects and simulations: built-in plug-ins pass, each broken one is
+found by the law that it violates."""
+
+import re
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid_bench.conformance import check_plugin_of, failed_checks
+from sysid_bench.conformance.effect import effect_cases
+from sysid_bench.conformance.excitation import design_cases
+from sysid_bench.errors import UsageError
+from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.naming import BUILTIN, build
+from sysid_bench.pytest_plugin import assert_conforms
+from sysid_bench.simulation.inverse import Inverse
+
+QUICK = sorted(set(BUILTIN["excitation"]) - {"file", "optimised"})
+"""A motion from a file has the limits of its file; an optimised one takes most of a minute."""
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_built_in_excitations_conform(name: str) -> None:
+    settings = {"fourier-other": {"harmonics": 3, "period": "4 s"}}
+    assert_conforms({"use": name, **settings.get(name, {})}, "excitation")
+
+
+@pytest.mark.slow
+def test_an_optimised_motion_conforms() -> None:
+    excitation = {"use": "optimised", "period": "5 s", "iterations": 10}
+    assert_conforms(excitation, "excitation")
+
+
+@pytest.mark.parametrize("name", BUILTIN["plant"])
+def test_built_in_plant_effects_conform(name: str) -> None:
+    assert_conforms(name, "plant")
+
+
+@pytest.mark.parametrize("name", BUILTIN["simulation"])
+def test_built_in_simulations_conform(name: str) -> None:
+    assert_conforms(name, "simulation")
+
+
+def test_every_kind_with_a_kit_is_a_kind_of_plug_in() -> None:
+    with pytest.raises(UsageError, match="Did you mean 'excitation'"):
+        check_plugin_of("exitation", build("excitation", "fourier"))
+
+
+# --- Broken excitations -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class BrokenExcitation:
+    """A Fourier series with one mistake."""
+
+    mistake: str
+
+    def design(self, brief: Any, rng: np.random.Generator) -> Any:
+        motion = Fourier(period=2.0, cycles=1).design(brief, rng)
+        N, nv = motion.v.shape
+        match self.mistake:
+            case "far":
+                return replace(motion, q=motion.q + 3.0)
+            case "fast":
+                return replace(motion, t=motion.t[: N // 2], q=motion.q[::2], v=2 * motion.v[::2],
+                               a=4 * motion.a[::2])  # fmt: skip
+            case "degrees":
+                return replace(motion, v=motion.v * 180 / np.pi)
+            case "no acceleration":
+                return replace(motion, a=np.zeros_like(motion.a))
+            case "random":
+                return Fourier(period=2.0, cycles=1).design(brief, np.random.default_rng())
+            case "backwards":
+                return replace(motion, t=motion.t[::-1])
+            case "narrow":
+                return replace(motion, v=motion.v[:, : nv - 1], a=motion.a[:, : nv - 1])
+            case "nan":
+                return replace(motion, a=np.where(motion.t[:, None] > 1, np.nan, motion.a))
+            case "tuple":
+                return motion.t, motion.q
+            case "changing":
+                brief.q0[0] += 0.1
+        return motion
+
+
+EXCITATIONS = {
+    "far": "its limit is",
+    "fast": "keeps the limits",
+    "degrees": "v of .* differs from the differences of q",
+    "no acceleration": "a of .* differs from the differences of v",
+    "random": "is reproducible .* same random generator state",
+    "backwards": "its times do not increase",
+    "narrow": "v has the shape",
+    "nan": "a has values that are not finite",
+    "tuple": "design returned tuple, not a Trajectory",
+    "changing": "it changed an array of the design problem",
+}
+
+
+@pytest.fixture
+def restored_briefs() -> Any:
+    """The shared design problems are put right after a plug-in that changes them."""
+    yield
+    design_cases.cache_clear()
+
+
+@pytest.mark.parametrize("mistake", EXCITATIONS)
+@pytest.mark.usefixtures("restored_briefs")
+def test_a_broken_excitation_is_found(mistake: str) -> None:
+    with pytest.raises(AssertionError, match=EXCITATIONS[mistake]):
+        assert_conforms(BrokenExcitation(mistake), "excitation")
+
+
+# --- Broken effects -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class BrokenEffect:
+    """Viscous friction with one mistake."""
+
+    mistake: str
+    vanishes_at_rest = True
+
+    def prepare(self, robot: Any) -> Any:
+        calls = []
+        noise = np.random.default_rng().uniform()
+
+        def law(t: Any, q: Any, v: Any) -> Any:
+            calls.append(t)
+            match self.mistake:
+                case "scalar":
+                    return float(np.sum(v))
+                case "nan":
+                    return np.full_like(v, np.nan)
+                case "memory":
+                    return 0.1 * len(calls) * v
+                case "random":
+                    return noise * v
+                case "mean":
+                    return v - v.mean(axis=0)
+                case "offset":
+                    return 0.1 + 0.0 * v
+                case "writing":
+                    v[:] = 0.0
+            return 0.1 * v
+
+        if self.mistake == "robot":
+            robot.mj.dof_damping[0] += 1e-3
+        return "torque" if self.mistake == "text" else law
+
+
+EFFECTS = {
+    "scalar": "its torque has the shape",
+    "nan": "its torque has values that are not finite",
+    "memory": "a force law has no memory",
+    "random": "prepared twice it gives two torques",
+    "mean": "sample 0 alone gives another torque",
+    "offset": "its torque at rest is up to 0.1",
+    "writing": "it changed the robot or the motion",
+    "robot": "it changed the robot or the motion",
+    "text": "prepares a force law .* it is a str",
+}
+
+
+@pytest.mark.parametrize("mistake", EFFECTS)
+def test_a_broken_effect_is_found(mistake: str) -> None:
+    effect_cases.cache_clear()
+    with pytest.raises(AssertionError, match=EFFECTS[mistake]):
+        assert_conforms(BrokenEffect(mistake), "plant")
+
+
+# --- Broken simulations -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Result:
+    motion: Any
+    tau: Any
+
+
+@dataclass(frozen=True)
+class BrokenSimulation:
+    """The inverse simulation with one mistake."""
+
+    mistake: str
+
+    def design_rate(self, recording: float) -> float:
+        return 1.5 * recording if self.mistake == "rate" else recording
+
+    def run(self, plant: Any, commanded: Any, encoder: Any) -> Any:
+        done, controller = Inverse().run(plant, commanded, encoder)
+        motion, tau = done.motion, np.array(done.tau)
+        match self.mistake:
+            case "single":
+                return done
+            case "short":
+                tau = tau[1:]
+            case "nan":
+                tau[3] = np.nan
+            case "no gravity":
+                tau = tau - tau.mean(axis=0)
+            case "random":
+                tau = tau * np.random.default_rng().uniform(0.999, 1.001)
+            case "changing":
+                commanded.v[:] *= 1.0 + 1e-9
+            case "controller":
+                controller = "PD"  # type: ignore[assignment]
+        return Result(motion, tau), controller
+
+
+SIMULATIONS = {
+    "rate": "design_rate is 1.5 times the recording rate",
+    "single": "run returned Oracle, not a pair",
+    "short": "tau has the shape",
+    "nan": "tau has values that are not finite",
+    "no gravity": "differs from inverse dynamics along the simulated motion",
+    "random": "tau differs from call to call",
+    "changing": "it changed the plant or the commanded motion",
+    "controller": "its controller is a str",
+}
+
+
+@pytest.mark.parametrize("mistake", SIMULATIONS)
+def test_a_broken_simulation_is_found(mistake: str) -> None:
+    lines = failed_checks(check_plugin_of("simulation", BrokenSimulation(mistake)))
+    assert re.search(SIMULATIONS[mistake], "\n".join(lines)), lines
