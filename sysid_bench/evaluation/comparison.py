@@ -54,7 +54,7 @@ def wilcoxon_holm(values: Array) -> Array:
     """
     count, p = values.shape[1], np.eye(values.shape[1])
     pairs = list(combinations(range(count), 2))
-    for (i, j), corrected in zip(pairs, _tested(values, pairs), strict=True):
+    for (i, j), corrected in zip(pairs, _corrected_p_values(values, pairs), strict=True):
         p[i, j] = p[j, i] = corrected
     return p
 
@@ -64,11 +64,11 @@ def wilcoxon_holm_against(values: Array, reference: int) -> Array:
     over these comparisons alone: fewer questions need fewer robots. That method's own is one."""
     others = [i for i in range(values.shape[1]) if i != reference]
     p = np.ones(values.shape[1])
-    p[others] = _tested(values, [(i, reference) for i in others])
+    p[others] = _corrected_p_values(values, [(i, reference) for i in others])
     return p
 
 
-def _tested(values: Array, pairs: Sequence[tuple[int, int]]) -> Array:
+def _corrected_p_values(values: Array, pairs: Sequence[tuple[int, int]]) -> Array:
     from scipy.stats import wilcoxon
 
     # Equal ratios are ties, whatever rounding makes of them.

@@ -26,7 +26,7 @@ def torque_bound(
     of the torque noise, which is white in time or has a `correlation` from sample to sample.
     """
     half = np.linalg.cholesky(covariance)
-    blocks = rows if correlation == 0.0 else _without_memory(rows, correlation)
+    blocks = rows if correlation == 0.0 else _whitened(rows, correlation)
     R = np.zeros((0, 0))
     for block in blocks:
         # Columns of L^-1 W: unit noise on every row.
@@ -43,7 +43,7 @@ def _inverse(R: Array) -> Array | None:
     return np.asarray(inverse @ inverse.T)
 
 
-def _without_memory(rows: Iterable[Array], correlation: float) -> Iterator[Array]:
+def _whitened(rows: Iterable[Array], correlation: float) -> Iterator[Array]:
     """Rows whose noise is new in every sample: the first as it is, then (W_t - c W_(t-1)) / sqrt(1
     - c^2)."""
     before = None

@@ -12,22 +12,22 @@ import numpy as np
 from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
 from sysid_bench.types import Array, Extent
 
-DENSEST: Final = 8000.0
+MAX_DENSITY: Final = 8000.0
 """kg/m^3, steel: no box around a link is filled with more."""
 
-NOTHING: Final = 1e-6
+MASSLESS: Final = 1e-6
 """kg; a lighter body is a frame, whose centre of mass means nothing."""
 
 
-def implausible_bodies(phi: Array, extent: Extent | None) -> str:
+def body_plausibility(phi: Array, extent: Extent | None) -> str:
     """What is odd about a body phi (10,), in words; empty where nothing is. `extent`: None where it
     is not known."""
     mass, com, _ = mass_com_inertia(phi)
     if smallest_eigenvalue(phi) < -1e-9 * float(np.abs(phi).max()):
         return "it cannot exist"
-    if mass <= NOTHING or extent is None:
+    if mass <= MASSLESS or extent is None:
         return ""
-    if mass > DENSEST * extent.volume:
+    if mass > MAX_DENSITY * extent.volume:
         return f"{mass:.4g} kg are more than steel in its {extent.volume:.2g} m^3"
     out = np.maximum(extent.low - com, com - extent.high).max()
     if out > 0:
@@ -39,5 +39,5 @@ def plausibility_findings(
     bodies: Mapping[str, Array], extents: Mapping[str, Extent]
 ) -> dict[str, str]:
     """{body: what is odd} of bodies {name: phi (10,)}, odd ones alone."""
-    found = {name: implausible_bodies(phi, extents.get(name)) for name, phi in bodies.items()}
+    found = {name: body_plausibility(phi, extents.get(name)) for name, phi in bodies.items()}
     return {name: said for name, said in found.items() if said}

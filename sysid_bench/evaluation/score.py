@@ -45,21 +45,23 @@ def score(
         return Score(**about_data)
     beta_true = problem.base.K @ truth.theta
     tests = list(held_out.values())
-    train, test = RowErrors([problem], beta), RowErrors(tests, beta) if tests else None
+    train, test = _RowErrors([problem], beta), _RowErrors(tests, beta) if tests else None
     figures = {} if test is None else _held_out_figures(test, held_out, beta_true)
     return Score(
         **about_data,
         **figures,
         rmse_train=train.rmse,
         beta_error=_relative(beta - beta_true, beta_true),
-        coverage={kind: _held(spread, beta, beta_true) for kind, spread in (told or {}).items()},
+        coverage={
+            kind: _coverage(spread, beta, beta_true) for kind, spread in (told or {}).items()
+        },
         joints=tuple(_joint_figures(problem.rows, train, test)),
         **_body_figures(estimate, problem, truth, extents),
     )
 
 
 def _held_out_figures(
-    test: "RowErrors", held_out: Mapping[str, Problem], beta_true: Array
+    test: "_RowErrors", held_out: Mapping[str, Problem], beta_true: Array
 ) -> dict[str, Any]:
     beta = test.beta
     return {
@@ -68,7 +70,7 @@ def _held_out_figures(
         "torque_error_sample": _sample_error(test.problems, beta),
         "torque_error_worst": test.worst,
         "torque_error_by_motion": {
-            name: RowErrors([problem], beta).torque_error for name, problem in held_out.items()
+            name: _RowErrors([problem], beta).torque_error for name, problem in held_out.items()
         },
         "parameter_error": _parameter_error(test.problems, beta, beta_true),
     }
@@ -136,7 +138,7 @@ def _torque(problem: Problem) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class RowErrors:
+class _RowErrors:
     """Errors of beta on the rows (rows,) of some problems; computed once, told in many ways."""
 
     problems: list[Problem]
@@ -154,7 +156,7 @@ class RowErrors:
         return _row_rms(self.problems)
 
     @cached_property
-    def is_large(self) -> Array:
+    def judged_rows(self) -> Array:
         """Which rows move enough torque to be judged."""
         names = np.array(self.problems[0].kinds or ("",) * len(self.rms))
         large = np.zeros(len(self.rms), dtype=bool)
@@ -171,9 +173,9 @@ class RowErrors:
         return np.where(asked, self.errors / np.where(asked, self.rms, 1.0), np.nan)
 
     @cached_property
-    def is_judged(self) -> Array:
+    def judged(self) -> Array:
         """The relative errors of the rows that move enough torque to be judged."""
-        return self.relative[self.is_large & np.isfinite(self.relative)]
+        return self.relative[self.judged_rows & np.isfinite(self.relative)]
 
     @property
     def rmse(self) -> float:
@@ -183,12 +185,12 @@ class RowErrors:
     @property
     def torque_error(self) -> float | None:
         """Root mean square of the relative errors of the rows that are judged."""
-        return float(np.sqrt((self.is_judged**2).mean())) if len(self.is_judged) else None
+        return float(np.sqrt((self.judged**2).mean())) if len(self.judged) else None
 
     @property
     def worst(self) -> float | None:
         """The largest of them."""
-        return float(self.is_judged.max()) if len(self.is_judged) else None
+        return float(self.judged.max()) if len(self.judged) else None
 
 
 def _sample_error(problems: list[Problem], beta: Array) -> float | None:
@@ -213,7 +215,7 @@ def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> 
     return _relative(R @ (beta - beta_true), R @ beta_true)
 
 
-def _held(spread: StandardError, beta: Array, beta_true: Array) -> float:
+def _coverage(spread: StandardError, beta: Array, beta_true: Array) -> float:
     """The share of parameters whose interval holds the truth."""
     low, high = spread.interval(beta)
     return float(((low <= beta_true) & (beta_true <= high)).mean())
@@ -225,7 +227,7 @@ def _relative(difference: Array, reference: Array) -> float | None:
 
 
 def _joint_figures(
-    names: Sequence[str], train: RowErrors, test: RowErrors | None
+    names: Sequence[str], train: _RowErrors, test: _RowErrors | None
 ) -> Iterator[dict[str, Any]]:
     for i, name in enumerate(names):
         told = test is not None and np.isfinite(test.relative[i])
@@ -235,7 +237,7 @@ def _joint_figures(
             "rmse_test": None if test is None else float(test.errors[i]),
             "rms": None if test is None else float(test.rms[i]),
             "relative": float(test.relative[i]) if test is not None and told else None,
-            "small": test is None or not bool(test.is_large[i]),
+            "small": test is None or not bool(test.judged_rows[i]),
         }
 
 

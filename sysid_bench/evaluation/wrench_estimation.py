@@ -20,7 +20,7 @@ import numpy as np
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.wrench import SubTree, dofs_behind, sub_tree
+from sysid_bench.regressors.wrench import SubtreeRegressors, subtree_dofs, sub_tree
 from sysid_bench.types import Array, Trajectory
 
 
@@ -29,7 +29,7 @@ class SensorNewtonEuler:
     """The method along one motion, with the contact at the body `base` (None: no contact, and the
     sensor's wrench is not needed behind it)."""
 
-    tree: SubTree
+    tree: SubtreeRegressors
     base: str | None
     X: Array | None  # (N, 6, 6)
     M: Array | None  # (N, k, 6)
@@ -65,7 +65,7 @@ def sensor_newton_euler(
     tree = sub_tree(robot, cut, motion)
     if base is None:
         return SensorNewtonEuler(tree, None, None, None)
-    return SensorNewtonEuler(tree, base, tree.transform(base), tree.projection(base))
+    return SensorNewtonEuler(tree, base, tree.wrench_transform(base), tree.jacobian(base))
 
 
 def upstream_torque(
@@ -76,18 +76,18 @@ def upstream_torque(
     instruments = instruments_of(robot, (cut,))
     whole = instruments.motion(motion)
     link = int(instruments.tree.carrier[cut.body])
-    behind = {*dofs_behind(robot, cut), *instruments.root(cut)}
+    behind = {*subtree_dofs(robot, cut), *instruments.root(cut)}
     dofs = [int(dof) for dof in instruments.tree.links[link].dofs if dof not in behind]
     before = phi.copy()
     for body in range(len(phi)):
-        if body in _all_behind(robot, cut):
+        if body in _distal_bodies(robot, cut):
             before[body] = 0.0
     tau = newton_euler(instruments.tree, instruments.tree.composite_links(before), whole)[:, dofs]
-    M = sub_tree(robot, cut, motion).project_onto_axis(link, dofs)
+    M = sub_tree(robot, cut, motion).link_jacobian(link, dofs)
     return tuple(robot.rows[dof] for dof in dofs), tau + np.einsum("nuc,nc->nu", M, f_b)
 
 
-def _all_behind(robot: RobotModel, cut: SensorCut) -> set[int]:
+def _distal_bodies(robot: RobotModel, cut: SensorCut) -> set[int]:
     """Bodies behind a sensor, those behind further sensors too: their wrench is in its reading."""
     inside = {cut.body}
     for b in range(cut.body + 1, len(robot.body_names)):

@@ -11,7 +11,7 @@ from sysid_bench.types import Array, BaseMap
 DIGITS: Final = 4
 """Significant digits of a printed coefficient."""
 
-SHOWN: Final = 4
+MOST_NAMES: Final = 4
 """Parameters that name a direction, at most."""
 
 
@@ -60,7 +60,7 @@ def near_degenerate(R: Array, base: BaseMap) -> tuple[tuple[float, dict[str, flo
 
 def _largest(direction: Array, parameters: tuple[str, ...]) -> dict[str, float]:
     """The parameters with the largest shares of a unit direction, the first one positive."""
-    order = np.argsort(-np.abs(direction), kind="stable")[:SHOWN]
+    order = np.argsort(-np.abs(direction), kind="stable")[:MOST_NAMES]
     order = order[np.abs(direction[order]) > 0.2 * abs(direction[order[0]])]
     sign = np.sign(direction[order[0]])
     return {parameters[j]: float(sign * direction[j]) for j in order}

@@ -41,7 +41,7 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     gap = float(values[rank - 1] / dropped[0]) if dropped.any() else np.inf
     pivots = _left_to_right_pivots(R, rank)
     return BaseMap(
-        K=_combinations(R, pivots),
+        K=_coefficients(R, pivots),
         pivots=pivots,
         parameters=parameters,
         gap=gap,
@@ -61,7 +61,7 @@ def _left_to_right_pivots(R: Array, rank: int) -> Array:
     scale = float(np.linalg.norm(R, 2))
     tried: list[tuple[float, Array]] = []
     for floor in PIVOT_FLOORS:
-        found = _standing_out(R, floor * scale)
+        found = _independent_columns(R, floor * scale)
         if len(found) < rank:
             continue
         kept = sorted(found, key=lambda item: item[1], reverse=True)[:rank]
@@ -81,7 +81,7 @@ def qr_pivots(R: Array, rank: int) -> Array:
     return np.sort(order[:rank])
 
 
-def _standing_out(R: Array, floor: float) -> list[tuple[int, float]]:
+def _independent_columns(R: Array, floor: float) -> list[tuple[int, float]]:
     """Columns that rise more than `floor` above those picked to the left of them: (j, height)."""
     Q = np.zeros((R.shape[0], 0))
     found: list[tuple[int, float]] = []
@@ -95,7 +95,7 @@ def _standing_out(R: Array, floor: float) -> list[tuple[int, float]]:
     return found
 
 
-def _combinations(R: Array, pivots: Array) -> Array:
+def _coefficients(R: Array, pivots: Array) -> Array:
     """K (r, p) with R = R[:, pivots] K, the identity on the pivots."""
     Q, T = np.linalg.qr(R[:, pivots])
     K = solve_triangular(T, Q.T @ R)

@@ -46,7 +46,7 @@ def parameter_nullspace(tree: Tree) -> Array:
     for link in tree.links:
         L, F = seen[link.parent] if link.parent >= 0 else (np.zeros((6, 0)), _gravity(tree))
         X = transport(link.R0, link.p0)
-        told, L, F = _through(link.joints, _moved(L, link.R0, link.p0), X.T @ F)
+        told, L, F = _after_joints(link.joints, _in_frame(L, link.R0, link.p0), X.T @ F)
         seen.append((L, F))
         parent = body_of[link.parent] if link.parent >= 0 else None
         changes += _transfers(count, link.body, parent, X, _null(told))
@@ -64,14 +64,17 @@ def structural_rank(tree: Tree) -> int:
     return nullspace.shape[0] - nullspace.shape[1]
 
 
-def _through(joints: tuple[TreeJoint, ...], L: Array, F: Array) -> tuple[Array, Array, Array]:
+def _after_joints(joints: tuple[TreeJoint, ...], L: Array, F: Array) -> tuple[Array, Array, Array]:
     """(functionals that a transfer has to vanish on, L, F) after the joints of one body."""
     told = np.zeros((10, 0))
     for joint in joints:
         if joint.kind == FREE:
             return np.eye(10), np.eye(6), np.eye(10)
         twists = _twists(joint)
-        on_twists, on_functionals = [_adjoint(w) for w in twists.T], [_rate(w) for w in twists.T]
+        on_twists, on_functionals = (
+            [_adjoint(w) for w in twists.T],
+            [_functional_rate(w) for w in twists.T],
+        )
         L, F = _closure(L, on_twists), _closure(F, on_functionals)
         mixed = _bilinear(np.column_stack([L, twists]), twists)
         moved = np.column_stack([A @ F for A in on_functionals])
@@ -112,7 +115,7 @@ def _twists(joint: TreeJoint) -> Array:
     return np.vstack([axes, np.cross(joint.anchor, axes.T).T])
 
 
-def _moved(L: Array, R: Array, p: Array) -> Array:
+def _in_frame(L: Array, R: Array, p: Array) -> Array:
     """Twists (6, l) of the parent link as the frame (R, p) in it has them."""
     w, v = L[:3], L[3:]
     return np.vstack([R.T @ w, R.T @ (v + skew(p).T @ w)])
@@ -124,7 +127,7 @@ def _adjoint(twist: Array) -> Array:
     return -np.block([[w, np.zeros((3, 3))], [v, w]])
 
 
-def _rate(twist: Array) -> Array:
+def _functional_rate(twist: Array) -> Array:
     """The same for functionals (10, 10): the derivative of the transport by the motion."""
     H = np.zeros((4, 4))
     H[:3, :3], H[:3, 3] = skew(twist[:3]), twist[3:]

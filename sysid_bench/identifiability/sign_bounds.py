@@ -17,7 +17,7 @@ from sysid_bench.types import Array, Body
 SIGNED: Final = (".fv", ".fc", ".Ia", ".k")
 """Joint terms that take energy or store it: negative ones would give it away."""
 
-HEAVIEST: Final = 50.0
+MASS_BOUND: Final = 50.0
 """kg; without any bound, masses that nothing tells would run away."""
 
 
@@ -66,7 +66,7 @@ def smallest_feasible_change(
     rows[np.arange(len(signed)), signed] = -1.0
     rows[len(signed) + np.arange(len(masses)), masses] = 1.0
     blocks.append(rows)
-    right.append(np.append(np.zeros(len(signed)), np.full(len(masses), HEAVIEST)))
+    right.append(np.append(np.zeros(len(signed)), np.full(len(masses), MASS_BOUND)))
     cones.append(clarabel.NonnegativeConeT(2 * r + len(rows)))
     for body in bodies:
         blocks.append(-_semidefinite_rows(body, places, p + 1))

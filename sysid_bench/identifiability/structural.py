@@ -42,7 +42,7 @@ def structural_factor(
     """R (m, p) of the regressor over random states, whose column space is that of all motions;
     `beside` gives more columns (N, rows, k) along a motion, which come last: R (m, p + k)."""
     instruments = instruments_of(robot, cuts)
-    carried, X = _carried(robot, instruments.tree, parameters)
+    carried, X = _carrier_columns(robot, instruments.tree, parameters)
     columns = measured_regression(robot, carried, instruments, rows)
     own = instruments.measured
     measured = [own.index(row) for row in (own if rows is None else rows)]
@@ -57,7 +57,7 @@ def structural_factor(
     return np.hstack([R[:, :m] @ X, R[:, m:]])
 
 
-def _carried(
+def _carrier_columns(
     robot: RobotModel, tree: Tree, parameters: tuple[str, ...]
 ) -> tuple[tuple[str, ...], Array]:
     """Columns that all others are mixed from, and the mixture X (m, p): what is welded to a link

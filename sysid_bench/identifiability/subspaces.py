@@ -19,13 +19,13 @@ from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import FloatingSubtree, SensorCut, floating_subtree
 from sysid_bench.regressors.qr_accumulation import upper_factor
-from sysid_bench.regressors.wrench import SubTree, floating_sub_tree
+from sysid_bench.regressors.wrench import SubtreeRegressors, floating_subtree_regressors
 from sysid_bench.types import Array, Trajectory
 
 SEED: Final = 0
 """The same random states for everybody, as for the ranks of joint torques."""
 
-OUTSIDE: Final = 1e-3
+UNPREDICTABLE: Final = 1e-3
 """A joint whose torque has a larger share of its parameters (sine of the angle) outside of what the
 data tell cannot be foretold; exact geometry leaves 1e-12, noisy rates of a moving joint 1e-6."""
 
@@ -52,14 +52,17 @@ class Subspaces:
     def sensor_subspace(self) -> float:
         """Lemma 1: the largest sine of an angle between I_Yn of two bases (1: of other size)."""
         return max(
-            (complement_directions(self.wrench, other) for other in self.wrenches.values()),
+            (subspace_sine(self.wrench, other) for other in self.wrenches.values()),
             default=0.0,
         )
 
     @property
     def joint_subspace(self) -> float:
         """Proposition 1: the largest part of a unit vector of I_Yc, any base, outside of I_Yn."""
-        return max((outside_of(self.wrench, other) for other in self.torques.values()), default=0.0)
+        return max(
+            (projection_residual(self.wrench, other) for other in self.torques.values()),
+            default=0.0,
+        )
 
 
 def structural_subspaces(
@@ -70,15 +73,15 @@ def structural_subspaces(
     alone = floating_subtree(robot, cut)
     p = 10 * len(cut.bodies)
     motion = _floating_states(robot, alone, 40 + p // 5, np.random.default_rng(SEED))
-    made = floating_sub_tree(robot, alone, motion)
-    all_of_it, _ = orthonormal_span(np.concatenate([made.Y_n, made.Y_c], axis=1))
+    made = floating_subtree_regressors(robot, alone, motion)
+    all_of_it, _ = row_space(np.concatenate([made.Y_n, made.Y_c], axis=1))
     Y_n, Y_c = made.Y_n @ all_of_it, made.Y_c @ all_of_it
-    wrench, values = orthonormal_span(Y_n)[0], orthonormal_span(made.Y_n)[1]
+    wrench, values = row_space(Y_n)[0], row_space(made.Y_n)[1]
     factors = _joint_factors(robot, made, Y_n, Y_c)
-    chosen = _leaders(robot, cut) if bases is None else bases
+    chosen = _moving_bodies(robot, cut) if bases is None else bases
     wrenches, torques = {}, {}
     for base in chosen:
-        wrenches[base] = all_of_it @ orthonormal_span(made.transform(base) @ Y_n)[0]
+        wrenches[base] = all_of_it @ row_space(made.wrench_transform(base) @ Y_n)[0]
         behind = _dofs_before(robot, cut, base)
         parts = [factor[dof in behind] for dof, factor in zip(made.dofs, factors, strict=True)]
         torques[base] = all_of_it @ _span_of(parts, Y_n.shape[-1])
@@ -90,14 +93,14 @@ def structural_subspaces(
 
 
 def _joint_factors(
-    robot: RobotModel, made: SubTree, Y_n: Array, Y_c: Array
+    robot: RobotModel, made: SubtreeRegressors, Y_n: Array, Y_c: Array
 ) -> list[tuple[Array, Array]]:
     """For each degree of freedom R of its row of Y_c with the base before it, and behind it: which
     link behind does not matter."""
     factors = []
     for i, dof in enumerate(made.dofs):
         link = next(k for k, link in enumerate(made.tree.links) if dof in link.dofs)
-        M = made.project_onto_axis(link, (dof,))
+        M = made.link_jacobian(link, (dof,))
         rows = Y_c[:, i], Y_c[:, i] - (M @ Y_n)[:, 0]
         factors.append((upper_factor([rows[0]]), upper_factor([rows[1]])))
     return factors
@@ -111,7 +114,7 @@ def _dofs_before(robot: RobotModel, cut: SensorCut, base: str) -> set[int]:
 
 
 def _span_of(factors: Sequence[Array], size: int) -> Array:
-    return orthonormal_span(np.concatenate([np.zeros((1, size)), *factors]))[0]
+    return row_space(np.concatenate([np.zeros((1, size)), *factors]))[0]
 
 
 def _floating_states(
@@ -133,13 +136,13 @@ def _floating_states(
     )
 
 
-def _leaders(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
+def _moving_bodies(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
     """The bodies of a sub-tree that joints move, the sensor's first: welded ones tell no more."""
     moving = {link.body for link in robot.tree.links}
     return tuple(robot.body_names[b] for b in cut.bodies if b == cut.body or b in moving)
 
 
-def orthonormal_span(Y: Array) -> tuple[Array, Array]:
+def row_space(Y: Array) -> tuple[Array, Array]:
     """An orthonormal basis (p, r) of the row space of Y (..., p), and the singular values (SI
     columns, relative to the largest: see `RANK_TOLERANCE`)."""
     p = Y.shape[-1]
@@ -149,7 +152,7 @@ def orthonormal_span(Y: Array) -> tuple[Array, Array]:
     return Vt[:rank].T, values
 
 
-def outside_of(basis: Array, other: Array) -> float:
+def projection_residual(basis: Array, other: Array) -> float:
     """The largest part of a unit vector of `other` (p, k) that lies outside of `basis` (p, r)."""
     if other.shape[1] == 0:
         return 0.0
@@ -157,11 +160,11 @@ def outside_of(basis: Array, other: Array) -> float:
     return float(np.linalg.norm(rest, 2))
 
 
-def complement_directions(left: Array, right: Array) -> float:
+def subspace_sine(left: Array, right: Array) -> float:
     """The sine of the largest principal angle of two subspaces; 1 where their sizes differ."""
     if left.shape != right.shape:
         return 1.0
-    return max(outside_of(left, right), outside_of(right, left))
+    return max(projection_residual(left, right), projection_residual(right, left))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +184,7 @@ class Excitation:
     @property
     def unpredictable(self) -> tuple[str, ...]:
         """Degrees of freedom whose torque these data cannot foretell in other motions."""
-        return tuple(name for name, share in self.missing.items() if not share <= OUTSIDE)
+        return tuple(name for name, share in self.missing.items() if not share <= UNPREDICTABLE)
 
     @property
     def warning(self) -> str:
@@ -196,13 +199,13 @@ class Excitation:
         )
 
 
-def excitation_of(data: SubTree | Array, subspaces: Subspaces) -> Excitation:
+def excitation_of(data: SubtreeRegressors | Array, subspaces: Subspaces) -> Excitation:
     """What a data set (its sub-tree, or rows (..., p) of its Y_n) leaves out of the structure."""
-    rows = data.Y_n if isinstance(data, SubTree) else data
+    rows = data.Y_n if isinstance(data, SubtreeRegressors) else data
     if rows.shape[-1] != len(subspaces.columns):
         raise UsageError(
             f"The data have {rows.shape[-1]} columns; the sub-tree has {len(subspaces.columns)}."
         )
-    told, _ = orthonormal_span(rows)
-    missing = {joint: outside_of(told, basis) for joint, basis in subspaces.joints.items()}
+    told, _ = row_space(rows)
+    missing = {joint: projection_residual(told, basis) for joint, basis in subspaces.joints.items()}
     return Excitation(told.shape[1], subspaces.rank, missing)

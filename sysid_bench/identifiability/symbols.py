@@ -15,7 +15,7 @@ from sysid_bench.types import Array
 FACTORS: Final = (1.0, 2.0, 4.0, 0.5, 3.0, 0.25, 8.0)
 """Numbers that stand before a monomial."""
 
-AGREES: Final = 1e-7
+TOLERANCE: Final = 1e-7
 """Relative; K at generic lengths is right to 1e-10 or so."""
 
 
@@ -44,11 +44,11 @@ def symbolic_coefficient(
     for factor in FACTORS:
         for words, numbers in table:
             for sign in (1.0, -1.0):
-                if np.abs(sign * factor * numbers - told).max() <= AGREES * scale:
+                if np.abs(sign * factor * numbers - told).max() <= TOLERANCE * scale:
                     return _signed(sign, _times(factor, words))
     for (one, first), (other, second) in itertools.combinations(table, 2):
         for sign, next_sign in itertools.product((1.0, -1.0), repeat=2):
-            if np.abs(sign * first + next_sign * second - told).max() <= AGREES * scale:
+            if np.abs(sign * first + next_sign * second - told).max() <= TOLERANCE * scale:
                 (s, plus), (t, minus) = sorted(((sign, one), (next_sign, other)), reverse=True)
                 return _signed(s, plus) + (" + " if t > 0 else " - ") + minus
     return None

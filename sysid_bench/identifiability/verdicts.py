@@ -13,7 +13,7 @@ ZERO: Final = 1e-9
 """Below it, relative to the largest of its row, a coefficient of K is rounding error (measured:
 1e-12)."""
 
-SEEN: Final = 1e-6
+APART: Final = 1e-6
 """A parameter whose unit vector is farther than this from the row space is told in a sum only.
 Axes that are parallel but for truncated decimals leave 1e-7, a tenth of a millionth of another
 parameter, on what would be told alone."""
@@ -33,6 +33,6 @@ def verdicts(base: BaseMap) -> tuple[Verdict, ...]:
     acts = np.linalg.norm(V, axis=0)
     apart = np.linalg.norm(np.eye(len(base.parameters)) - V.T @ V, axis=0)
     return tuple(
-        "identifiable" if apart[j] < SEEN else "combination" if acts[j] > SEEN else "none"
+        "identifiable" if apart[j] < APART else "combination" if acts[j] > APART else "none"
         for j in range(len(base.parameters))
     )

@@ -14,7 +14,7 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, SensorCut
 from sysid_bench.regressors.coupled import AnyRegression, CoupledBlock, torque_regression
 from sysid_bench.regressors.regression import Block
-from sysid_bench.regressors.wrench import moved_frame
+from sysid_bench.regressors.wrench import wrench_transform
 from sysid_bench.types import Array, Trajectory
 
 
@@ -22,37 +22,37 @@ from sysid_bench.types import Array, Trajectory
 class NestedSensorRegressor:
     """The regression `whole` with the constants of `stops` in the rows of `cut`."""
 
-    whole: AnyRegression
+    regression: AnyRegression
     instruments: Instruments
     cut: SensorCut
-    stops: tuple[SensorCut, ...]
+    distal: tuple[SensorCut, ...]
 
     @property
     def rows(self) -> tuple[str, ...]:
         """Names of what is measured."""
-        return self.whole.rows
+        return self.regression.rows
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the parameters (p,)."""
-        return self.whole.columns
+        return self.regression.columns
 
     @cached_property
-    def own(self) -> dict[int, int]:
+    def _components(self) -> dict[int, int]:
         """Row of the cut -> which of its six components that is."""
         return {self.rows.index(name): k for k, name in enumerate(self.cut.rows)}
 
     @cached_property
-    def columns_asked(self) -> Array:
+    def _constant_mask(self) -> Array:
         """Which of the stops' constants (6 stops,) are columns."""
         named = set(self.columns)
-        return np.array([c in named for stop in self.stops for c in _constants_of(stop)])
+        return np.array([c in named for stop in self.distal for c in _constants_of(stop)])
 
     @cached_property
-    def constants(self) -> Array:
+    def _constant_columns(self) -> Array:
         """Places in Y of the stops' constants that are columns."""
-        names = np.array([c for stop in self.stops for c in _constants_of(stop)])[
-            self.columns_asked
+        names = np.array([c for stop in self.distal for c in _constants_of(stop)])[
+            self._constant_mask
         ]
         return np.array([self.columns.index(name) for name in names], dtype=int)
 
@@ -60,18 +60,20 @@ class NestedSensorRegressor:
     def touched(self) -> tuple[Array, ...]:
         """For each row the places (k,) in Y that it can be non-zero in, as `row` has them."""
         return tuple(
-            np.concatenate([places, self.constants]) if i in self.own else places
-            for i, places in enumerate(self.whole.touched)
+            np.concatenate([places, self._constant_columns]) if i in self._components else places
+            for i, places in enumerate(self.regression.touched)
         )
 
     def blocks(self, motion: Trajectory) -> Iterator["NestedSensorBlock"]:
         """Y of consecutive samples, along motions with the places of all sensors."""
-        for block in self.whole.blocks(motion):
+        for block in self.regression.blocks(motion):
             X = [
-                moved_frame(self.instruments, _part(motion, block.samples), self.cut, stop)
-                for stop in self.stops
+                wrench_transform(self.instruments, _part(motion, block.samples), self.cut, stop)
+                for stop in self.distal
             ]
-            yield NestedSensorBlock(self, block, np.concatenate(X, axis=2)[..., self.columns_asked])
+            yield NestedSensorBlock(
+                self, block, np.concatenate(X, axis=2)[..., self._constant_mask]
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,26 +81,26 @@ class NestedSensorBlock:
     """The samples of one block; X (n, 6, k): unit constants of the stops, moved to the cut."""
 
     regression: NestedSensorRegressor
-    whole: Block | CoupledBlock
+    block: Block | CoupledBlock
     X: Array
 
     @property
     def samples(self) -> slice:
         """The samples of the motion that the block holds."""
-        return self.whole.samples
+        return self.block.samples
 
     @property
     def count(self) -> int:
         """How many samples that are."""
-        return self.whole.count
+        return self.block.count
 
     def row(self, i: int) -> Array:
         """Row i of Y, (k, n), in the columns `touched[i]`."""
-        row = self.whole.row(i)
-        k = self.regression.own.get(i)
+        row = self.block.row(i)
+        k = self.regression._components.get(i)
         return row if k is None else np.concatenate([row, -self.X[:, k].T])
 
-    def joined(self, i: int, b: Array) -> Array:
+    def augmented(self, i: int, b: Array) -> Array:
         """Row i with a right-hand side b (n,) below it, (k + 1, n)."""
         return np.concatenate([self.row(i), b[None]])
 

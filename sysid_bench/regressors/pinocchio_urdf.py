@@ -24,7 +24,7 @@ _ROOT: Final = "root_joint"  # Pinocchio's own name for it
 
 
 @dataclass(frozen=True, eq=False)
-class _Native:
+class _UrdfModel:
     """Pinocchio's model, and what our bodies and joints are called in it."""
 
     model: pin.Model
@@ -50,7 +50,7 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     Raises UnsupportedError where its parser cannot serve: MJCF, a mounted payload (no text has it),
     joints that it does not know.
     """
-    native = _native(robot)
+    native = _urdf_model(robot)
     q, v, a = _state(robot, native, motion)
     Y_joint = joint_columns(native.model, q, v, a)
     rows = _rows(robot, native)
@@ -65,7 +65,7 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     return Regressor(_base_force_to_world(robot, motion, Y), robot.rows, robot.inertial_columns)
 
 
-def _native(robot: RobotModel) -> _Native:
+def _urdf_model(robot: RobotModel) -> _UrdfModel:
     if robot.format != "urdf":
         raise UnsupportedError(
             "Pinocchio's MJCF parser ignores options that the model may rely on."
@@ -73,7 +73,7 @@ def _native(robot: RobotModel) -> _Native:
     if robot.payload:
         raise UnsupportedError("The payload is mounted in the compiled model; no text holds it.")
     text = ET.fromstring(robot.text)
-    _take_floating_joint(text)
+    _remove_floating_joint(text)
     for joint in text.findall("joint"):
         if joint.get("type") == "planar":
             _split_planar(text, joint, robot)
@@ -90,10 +90,10 @@ def _native(robot: RobotModel) -> _Native:
             f"Pinocchio's parser sees {model.nv} degrees of freedom, MuJoCo {robot.nv}."
         )
     model.gravity = pin.Motion(robot.tree.gravity, np.zeros(3))
-    return _Native(model, bodies, joints)
+    return _UrdfModel(model, bodies, joints)
 
 
-def _take_floating_joint(text: ET.Element) -> None:
+def _remove_floating_joint(text: ET.Element) -> None:
     """A floating joint at the ground is the root joint, whose position is that in the world."""
     below = [j for j in text.findall("joint") if _end(j, "parent").get("link") == "world"]
     if [joint.get("type") for joint in below] == ["floating"]:
@@ -146,7 +146,7 @@ def _end(joint: ET.Element, tag: str) -> ET.Element:
     return element
 
 
-def _state(robot: RobotModel, native: _Native, motion: Trajectory) -> tuple[Array, Array, Array]:
+def _state(robot: RobotModel, native: _UrdfModel, motion: Trajectory) -> tuple[Array, Array, Array]:
     q = np.tile(pin.neutral(native.model), (len(motion), 1))
     v, a = np.zeros((2, len(motion), native.model.nv))
     v_all, a_all = robot.pairing.rates(motion.q, motion.v, motion.a)
@@ -169,7 +169,7 @@ def _state(robot: RobotModel, native: _Native, motion: Trajectory) -> tuple[Arra
     return q, v, a
 
 
-def _rows(robot: RobotModel, native: _Native) -> Array:
+def _rows(robot: RobotModel, native: _UrdfModel) -> Array:
     """For each of our rows the row of the native model."""
     rows = np.empty(robot.nv, dtype=int)
     for joint in robot.joints:

@@ -30,9 +30,9 @@ class _Edge:
     """MuJoCo's joint j from node `near` to node `far`; `before`: where it is placed in `near`."""
 
     j: int
-    near: int
-    far: int
-    before: pin.SE3
+    parent: int
+    child: int
+    placement: pin.SE3
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class _Rooted:
     model: pin.Model
     joint: dict[int, int]
     pose: dict[int, pin.SE3]
-    passed: dict[int, tuple[int, bool]]
+    direction: dict[int, tuple[int, bool]]
 
 
 def pinocchio_wrench_regressor(
@@ -104,15 +104,15 @@ def _rooted(robot: RobotModel, graph: _Graph, body: int) -> _Rooted:
     while open_nodes:
         here = open_nodes.pop()
         for edge in graph.edges:
-            if here not in (edge.near, edge.far) or edge.j in passed:
+            if here not in (edge.parent, edge.child) or edge.j in passed:
                 continue
-            backwards = here == edge.far
-            there = edge.near if backwards else edge.far
-            place = pose[here] if backwards else pose[here] * edge.before
+            backwards = here == edge.child
+            there = edge.parent if backwards else edge.child
+            place = pose[here] if backwards else pose[here] * edge.placement
             joint[there] = model.addJoint(
                 joint[here], _joint_model(robot, edge.j, backwards), place, f"joint{edge.j}"
             )
-            pose[there] = edge.before.inverse() if backwards else pin.SE3.Identity()
+            pose[there] = edge.placement.inverse() if backwards else pin.SE3.Identity()
             passed[edge.j] = joint[there], backwards
             open_nodes.append(there)
     return _Rooted(model, joint, pose, passed)
@@ -136,7 +136,7 @@ def _states(
     v, a = np.zeros((2, len(motion), rooted.model.nv))
     q[:, :7], v[:, :6], a[:, :6] = _base_states(robot, body, motion)
     for edge in graph.edges:
-        number, backwards = rooted.passed[edge.j]
+        number, backwards = rooted.direction[edge.j]
         joint = rooted.model.joints[number]
         at, dof = int(robot.mj.jnt_qposadr[edge.j]), int(robot.mj.jnt_dofadr[edge.j])
         own = slice(joint.idx_v, joint.idx_v + joint.nv)
@@ -207,7 +207,7 @@ def _joint_rows(
     parts = [np.zeros((len(Y), 0, Y.shape[-1]))]
     names: list[str] = []
     for edge in graph.edges:
-        number, backwards = rooted.passed[edge.j]
+        number, backwards = rooted.direction[edge.j]
         joint = rooted.model.joints[number]
         rows = Y[:, joint.idx_v : joint.idx_v + joint.nv]
         at, dof = int(robot.mj.jnt_qposadr[edge.j]), int(robot.mj.jnt_dofadr[edge.j])

@@ -38,9 +38,9 @@ def accumulate_all(
         # Fewer samples than columns leave a factor with fewer rows, which the kernel's has not.
         if library and isinstance(regression, Regression) and len(motion) >= widest:
             factors = [_square(R) for R in factors]
-            library.fold(layout_of(regression, chosen_rows), motion, b, factors)
+            library.accumulate(layout_of(regression, chosen_rows), motion, b, factors)
         else:
-            factors = _folded(regression, motion, b, chosen_rows, factors)
+            factors = _accumulated(regression, motion, b, chosen_rows, factors)
         samples += len(motion)
     return tuple(
         Factor(regression.rows[i], regression.touched[i], R, samples)
@@ -55,7 +55,7 @@ def _square(R: Array) -> Array:
     return out
 
 
-def _folded(
+def _accumulated(
     regression: MeasuredRegressor,
     motion: Trajectory,
     b: Array,
@@ -65,7 +65,7 @@ def _folded(
     for block in regression.blocks(motion):
         # C order here is Fortran order of the transpose, which LAPACK reads without a copy.
         factors = [
-            _absorb(R, block.joined(i, b[block.samples, i]).T)
+            _absorb(R, block.augmented(i, b[block.samples, i]).T)
             for R, i in zip(factors, rows, strict=True)
         ]
     return factors
@@ -88,10 +88,10 @@ def _absorb(R: Array, rows: Array) -> Array:
 def upper_factor(parts: Iterable[Array]) -> Array:
     """R of all rows of the given matrices (m_i, k) on top of each other."""
     stack = np.asfortranarray(np.concatenate(list(parts)))
-    return _triangle(stack)
+    return _r_factor(stack)
 
 
-def _triangle(stack: Array) -> Array:
+def _r_factor(stack: Array) -> Array:
     rows, columns = stack.shape
     if rows == 0 or columns == 0:
         return np.zeros((0, columns))

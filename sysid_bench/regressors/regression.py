@@ -14,7 +14,7 @@ from sysid_bench.models.sensor import Measured
 from sysid_bench.regressors.columns import Columns, LinkColumns, TermColumn
 from sysid_bench.regressors.kernel_c import Library, layout_of, selected_kernel
 from sysid_bench.regressors.kernel_layout import TERM_CODES
-from sysid_bench.regressors.kernel_numpy import blocks, body_columns, sweep
+from sysid_bench.regressors.kernel_numpy import blocks, body_columns, link_motions
 from sysid_bench.types import Array, Regressor, Trajectory
 
 TermFunction = Callable[[Array, Array, Array], Array]
@@ -48,7 +48,7 @@ class Regression(Columns):
         """Y of consecutive samples, a cacheful at a time, by the kernel of this process."""
         library = self.library
         for part in blocks(motion):
-            span = _cut(motion, part)
+            span = _part(motion, part)
             values = library.rows(layout_of(self), span) if library else self._values(span)
             yield Block(self, part, values)
 
@@ -57,7 +57,7 @@ class Regression(Columns):
         q, v, a = motion.q.T, motion.v.T, motion.a.T
         free = list(self.starts)
         out = np.empty((sum(len(places) + 1 for places in self.touched), len(motion)))
-        states = sweep(self.tree, q, v, a)
+        states = link_motions(self.tree, q, v, a)
         for columns in self.links:
             state = states[columns.link]
             A = body_columns(state, columns.raw)
@@ -118,7 +118,7 @@ class Block:
         out[:] = values
         return out
 
-    def joined(self, i: int, b: Array) -> Array:
+    def augmented(self, i: int, b: Array) -> Array:
         """Row i with a right-hand side b (n,) below it, (k + 1, n): a view, in the place kept."""
         start = self.regression.starts[i]
         end = start + len(self.regression.touched[i])
@@ -146,7 +146,7 @@ def _runs(places: Array, most: int = 16) -> Iterator[slice]:
             yield slice(first, min(first + most, end))
 
 
-def _cut(motion: Trajectory, part: slice) -> Trajectory:
+def _part(motion: Trajectory, part: slice) -> Trajectory:
     return Trajectory(motion.t[part], motion.q[part], motion.v[part], motion.a[part])
 
 

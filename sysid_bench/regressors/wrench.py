@@ -27,14 +27,14 @@ from sysid_bench.errors import unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import FloatingSubtree, Instruments, SensorCut, instruments_of
 from sysid_bench.models.tree import Tree
-from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, sweep
+from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, link_motions
 from sysid_bench.regressors.regression import regression
 from sysid_bench.spatial.rotation import matrix_of_quaternion, skew
 from sysid_bench.types import Array, Regressor, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class SubTree:
+class SubtreeRegressors:
     """Y_n (N, 6, p) at the sensor frame and Y_c (N, k, p) of one motion, base at the sensor; `rows`
     are the k degrees of freedom of the sub-tree, `columns` its p parameters."""
 
@@ -57,26 +57,26 @@ class SubTree:
         """Y_n (N, 6, p) [n; f] at the origin of the body `base`, in its axes (None: the sensor)."""
         if base is None:
             return self.Y_n
-        return self.transform(base) @ self.Y_n
+        return self.wrench_transform(base) @ self.Y_n
 
     def joint_torque(self, base: str | None = None) -> Array:
         """Y_c (N, k, p) with the base at a body of the sub-tree (None: at the sensor)."""
         if base is None:
             return self.Y_c
-        return self.Y_c - self.projection(base) @ self.Y_n
+        return self.Y_c - self.jacobian(base) @ self.Y_n
 
-    def transform(self, base: str) -> Array:
+    def wrench_transform(self, base: str) -> Array:
         """X (N, 6, 6): a wrench at the root, moved to the body `base`."""
         T = self._twists(body_of(self.robot, self.cut, base))
         return np.linalg.inv(T).transpose(0, 2, 1)
 
-    def projection(self, base: str) -> Array:
+    def jacobian(self, base: str) -> Array:
         """M (N, k, 6): what a wrench at the root is on every joint between the root and `base`;
         zero rows for the others."""
         body = body_of(self.robot, self.cut, base)
-        return self.project_onto_axis(int(self.tree.carrier[body]), self.dofs)
+        return self.link_jacobian(int(self.tree.carrier[body]), self.dofs)
 
-    def project_onto_axis(self, link: int, dofs: Sequence[int]) -> Array:
+    def link_jacobian(self, link: int, dofs: Sequence[int]) -> Array:
         """M (N, len(dofs), 6) of degrees of freedom before a link; zero rows for the others."""
         own = self.tree.links[link].dofs.tolist()
         M = np.zeros((len(self.motion), len(dofs), 6))
@@ -103,14 +103,16 @@ class SubTree:
         return np.concatenate(parts)
 
 
-def sub_tree(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> SubTree:
+def sub_tree(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> SubtreeRegressors:
     """The regressors of a cut along a motion (N, nq) (N, nv) of the whole robot: base pose, twist
     and acceleration are those that the motion gives the sensor, on a fixed or floating base."""
     instruments = instruments_of(robot, (cut,))
     return _sub_tree(robot, cut, instruments, instruments.root(cut), instruments.motion(motion))
 
 
-def floating_sub_tree(robot: RobotModel, alone: FloatingSubtree, motion: Trajectory) -> SubTree:
+def floating_subtree_regressors(
+    robot: RobotModel, alone: FloatingSubtree, motion: Trajectory
+) -> SubtreeRegressors:
     """The same of the sub-tree on its own: motions (N, nq + 7) (N, nv + 6) with its free base. The
     rows of Y_n are then the free joint's: force in world axes, then moment in body axes."""
     return _sub_tree(robot, alone.cut, alone, alone.root, motion)
@@ -142,11 +144,11 @@ def transferred_wrench(
     instruments: Instruments, motion: Trajectory, cut: SensorCut, stop: SensorCut, wrench: Array
 ) -> Array:
     """What a wrench (N, 6) at the sensor `stop` is at the sensor `cut` before it (N, 6)."""
-    X = moved_frame(instruments, instruments.motion(motion), cut, stop)
+    X = wrench_transform(instruments, instruments.motion(motion), cut, stop)
     return np.asarray(np.einsum("nij,nj->ni", X, wrench))
 
 
-def moved_frame(
+def wrench_transform(
     instruments: Instruments, motion: Trajectory, cut: SensorCut, stop: SensorCut
 ) -> Array:
     """X (N, 6, 6) of wrenches at the sensor `stop`, moved to the sensor `cut` before it; along a
@@ -163,7 +165,7 @@ def moved_frame(
     return X
 
 
-def columns_of(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
+def subtree_parameters(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
     """Names of the parameters behind a sensor, ten per body."""
     return tuple(column for body in cut.bodies for column in robot.bodies[body].columns)
 
@@ -174,20 +176,20 @@ def _sub_tree(
     measured: Instruments | FloatingSubtree,
     root: range,
     motion: Trajectory,
-) -> SubTree:
-    columns = columns_of(robot, cut)
-    dofs = dofs_behind(robot, cut)
+) -> SubtreeRegressors:
+    columns = subtree_parameters(robot, cut)
+    dofs = subtree_dofs(robot, cut)
     rows = [*root, *dofs]
     parts = [
         block.dense()[:, rows] for block in regression(robot, columns, measured).blocks(motion)
     ]
     Y = np.concatenate(parts)
-    return SubTree(
+    return SubtreeRegressors(
         robot, cut, measured.tree, root, motion, Y[:, :6], Y[:, 6:], dofs, columns
     )  # fmt: skip
 
 
-def dofs_behind(robot: RobotModel, cut: SensorCut) -> tuple[int, ...]:
+def subtree_dofs(robot: RobotModel, cut: SensorCut) -> tuple[int, ...]:
     """Places in v of the degrees of freedom inside of the sub-tree of a cut."""
     return tuple(
         dof
@@ -219,7 +221,7 @@ def _pose_in_link(robot: RobotModel, body: int, link_body: int) -> tuple[Array, 
 def _states(tree: Tree, motion: Trajectory, link: int):  # type: ignore[no-untyped-def]
     """(samples, LinkMotion) of one link, block by block."""
     for part in blocks(motion):
-        yield part, sweep(tree, motion.q[part].T, motion.v[part].T, motion.a[part].T)[link]
+        yield part, link_motions(tree, motion.q[part].T, motion.v[part].T, motion.a[part].T)[link]
 
 
 def _columns(state: LinkMotion, places: Sequence[int]) -> Array:

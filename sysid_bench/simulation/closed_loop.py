@@ -21,7 +21,7 @@ STIFF_FRICTION: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])
 """solref and solimp of friction loss: MuJoCo's default is soft and leaves 12 % of the torque of a
 joint with Coulomb friction unexplained; with these settings a moving joint leaves 0.03 %."""
 
-EXPLICIT: Final = 1.0
+EXPLICIT_DECAY: Final = 1.0
 """Steps times the fastest decay up to which velocities are taken explicitly, as a digital
 controller holds its torque. An implicit step moves the robot as if every joint had kd + viscous
 friction times the step more inertia, and positions then tell another robot than the torques: 17 %
@@ -31,7 +31,7 @@ STIFF_EQUALITY: Final = ([0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0])
 less than 0.01 %."""
 
 
-DAMPED: Final = 0.25
+EXPLICIT_DAMPING: Final = 0.25
 """Share of a joint's velocity that dampers and controller of a coupled robot may take per step."""
 
 MOST_STEPS: Final = 20
@@ -104,7 +104,7 @@ class ClosedLoop:
         check_finite(robot.name, encoder, "encoder error")
         mj = controlled_model(plant, controller)
         lead = 0 if robot.coupling is None else LEAD_IN
-        whole = _led_in(robot, commanded, lead)
+        whole = _with_lead_in(robot, commanded, lead)
         encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
         control = commands(controller, whole, encoder, robot)
         steps = _steps_with_laws if plant.laws else _rollout
@@ -127,7 +127,7 @@ class ClosedLoop:
             return False
         return (
             _fastest_decay(plant.fixed_contact_free_model, kd + plant.terms.viscous)
-            <= EXPLICIT * self.rate
+            <= EXPLICIT_DECAY * self.rate
         )
 
     def _declared(self, robot: RobotModel) -> tuple[Array, Array] | None:
@@ -241,7 +241,7 @@ def controlled_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
     mj.opt.timestep = 1.0 / controller.rate
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     if plant.robot.coupling is not None:
-        _close(mj, plant, controller)
+        _enable_couplings(mj, plant, controller)
     elif controller.held:
         mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_EULER)
         mj.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
@@ -255,7 +255,7 @@ def _fastest_decay(mj: mujoco.MjModel, damping: Array) -> float:
     return float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(_mass_matrix(mj)) * root)[-1])
 
 
-def _close(mj: mujoco.MjModel, plant: Plant, controller: Controller) -> None:
+def _enable_couplings(mj: mujoco.MjModel, plant: Plant, controller: Controller) -> None:
     """Lets the couplings of a model act. An implicit integrator moves joints in spite of their
     constraints: of a gripper's torque it leaves 7 % unexplained, an explicit one 0.01 %."""
     bits = mujoco.mjtDisableBit
@@ -265,10 +265,10 @@ def _close(mj: mujoco.MjModel, plant: Plant, controller: Controller) -> None:
     # Explicit dampers are stable up to 2 per step, and smooth far below.
     damping = _on_motors(plant.robot, plant.terms.viscous, 2) + controller.kd
     fastest = float((damping / _own_inertia(plant)).max()) / controller.rate
-    mj.opt.timestep /= max(1, min(MOST_STEPS, int(np.ceil(fastest / DAMPED))))
+    mj.opt.timestep /= max(1, min(MOST_STEPS, int(np.ceil(fastest / EXPLICIT_DAMPING))))
 
 
-def _led_in(robot: RobotModel, commanded: Trajectory, count: int) -> Trajectory:
+def _with_lead_in(robot: RobotModel, commanded: Trajectory, count: int) -> Trajectory:
     """The motion with `count` samples before it, at its first acceleration."""
     if robot.coupling is None or count == 0:
         return commanded

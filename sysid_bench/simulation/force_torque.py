@@ -43,7 +43,7 @@ def sensor_wrench(
         _add_sensor(spec, plant.robot.body_names[cut.body], cut, SITE.format(k))
     mj = plant.compiled(spec)
     data = mujoco.MjData(mj)
-    places = _places(mj, len(cuts))
+    places = _sensor_addresses(mj, len(cuts))
     out = np.empty((len(motion), len(places)))
     for k in range(len(motion)):
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]
@@ -84,7 +84,7 @@ def _add_sensor(spec: mujoco.MjSpec, body: str, cut: SensorCut, name: str) -> No
         )
 
 
-def _places(mj: mujoco.MjModel, count: int) -> Array:
+def _sensor_addresses(mj: mujoco.MjModel, count: int) -> Array:
     """Where the six numbers of each sensor stand in sensordata, moments first."""
     places = []
     for k in range(count):

@@ -19,7 +19,7 @@ def kinematics_only(robot: RobotModel) -> RobotModel:
     Every body has unit mass and inertia and no joint has friction, so that whoever holds the model
     has to say what it weighs; the text, the manifest and the payload are left behind.
     """
-    spec = _bare_spec(robot.mj)
+    spec = _kinematic_spec(robot.mj)
     spec.option = robot.spec.option
     nothing = {field.name: np.zeros(robot.nv) for field in fields(JointTerms)}
     nothing["viscous_coupling"] = np.zeros((robot.nv, robot.nv))
@@ -36,7 +36,7 @@ def kinematics_only(robot: RobotModel) -> RobotModel:
     )
 
 
-def _bare_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
+def _kinematic_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
     """Bodies, joints and equalities of a compiled model; no shapes, inertias or joint terms."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False

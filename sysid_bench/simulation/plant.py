@@ -73,11 +73,11 @@ def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
 def coupling_laws(terms: JointTerms) -> tuple[Any, ...]:
     """The law of viscous friction between joints, where there is any: no passive element of MuJoCo
     has an unsymmetric one."""
-    return (Coupled(terms.viscous_coupling),) if terms.viscous_coupling.any() else ()
+    return (ViscousCoupling(terms.viscous_coupling),) if terms.viscous_coupling.any() else ()
 
 
 @dataclass(frozen=True, eq=False)
-class Coupled:
+class ViscousCoupling:
     """Torque `numbers` (nv, nv) times v."""
 
     numbers: Array

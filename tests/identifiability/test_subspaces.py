@@ -7,10 +7,10 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.identifiability.subspaces import (
-    complement_directions,
+    subspace_sine,
     excitation_of,
-    orthonormal_span,
-    outside_of,
+    row_space,
+    projection_residual,
     structural_subspaces,
 )
 from sysid_bench.models.random.random_tree import random_robot
@@ -67,7 +67,7 @@ def test_lemma_and_proposition_hold_for_every_link_of_any_tree(seed: int) -> Non
     assert found.joint_subspace < ANGLE
     assert found.rank >= 10
     for basis in found.joints.values():
-        assert outside_of(found.wrench, basis) < ANGLE
+        assert projection_residual(found.wrench, basis) < ANGLE
 
 
 def _moving(robot: RobotModel, names: tuple[str, ...], seed: int = 0) -> Trajectory:
@@ -119,7 +119,7 @@ def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
     moved = tuple(rng.choice(robot.rows[6:], 3, replace=False))
     made = sub_tree(robot, cut, _moving(robot, moved, seed))
     told = excitation_of(made, structural_subspaces(robot, cut))
-    basis, _ = orthonormal_span(made.Y_n)
+    basis, _ = row_space(made.Y_n)
     change = np.array(rng.normal(size=made.Y_n.shape[-1:]))
     change = change - basis @ (basis.T @ change)
     assert np.abs(made.Y_n @ change).max() < 1e-10
@@ -133,11 +133,11 @@ def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
 def test_apart_and_outside_are_sines() -> None:
     x, y, z = np.eye(3)[:, :, None]
     tilted = np.cos(0.1) * x + np.sin(0.1) * y
-    assert outside_of(x, tilted) == pytest.approx(np.sin(0.1))
-    assert complement_directions(x, tilted) == pytest.approx(np.sin(0.1))
-    assert complement_directions(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
-    assert complement_directions(x, np.hstack([x, y])) == 1.0
-    assert outside_of(np.hstack([x, y]), tilted) == pytest.approx(0.0, abs=1e-15)
+    assert projection_residual(x, tilted) == pytest.approx(np.sin(0.1))
+    assert subspace_sine(x, tilted) == pytest.approx(np.sin(0.1))
+    assert subspace_sine(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
+    assert subspace_sine(x, np.hstack([x, y])) == 1.0
+    assert projection_residual(np.hstack([x, y]), tilted) == pytest.approx(0.0, abs=1e-15)
 
 
 def test_data_of_another_sub_tree_are_refused() -> None:

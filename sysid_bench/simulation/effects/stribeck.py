@@ -21,17 +21,17 @@ class Stribeck:
     vs: float = field(default=0.1, metadata={"unit": "rad|m"})  # per second
     v0: float = field(default=0.005, metadata={"unit": "rad|m"})  # per second
 
-    def prepare(self, robot: RobotModel) -> "Law":
+    def prepare(self, robot: RobotModel) -> "StribeckLaw":
         """The force law of this robot."""
         gravity = gravity_rms(robot, robot.mj)
         gravity = np.maximum(gravity, 1e-3 * gravity.max())
         scale = np.zeros(robot.nv)
         scale[robot.scalar_dofs] = self.share * gravity[robot.scalar_dofs]
-        return Law(np.concatenate([scale, [self.vs, self.v0]]))
+        return StribeckLaw(np.concatenate([scale, [self.vs, self.v0]]))
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
+class StribeckLaw:
     """`numbers`: F (nv,), vs, v0."""
 
     numbers: Array
