@@ -20,7 +20,7 @@ import numpy as np
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.wrench import SubtreeRegressors, subtree_dofs, sub_tree
+from sysid_bench.regressors.wrench import SubtreeRegressors, sub_tree, subtree_dofs
 from sysid_bench.types import Array, Trajectory
 
 

@@ -57,13 +57,13 @@ class Columns:
     def touched(self) -> tuple[Array, ...]:
         """Indices (k,) of the columns in which each row can be non-zero, as `Block.row` orders
         them."""
-        places: list[list[int]] = [[] for _ in self.rows]
+        indices: list[list[int]] = [[] for _ in self.rows]
         for columns in self.links:
             for row in self.tree.links[columns.link].dofs:
-                places[row] += columns.indices.tolist()
+                indices[row] += columns.indices.tolist()
         for term in self.terms:
-            places[term.row].append(term.index)
-        return tuple(np.array(place, dtype=int) for place in places)
+            indices[term.row].append(term.index)
+        return tuple(np.array(row, dtype=int) for row in indices)
 
     @cached_property
     def starts(self) -> tuple[int, ...]:
@@ -72,5 +72,5 @@ class Columns:
         One value per row is left free behind its columns: `Block.augmented` writes the right-hand
         side there, so that [Y | b] needs no copy.
         """
-        sizes = [len(places) + 1 for places in self.touched]
+        sizes = [len(row) + 1 for row in self.touched]
         return tuple(int(end - size) for end, size in zip(np.cumsum(sizes), sizes, strict=True))

@@ -146,15 +146,15 @@ class JointFeatures:
 def features_of(
     features: Sequence[Feature],
     joints: Sequence[str],
-    places: Sequence[tuple[int, int]],
+    indices: Sequence[tuple[int, int]],
     motions: Sequence[Trajectory],
 ) -> JointFeatures:
     """Return the features of `joints`, with their range over all training motions.
 
-    `places` are the indices (in q, in v) of each joint.
+    `indices` are the indices (in q, in v) of each joint.
     """
     ranges = {}
-    for joint, (qadr, _) in zip(joints, places, strict=True):
+    for joint, (qadr, _) in zip(joints, indices, strict=True):
         q = np.concatenate([motion.q[:, qadr] for motion in motions])
         ranges[joint] = (float(q.min()), float(q.max()))
-    return JointFeatures(tuple(features), dict(zip(joints, places, strict=True)), ranges)
+    return JointFeatures(tuple(features), dict(zip(joints, indices, strict=True)), ranges)
