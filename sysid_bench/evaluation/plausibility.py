@@ -31,7 +31,7 @@ def body_plausibility(phi: Array, extent: Extent | None) -> str:
     if mass <= MASSLESS or extent is None:
         return ""
     if mass > MAX_DENSITY * extent.volume:
-        return f"{mass:.4g} kg in its {extent.volume:.2g} m^3 are denser than steel"
+        return f"{mass:.4g} kg in its {extent.volume:.2g} m^3 is denser than steel"
     outside = np.maximum(extent.low - com, com - extent.high).max()
     if outside > 0:
         return f"its centre of mass lies {outside:.2g} m outside of the link"

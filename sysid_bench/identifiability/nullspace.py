@@ -128,8 +128,7 @@ def _adjoint(twist: Array) -> Array:
 
 
 def _functional_rate(twist: Array) -> Array:
-    """The same rate for functionals of phi (10, 10): dJ/dq = H J + J H^T of the pseudo-inertia
-    J."""
+    """The same rate for functionals of phi (10, 10), by dJ/dq = H J + J H^T of pseudo-inertias."""
     H = np.zeros((4, 4))
     H[:3, :3], H[:3, 3] = skew(twist[:3]), twist[3:]
     J = pseudo_inertia(np.eye(10))
@@ -138,7 +137,8 @@ def _functional_rate(twist: Array) -> Array:
 
 def _bilinear(U: Array, W: Array) -> Array:
     """Functionals b(u, w) (10, u w) for all columns of U (6, u) and W (6, w)."""
-    return np.einsum("iu,kij,jw->kuw", U, _INERTIAS, W).reshape(10, -1)
+    functionals: Array = np.einsum("iu,kij,jw->kuw", U, _INERTIAS, W)
+    return functionals.reshape(10, -1)
 
 
 def _spatial_inertias() -> Array:
