@@ -1,4 +1,4 @@
-"""Compiled helpers of the package: a library is used only if it was compiled from today's text."""
+"""Loading of the package's compiled libraries: a stale one, of another source text, is refused."""
 
 import ctypes
 import hashlib
@@ -7,21 +7,22 @@ from typing import Any
 
 
 def c_library(source: Path, library: str, hash_function: str) -> Any:
-    """The library (ctypes) that was compiled from a C file, which lies beside it.
+    """Return the library (ctypes) that was compiled from the C file `source` in the same folder.
 
-    Raises OSError, with the reason, where none was compiled or one from another text.
+    `hash_function` names its function that returns the SHA-256 of the source text. Raises OSError,
+    with the reason, if there is no library, or one compiled from another text.
     """
     files = [source.with_name(f"{library}{suffix}") for suffix in (".so", ".dylib", ".dll")]
     file = next((file for file in files if file.is_file()), None)
     if file is None:
         raise OSError(
-            f"no {library} was compiled when the package was installed; with a C compiler, gcc or "
-            "clang, installing it again compiles one"
+            f"{library} was not compiled when the package was installed; to compile it, install a "
+            "C compiler, gcc or clang, and then the package again"
         )
     dll = ctypes.CDLL(str(file))
-    told = getattr(dll, hash_function)
-    told.restype = ctypes.c_char_p
-    if told().decode() != hashlib.sha256(source.read_bytes()).hexdigest():
+    source_hash = getattr(dll, hash_function)
+    source_hash.restype = ctypes.c_char_p
+    if source_hash().decode() != hashlib.sha256(source.read_bytes()).hexdigest():
         raise OSError(
             f"{file.name} was compiled from another {source.name}; install the package again"
         )

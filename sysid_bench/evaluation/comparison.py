@@ -1,7 +1,7 @@
-"""Methods against each other: arrays in, numbers out.
+"""Statistical comparison of methods over robots and motions.
 
-Robots and motions are what a claim about methods is drawn over; noise seeds of one robot tell of
-that robot alone. Values are errors, smaller is better; NaN is a failure, and loses to any number.
+Inference is over robots and motions; repeats with other noise seeds say something about one robot
+only. Values are errors (smaller is better); NaN is a failure, and is worse than any number.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,14 +9,17 @@ from itertools import combinations
 from typing import Final, Literal
 
 import numpy as np
+from scipy.stats import wilcoxon
 
 from sysid_bench.types import Array
 
 DRAWS: Final = 2000
+"""Bootstrap resamples."""
 
 
 def interquartile_mean(values: Array, axis: int = 0) -> Array:
-    """The mean of the middle half, its edges by their share (Agarwal et al. 2021)."""
+    """Return the interquartile mean along `axis`: the mean of the middle half of the values, with
+    fractional weights at its edges (Agarwal et al. 2021)."""
     ordered = np.sort(np.moveaxis(np.asarray(values, dtype=float), axis, 0), axis=0)
     n = len(ordered)
     edges = np.arange(n + 1) / n
@@ -32,60 +35,65 @@ def robot_bootstrap(
     draws: int = DRAWS,
     seed: int = 0,
 ) -> tuple[Array, Array]:
-    """(low, high) of a statistic over robots and motions of values (robots, motions, ...): robots
-    are drawn again, and motions of each drawn robot."""
+    """Return (low, high), the percentile bootstrap interval of `statistic` at confidence `level`.
+
+    values (robots, motions, ...) are resampled hierarchically: robots with replacement, then
+    motions of each drawn robot. `statistic` maps (robots * motions, ...) to (...).
+    """
     rng = np.random.default_rng(seed)
     robots, motions = values.shape[0], values.shape[1]
-    found = []
+    resampled = []
     for _ in range(draws):
         chosen = rng.integers(robots, size=(robots, 1))
         within = rng.integers(motions, size=(robots, motions))
         drawn = values[chosen, within]
-        found.append(statistic(drawn.reshape(-1, *values.shape[2:])))
-    low, high = np.quantile(found, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
+        resampled.append(statistic(drawn.reshape(-1, *values.shape[2:])))
+    low, high = np.quantile(resampled, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)
     return low, high
 
 
 def wilcoxon_holm(values: Array) -> Array:
-    """p (methods, methods) of Wilcoxon's signed-rank test between methods over robots, values
-    (robots, methods), Holm's correction over all pairs; the diagonal is one.
+    """Return the p-values (methods, methods) of Wilcoxon's signed-rank test between all pairs of
+    methods, for values (robots, methods).
 
-    Signed ranks of the logarithm of the ratio: robots of different size count alike.
+    Holm's correction is over all pairs; the diagonal is one. Ranks are of |log(value ratio)|, so
+    that robots of different size have equal weight.
     """
     count, p = values.shape[1], np.eye(values.shape[1])
     pairs = list(combinations(range(count), 2))
-    for (i, j), corrected in zip(pairs, _tested(values, pairs), strict=True):
+    for (i, j), corrected in zip(pairs, _corrected_p_values(values, pairs), strict=True):
         p[i, j] = p[j, i] = corrected
     return p
 
 
 def wilcoxon_holm_against(values: Array, reference: int) -> Array:
-    """p (methods,) of the same test against one method that was named beforehand, Holm's correction
-    over these comparisons alone: fewer questions need fewer robots. That method's own is one."""
+    """Return the p-values (methods,) of the same test against one method, `reference`.
+
+    Holm's correction is over these comparisons alone, so that fewer robots suffice; the reference
+    has to be chosen before the results are known. Its own p-value is one.
+    """
     others = [i for i in range(values.shape[1]) if i != reference]
     p = np.ones(values.shape[1])
-    p[others] = _tested(values, [(i, reference) for i in others])
+    p[others] = _corrected_p_values(values, [(i, reference) for i in others])
     return p
 
 
-def _tested(values: Array, pairs: Sequence[tuple[int, int]]) -> Array:
-    from scipy.stats import wilcoxon
-
-    # Equal ratios are ties, whatever rounding makes of them.
+def _corrected_p_values(values: Array, pairs: Sequence[tuple[int, int]]) -> Array:
+    # Rounding makes equal ratios exact ties.
     logs = np.round(np.log(failures_last(values)), 9)
     first, second = np.array(pairs, dtype=int).reshape(-1, 2).T
     differences = logs[:, first] - logs[:, second]
     p = np.ones(len(pairs))
-    told = differences.any(axis=0)
-    if told.any():
-        # By itself SciPy meets ties with permutations: minutes for all pairs of two dozen methods.
+    different = differences.any(axis=0)
+    if different.any():
+        # By default SciPy resolves ties by permutations: minutes for all pairs of 24 methods.
         method: Literal["exact", "approx"] = "exact" if len(values) <= 50 else "approx"
-        p[told] = wilcoxon(differences[:, told], axis=0, method=method).pvalue
+        p[different] = wilcoxon(differences[:, different], axis=0, method=method).pvalue
     return holm(p)
 
 
 def holm(p: Array) -> Array:
-    """p-values (k,) corrected for being k (Holm 1979)."""
+    """Return the p-values (k,) corrected for k comparisons by Holm's step-down method (1979)."""
     order = np.argsort(p)
     stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
     out = np.empty(len(p))
@@ -94,8 +102,8 @@ def holm(p: Array) -> Array:
 
 
 def win_rates(values: Array) -> Array:
-    """Share (methods, methods) of the cases (cases, methods) in which row beats column; ties, and
-    two failures, count half."""
+    """Return the fraction (methods, methods) of cases in which the row's method beats the column's,
+    for values (cases, methods); ties and pairs of failures count half."""
     ranked = np.where(np.isnan(values), np.inf, values)
     better = ranked[:, :, None] < ranked[:, None, :]
     same = ranked[:, :, None] == ranked[:, None, :]
@@ -103,8 +111,11 @@ def win_rates(values: Array) -> Array:
 
 
 def performance_profile(values: Array, ratios: Array) -> Array:
-    """Share (ratios, methods) of the cases (cases, methods) in which a method is within a ratio of
-    the best of that case (Dolan and More 2002). A failure never is."""
+    """Return the performance profile (ratios, methods): the fraction of cases in which a method is
+    within each ratio of the best of that case, for values (cases, methods).
+
+    Dolan and More (2002). A failure is within no ratio.
+    """
     failed = np.isnan(values)
     best = np.where(failed, np.inf, values).min(axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -114,7 +125,8 @@ def performance_profile(values: Array, ratios: Array) -> Array:
 
 
 def failures_last(values: Array) -> Array:
-    """Values (cases, methods) whose failures are ten times the worst of their case."""
+    """Return values (cases, methods) with each failure replaced by ten times the worst of its
+    case."""
     none = np.isnan(values).all(axis=1, keepdims=True)
     worst = np.nanmax(np.where(none, 1.0, values), axis=1)
     return np.where(np.isnan(values), 10.0 * worst[:, None], values)

@@ -1,7 +1,8 @@
-"""How sure an estimate is: covariances that hold where noise is not white.
+"""Covariance of a least-squares estimate under coloured noise.
 
-The textbook covariance of weighted least squares takes every sample for new. Slow noise and errors
-in q make neighbours alike, and its intervals too short; the two here let the data say how alike.
+The textbook covariance assumes independent samples. Low-frequency noise and errors in q correlate
+neighbouring samples, which makes its intervals too short. Two robust covariances are offered: from
+the scatter over repeated periods, and from the autocorrelation of the residuals (HAC).
 """
 
 from dataclasses import dataclass
@@ -17,16 +18,16 @@ from sysid_bench.types import Array, Estimate, Problem
 
 LEVEL: Final = 0.95
 LEAST_PERIODS: Final = 2
-"""A spread needs two."""
+"""Minimal number of periods for a covariance."""
 
 ENOUGH_PERIODS: Final = 5
-"""From here on the spread over periods is the one that is told: with fewer, the deviation itself is
-unsure by more than a third, and its interval wider than half as much again."""
+"""Minimal number of periods for reporting their covariance: with fewer, the standard deviation is
+itself uncertain by more than a third, and Student's interval more than 1.5 times wider."""
 
 
 @dataclass(frozen=True, eq=False)
 class StandardError:
-    """A covariance (r, r) and the degrees of freedom that it was estimated with."""
+    """Covariance (r, r) of an estimate, and the degrees of freedom it was estimated with."""
 
     covariance: Array
     freedom: float = np.inf
@@ -37,20 +38,23 @@ class StandardError:
         return np.sqrt(np.diag(self.covariance))
 
     def interval(self, beta: Array, level: float = LEVEL) -> tuple[Array, Array]:
-        """(low, high), each (r,), by Student's distribution."""
-        reach = quantile(level, self.freedom) * self.std
-        return beta - reach, beta + reach
+        """Return the confidence interval (low, high), (r,) each, by Student's distribution."""
+        half_width = quantile(level, self.freedom) * self.std
+        return beta - half_width, beta + half_width
 
 
 def quantile(level: float, freedom: float) -> float:
-    """Half the width of the interval of a level, in standard deviations."""
+    """Return the two-sided quantile of Student's distribution: the half-width of the interval of a
+    confidence level, in standard deviations."""
     return float(stdtrit(min(freedom, 1e9), 0.5 + 0.5 * level))
 
 
 def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardError]:
-    """How sure an estimate is, in each way that its problem and method allow; the first is the one
-    to be told: "periods" where the recording holds ENOUGH_PERIODS, then "residuals" (both for least
-    squares on rows with weights), then "textbook", the method's own formula."""
+    """Return the covariances of an estimate by kind; the first one is to be reported.
+
+    "periods" if the recording has ENOUGH_PERIODS, then "residuals" (both for weighted least squares
+    on rows), then "textbook", the formula of the method itself.
+    """
     found = {}
     if estimate.beta is not None and estimate.sigma is not None:
         inverse, scores = _scores(problem, estimate.beta, estimate.sigma)
@@ -65,19 +69,19 @@ def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardE
 def period_standard_error(
     problem: Problem, beta: Array, sigma: Array, samples: int
 ) -> StandardError:
-    """From the spread over repeated periods of `samples` samples each, of a fit `beta` (r,) with
-    rows divided by `sigma` (rows,).
+    """Return the cluster-robust covariance over repeated periods of `samples` samples each, for a
+    fit `beta` (r,) with rows divided by `sigma` (rows,).
 
-    H^-1 (M / (M - 1) sum_m g_m g_m') H^-1 with g_m the sum of W' S^-1 r over period m of M: what
-    each period alone would have moved the fit by. It assumes nothing of the noise but that periods
-    are alike and independent, and covers errors in q too, though not their bias. Samples after
-    the last full period are left out of the spread. Raises UsageError where fewer than two fit.
+    H^-1 (M / (M - 1) sum_m g_m g_m') H^-1, with H = W' S^-1 W and g_m the sum of W' S^-1 r over
+    period m of M. Periods are assumed independent and identically distributed. Errors in q are
+    covered, but not the bias that they cause. An incomplete last period is left out. Raises
+    UsageError for fewer than two periods.
     """
     periods = problem.samples // samples if samples > 0 else 0
     if periods < LEAST_PERIODS:
         raise UsageError(
-            f"{problem.samples} samples hold {periods} full periods of {samples}; two at least are "
-            "needed to see a spread. Record more cycles, or take the sandwich."
+            f"{problem.samples} samples contain {periods} full periods of {samples}; a covariance "
+            "needs at least two. Record more periods, or use residual_standard_error."
         )
     return _over_periods(*_scores(problem, beta, sigma), samples)
 
@@ -86,7 +90,7 @@ def _over_periods(inverse: Array, scores: Array, samples: int) -> StandardError:
     periods = len(scores) // samples
     sums = scores[: periods * samples].reshape(periods, samples, -1).sum(axis=1)
     sums = sums - sums.mean(axis=0)
-    # Full periods alone carry the spread; the fit rests on all samples.
+    # Scores come from full periods alone, but the fit uses all samples.
     share = len(scores) / (periods * samples)
     parts = np.sqrt(share * periods / (periods - 1)) * sums @ inverse.T
     return StandardError(parts.T @ parts, periods - 1)
@@ -95,18 +99,19 @@ def _over_periods(inverse: Array, scores: Array, samples: int) -> StandardError:
 def residual_standard_error(
     problem: Problem, beta: Array, sigma: Array, lags: int | None = None
 ) -> StandardError:
-    """With neighbours as alike as the residuals show: H^-1 S H^-1, S the long-run covariance of
-    W' S^-1 r with Bartlett weights (Newey and West 1987).
+    """Return the heteroskedasticity- and autocorrelation-consistent covariance H^-1 L H^-1.
 
-    `lags`: samples that are told to be alike; None takes Andrews' (1991) rule for the slowest of
-    the scores. Samples are in the order of time, and W is exact.
+    L is the long-run covariance of the scores W' S^-1 r with Bartlett weights (Newey and West 1987)
+    up to `lags` samples; None takes Andrews' (1991) rule for the slowest score. Samples have to be
+    in temporal order; W is taken as exact.
     """
     inverse, scores = _scores(problem, beta, sigma)
     return _over_lags(inverse, scores, bandwidth(scores) if lags is None else lags)
 
 
 def _over_lags(inverse: Array, scores: Array, lags: int) -> StandardError:
-    """Bartlett's weights are those of sums over all windows of `lags` + 1 samples, squared."""
+    """Newey-West covariance: the outer products of sums over all windows of `lags` + 1 samples give
+    exactly Bartlett's weights."""
     lags = min(lags, len(scores) - 1)
     total = np.cumsum(np.pad(scores, ((lags + 1, lags), (0, 0))), axis=0)
     windows = (total[lags + 1 :] - total[: -lags - 1]) @ inverse.T / np.sqrt(lags + 1)
@@ -114,19 +119,19 @@ def _over_lags(inverse: Array, scores: Array, lags: int) -> StandardError:
 
 
 def bandwidth(scores: Array) -> int:
-    """Andrews' rule for Bartlett weights: 1.1447 (a N)^(1/3) of the autoregressions of scores
-    (N, r), the largest; at most a quarter of the samples."""
+    """Return the lags for Bartlett weights by Andrews' rule (1991): 1.1447 (a N)^(1/3), with a from
+    a first-order autoregression of each score (N, r); the largest, at most N / 4."""
     count = len(scores)
-    past, now = scores[:-1], scores[1:]
-    squares = np.maximum((past**2).sum(axis=0), 1e-300)
-    rho = np.clip((past * now).sum(axis=0) / squares, -0.99, 0.99)
+    previous, current = scores[:-1], scores[1:]
+    squares = np.maximum((previous**2).sum(axis=0), 1e-300)
+    rho = np.clip((previous * current).sum(axis=0) / squares, -0.99, 0.99)
     slowest = float((4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2)).max(initial=0.0))
     return int(min(np.ceil(1.1447 * (slowest * count) ** (1 / 3)), count // 4))
 
 
 def _scores(problem: Problem, beta: Array, sigma: Array) -> tuple[Array, Array]:
-    """R^-1 (r, r) of the weighted rows, and the scores (N, r) in its coordinates: H^-1 W' S^-1 r is
-    R^-1 times their sum."""
+    """R^-1 (r, r) of the weighted rows, and the scores (N, r) in its coordinates: R^-1 times their
+    sum is H^-1 W' S^-1 r."""
     R = stacked_factor(problem, (1 / sigma).tolist())[:-1, :-1]
     inverse = solve_triangular(R, np.eye(len(R)))
     forces = [np.einsum("nir,ni->nr", Y, (b - Y @ beta) / sigma**2) for Y, b in problem.blocks()]

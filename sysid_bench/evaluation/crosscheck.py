@@ -1,4 +1,4 @@
-"""The verdict on a robot: does our Y agree with Pinocchio's, and do its torques close MuJoCo's?"""
+"""Cross-check of a robot: our regressor against Pinocchio's, its torques against MuJoCo's."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -17,16 +17,19 @@ from sysid_bench.types import Array
 
 GAP: Final = 1e-12
 CLOSURE: Final = 1e-11
-"""Tolerances; both engines agree to 1e-14 on every model that has been measured."""
+"""Relative tolerances; both engines agree to 1e-14 on every model measured."""
 
 SEED: Final = 1
 
 
 @dataclass(frozen=True, eq=False)
 class CrossCheck:
-    """`gap`: max |Y - Y_pin| / max |Y_pin|; `closure`: max |Y theta + armature a - tau_MuJoCo| /
-    max |tau_MuJoCo|; `native_gap` as `gap` against Pinocchio's own parser, None with a reason;
-    `gap_map` (rows, p): the largest |Y - Y_pin| over the samples."""
+    """Agreement of a robot's regressor with the engines.
+
+    `gap`: max |Y - Y_pin| / max |Y_pin|; `closure`: max |Y theta + armature a - tau_MuJoCo| /
+    max |tau_MuJoCo|; `native_gap`: as `gap`, with the model read by Pinocchio's own URDF parser, or
+    None with `native_reason`; `gap_map` (rows, p): largest |Y - Y_pin| over the samples.
+    """
 
     gap: float
     closure: float
@@ -37,11 +40,11 @@ class CrossCheck:
     coupling: CouplingCheck | None = None
 
     def ok(self, tolerance: float = GAP) -> bool:
-        """Whether every figure holds; a figure that is not a number does not."""
+        """Return True if all errors are within their tolerances; NaN is not."""
         return not self.reason(tolerance)
 
     def reason(self, tolerance: float = GAP) -> str:
-        """Which figure fails, in words; empty where all hold."""
+        """Return the errors above tolerance as text; empty if there are none."""
         figures = [("gap", self.gap, tolerance), ("closure", self.closure, CLOSURE)]
         if self.native_gap is not None:
             figures.append(("native gap", self.native_gap, tolerance))
@@ -55,29 +58,31 @@ class CrossCheck:
 
 
 def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> CrossCheck:
-    """The robot in both engines at random states; `native` asks Pinocchio's own parser as well.
+    """Compare a robot's regressor between the engines at `samples` random states.
 
-    Coupled joints move on their own for the figures of the tree; `coupling` has the rest.
+    `native` also compares with Pinocchio's own URDF parser. For a robot with coupled joints, the
+    errors are those of the tree without couplings, and `coupling` has those of the coupling.
     """
     if robot.coupling is not None:
         tree = crosscheck(robot.uncoupled, samples, native)
         return replace(tree, coupling=check_coupling(robot, samples))
     motion = random_states(robot, samples, np.random.default_rng(SEED))
     Y = regression(robot, robot.inertial_columns).dense(motion).Y
-    witness = pinocchio_regressor(robot, motion).Y
+    reference = pinocchio_regressor(robot, motion).Y
     tau = inverse_torque(robot, motion)
     predicted = Y @ robot.phi.ravel() + robot.joint_terms.armature * motion.a
-    native_gap, why = None, ""
+    native_gap, reason = None, ""
     if native:
         try:
-            native_gap = relative_error(Y - (theirs := urdf_regressor(robot, motion).Y), theirs)
+            parsed = urdf_regressor(robot, motion).Y
+            native_gap = relative_error(Y - parsed, parsed)
         except UnsupportedError as error:
-            why = str(error)
+            reason = str(error)
     return CrossCheck(
-        gap=relative_error(Y - witness, witness),
+        gap=relative_error(Y - reference, reference),
         closure=relative_error(predicted - tau, tau),
         native_gap=native_gap,
-        native_reason=why,
-        gap_map=np.abs(Y - witness).max(axis=0),
+        native_reason=reason,
+        gap_map=np.abs(Y - reference).max(axis=0),
         columns=robot.inertial_columns,
     )

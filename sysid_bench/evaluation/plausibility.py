@@ -1,7 +1,7 @@
-"""Whether bodies that can exist are such as somebody would build.
+"""Plausibility of identified bodies: density and centre of mass compared with their geometry.
 
-Feasible is not plausible: torques hardly feel some masses, and a fit may put a tonne into a link
-without breaking a law of physics.
+Feasible is not plausible: some masses hardly affect the torques, and a feasible fit may give a link
+a mass of a tonne.
 """
 
 from collections.abc import Mapping
@@ -12,32 +12,35 @@ import numpy as np
 from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
 from sysid_bench.types import Array, Extent
 
-DENSEST: Final = 8000.0
-"""kg/m^3, steel: no box around a link is filled with more."""
+MAX_DENSITY: Final = 8000.0
+"""kg/m^3: density of steel; the bounding box of a link has no higher mean density."""
 
-NOTHING: Final = 1e-6
-"""kg; a lighter body is a frame, whose centre of mass means nothing."""
+MASSLESS: Final = 1e-6
+"""kg: a lighter body is a frame without mass, and its centre of mass has no meaning."""
 
 
-def implausible_bodies(phi: Array, extent: Extent | None) -> str:
-    """What is odd about a body phi (10,), in words; empty where nothing is. `extent`: None where it
-    is not known."""
+def body_plausibility(phi: Array, extent: Extent | None) -> str:
+    """Return what is implausible about a body with parameters phi (10,), as text; empty if nothing.
+
+    `extent` is its bounding box in body axes; None leaves the checks of density and centre of mass
+    out.
+    """
     mass, com, _ = mass_com_inertia(phi)
     if smallest_eigenvalue(phi) < -1e-9 * float(np.abs(phi).max()):
-        return "it cannot exist"
-    if mass <= NOTHING or extent is None:
+        return "it is not physically feasible"
+    if mass <= MASSLESS or extent is None:
         return ""
-    if mass > DENSEST * extent.volume:
-        return f"{mass:.4g} kg are more than steel in its {extent.volume:.2g} m^3"
-    out = np.maximum(extent.low - com, com - extent.high).max()
-    if out > 0:
-        return f"its centre of mass lies {out:.2g} m outside of the link"
+    if mass > MAX_DENSITY * extent.volume:
+        return f"{mass:.4g} kg in its {extent.volume:.2g} m^3 is denser than steel"
+    outside = np.maximum(extent.low - com, com - extent.high).max()
+    if outside > 0:
+        return f"its centre of mass lies {outside:.2g} m outside of the link"
     return ""
 
 
 def plausibility_findings(
     bodies: Mapping[str, Array], extents: Mapping[str, Extent]
 ) -> dict[str, str]:
-    """{body: what is odd} of bodies {name: phi (10,)}, odd ones alone."""
-    found = {name: implausible_bodies(phi, extents.get(name)) for name, phi in bodies.items()}
-    return {name: said for name, said in found.items() if said}
+    """Return {name: reason} of the implausible ones among bodies {name: phi (10,)}."""
+    reasons = {name: body_plausibility(phi, extents.get(name)) for name, phi in bodies.items()}
+    return {name: reason for name, reason in reasons.items() if reason}

@@ -1,7 +1,7 @@
-"""Judgement of an estimate on recordings: against the measured torque, since nothing else is known.
+"""Scores of an estimate on recordings, where only the measured torque is known.
 
-Errors are RMS over the rows used; relative ones are divided by the RMS of the measured torque of
-the same rows of the same joint.
+Errors are RMS over the samples used; relative errors are divided by the RMS measured torque of the
+same joint over the same samples.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,35 +15,37 @@ from sysid_bench.types import Array, Estimate, Problem, Score
 
 
 def joint_errors(problem: Problem, beta: Array) -> dict[str, dict[str, Any]]:
-    """{joint: samples, rms, rmse, relative} of one problem."""
-    told = {}
+    """Return {joint: {samples, rms, rmse, relative}} of one problem: RMS torque and RMS error
+    (N m, N) for base parameters `beta` (r,)."""
+    errors = {}
     norms = residual_norms(problem, beta)
     for i, (factor, norm) in enumerate(zip(problem.factors, norms, strict=True)):
         count = max(factor.samples, 1)
         size = float(np.linalg.norm(factor.R[:, -1]))
-        if problem.torque is not None:  # what is known of it included
+        # The factor has the torque minus known contributions; problem.torque includes them.
+        if problem.torque is not None:
             size = float(problem.torque[i]) * count**0.5
-        told[factor.row] = {
+        errors[factor.row] = {
             "samples": factor.samples,
             "rms": size / count**0.5,
             "rmse": float(norm) / count**0.5,
             "relative": float(norm) / size if size > 0 else None,
         }
-    return told
+    return errors
 
 
 def pooled_error(problem: Problem, beta: Array) -> float:
-    """RMSE (N m, N) of all joints alike."""
+    """Return the RMSE (N m, N) over all joints with equal weight."""
     return float(np.sqrt(np.mean([e["rmse"] ** 2 for e in joint_errors(problem, beta).values()])))
 
 
 def torque_error(tests: Mapping[str, Problem], beta: Array) -> float | None:
-    """RMS of the joints' relative errors over all test recordings; None without any."""
+    """Return the RMS of the joints' relative errors over all test recordings; None without any."""
     relative = [
-        told["relative"]
+        errors["relative"]
         for test in tests.values()
-        for told in joint_errors(test, beta).values()
-        if told["relative"] is not None
+        for errors in joint_errors(test, beta).values()
+        if errors["relative"] is not None
     ]
     return float(np.sqrt(np.mean(np.square(relative)))) if relative else None
 
@@ -54,17 +56,18 @@ def score_recorded(
     tests: Mapping[str, Problem],
     about_data: Mapping[str, Any],
 ) -> Score:
-    """The figures of one estimate that need no truth; `about_data` as `data_figures` gives it.
+    """Return the scores of one estimate on recordings, without ground truth.
 
-    Joints: rmse and relative errors of the tests (in RMS where there are several), and of training.
+    `about_data` is the result of `data_figures`. Errors of joints are those of training and of the
+    tests; the latter are RMS over the test recordings.
     """
     if estimate.status != "ok" or estimate.beta is None:
         return Score(**about_data)
     beta = estimate.beta
     held_out = [joint_errors(test, beta) for test in tests.values()]
     joints = [
-        _joint(name, own, [table[name] for table in held_out])
-        for name, own in joint_errors(problem, beta).items()
+        _joint(name, train, [table[name] for table in held_out])
+        for name, train in joint_errors(problem, beta).items()
     ]
     worst = [joint["relative"] for joint in joints if joint["relative"] is not None]
     return Score(
@@ -80,11 +83,12 @@ def score_recorded(
 
 
 def eigenvalues(estimate: Estimate, problem: Problem) -> dict[str, Any]:
-    """Whether every body can exist: {} where the method does not claim whole bodies."""
+    """Return the smallest pseudo-inertia eigenvalue of all bodies and whether all are feasible; {}
+    if the method does not estimate all parameters of bodies."""
     if estimate.theta is None or not problem.bodies:
         return {}
-    places = {name: i for i, name in enumerate(problem.parameters)}
-    phi = np.array([[estimate.theta[places[c]] for c in body.columns] for body in problem.bodies])
+    index = {name: i for i, name in enumerate(problem.parameters)}
+    phi = np.array([[estimate.theta[index[c]] for c in body.columns] for body in problem.bodies])
     smallest = smallest_eigenvalue(phi)
     scale = np.abs(phi).max(axis=1)
     return {
@@ -93,12 +97,14 @@ def eigenvalues(estimate: Estimate, problem: Problem) -> dict[str, Any]:
     }
 
 
-def _joint(name: str, own: Mapping[str, Any], tests: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _joint(
+    name: str, train: Mapping[str, Any], tests: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
     relative = [test["relative"] for test in tests if test["relative"] is not None]
     return {
         "name": name,
-        "rmse_train": own["rmse"],
-        "relative_train": own["relative"],
+        "rmse_train": train["rmse"],
+        "relative_train": train["relative"],
         "rmse_test": _rms([test["rmse"] for test in tests]),
         "rms": _rms([test["rms"] for test in tests]),
         "relative": _rms(relative),

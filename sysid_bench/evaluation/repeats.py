@@ -1,8 +1,7 @@
-"""Repeats of one experiment: how far a method is off on average, how much it scatters, and how near
-that comes to the bound of Cramer and Rao.
+"""Statistics over repeats of one experiment: bias, scatter and efficiency of a method.
 
-Errors (n, r) of n repeats and r parameters; the bound (r,) as standard deviations, which are also
-the unit that kilograms and kilogram square metres have in common.
+`errors` (n, r) are those of n repeats and r parameters; `bound` (r,) are the standard deviations of
+the Cramer-Rao bound, which also make parameters of different units comparable.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,15 +13,16 @@ import numpy as np
 from sysid_bench.types import Array
 
 ENOUGH_REPEATS: Final = 20
-"""Fewer tell of a scatter to no better than a fifth of it."""
+"""With fewer repeats the standard deviation is uncertain by more than 20 %."""
 
 DRAWS: Final = 2000
+"""Bootstrap resamples."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Moments:
-    """Of errors: mean and variance (..., r), and what of the squared mean, in variances, is chance:
-    1 / n of n repeats."""
+    """Mean and variance (..., r) of errors, and `chance`, the expected squared mean of an unbiased
+    method in variances: 1 / n for n repeats."""
 
     mean: Array
     variance: Array
@@ -30,44 +30,49 @@ class _Moments:
 
 
 Figure = tuple[float, float, float]
-"""Value, and the ends of its 95 % interval by resampling repeats."""
+"""Value, low and high end of its 95 % bootstrap interval over repeats."""
 
 
 def bias(errors: Array) -> Figure:
-    """The mean error in standard deviations of a single estimate, RMS over parameters, less what
-    chance adds to it with so many repeats."""
+    """Return the mean error in standard deviations of a single estimate, RMS over parameters, minus
+    its expected value for an unbiased method with n repeats."""
 
-    def statistic(of: _Moments) -> Array:
-        squares = (of.mean**2 / of.variance).mean(axis=-1)
-        return np.asarray(np.sqrt(np.maximum(squares - of.chance, 0.0)))
+    def statistic(moments: _Moments) -> Array:
+        squares = (moments.mean**2 / moments.variance).mean(axis=-1)
+        return np.asarray(np.sqrt(np.maximum(squares - moments.chance, 0.0)))
 
     return _resampled(statistic, errors)
 
 
 def spread(errors: Array, bound: Array) -> Figure:
-    """The standard deviation over repeats in those of the bound, RMS over parameters."""
-    return _resampled(lambda of: np.sqrt((of.variance / bound**2).mean(axis=-1)), errors)
+    """Return the standard deviation over repeats, relative to the bound, RMS over parameters."""
+
+    def statistic(moments: _Moments) -> Array:
+        return np.asarray(np.sqrt((moments.variance / bound**2).mean(axis=-1)))
+
+    return _resampled(statistic, errors)
 
 
 def efficiency(errors: Array, bound: Array) -> Figure:
-    """The bound's variance over that of the estimates, mean over parameters.
+    """Return the statistical efficiency: variance of the bound over that of the estimates, mean
+    over parameters.
 
-    One: as sure as any unbiased method can be. A biased method may seem to exceed it.
+    One is the best that an unbiased method can achieve; a biased one may exceed it.
     """
 
-    def statistic(of: _Moments) -> Array:
-        # One over a variance of n numbers is too large by 2 / n in the mean.
-        return np.asarray((bound**2 / of.variance).mean(axis=-1) * (1 - 2 * of.chance))
+    def statistic(moments: _Moments) -> Array:
+        # The mean of 1 / (sample variance of n values) is too large by a factor of about 1 + 2 / n.
+        return np.asarray((bound**2 / moments.variance).mean(axis=-1) * (1 - 2 * moments.chance))
 
     return _resampled(statistic, errors)
 
 
 def bound_ratio(errors: Array, bound: Array) -> Figure:
-    """The RMS error, bias and scatter together, in standard deviations of the bound, RMS over
-    parameters: how far a method is from the best that an unbiased one could be."""
+    """Return the RMS error (bias and scatter) relative to the bound, RMS over parameters; one is
+    the best that an unbiased method can achieve."""
 
-    def statistic(of: _Moments) -> Array:
-        squares = of.mean**2 + of.variance * (1 - of.chance)
+    def statistic(moments: _Moments) -> Array:
+        squares = moments.mean**2 + moments.variance * (1 - moments.chance)
         return np.asarray(np.sqrt((squares / bound**2).mean(axis=-1)))
 
     return _resampled(statistic, errors)
@@ -81,16 +86,17 @@ WITH_BOUND: Final[Mapping[str, Callable[[Array, Array], Figure]]] = {
 
 
 def _resampled(statistic: Callable[[_Moments], Array], errors: Array) -> Figure:
+    """Statistic of the errors, and its interval from bootstrap resamples of the repeats."""
     n = len(errors)
     centre = errors.mean(axis=0)
     moved = errors - centre
     variance = (moved**2).sum(axis=0) / (n - 1)
-    told = float(statistic(_Moments(centre, variance, 1 / n)))
+    value = float(statistic(_Moments(centre, variance, 1 / n)))
     counts = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=DRAWS)
     means = counts @ moved / n
-    # Repeats drawn twice are no news: the variance of a resample is short by (n - 1) / n once more,
-    # and its mean scatters around one that is off by chance itself.
+    # Resampling with replacement shrinks the variance by (n - 1) / n once more, and the mean of a
+    # resample scatters about a sample mean that has a chance error itself.
     variances = (counts @ moved**2 / n - means**2) * (n / (n - 1)) ** 2
-    again = statistic(_Moments(centre + means, variances, 2 / n))
-    low, high = np.quantile(again, [0.025, 0.975])
-    return told, float(low), float(high)
+    resampled = statistic(_Moments(centre + means, variances, 2 / n))
+    low, high = np.quantile(resampled, [0.025, 0.975])
+    return value, float(low), float(high)

@@ -1,4 +1,4 @@
-"""Judgement of one estimate against what really happened."""
+"""Scores of one estimate against the ground truth of a simulated experiment."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,11 +16,12 @@ from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
 from sysid_bench.types import Array, Estimate, Extent, Problem, Score, Truth
 
 SMALL_JOINT: Final = 0.01
-"""A row whose RMS torque is below this share of the largest of its kind is listed apart; forces
-and torques, joints and a floating base are kinds of their own (`Problem.kinds`)."""
+"""A row whose RMS torque is below this fraction of the largest of its kind is left out of the
+means. Forces and torques, of joints and of a floating base, are kinds of their own
+(`Problem.kinds`)."""
 
 ROUNDING: Final = 1e-12
-"""A row whose RMS torque is below this share of the largest of all rows holds rounding alone."""
+"""A row whose RMS torque is below this fraction of the largest of all rows is a rounding error."""
 
 
 def score(
@@ -30,14 +31,14 @@ def score(
     truth: Truth,
     extents: Mapping[str, Extent] | None = None,
     about_data: Mapping[str, Any] | None = None,
-    told: Mapping[str, StandardError] | None = None,
+    errors: Mapping[str, StandardError] | None = None,
 ) -> Score:
-    """The figures of one estimate; `held_out` are problems posed with exact signals (the Oracle),
-    `extents` tell of bodies by name where they can be (None: whether they are plausible is left
-    open), `told` how sure the estimate is, by kind (None: whether that holds is left open).
+    """Return the scores of one estimate against the truth.
 
-    What does not depend on the estimate (rank, condition) is there even where it failed; whoever
-    scores many estimates of a problem hands it over, as `data_figures` gives it.
+    `held_out` are test problems with exact signals. `extents` are bounding boxes of bodies by name,
+    for the plausibility check (None: no check); `errors` are standard errors by kind, whose
+    coverage is reported (None: not reported). `about_data` is the result of `data_figures`,
+    computed once for many estimates of a problem; it is reported for failed estimates too.
     """
     beta = estimate.beta if estimate.status == "ok" else None
     about_data = data_figures(problem, held_out) if about_data is None else about_data
@@ -45,21 +46,21 @@ def score(
         return Score(**about_data)
     beta_true = problem.base.K @ truth.theta
     tests = list(held_out.values())
-    train, test = RowErrors([problem], beta), RowErrors(tests, beta) if tests else None
+    train, test = _RowErrors([problem], beta), _RowErrors(tests, beta) if tests else None
     figures = {} if test is None else _held_out_figures(test, held_out, beta_true)
     return Score(
         **about_data,
         **figures,
         rmse_train=train.rmse,
         beta_error=_relative(beta - beta_true, beta_true),
-        coverage={kind: _held(spread, beta, beta_true) for kind, spread in (told or {}).items()},
+        coverage={kind: _coverage(e, beta, beta_true) for kind, e in (errors or {}).items()},
         joints=tuple(_joint_figures(problem.rows, train, test)),
         **_body_figures(estimate, problem, truth, extents),
     )
 
 
 def _held_out_figures(
-    test: "RowErrors", held_out: Mapping[str, Problem], beta_true: Array
+    test: "_RowErrors", held_out: Mapping[str, Problem], beta_true: Array
 ) -> dict[str, Any]:
     beta = test.beta
     return {
@@ -68,14 +69,17 @@ def _held_out_figures(
         "torque_error_sample": _sample_error(test.problems, beta),
         "torque_error_worst": test.worst,
         "torque_error_by_motion": {
-            name: RowErrors([problem], beta).torque_error for name, problem in held_out.items()
+            name: _RowErrors([problem], beta).torque_error for name, problem in held_out.items()
         },
         "parameter_error": _parameter_error(test.problems, beta, beta_true),
     }
 
 
 def data_figures(problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
-    """Rank, conditioning and information of the data, whatever the method."""
+    """Return rank, condition numbers and information of the data, independent of the method.
+
+    `condition` is that of the base regressor W, `condition_unit` with columns of unit length.
+    """
     base = problem.base
     R = stacked_factor(problem)[: base.rank, : base.rank]
     norms = np.linalg.norm(R, axis=0)
@@ -97,13 +101,13 @@ def data_figures(problem: Problem, held_out: Mapping[str, Problem]) -> dict[str,
 
 
 def d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
-    """log det of the information that the training motion gives about the held-out torques.
+    """Return log det of the information that the training motion contains about held-out torques.
 
-    With rows scaled by the held-out RMS torque of their joint, R of the training motion and R_h
-    of the held-out ones, the errors of the predicted torques have the covariance R_h (R'R)^-1
-    R_h' up to the noise variance; this is minus the log of its determinant, per mean sample, over
-    the directions that the held-out motions excite at all. None where the rows that carry torque
-    do not tell every parameter: a row without held-out torque has no scale.
+    With rows scaled by the held-out RMS torque of their joint, R factors R of training and R_h of
+    the held-out motions, predicted torques have the covariance R_h (R'R)^-1 R_h' times the noise
+    variance. The result is minus the log determinant, per mean sample, over the directions that the
+    held-out motions excite. None if the rows with held-out torque do not identify all base
+    parameters; a row without held-out torque has no scale.
     """
     r = problem.base.rank
     rms = _row_rms(held_out)
@@ -121,23 +125,24 @@ def d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
 
 
 def _row_rms(problems: list[Problem]) -> Array:
-    """RMS torque over all samples of each row (rows,), what the task knows included; 0 where that
-    is rounding."""
+    """RMS torque of each row (rows,) over all samples, known contributions included; zero where it
+    is a rounding error."""
     squares = np.array([problem.samples * _torque(problem) ** 2 for problem in problems])
     rms = np.sqrt(squares.sum(axis=0) / sum(problem.samples for problem in problems))
     return np.where(rms > ROUNDING * rms.max(initial=0.0), rms, 0.0)
 
 
 def _torque(problem: Problem) -> Array:
+    """RMS torque of each row (rows,) of one problem."""
     if problem.torque is not None:
         return problem.torque
     norms = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
-    return norms / np.sqrt(problem.samples)
+    return np.asarray(norms / np.sqrt(problem.samples))
 
 
 @dataclass(frozen=True, eq=False)
-class RowErrors:
-    """Errors of beta on the rows (rows,) of some problems; computed once, told in many ways."""
+class _RowErrors:
+    """Torque errors of `beta` on each row (rows,), over the samples of all `problems`."""
 
     problems: list[Problem]
     beta: Array
@@ -146,7 +151,7 @@ class RowErrors:
     def errors(self) -> Array:
         """RMS error."""
         squares = np.array([residual_norms(p, self.beta) ** 2 for p in self.problems])
-        return np.sqrt(squares.sum(axis=0) / sum(p.samples for p in self.problems))
+        return np.asarray(np.sqrt(squares.sum(axis=0) / sum(p.samples for p in self.problems)))
 
     @cached_property
     def rms(self) -> Array:
@@ -154,56 +159,56 @@ class RowErrors:
         return _row_rms(self.problems)
 
     @cached_property
-    def is_large(self) -> Array:
-        """Which rows move enough torque to be judged."""
+    def judged_rows(self) -> Array:
+        """Mask of the rows with enough torque to count in means."""
         names = np.array(self.problems[0].kinds or ("",) * len(self.rms))
         large = np.zeros(len(self.rms), dtype=bool)
         for kind in set(names):
             of_kind = names == kind
             large[of_kind] = self.rms[of_kind] >= SMALL_JOINT * self.rms[of_kind].max()
-        return large & (self.rms > 0)
+        return np.asarray(large & (self.rms > 0))
 
     @cached_property
     def relative(self) -> Array:
-        """RMS error over RMS torque; NaN where no unknown acts, or no torque."""
-        asked = np.array([len(factor.columns) > 0 for factor in self.problems[0].factors])
-        asked &= self.rms > 0
-        return np.where(asked, self.errors / np.where(asked, self.rms, 1.0), np.nan)
+        """RMS error over RMS torque; NaN where no unknown or no torque acts."""
+        defined = np.array([len(factor.columns) > 0 for factor in self.problems[0].factors])
+        defined &= self.rms > 0
+        return np.where(defined, self.errors / np.where(defined, self.rms, 1.0), np.nan)
 
     @cached_property
-    def is_judged(self) -> Array:
-        """The relative errors of the rows that move enough torque to be judged."""
-        return self.relative[self.is_large & np.isfinite(self.relative)]
+    def judged(self) -> Array:
+        """Relative errors of the rows in `judged_rows`."""
+        return np.asarray(self.relative[self.judged_rows & np.isfinite(self.relative)])
 
     @property
     def rmse(self) -> float:
-        """Root mean square of all rows' errors."""
+        """RMS of all rows' errors."""
         return float(np.sqrt((self.errors**2).mean()))
 
     @property
     def torque_error(self) -> float | None:
-        """Root mean square of the relative errors of the rows that are judged."""
-        return float(np.sqrt((self.is_judged**2).mean())) if len(self.is_judged) else None
+        """RMS of the judged relative errors."""
+        return float(np.sqrt((self.judged**2).mean())) if len(self.judged) else None
 
     @property
     def worst(self) -> float | None:
-        """The largest of them."""
-        return float(self.is_judged.max()) if len(self.is_judged) else None
+        """Largest judged relative error."""
+        return float(self.judged.max()) if len(self.judged) else None
 
 
 def _sample_error(problems: list[Problem], beta: Array) -> float | None:
-    """Mean over samples of |error| / |torque|, each a vector over the joints, as BIRDy publishes it
-    (Leboutet et al. 2021); None where rows are not of one kind, torques of joints."""
+    """Mean over samples of |error| / |torque|, norms over the joints, as in BIRDy (Leboutet et al.
+    2021); None unless all rows are joint torques."""
     if set(problems[0].kinds) != {"joint N m"}:
         return None
-    shares = []
+    ratios = []
     for problem in problems:
         for Y, b in problem.blocks():
             size = np.linalg.norm(b, axis=1)
-            moves = size > 0
-            shares.append(np.linalg.norm(b - Y @ beta, axis=1)[moves] / size[moves])
-    every = np.concatenate(shares)
-    return float(every.mean()) if len(every) else None
+            nonzero = size > 0
+            ratios.append(np.linalg.norm(b - Y @ beta, axis=1)[nonzero] / size[nonzero])
+    relative = np.concatenate(ratios)
+    return float(relative.mean()) if len(relative) else None
 
 
 def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> float | None:
@@ -213,9 +218,9 @@ def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> 
     return _relative(R @ (beta - beta_true), R @ beta_true)
 
 
-def _held(spread: StandardError, beta: Array, beta_true: Array) -> float:
-    """The share of parameters whose interval holds the truth."""
-    low, high = spread.interval(beta)
+def _coverage(error: StandardError, beta: Array, beta_true: Array) -> float:
+    """Fraction of parameters whose confidence interval contains the truth."""
+    low, high = error.interval(beta)
     return float(((low <= beta_true) & (beta_true <= high)).mean())
 
 
@@ -225,17 +230,17 @@ def _relative(difference: Array, reference: Array) -> float | None:
 
 
 def _joint_figures(
-    names: Sequence[str], train: RowErrors, test: RowErrors | None
+    names: Sequence[str], train: _RowErrors, test: _RowErrors | None
 ) -> Iterator[dict[str, Any]]:
     for i, name in enumerate(names):
-        told = test is not None and np.isfinite(test.relative[i])
+        finite = test is not None and np.isfinite(test.relative[i])
         yield {
             "name": name,
             "rmse_train": float(train.errors[i]),
             "rmse_test": None if test is None else float(test.errors[i]),
             "rms": None if test is None else float(test.rms[i]),
-            "relative": float(test.relative[i]) if test is not None and told else None,
-            "small": test is None or not bool(test.is_large[i]),
+            "relative": float(test.relative[i]) if test is not None and finite else None,
+            "small": test is None or not bool(test.judged_rows[i]),
         }
 
 
@@ -245,19 +250,21 @@ def _body_figures(
     truth: Truth,
     extents: Mapping[str, Extent] | None,
 ) -> dict[str, Any]:
-    """What can be said of whole bodies: only where all their ten numbers are claimed or known."""
+    """Feasibility, plausibility and errors of bodies; {} unless all ten parameters of each body are
+    estimated or known."""
     theta = estimate.theta
     if theta is None and problem.base.rank == len(problem.parameters) and estimate.beta is not None:
         theta = problem.base.embed(estimate.beta)
     if theta is None or not problem.bodies:
         return {}
-    places = {name: i for i, name in enumerate(problem.parameters)}
-    phi = np.array([[theta[places[c]] for c in body.columns] for body in problem.bodies])
+    index = {name: i for i, name in enumerate(problem.parameters)}
+    phi = np.array([[theta[index[c]] for c in body.columns] for body in problem.bodies])
     smallest = smallest_eigenvalue(phi)
     scale = np.abs(phi).max(axis=1)
     figures: dict[str, Any] = {
         "min_eigenvalue": float(smallest.min()),
-        # A point mass has a pseudo-inertia of rank one: zero up to rounding is still feasible.
+        # The pseudo-inertia of a point mass has rank one: an eigenvalue of zero up to rounding is
+        # still feasible.
         "feasible": bool((smallest >= -1e-9 * scale).all()),
     }
     if extents is not None:
@@ -265,7 +272,7 @@ def _body_figures(
         figures["plausible"] = not plausibility_findings(named, extents)
     if len(problem.bodies) == 1:
         figures |= _payload_figures(
-            phi[0], truth.theta[[places[c] for c in problem.bodies[0].columns]]
+            phi[0], truth.theta[[index[c] for c in problem.bodies[0].columns]]
         )
     return figures
 

@@ -1,4 +1,4 @@
-"""Base parameters as papers print them: "link2.Ixx - link2.Iyy + 0.04 link3.m"."""
+"""Base parameters as printed sums, for example "link2.Ixx - link2.Iyy + 0.04 link3.m"."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -11,20 +11,21 @@ from sysid_bench.types import Array, BaseMap
 DIGITS: Final = 4
 """Significant digits of a printed coefficient."""
 
-SHOWN: Final = 4
-"""Parameters that name a direction, at most."""
+MOST_NAMES: Final = 4
+"""Maximal number of parameters listed for a near-degenerate direction."""
 
 
 def combinations(base: BaseMap, digits: int = DIGITS) -> tuple[str, ...]:
-    """The base parameters (r,) as printed sums, each led by its pivot.
+    """Return the r base parameters as printed sums, each led by its pivot.
 
-    Pivots are those of `base`: greedy from left to right unless it was rebased (rebase.py).
+    Pivots are those of `base`: greedy from left to right, unless `rebase` exchanged them.
     """
     return tuple(expression(terms, digits) for terms in base_expressions(base))
 
 
 def base_expressions(base: BaseMap) -> tuple[dict[str, float], ...]:
-    """The coefficient of every parameter in each base parameter, its pivot (1.0) first."""
+    """Return the coefficients {parameter: value} of each of the r base parameters, beginning with
+    its pivot, whose coefficient is 1."""
     rows = []
     for pivot, row in zip(base.pivots, coefficients(base), strict=True):
         others = [int(j) for j in np.flatnonzero(row) if j != pivot]
@@ -33,20 +34,22 @@ def base_expressions(base: BaseMap) -> tuple[dict[str, float], ...]:
 
 
 def expression(terms: Mapping[str, float], digits: int = DIGITS) -> str:
-    """A sum in words; a coefficient of one is not written."""
-    words = []
+    """Return a linear combination as text, with `digits` significant digits; a coefficient of one
+    is not written."""
+    parts = []
     for name, value in terms.items():
         size = f"{abs(value):.{digits}g}"
-        words += ["-" if value < 0 else "+", *([] if size == "1" else [size]), name]
-    return " ".join(words).removeprefix("+ ")
+        parts += ["-" if value < 0 else "+", *([] if size == "1" else [size]), name]
+    return " ".join(parts).removeprefix("+ ")
 
 
 def near_degenerate(R: Array, base: BaseMap) -> tuple[tuple[float, dict[str, float]], ...]:
-    """Directions that the rank leaves out though they stand above rounding: for each its singular
-    value relative to the largest, and the parameters that it changes most.
+    """Return the near-degenerate directions: singular values below the rank tolerance but above
+    rounding error.
 
-    `R` (m, p) is a factor of the regressor that `base` was made of. Its right singular vectors
-    hold nothing that no motion tells at all, so that what they name is told, if hardly.
+    For each, its singular value relative to the largest, and {parameter: component} of the largest
+    components of its right singular vector. `R` (m, p) is the R factor of the regressor that `base`
+    was computed from. The parameters listed are weakly identifiable.
     """
     if base.near_degenerate == 0:
         return ()
@@ -59,8 +62,8 @@ def near_degenerate(R: Array, base: BaseMap) -> tuple[tuple[float, dict[str, flo
 
 
 def _largest(direction: Array, parameters: tuple[str, ...]) -> dict[str, float]:
-    """The parameters with the largest shares of a unit direction, the first one positive."""
-    order = np.argsort(-np.abs(direction), kind="stable")[:SHOWN]
+    """Largest components of a unit vector, with the sign that makes the first one positive."""
+    order = np.argsort(-np.abs(direction), kind="stable")[:MOST_NAMES]
     order = order[np.abs(direction[order]) > 0.2 * abs(direction[order[0]])]
     sign = np.sign(direction[order[0]])
     return {parameters[j]: float(sign * direction[j]) for j in order}

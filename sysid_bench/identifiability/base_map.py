@@ -1,7 +1,9 @@
-"""Base parameters: what the torques of any motion can tell (Gautier & Khalil 1990; Gautier 1991).
+"""Base parameters: the identifiable linear combinations of the dynamic parameters.
 
-Rank is counted on SI columns of random states, singular values above 1e-5 of the largest: unit
-columns hide near-parallel axes. Pivots are taken greedily from left to right, as papers print them.
+beta = K theta (r,) with Y theta = Y[:, pivots] beta on every motion (Gautier and Khalil 1990;
+Gautier 1991). The numerical rank r counts singular values above 1e-5 of the largest. Columns stay
+in SI units, since columns scaled to unit length would hide near-parallel axes. Pivots are chosen
+greedily from left to right, as published tables of base parameters do.
 """
 
 from typing import Final
@@ -12,24 +14,26 @@ from scipy.linalg import qr, solve_triangular
 from sysid_bench.types import Array, BaseMap
 
 RANK_TOLERANCE: Final = 1e-5
-"""Relative to the largest singular value: rounded angles in model files leave values near 1e-9,
-true parameters stay above 1e-4 (measured on 270 models)."""
+"""Rank tolerance relative to the largest singular value. Rounded angles in model files cause values
+near 1e-9; identifiable parameters stay above 1e-4 (measured on 270 models)."""
 
 NOISE_FLOOR: Final = 1e-12
-"""Relative; below it a singular value is rounding error, above it a near-degenerate direction."""
+"""Relative: smaller singular values are rounding errors, larger ones near-degenerate directions."""
 
 
 PIVOT_FLOORS: Final = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 10 * NOISE_FLOOR)
-"""Relative; a column that rises less above those to the left of it is no pivot where its neighbours
-to the right can take its place. Below 1e-7 it rises by rounded angles alone."""
+"""Relative thresholds, tried in this order: a column whose distance from the span of the pivots to
+its left is smaller is not a pivot, if columns further right can replace it. Distances below 1e-7
+come from rounded angles alone."""
 
 CONDITION: Final = 1e5
-"""Of the base columns: the first floor that keeps it is taken. From left to right the robots of
-engineers stay below 4e4 (89 models); trees at random angles reach 1e9, which no data bear."""
+"""Maximal condition number of the base columns: the first threshold that satisfies it is used.
+Greedy pivots of real robots stay below 4e4 (89 models); those of trees with random angles reach
+1e9, which leaves no digits after noise."""
 
 
 def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
-    """The base parameters of a regressor known by its R factor (m, p)."""
+    """Return the base map of a regressor with the R factor R (m, p) and these p parameters."""
     _, values, Vt = np.linalg.svd(R, full_matrices=False)
     largest = values[0] if len(values) else 0.0
     if largest == 0.0:
@@ -41,7 +45,7 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     gap = float(values[rank - 1] / dropped[0]) if dropped.any() else np.inf
     pivots = _left_to_right_pivots(R, rank)
     return BaseMap(
-        K=_combinations(R, pivots),
+        K=_coefficients(R, pivots),
         pivots=pivots,
         parameters=parameters,
         gap=gap,
@@ -52,16 +56,16 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
 
 
 def _left_to_right_pivots(R: Array, rank: int) -> Array:
-    """Columns (rank,) that are independent of the columns picked to the left of them, and bear
-    data: their condition is below `CONDITION`, or the best that any floor, or QR, gives.
+    """Indices (rank,) of columns that are independent of the pivots to their left.
 
-    Where more than `rank` columns look independent at the noise floor, those that stand out least
-    are left: the near-degenerate directions.
+    Their condition number is below `CONDITION`, or else the best over all thresholds and QR. If
+    more than `rank` columns are independent at a threshold, those nearest to the span of the others
+    are dropped: they are the near-degenerate directions.
     """
     scale = float(np.linalg.norm(R, 2))
     tried: list[tuple[float, Array]] = []
     for floor in PIVOT_FLOORS:
-        found = _standing_out(R, floor * scale)
+        found = _independent_columns(R, floor * scale)
         if len(found) < rank:
             continue
         kept = sorted(found, key=lambda item: item[1], reverse=True)[:rank]
@@ -75,27 +79,29 @@ def _left_to_right_pivots(R: Array, rank: int) -> Array:
 
 
 def qr_pivots(R: Array, rank: int) -> Array:
-    """Columns (rank,) that QR with column pivoting picks, in their order in R (m, p): each the one
-    with the longest remainder, whatever its place. Gautier (1991)."""
+    """Return the pivots (rank,) of QR with column pivoting of R (m, p), in ascending order.
+
+    Each pivot is the column with the largest residual, wherever it stands (Gautier 1991).
+    """
     _, _, order = qr(R, mode="economic", pivoting=True)
     return np.sort(order[:rank])
 
 
-def _standing_out(R: Array, floor: float) -> list[tuple[int, float]]:
-    """Columns that rise more than `floor` above those picked to the left of them: (j, height)."""
+def _independent_columns(R: Array, floor: float) -> list[tuple[int, float]]:
+    """(j, distance) of the columns farther than `floor` from the span of those found before."""
     Q = np.zeros((R.shape[0], 0))
     found: list[tuple[int, float]] = []
     for j in range(R.shape[1]):
         rest = R[:, j] - Q @ (Q.T @ R[:, j])
-        rest = rest - Q @ (Q.T @ rest)  # twice is enough (Kahan, Parlett)
-        height = float(np.linalg.norm(rest))
-        if height > floor:
-            found.append((j, height))
-            Q = np.column_stack([Q, rest / height])
+        rest = rest - Q @ (Q.T @ rest)  # "twice is enough" for orthogonality (Kahan; Parlett 1980)
+        distance = float(np.linalg.norm(rest))
+        if distance > floor:
+            found.append((j, distance))
+            Q = np.column_stack([Q, rest / distance])
     return found
 
 
-def _combinations(R: Array, pivots: Array) -> Array:
+def _coefficients(R: Array, pivots: Array) -> Array:
     """K (r, p) with R = R[:, pivots] K, the identity on the pivots."""
     Q, T = np.linalg.qr(R[:, pivots])
     K = solve_triangular(T, Q.T @ R)

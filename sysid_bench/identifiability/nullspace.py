@@ -1,17 +1,18 @@
-"""The structural nullspace of the inertial parameters, without sampling any motion.
+"""Structural nullspace of the inertial parameters, computed from the tree without sampling motions.
 
-After the recursive parameter nullspace algorithm of Wensing, Niemeyer and Slotine ("A geometric
-characterization of observability in inertial parameter identification", IJRR 2024). No motion can
-tell parameters apart iff they leave kinetic energy and gravity potential as they are, up to a
-constant, and every such change is a sum of *transfers* of inertia from a link to its parent across
-one joint. Which transfers go unnoticed depends on two subspaces that are carried down the tree:
+Recursive parameter nullspace algorithm of Wensing, Niemeyer and Slotine ("A geometric
+characterization of observability in inertial parameter identification", IJRR 2024). A parameter
+change is unobservable iff it leaves kinetic energy and gravity potential unchanged up to a
+constant; every such change is a sum of *transfers* of inertia from a link to its parent across one
+joint. Unobservable transfers follow from two subspaces that are propagated from the base to the
+tips:
 
-- L, the twists that the link can have;
-- F, the functionals of phi (10,) that energy and potential of the link can be.
+- L, the attainable twists of the link;
+- F, the functionals of phi (10,) that energy and potential of the link can take.
 
-A joint with twist Phi closes both under its own motion: span{exp(q A) x} is the smallest subspace
-that holds x and is invariant under the generator A. A transfer phi is unnoticed iff the functionals
-A cl(F), b(cl(L), Phi) and b(Phi, Phi) vanish on it, b(u, w) = u^T I(phi) w.
+A joint with twist Phi closes both under its motion: span{exp(q A) x} is the smallest subspace that
+contains x and is invariant under the generator A. A transfer phi is unobservable iff the
+functionals A cl(F), b(cl(L), Phi) and b(Phi, Phi) vanish on it, with b(u, w) = u^T I(phi) w.
 """
 
 from typing import Final
@@ -29,59 +30,61 @@ from sysid_bench.spatial.rotation import skew
 from sysid_bench.types import Array
 
 SMALL: Final = 1e-9
-"""Relative to the largest; rounded angles of model files lie below, geometry above."""
+"""Relative singular value: smaller ones come from rounded angles in model files."""
 
 
 def parameter_nullspace(tree: Tree) -> Array:
-    """A basis (10 nb, k) of the parameter changes that no motion of an uncoupled tree can tell.
+    """Return an orthonormal basis (10 nb, k) of the unobservable changes of inertial parameters.
 
-    Columns are orthonormal; rows are the bodies of the tree, ten each. 10 nb - k is the structural
-    rank of the joint torque regressor.
+    The tree is taken without joint couplings; rows are its bodies, ten parameters each. 10 nb - k
+    is the rank of the joint torque regressor over all motions.
     """
     changes: list[Array] = []
     seen: list[tuple[Array, Array]] = []  # (L, F) of each link
-    own = {link.body: i for i, link in enumerate(tree.links)}
     body_of = [link.body for link in tree.links]
     count = len(tree.carrier)
     for link in tree.links:
         L, F = seen[link.parent] if link.parent >= 0 else (np.zeros((6, 0)), _gravity(tree))
         X = transport(link.R0, link.p0)
-        told, L, F = _through(link.joints, _moved(L, link.R0, link.p0), X.T @ F)
+        observed, L, F = _after_joints(link.joints, _in_frame(L, link.R0, link.p0), X.T @ F)
         seen.append((L, F))
         parent = body_of[link.parent] if link.parent >= 0 else None
-        changes += _transfers(count, link.body, parent, X, _null(told))
+        changes += _transfers(count, link.body, parent, X, _null(observed))
     for body, carrier in enumerate(tree.carrier):
-        if body not in own:
-            rider_on = body_of[carrier] if carrier >= 0 else None
-            changes += _transfers(count, body, rider_on, tree.X[body], np.eye(10))
+        if body not in body_of:  # welded: all ten parameters act through the body that carries it
+            parent = body_of[carrier] if carrier >= 0 else None
+            changes += _transfers(count, body, parent, tree.X[body], np.eye(10))
     stacked = np.column_stack(changes) if changes else np.zeros((10 * count, 0))
     return np.linalg.qr(stacked)[0]
 
 
 def structural_rank(tree: Tree) -> int:
-    """Base parameters of the inertias of an uncoupled tree."""
+    """Return the number of inertial base parameters of a tree without joint couplings."""
     nullspace = parameter_nullspace(tree)
-    return nullspace.shape[0] - nullspace.shape[1]
+    return int(nullspace.shape[0] - nullspace.shape[1])
 
 
-def _through(joints: tuple[TreeJoint, ...], L: Array, F: Array) -> tuple[Array, Array, Array]:
-    """(functionals that a transfer has to vanish on, L, F) after the joints of one body."""
-    told = np.zeros((10, 0))
+def _after_joints(joints: tuple[TreeJoint, ...], L: Array, F: Array) -> tuple[Array, Array, Array]:
+    """(functionals that vanish on unobservable transfers, L, F) behind the joints of one body."""
+    observed = np.zeros((10, 0))
     for joint in joints:
         if joint.kind == FREE:
             return np.eye(10), np.eye(6), np.eye(10)
         twists = _twists(joint)
-        on_twists, on_functionals = [_adjoint(w) for w in twists.T], [_rate(w) for w in twists.T]
+        on_twists, on_functionals = (
+            [_adjoint(w) for w in twists.T],
+            [_functional_rate(w) for w in twists.T],
+        )
         L, F = _closure(L, on_twists), _closure(F, on_functionals)
         mixed = _bilinear(np.column_stack([L, twists]), twists)
         moved = np.column_stack([A @ F for A in on_functionals])
-        told = _span(np.column_stack([told, moved, mixed]))
+        observed = _span(np.column_stack([observed, moved, mixed]))
         L, F = _span(np.column_stack([L, twists])), _span(np.column_stack([F, mixed]))
-    return told, L, F
+    return observed, L, F
 
 
 def _transfers(count: int, body: int, parent: int | None, X: Array, phis: Array) -> list[Array]:
-    """Changes (10 nb,) that take phi (10, t) from a body to the one that carries it."""
+    """Changes (10 nb,) that transfer each column of phi (10, t) from a body to its parent."""
     changes = []
     for phi in phis.T:
         change = np.zeros(10 * count)
@@ -93,7 +96,7 @@ def _transfers(count: int, body: int, parent: int | None, X: Array, phis: Array)
 
 
 def _gravity(tree: Tree) -> Array:
-    """The potential -g . h of a body at rest in the world, as a functional (10, 0 or 1)."""
+    """Potential -g . h of a body at rest in the world, as a functional (10, 0 or 1)."""
     if not tree.gravity.any():
         return np.zeros((10, 0))
     functional = np.zeros((10, 1))
@@ -112,20 +115,20 @@ def _twists(joint: TreeJoint) -> Array:
     return np.vstack([axes, np.cross(joint.anchor, axes.T).T])
 
 
-def _moved(L: Array, R: Array, p: Array) -> Array:
-    """Twists (6, l) of the parent link as the frame (R, p) in it has them."""
+def _in_frame(L: Array, R: Array, p: Array) -> Array:
+    """Twists (6, l) of the parent link, expressed in the frame (R, p) fixed in it."""
     w, v = L[:3], L[3:]
     return np.vstack([R.T @ w, R.T @ (v + skew(p).T @ w)])
 
 
 def _adjoint(twist: Array) -> Array:
-    """d/dq of a constant twist seen from a frame that moves with `twist`: -ad (6, 6)."""
+    """Rate -ad(twist) (6, 6) of a constant twist as seen from a frame that moves with `twist`."""
     w, v = skew(twist[:3]), skew(twist[3:])
-    return -np.block([[w, np.zeros((3, 3))], [v, w]])
+    return np.asarray(-np.block([[w, np.zeros((3, 3))], [v, w]]))
 
 
-def _rate(twist: Array) -> Array:
-    """The same for functionals (10, 10): the derivative of the transport by the motion."""
+def _functional_rate(twist: Array) -> Array:
+    """The same rate for functionals of phi (10, 10), by dJ/dq = H J + J H^T of pseudo-inertias."""
     H = np.zeros((4, 4))
     H[:3, :3], H[:3, 3] = skew(twist[:3]), twist[3:]
     J = pseudo_inertia(np.eye(10))
@@ -133,12 +136,13 @@ def _rate(twist: Array) -> Array:
 
 
 def _bilinear(U: Array, W: Array) -> Array:
-    """Functionals b(u, w) (10, u w) of all columns of U (6, u) and W (6, w)."""
-    return np.einsum("iu,kij,jw->kuw", U, _INERTIAS, W).reshape(10, -1)
+    """Functionals b(u, w) (10, u w) for all columns of U (6, u) and W (6, w)."""
+    functionals: Array = np.einsum("iu,kij,jw->kuw", U, _INERTIAS, W)
+    return functionals.reshape(10, -1)
 
 
 def _spatial_inertias() -> Array:
-    """I (10, 6, 6) of each unit phi, for twists [w; v]."""
+    """Spatial inertia I (10, 6, 6) of each unit phi, for twists [w; v]."""
     out = np.zeros((10, 6, 6))
     for k, phi in enumerate(np.eye(10)):
         h = skew(phi[1:4])
@@ -150,7 +154,7 @@ _INERTIAS: Final = _spatial_inertias()
 
 
 def _closure(basis: Array, generators: list[Array]) -> Array:
-    """The smallest subspace with `basis` that every generator maps into itself."""
+    """Smallest subspace that contains `basis` and is invariant under every generator."""
     basis = _span(basis)
     while True:
         wider = _span(np.column_stack([basis, *(A @ basis for A in generators)]))
@@ -160,7 +164,7 @@ def _closure(basis: Array, generators: list[Array]) -> Array:
 
 
 def _span(vectors: Array) -> Array:
-    """An orthonormal basis of the columns; each counts alike, however long it is."""
+    """Orthonormal basis of the columns, which are normalised first."""
     norms = np.linalg.norm(vectors, axis=0)
     vectors = vectors[:, norms > SMALL] / norms[norms > SMALL]
     if vectors.shape[1] == 0:
@@ -170,7 +174,7 @@ def _span(vectors: Array) -> Array:
 
 
 def _null(functionals: Array) -> Array:
-    """An orthonormal basis (10, t) of the phis on which all functionals (10, f) vanish."""
+    """Orthonormal basis (10, t) of the phi on which all functionals (10, f) vanish."""
     basis = _span(functionals)
     left, _, _ = np.linalg.svd(basis, full_matrices=True)
     return left[:, basis.shape[1] :]

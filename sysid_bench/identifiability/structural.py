@@ -1,4 +1,4 @@
-"""The base parameters of a robot's task, asked with random states."""
+"""Structural base parameters of a robot, computed from the regressor at random states."""
 
 from collections.abc import Callable
 
@@ -14,10 +14,11 @@ from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.types import Array, BaseMap, Trajectory
 
 NARROWEST = 1.0
-"""rad, m: joints with less range move this far, since what acts is a property of the tree."""
+"""rad, m: joints with a narrower range are sampled this far, since identifiability is a property of
+the tree and not of its limits."""
 
 SEED = 0
-"""The same random states for everybody: a rank is a property of the robot, not of a draw."""
+"""Seed of the random states; fixed, since the rank is a property of the robot."""
 
 
 def structural_base(
@@ -26,9 +27,11 @@ def structural_base(
     rows: tuple[str, ...] | None = None,
     cuts: tuple[SensorCut, ...] = (),
 ) -> BaseMap:
-    """The base map of the named parameters over all motions of the robot; `rows`: what is measured
-    (None: `robot.torque_rows`), among the rows of the sensors `cuts` too. `robot.uncoupled` has the
-    base of the whole tree."""
+    """Return the base map of the named parameters over all motions of the robot.
+
+    `rows` are the measured ones (None: `robot.torque_rows`); those of the sensors `cuts` may be
+    among them. `robot.uncoupled` gives the base parameters of the tree without joint couplings.
+    """
     return base_map(structural_factor(robot, parameters, rows, cuts), parameters)
 
 
@@ -39,13 +42,16 @@ def structural_factor(
     cuts: tuple[SensorCut, ...] = (),
     beside: Callable[[Trajectory], Array] | None = None,
 ) -> Array:
-    """R (m, p) of the regressor over random states, whose column space is that of all motions;
-    `beside` gives more columns (N, rows, k) along a motion, which come last: R (m, p + k)."""
+    """Return the R factor (m, p) of the regressor over random states, whose row space is that of
+    all motions.
+
+    `beside(motion)` returns k further columns (N, rows, k), which are appended: R (m, p + k).
+    """
     instruments = instruments_of(robot, cuts)
-    carried, X = _carried(robot, instruments.tree, parameters)
+    carried, X = _carrier_columns(robot, instruments.tree, parameters)
     columns = measured_regression(robot, carried, instruments, rows)
-    own = instruments.measured
-    measured = [own.index(row) for row in (own if rows is None else rows)]
+    available = instruments.measured
+    measured = [available.index(row) for row in (available if rows is None else rows)]
     count = 64 + 3 * len(carried) // len(measured)
     motion = random_states(robot, count, np.random.default_rng(SEED), NARROWEST)
     more = np.zeros((count, len(measured), 0)) if beside is None else beside(motion)
@@ -57,25 +63,28 @@ def structural_factor(
     return np.hstack([R[:, :m] @ X, R[:, m:]])
 
 
-def _carried(
+def _carrier_columns(
     robot: RobotModel, tree: Tree, parameters: tuple[str, ...]
 ) -> tuple[tuple[str, ...], Array]:
-    """Columns that all others are mixed from, and the mixture X (m, p): what is welded to a link
-    acts through that link's ten numbers, however many bodies that are."""
-    place = {name: j for j, name in enumerate(robot.inertial_columns)}
+    """Names of m columns that span all p, and the coefficients X (m, p).
+
+    Bodies welded to a link act through the link's ten parameters, so that m does not grow with
+    their number.
+    """
+    index = {name: j for j, name in enumerate(robot.inertial_columns)}
     rows: dict[str, dict[int, float]] = {}
     for j, name in enumerate(parameters):
-        if name not in place:
+        if name not in index:
             rows.setdefault(name, {})[j] = 1.0
             continue
-        body, number = divmod(place[name], 10)
+        body, number = divmod(index[name], 10)
         link = int(tree.carrier[body])
         if link >= 0:
             first = 10 * tree.links[link].body
             for k in np.flatnonzero(tree.X[body][:, number]):
-                own = robot.inertial_columns[first + int(k)]
-                rows.setdefault(own, {})[j] = float(tree.X[body][k, number])
+                column = robot.inertial_columns[first + int(k)]
+                rows.setdefault(column, {})[j] = float(tree.X[body][k, number])
     X = np.zeros((len(rows), len(parameters)))
-    for i, mixture in enumerate(rows.values()):
-        X[i, list(mixture)] = list(mixture.values())
+    for i, weights in enumerate(rows.values()):
+        X[i, list(weights)] = list(weights.values())
     return tuple(rows), X

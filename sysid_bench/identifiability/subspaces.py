@@ -1,9 +1,9 @@
-"""Identifiable subspaces of a sub-tree behind a force/torque sensor, and what data leave out.
+"""Identifiable subspaces of a sub-tree distal to a force/torque sensor, and their excitation.
 
-I_Y is the orthogonal complement of all parameter changes that Y never shows (Traversaro et al.
-2015, eq. 6). Lemma 1: I_Yn is the same for every base link. Proposition 1: what joint torques need,
-I_Yc, lies inside of it, whatever the base. Both are about all motions: one data set may excite
-less, and then the torques of joints that it never moved, or that carry those, cannot be foretold.
+I_Y is the orthogonal complement of the parameter changes that never affect Y (Traversaro et al.
+2015, eq. 6). Lemma 1: I_Yn is the same for every base link. Proposition 1: I_Yc, on which the joint
+torques depend, is a subspace of it, whatever the base. Both hold over all motions. One data set may
+excite less; then the torques of joints that did not move, or that carry those, are unpredictable.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,22 +19,25 @@ from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import FloatingSubtree, SensorCut, floating_subtree
 from sysid_bench.regressors.qr_accumulation import upper_factor
-from sysid_bench.regressors.wrench import SubTree, floating_sub_tree
+from sysid_bench.regressors.wrench import SubtreeRegressors, floating_subtree_regressors
 from sysid_bench.types import Array, Trajectory
 
 SEED: Final = 0
-"""The same random states for everybody, as for the ranks of joint torques."""
+"""Seed of the random states; fixed, as for the ranks of joint torques."""
 
-OUTSIDE: Final = 1e-3
-"""A joint whose torque has a larger share of its parameters (sine of the angle) outside of what the
-data tell cannot be foretold; exact geometry leaves 1e-12, noisy rates of a moving joint 1e-6."""
+UNPREDICTABLE: Final = 1e-3
+"""Sine of the angle between a joint's subspace and that of the data above which its torque is
+unpredictable. Exact geometry causes 1e-12, noisy rates of a moving joint 1e-6."""
 
 
 @dataclass(frozen=True, eq=False)
 class Subspaces:
-    """Orthonormal bases in the space of the p parameters `columns`: `wrench` (p, r) of I_Yn at the
-    sensor; by base link, `wrenches` of I_Yn and `torques` of I_Yc; by degree of freedom, `joints`
-    of what its torque needs with the base at the sensor or behind it."""
+    """Orthonormal bases of identifiable subspaces in the space of the p parameters `columns`.
+
+    `wrench` (p, r): I_Yn at the sensor; `wrenches` and `torques`: I_Yn and I_Yc by base link;
+    `joints`: by degree of freedom, the parameters on which its torque depends, with the base at the
+    sensor or distal to the joint.
+    """
 
     columns: tuple[str, ...]
     wrench: Array
@@ -45,84 +48,74 @@ class Subspaces:
 
     @property
     def rank(self) -> int:
-        """Base parameters of the wrench."""
-        return self.wrench.shape[1]
-
-    @property
-    def sensor_subspace(self) -> float:
-        """Lemma 1: the largest sine of an angle between I_Yn of two bases (1: of other size)."""
-        return max(
-            (complement_directions(self.wrench, other) for other in self.wrenches.values()),
-            default=0.0,
-        )
-
-    @property
-    def joint_subspace(self) -> float:
-        """Proposition 1: the largest part of a unit vector of I_Yc, any base, outside of I_Yn."""
-        return max((outside_of(self.wrench, other) for other in self.torques.values()), default=0.0)
+        """Number r of base parameters of the wrench."""
+        return int(self.wrench.shape[1])
 
 
 def structural_subspaces(
     robot: RobotModel, cut: SensorCut, bases: tuple[str, ...] | None = None
 ) -> Subspaces:
-    """The subspaces of all motions: random poses, twists and accelerations of the sensor's link and
-    random joint states, for the base at every body that moves on its own (or only at `bases`)."""
+    """Return the identifiable subspaces over all motions, for the base at every body that a joint
+    moves (or only at `bases`).
+
+    They are computed from random poses, twists and accelerations of the sensor's link and random
+    joint states.
+    """
     alone = floating_subtree(robot, cut)
     p = 10 * len(cut.bodies)
     motion = _floating_states(robot, alone, 40 + p // 5, np.random.default_rng(SEED))
-    made = floating_sub_tree(robot, alone, motion)
-    all_of_it, _ = orthonormal_span(np.concatenate([made.Y_n, made.Y_c], axis=1))
-    Y_n, Y_c = made.Y_n @ all_of_it, made.Y_c @ all_of_it
-    wrench, values = orthonormal_span(Y_n)[0], orthonormal_span(made.Y_n)[1]
-    factors = _joint_factors(robot, made, Y_n, Y_c)
-    chosen = _leaders(robot, cut) if bases is None else bases
+    subtree = floating_subtree_regressors(robot, alone, motion)
+    # All subspaces lie in the joint row space of Y_n and Y_c: computing there saves columns.
+    basis, _ = row_space(np.concatenate([subtree.Y_n, subtree.Y_c], axis=1))
+    Y_n, Y_c = subtree.Y_n @ basis, subtree.Y_c @ basis
+    wrench, values = row_space(Y_n)[0], row_space(subtree.Y_n)[1]
+    factors = _joint_factors(subtree, Y_n, Y_c)
+    chosen = _moving_bodies(robot, cut) if bases is None else bases
     wrenches, torques = {}, {}
     for base in chosen:
-        wrenches[base] = all_of_it @ orthonormal_span(made.transform(base) @ Y_n)[0]
-        behind = _dofs_before(robot, cut, base)
-        parts = [factor[dof in behind] for dof, factor in zip(made.dofs, factors, strict=True)]
-        torques[base] = all_of_it @ _span_of(parts, Y_n.shape[-1])
+        wrenches[base] = basis @ row_space(subtree.wrench_transform(base) @ Y_n)[0]
+        proximal = _proximal_dofs(robot, base)
+        parts = [factor[dof in proximal] for dof, factor in zip(subtree.dofs, factors, strict=True)]
+        torques[base] = basis @ _span_of(parts, Y_n.shape[-1])
     joints = {
-        row: all_of_it @ _span_of(factor, Y_n.shape[-1])
-        for row, factor in zip(made.rows, factors, strict=True)
+        row: basis @ _span_of(factor, Y_n.shape[-1])
+        for row, factor in zip(subtree.rows, factors, strict=True)
     }
-    return Subspaces(made.columns, all_of_it @ wrench, wrenches, torques, joints, values)
+    return Subspaces(subtree.columns, basis @ wrench, wrenches, torques, joints, values)
 
 
-def _joint_factors(
-    robot: RobotModel, made: SubTree, Y_n: Array, Y_c: Array
-) -> list[tuple[Array, Array]]:
-    """For each degree of freedom R of its row of Y_c with the base before it, and behind it: which
-    link behind does not matter."""
+def _joint_factors(subtree: SubtreeRegressors, Y_n: Array, Y_c: Array) -> list[tuple[Array, Array]]:
+    """R factors of the row of Y_c of each degree of freedom, with the base proximal and distal to
+    it; which of the distal links is the base does not matter."""
     factors = []
-    for i, dof in enumerate(made.dofs):
-        link = next(k for k, link in enumerate(made.tree.links) if dof in link.dofs)
-        M = made.project_onto_axis(link, (dof,))
-        rows = Y_c[:, i], Y_c[:, i] - (M @ Y_n)[:, 0]
+    for i, dof in enumerate(subtree.dofs):
+        link = next(k for k, link in enumerate(subtree.tree.links) if dof in link.dofs)
+        J = subtree.link_jacobian(link, (dof,))
+        rows = Y_c[:, i], Y_c[:, i] - (J @ Y_n)[:, 0]
         factors.append((upper_factor([rows[0]]), upper_factor([rows[1]])))
     return factors
 
 
-def _dofs_before(robot: RobotModel, cut: SensorCut, base: str) -> set[int]:
-    """Degrees of freedom between the world and a body of the sub-tree."""
+def _proximal_dofs(robot: RobotModel, base: str) -> set[int]:
+    """Degrees of freedom between the world and the body `base`."""
     body = robot.body_names.index(base)
     link = int(robot.tree.carrier[body])
     return set() if link < 0 else set(robot.tree.links[link].dofs.tolist())
 
 
 def _span_of(factors: Sequence[Array], size: int) -> Array:
-    return orthonormal_span(np.concatenate([np.zeros((1, size)), *factors]))[0]
+    return row_space(np.concatenate([np.zeros((1, size)), *factors]))[0]
 
 
 def _floating_states(
     robot: RobotModel, alone: FloatingSubtree, count: int, rng: np.random.Generator
 ) -> Trajectory:
-    """Random states of a sub-tree on its own: joints within their limits (narrow ones beyond, as
-    for the ranks of joint torques), any base motion."""
+    """Random states of an isolated sub-tree with a free base: joints within their limits, but at
+    least over `NARROWEST`."""
     states = random_states(robot, count, rng, NARROWEST)
-    turn = rng.normal(size=(count, 4))
-    place = rng.normal(size=(count, 3))
-    free = np.hstack([place, turn / np.linalg.norm(turn, axis=1, keepdims=True)])
+    quaternion = rng.normal(size=(count, 4))
+    position = rng.normal(size=(count, 3))
+    free = np.hstack([position, quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)])
     rates = rng.normal(size=(2, count, 6))
     return Trajectory(
         states.t,
@@ -133,15 +126,17 @@ def _floating_states(
     )
 
 
-def _leaders(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
-    """The bodies of a sub-tree that joints move, the sensor's first: welded ones tell no more."""
+def _moving_bodies(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
+    """Bodies of a sub-tree that joints move, the sensor's first; welded ones add no information."""
     moving = {link.body for link in robot.tree.links}
     return tuple(robot.body_names[b] for b in cut.bodies if b == cut.body or b in moving)
 
 
-def orthonormal_span(Y: Array) -> tuple[Array, Array]:
-    """An orthonormal basis (p, r) of the row space of Y (..., p), and the singular values (SI
-    columns, relative to the largest: see `RANK_TOLERANCE`)."""
+def row_space(Y: Array) -> tuple[Array, Array]:
+    """Return an orthonormal basis (p, r) of the row space of Y (..., p), and the singular values.
+
+    The rank r counts singular values above `RANK_TOLERANCE` times the largest, in SI units.
+    """
     p = Y.shape[-1]
     R = upper_factor([np.zeros((1, p)), Y.reshape(-1, p)])
     _, values, Vt = np.linalg.svd(R, full_matrices=False)
@@ -149,25 +144,30 @@ def orthonormal_span(Y: Array) -> tuple[Array, Array]:
     return Vt[:rank].T, values
 
 
-def outside_of(basis: Array, other: Array) -> float:
-    """The largest part of a unit vector of `other` (p, k) that lies outside of `basis` (p, r)."""
+def projection_residual(basis: Array, other: Array) -> float:
+    """Return the norm of (I - B B^T) `other`, B = `basis` (p, r): the sine of the largest angle of
+    a vector in span(`other`) (p, k) to span(`basis`); both bases are orthonormal."""
     if other.shape[1] == 0:
         return 0.0
     rest = other - basis @ (basis.T @ other)
     return float(np.linalg.norm(rest, 2))
 
 
-def complement_directions(left: Array, right: Array) -> float:
-    """The sine of the largest principal angle of two subspaces; 1 where their sizes differ."""
+def subspace_sine(left: Array, right: Array) -> float:
+    """Return the sine of the largest principal angle between two subspaces with orthonormal bases
+    (p, r); 1 if their dimensions differ."""
     if left.shape != right.shape:
         return 1.0
-    return max(outside_of(left, right), outside_of(right, left))
+    return max(projection_residual(left, right), projection_residual(right, left))
 
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """What one data set tells of a sub-tree: `rank` of the `structural` directions, and for each
-    degree of freedom the share of what its torque needs that lies outside of the data."""
+    """Excitation of a sub-tree by one data set: `rank` of `structural` base parameters.
+
+    `missing`: by degree of freedom, the sine of the angle between the subspace on which its torque
+    depends and the one that the data excite.
+    """
 
     rank: int
     structural: int
@@ -175,34 +175,41 @@ class Excitation:
 
     @property
     def complete(self) -> bool:
-        """Whether the data tell all that any motion can."""
+        """True if the data excite all base parameters of the wrench."""
         return self.rank == self.structural
 
     @property
     def unpredictable(self) -> tuple[str, ...]:
-        """Degrees of freedom whose torque these data cannot foretell in other motions."""
-        return tuple(name for name, share in self.missing.items() if not share <= OUTSIDE)
+        """Degrees of freedom whose torque in other motions these data do not determine."""
+        return tuple(name for name, share in self.missing.items() if not share <= UNPREDICTABLE)
 
     @property
     def warning(self) -> str:
-        """One sentence for people; empty where nothing is missing."""
+        """Warning to print; empty if all base parameters are excited."""
         if self.complete:
             return ""
         names = ", ".join(self.unpredictable)
-        torques = f"the torques of {names} cannot be foretold" if names else "no torque suffers"
+        torques = f"the torques of {names} are unpredictable" if names else "no torque is affected"
         return (
             f"These data excite {self.rank} of {self.structural} base parameters of the sub-tree: "
-            f"{torques} in other motions; move all joints behind the sensor, and the sensor itself."
+            f"{torques} in other motions; move all joints distal to the sensor, and the sensor "
+            "itself."
         )
 
 
-def excitation_of(data: SubTree | Array, subspaces: Subspaces) -> Excitation:
-    """What a data set (its sub-tree, or rows (..., p) of its Y_n) leaves out of the structure."""
-    rows = data.Y_n if isinstance(data, SubTree) else data
+def excitation_of(data: SubtreeRegressors | Array, subspaces: Subspaces) -> Excitation:
+    """Return the excitation by a data set, given as its regressors or as rows (..., p) of Y_n.
+
+    Raises UsageError if the number of columns is not that of the sub-tree.
+    """
+    rows = data.Y_n if isinstance(data, SubtreeRegressors) else data
     if rows.shape[-1] != len(subspaces.columns):
         raise UsageError(
-            f"The data have {rows.shape[-1]} columns; the sub-tree has {len(subspaces.columns)}."
+            f"The data have {rows.shape[-1]} columns, but the sub-tree {len(subspaces.columns)} "
+            "parameters."
         )
-    told, _ = orthonormal_span(rows)
-    missing = {joint: outside_of(told, basis) for joint, basis in subspaces.joints.items()}
-    return Excitation(told.shape[1], subspaces.rank, missing)
+    excited, _ = row_space(rows)
+    missing = {
+        joint: projection_residual(excited, basis) for joint, basis in subspaces.joints.items()
+    }
+    return Excitation(excited.shape[1], subspaces.rank, missing)

@@ -1,7 +1,8 @@
-"""Coefficients with the names of the lengths that they are made of: 0.04 becomes "a2^2".
+"""Symbolic coefficients of base parameters: 0.04 becomes "a2^2".
 
-A coefficient of a base parameter is an expression in the lengths of the mechanism. It is found by
-its values at several generic sets of lengths: with the table's own, 0.1 may be a2p or sqrt(0.01).
+A coefficient of a base parameter is an expression in the lengths of the mechanism. It is determined
+from its values at several generic sets of lengths, since with the robot's own lengths different
+expressions may have equal values by chance.
 """
 
 import itertools
@@ -13,14 +14,15 @@ import numpy as np
 from sysid_bench.types import Array
 
 FACTORS: Final = (1.0, 2.0, 4.0, 0.5, 3.0, 0.25, 8.0)
-"""Numbers that stand before a monomial."""
+"""Numerical factors of a monomial that are tried."""
 
-AGREES: Final = 1e-7
-"""Relative; K at generic lengths is right to 1e-10 or so."""
+TOLERANCE: Final = 1e-7
+"""Relative; the error of K at generic lengths is about 1e-10."""
 
 
 def lengths_of(symbols: Mapping[str, float], count: int = 3) -> list[dict[str, float]]:
-    """Sets of lengths near the given ones in which no two expressions agree by chance."""
+    """Return `count` random sets of lengths, each within 15 % of the given one, in which no two
+    expressions agree by chance."""
     rng = np.random.default_rng(20170924)
     return [
         {name: value * float(rng.uniform(0.85, 1.15)) for name, value in symbols.items()}
@@ -31,31 +33,32 @@ def lengths_of(symbols: Mapping[str, float], count: int = 3) -> list[dict[str, f
 def symbolic_coefficient(
     values: Sequence[float], lengths: Sequence[Mapping[str, float]]
 ) -> str | None:
-    """The simplest expression that has these values at these sets of lengths; None without any.
+    """Return the simplest expression with these values at these sets of lengths; None if there is
+    none.
 
-    Tried are monomials of degree -2 to 2 in up to three lengths with a number before them, then
-    sums of two of them.
+    Candidates are monomials of degree -2 to 2 in up to three lengths, with a numerical factor, then
+    sums and differences of two of them.
     """
-    told = np.array(values)
+    target = np.array(values)
     table = _monomials(lengths)
-    scale = np.abs(told).max()
+    scale = np.abs(target).max()
     if scale == 0.0:
         return None
     for factor in FACTORS:
-        for words, numbers in table:
+        for text, monomial in table:
             for sign in (1.0, -1.0):
-                if np.abs(sign * factor * numbers - told).max() <= AGREES * scale:
-                    return _signed(sign, _times(factor, words))
+                if np.abs(sign * factor * monomial - target).max() <= TOLERANCE * scale:
+                    return _signed(sign, _times(factor, text))
     for (one, first), (other, second) in itertools.combinations(table, 2):
         for sign, next_sign in itertools.product((1.0, -1.0), repeat=2):
-            if np.abs(sign * first + next_sign * second - told).max() <= AGREES * scale:
+            if np.abs(sign * first + next_sign * second - target).max() <= TOLERANCE * scale:
                 (s, plus), (t, minus) = sorted(((sign, one), (next_sign, other)), reverse=True)
                 return _signed(s, plus) + (" + " if t > 0 else " - ") + minus
     return None
 
 
 def _monomials(lengths: Sequence[Mapping[str, float]]) -> list[tuple[str, Array]]:
-    """Words and values (sets,), simple ones first."""
+    """(text, values (sets,)) of all monomials, simple ones first."""
     x = {name: np.array([one[name] for one in lengths]) for name in lengths[0]}
     names = list(x)
     table = [("1", np.ones(len(lengths)))]
@@ -74,11 +77,11 @@ def _monomials(lengths: Sequence[Mapping[str, float]]) -> list[tuple[str, Array]
     return table
 
 
-def _times(factor: float, words: str) -> str:
+def _times(factor: float, text: str) -> str:
     if factor == 1.0:
-        return words
-    return f"{factor:g}" if words == "1" else f"{factor:g} {words}"
+        return text
+    return f"{factor:g}" if text == "1" else f"{factor:g} {text}"
 
 
-def _signed(sign: float, words: str) -> str:
-    return f"-{words}" if sign < 0 else words
+def _signed(sign: float, text: str) -> str:
+    return f"-{text}" if sign < 0 else text

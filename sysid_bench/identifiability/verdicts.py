@@ -1,4 +1,4 @@
-"""What each single parameter is worth: told apart, told in a sum, or not told at all."""
+"""Identifiability of each parameter: alone, only in a linear combination, or not at all."""
 
 from typing import Final, Literal, get_args
 
@@ -10,29 +10,31 @@ Verdict = Literal["identifiable", "combination", "none"]
 VERDICTS: Final = get_args(Verdict)
 
 ZERO: Final = 1e-9
-"""Below it, relative to the largest of its row, a coefficient of K is rounding error (measured:
+"""Relative to the largest of its row: a smaller coefficient of K is a rounding error (measured:
 1e-12)."""
 
-SEEN: Final = 1e-6
-"""A parameter whose unit vector is farther than this from the row space is told in a sum only.
-Axes that are parallel but for truncated decimals leave 1e-7, a tenth of a millionth of another
-parameter, on what would be told alone."""
+APART: Final = 1e-6
+"""A parameter whose unit vector is farther than this from the row space of K is identifiable in
+combination only. Axes that are parallel up to truncated decimals cause distances of 1e-7."""
 
 
 def coefficients(base: BaseMap) -> Array:
-    """K (r, p) with its rounding errors made zero."""
+    """Return K (r, p) with its rounding errors set to zero."""
     size = np.abs(base.K)
     largest = size.max(axis=1, initial=0.0)[:, None]
     return np.where(size > ZERO * largest, base.K, 0.0)
 
 
 def verdicts(base: BaseMap) -> tuple[Verdict, ...]:
-    """Per parameter (p,): "identifiable" where its unit vector lies in the row space of K,
-    "combination" where it acts only together with others, "none" where it never acts."""
+    """Return the verdict on each of the p parameters.
+
+    "identifiable": its unit vector lies in the row space of K; "combination": it acts only together
+    with others; "none": it has no effect on any torque.
+    """
     V = np.linalg.qr(base.K.T)[0].T if base.row_space is None else base.row_space
     acts = np.linalg.norm(V, axis=0)
     apart = np.linalg.norm(np.eye(len(base.parameters)) - V.T @ V, axis=0)
     return tuple(
-        "identifiable" if apart[j] < SEEN else "combination" if acts[j] > SEEN else "none"
+        "identifiable" if apart[j] < APART else "combination" if acts[j] > APART else "none"
         for j in range(len(base.parameters))
     )

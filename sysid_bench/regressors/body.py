@@ -1,6 +1,6 @@
-"""The body regressor, as `python -m sysid_bench.regressors.derive` prints it.
+"""Body regressor, printed by `python -m sysid_bench.regressors.derive`.
 
-`tests/regressors/test_derive.py` derives it again and compares.
+Do not edit: `tests/regressors/test_derive.py` derives it again and compares.
 """
 
 from sysid_bench.types import Array
@@ -9,10 +9,11 @@ from sysid_bench.types import Array
 
 
 def entries(w: Array, alpha: Array, d: Array) -> tuple[tuple[tuple[int, Array], ...], ...]:
-    """The entries of A (6, 10) that are not zero, column by column as (row, value).
+    """Return the non-zero entries of the body regressor A (6, 10), as (row, value) by column.
 
-    w, alpha, d (3, ...): angular velocity, angular acceleration, and classical acceleration less
-    gravity of the body's origin, in body axes. Rows nx ny nz fx fy fz.
+    The wrench [n; f] of a body is A phi, at its origin and in its axes. w and alpha (3, ...) are
+    its angular velocity and acceleration, d (3, ...) the classical acceleration of its origin minus
+    gravity, all in body axes.
     """
     wx, wy, wz = w
     ax, ay, az = alpha

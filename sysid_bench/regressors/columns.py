@@ -1,7 +1,8 @@
-"""Which columns of Y come from which links and joint terms, and what rows they can be non-zero in.
+"""Columns of the regressor Y: the links and joint terms they belong to, and their non-zero rows.
 
-A column is a weighting of the ten raw columns of one link (its own parameter: a unit vector; a
-welded body's: a column of its transport X), or a joint term of one row.
+A column is a linear combination of the ten raw columns of one link, or a joint term of one row. For
+a parameter of the link itself the combination is a unit vector; for one of a body welded to the
+link it is a column of the body's parameter transport X (10, 10).
 """
 
 from dataclasses import dataclass
@@ -15,21 +16,26 @@ from sysid_bench.types import Array
 
 @dataclass(frozen=True, eq=False)
 class LinkColumns:
-    """Columns carried by one link: `raw` of its ten are computed, `mix` (k, m) combines them
-    (None: taken as they are), `places` are their columns in Y."""
+    """Columns of Y that belong to one link.
+
+    `raw` are the m indices of its ten raw columns that are computed, `mix` (k, m) combines them to
+    k columns (None: the identity), `indices` (k,) are the columns of Y.
+    """
 
     link: int
     raw: tuple[int, ...]
     mix: Array | None
-    places: Array
+    indices: Array
 
 
 @dataclass(frozen=True)
 class TermColumn:
-    """One joint term: its column in Y, its row, what it is, the joint's place in q, the reference
-    that is taken from q, and the place in v of the rate that it depends on."""
+    """Column of one joint term: `index` in Y, its only non-zero `row`, and its `kind`.
 
-    place: int
+    The term is a function of q[qadr] - reference, and of v and a at index `rate`.
+    """
+
+    index: int
     row: int
     kind: str
     qadr: int
@@ -39,7 +45,7 @@ class TermColumn:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The columns of Y (N, nv, p). `touched[i]`: those that row i can be non-zero in."""
+    """Columns of Y (N, nv, p); `touched[i]` are those in which row i can be non-zero."""
 
     tree: Tree
     rows: tuple[str, ...]
@@ -49,18 +55,22 @@ class Columns:
 
     @cached_property
     def touched(self) -> tuple[Array, ...]:
-        """For each row the places (k,) in Y, in the order of `Block.row`."""
-        places: list[list[int]] = [[] for _ in self.rows]
+        """Indices (k,) of the columns in which each row can be non-zero, as `Block.row` orders
+        them."""
+        indices: list[list[int]] = [[] for _ in self.rows]
         for columns in self.links:
             for row in self.tree.links[columns.link].dofs:
-                places[row] += columns.places.tolist()
+                indices[row] += columns.indices.tolist()
         for term in self.terms:
-            places[term.row].append(term.place)
-        return tuple(np.array(place, dtype=int) for place in places)
+            indices[term.row].append(term.index)
+        return tuple(np.array(row, dtype=int) for row in indices)
 
     @cached_property
     def starts(self) -> tuple[int, ...]:
-        """Where each row's columns start among the values of a block; one value is free after
-        them, for the right-hand side that a fold puts there."""
-        sizes = [len(places) + 1 for places in self.touched]
+        """Index of each row's first value in `Block.values`.
+
+        One value per row is left free behind its columns: `Block.augmented` writes the right-hand
+        side there, so that [Y | b] needs no copy.
+        """
+        sizes = [len(row) + 1 for row in self.touched]
         return tuple(int(end - size) for end, size in zip(np.cumsum(sizes), sizes, strict=True))

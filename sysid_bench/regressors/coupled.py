@@ -1,5 +1,8 @@
-"""Y of a robot with coupled joints: rows of joints that follow act on those that move,
-Y_reduced = G(q)^T Y_tree, row by row and block by block like the tree's own."""
+"""Regressor of a robot with coupled joints: Y_reduced = G(q)^T Y_tree.
+
+With v = G(q) v_ind on the closed mechanism, the principle of virtual work maps the rows of
+dependent joints onto the independent ones. Rows are formed block by block, as for a tree.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,7 +19,7 @@ from sysid_bench.types import Array, Regressor, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class CoupledRegression:
-    """Y (N, n, p) of the independent joints, along motions that meet the closure."""
+    """Regressor Y (N, n, p) of the independent joints, along motions that satisfy the closure."""
 
     tree: Regression
     coupling: Coupling
@@ -24,12 +27,12 @@ class CoupledRegression:
     @property
     def rows(self) -> tuple[str, ...]:
         """Names of the independent degrees of freedom (n,)."""
-        return tuple(self.tree.rows[dof] for dof in self.places)
+        return tuple(self.tree.rows[dof] for dof in self.tree_rows)
 
     @cached_property
-    def places(self) -> Array:
-        """The rows as places in the tree's: independent joints, then the sensors behind all joints,
-        on which no joint acts as another would."""
+    def tree_rows(self) -> Array:
+        """Indices (n,) of the rows in the tree's regressor: independent joints, then the rows of
+        sensors, which follow all joints and take part in no coupling."""
         joints = len(self.coupling.independent) + len(self.coupling.dependent)
         return np.concatenate([self.coupling.independent, np.arange(joints, len(self.tree.rows))])
 
@@ -39,32 +42,33 @@ class CoupledRegression:
         return self.tree.columns
 
     @cached_property
-    def sources(self) -> tuple[tuple[int, ...], ...]:
-        """For each row the dependent ones, as places among them, that act on it."""
+    def dependent_rows(self) -> tuple[tuple[int, ...], ...]:
+        """For each row, the indices among the dependent joints of those that act on it."""
         return tuple(
             tuple(int(d) for d in np.flatnonzero(column)) for column in self.coupling.depends_on.T
-        ) + ((),) * (len(self.places) - len(self.coupling.independent))
+        ) + ((),) * (len(self.tree_rows) - len(self.coupling.independent))
 
     @cached_property
     def touched(self) -> tuple[Array, ...]:
-        """For each row the places (k,) in Y that it can be non-zero in, as `Block.row` has them."""
+        """Indices (k,) of the columns in which each row can be non-zero, as `row` orders them."""
         touched = []
-        for dof, sources in zip(self.places, self.sources, strict=True):
-            own = self.tree.touched[dof]
+        for dof, sources in zip(self.tree_rows, self.dependent_rows, strict=True):
+            direct = self.tree.touched[dof]
             others = [self.tree.touched[self.coupling.dependent[d]] for d in sources]
-            new = np.setdiff1d(np.concatenate(others), own) if others else own[:0]
-            touched.append(np.concatenate([own, new]))
+            new = np.setdiff1d(np.concatenate(others), direct) if others else direct[:0]
+            touched.append(np.concatenate([direct, new]))
         return tuple(touched)
 
     def blocks(self, motion: Trajectory) -> Iterator["CoupledBlock"]:
-        """Y of consecutive samples, a cacheful at a time."""
-        still = len(self.places) - len(self.coupling.independent)  # sensors are still joints
+        """Yield Y of consecutive samples, in blocks that fit the cache."""
+        # Sensors are modelled as joints that never move; their coordinates follow the robot's.
+        sensor_rows = len(self.tree_rows) - len(self.coupling.independent)
         for block in self.tree.blocks(motion):
-            q = motion.q[block.samples, : motion.q.shape[1] - still]
+            q = motion.q[block.samples, : motion.q.shape[1] - sensor_rows]
             yield CoupledBlock(self, block, self.coupling.follow(q))
 
     def dense(self, motion: Trajectory) -> Regressor:
-        """Y (N, n, p) at once: for small motions and witnesses."""
+        """Return Y (N, n, p) with its zeros; for short motions and for comparisons."""
         parts = [block.dense() for block in self.blocks(motion)]
         return Regressor(np.concatenate(parts), self.rows, self.columns)
 
@@ -83,43 +87,43 @@ class CoupledBlock:
 
     @property
     def samples(self) -> slice:
-        """The samples of the motion that the block holds."""
+        """Slice of the motion's samples that the block holds."""
         return self.tree.samples
 
     @property
     def count(self) -> int:
-        """How many samples that are."""
+        """Number n of samples."""
         return self.tree.count
 
     def row(self, i: int, out: Array | None = None) -> Array:
-        """Row i of Y, (k, n), in the columns `touched[i]`."""
+        """Return row i of Y, (k, n), in the columns `touched[i]`; into `out` if it is given."""
         regression, coupling = self.regression, self.regression.coupling
         touched = regression.touched[i]
         if out is None:
             out = np.empty((len(touched), self.count))
-        own = int(regression.places[i])
-        size = len(regression.tree.touched[own])
-        self.tree.row(own, out[:size])
+        tree_row = int(regression.tree_rows[i])
+        size = len(regression.tree.touched[tree_row])
+        self.tree.row(tree_row, out[:size])
         out[size:] = 0.0
-        place = np.empty(len(regression.columns), dtype=int)
-        place[touched] = np.arange(len(touched))
-        for d in regression.sources[i]:
+        index = np.empty(len(regression.columns), dtype=int)
+        index[touched] = np.arange(len(touched))
+        for d in regression.dependent_rows[i]:
             dof = int(coupling.dependent[d])
-            out[place[regression.tree.touched[dof]]] += self.F[:, d, i] * self.tree.row(dof)
+            out[index[regression.tree.touched[dof]]] += self.F[:, d, i] * self.tree.row(dof)
         return out
 
-    def joined(self, i: int, b: Array) -> Array:
-        """Row i with a right-hand side b (n,) below it, (k + 1, n)."""
+    def augmented(self, i: int, b: Array) -> Array:
+        """Return row i with a right-hand side b (n,) below it, (k + 1, n)."""
         out = np.empty((len(self.regression.touched[i]) + 1, self.count))
         self.row(i, out[:-1])
         out[-1] = b
         return out
 
     def dense(self) -> Array:
-        """Y (n, rows, p) with its zeros."""
+        """Return Y (n, rows, p) with its zeros."""
         Y = np.zeros((self.count, len(self.regression.rows), len(self.regression.columns)))
-        for i, places in enumerate(self.regression.touched):
-            Y[:, i, places] = self.row(i).T
+        for i, touched in enumerate(self.regression.touched):
+            Y[:, i, touched] = self.row(i).T
         return Y
 
 
@@ -129,7 +133,10 @@ AnyRegression = Regression | CoupledRegression
 def torque_regression(
     robot: RobotModel, columns: Sequence[str], measured: Measured | None = None
 ) -> AnyRegression:
-    """The regression of a robot's measured torques, rows `robot.torque_rows` and those of sensors,
-    on the parameters named in `columns`; raises UsageError for a name that it does not have."""
+    """Return the regression of a robot's measured torques on the parameters named in `columns`.
+
+    Rows are `robot.torque_rows`, then those of the sensors in `measured`. Raises UsageError for an
+    unknown name.
+    """
     tree = regression(robot, columns, measured)
     return tree if robot.coupling is None else CoupledRegression(tree, robot.coupling)

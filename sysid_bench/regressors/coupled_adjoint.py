@@ -1,7 +1,7 @@
-"""Which way the regressor of coupled joints moves: G(q)^T Y_tree backwards.
+"""Adjoint of the regressor of coupled joints: reverse-mode derivatives of G(q)^T Y_tree.
 
-Slopes are those by q, v, a of the whole tree, at the places of the joints that move what G itself
-does there; `models.coupling.slopes.pulled` then hands those of the followers on.
+Derivatives are by q, v and a of the whole tree. Those of G(q) are added at the independent joints;
+`models.coupling.derivatives` then applies the chain rule to those of the dependent joints.
 """
 
 from dataclasses import replace
@@ -18,35 +18,39 @@ from sysid_bench.types import Array, Trajectory
 
 
 def smoothed(regression: AnyRegression) -> AnyRegression:
-    """The same regression with a smooth sign for Coulomb friction."""
+    """Return the regression with tanh(v / SMOOTH_RATE) in place of sign(v) in Coulomb friction."""
     if isinstance(regression, CoupledRegression):
         return replace(regression, tree=adjoint.smoothed(regression.tree))
     return adjoint.smoothed(regression)
 
 
 def pull_back(regression: AnyRegression, motion: Trajectory, G: Array) -> Slopes:
-    """Derivatives of sum(G * Y) by q, v, a (N, nv) of the tree; G (N, rows, p)."""
+    """Return the derivatives of sum(G * Y) by q, v and a of the tree, (N, nv) each; G (N, rows,
+    p) weights the entries of Y."""
     if not isinstance(regression, CoupledRegression):
         return adjoint.pull_back(regression, motion, G)
     coupling, tree = regression.coupling, regression.tree
     moving = len(coupling.independent)
     weights = np.zeros((len(motion), len(tree.rows), len(tree.columns)))
-    weights[:, regression.places] = G
+    weights[:, regression.tree_rows] = G
     followed = np.einsum("ndi,nip->ndp", coupling.follow(motion.q), G[:, :moving])
     weights[:, coupling.dependent] += followed
     q, v, a = adjoint.pull_back(tree, motion, weights)
     if not coupling.constant:
         Y = tree.dense(motion).Y[:, coupling.dependent]
-        own = pull_back_follow(coupling, motion, np.einsum("ndp,nip->ndi", Y, G[:, :moving]))
-        q[:, : own.shape[1]] += own
+        by_closure = pull_back_follow(coupling, motion, np.einsum("ndp,nip->ndi", Y, G[:, :moving]))
+        q[:, : by_closure.shape[1]] += by_closure
     return q, v, a
 
 
 def pull_back_torque(
     tree: Tree, coupling: Coupling | None, phi: Array, motion: Trajectory, U: Array
 ) -> Slopes:
-    """Derivatives of sum(U * tau), U and tau (N, n) on the joints that move, tau the rigid-body
-    torque of links with parameters phi (n_links, 10)."""
+    """Return the derivatives of sum(U * tau) by q, v and a of the tree, (N, nv) each.
+
+    U (N, n) weights tau (N, n), the rigid-body torque on the independent joints of links with
+    parameters phi (n_links, 10).
+    """
     if coupling is None:
         return adjoint.pull_back_torque(tree, phi, motion, U)
     whole = np.einsum("nij,nj->ni", coupling.G(motion.q), U)

@@ -1,4 +1,4 @@
-"""The 6x10 body regressor, derived with SymPy from the spatial Newton-Euler equation.
+"""Body regressor A (6, 10), derived with SymPy from the spatial Newton-Euler equation.
 
     F = G dV - ad(V)^T G V,   V = [w; v],   F = [n; f]
 
@@ -28,7 +28,11 @@ PHI = sp.Matrix(sp.symbols(NAMES))
 
 
 def body_regressor() -> sp.Matrix:
-    """A (6, 10) in w, v, dw, dv: rows n then f, columns m hx hy hz Ixx Ixy Ixz Iyy Iyz Izz."""
+    """Return A (6, 10) = dF/dphi as a function of w, v, dw, dv.
+
+    Rows nx ny nz fx fy fz, columns m hx hy hz Ixx Ixy Ixz Iyy Iyz Izz, in body axes at the body's
+    origin.
+    """
     twist, rate = sp.Matrix([W, V]), sp.Matrix([DW, DV])
     G = _spatial_inertia()
     wrench = G * rate - _adjoint_transpose() * G * twist
@@ -36,7 +40,7 @@ def body_regressor() -> sp.Matrix:
 
 
 def _spatial_inertia() -> sp.Matrix:
-    """G (6, 6) of phi for V = [w; v]."""
+    """Spatial inertia G (6, 6) of phi, for twists V = [w; v]."""
     m, hx, hy, hz, xx, xy, xz, yy, yz, zz = PHI
     inertia = sp.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     h = skew(sp.Matrix([hx, hy, hz]))
@@ -44,23 +48,23 @@ def _spatial_inertia() -> sp.Matrix:
 
 
 def _adjoint_transpose() -> sp.Matrix:
-    """ad(V)^T (6, 6) as the seed prints it."""
+    """ad(V)^T (6, 6), with the sign convention of the module's docstring."""
     return sp.Matrix(sp.BlockMatrix([[-skew(W), -skew(V)], [sp.zeros(3), -skew(W)]]))
 
 
 def in_classical_acceleration(A: sp.Matrix) -> sp.Matrix:
-    """A with dv replaced by d - w × v; the velocity v must cancel."""
+    """Return A (6, 10) with dv replaced by d - w × v; v cancels."""
     change = dict(zip(DV, D - W.cross(V), strict=True))
     return A.subs(change).applyfunc(sp.expand)
 
 
 def skew(x: sp.Matrix) -> sp.Matrix:
-    """[x]x (3, 3)."""
+    """Return the cross-product matrix [x]x (3, 3)."""
     return sp.Matrix([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
 
 
 def source() -> str:
-    """The text of body.py."""
+    """Return the text of body.py."""
     A = in_classical_acceleration(body_regressor())
     columns = []
     for c in range(10):
@@ -68,9 +72,9 @@ def source() -> str:
         terms = ", ".join(f"({row}, {sp.pycode(A[row, c])})" for row in rows)
         columns.append(f"        ({terms}),  # {NAMES[c]}")
     body = "\n".join(columns)
-    return f'''"""The body regressor, as `python -m sysid_bench.regressors.derive` prints it.
+    return f'''"""Body regressor, printed by `python -m sysid_bench.regressors.derive`.
 
-`tests/regressors/test_derive.py` derives it again and compares.
+Do not edit: `tests/regressors/test_derive.py` derives it again and compares.
 """
 
 from sysid_bench.types import Array
@@ -79,10 +83,11 @@ from sysid_bench.types import Array
 
 
 def entries(w: Array, alpha: Array, d: Array) -> tuple[tuple[tuple[int, Array], ...], ...]:
-    """The entries of A (6, 10) that are not zero, column by column as (row, value).
+    """Return the non-zero entries of the body regressor A (6, 10), as (row, value) by column.
 
-    w, alpha, d (3, ...): angular velocity, angular acceleration, and classical acceleration less
-    gravity of the body's origin, in body axes. Rows nx ny nz fx fy fz.
+    The wrench [n; f] of a body is A phi, at its origin and in its axes. w and alpha (3, ...) are
+    its angular velocity and acceleration, d (3, ...) the classical acceleration of its origin minus
+    gravity, all in body axes.
     """
     wx, wy, wz = w
     ax, ay, az = alpha
@@ -98,13 +103,14 @@ MOMENTS = (
     "", "h_moment[0]", "h_moment[1]", "h_moment[2]",
     *(f"I_moment[{c}]" for c in range(6)),
 )  # fmt: skip
-"""Names of the columns in kernel.c; an inertia gives no force, a mass no moment."""
+"""Names of the columns in kernel.c. A moment of inertia causes no force, and a mass at the origin
+no moment, so these columns have no name."""
 
 
 def c_source() -> str:
-    """The lines of the function `entries` of kernel.c.
+    """Return the lines of the function `entries` in kernel.c.
 
-    Raises ValueError where an entry that kernel.c has no place for is not zero.
+    Raises ValueError if an entry is not zero for which kernel.c has no variable.
     """
     A = in_classical_acceleration(body_regressor())
     lines = []
@@ -112,14 +118,14 @@ def c_source() -> str:
         for names, part in ((MOMENTS, A[:3, c]), (FORCES, A[3:, c])):
             name = names[c] if c < len(names) else ""
             if not name and not part.is_zero_matrix:
-                raise ValueError(f"kernel.c has no place for {part} of {NAMES[c]}.")
-            values = [_Vectors().doprint(value) for value in part] if name else []
+                raise ValueError(f"kernel.c has no variable for {part} of {NAMES[c]}.")
+            values = [_VectorPrinter().doprint(value) for value in part] if name else []
             lines += [f"A->{name}[{i}] = {x};" for i, x in enumerate(values)]
     return "".join(f"    {line}\n" for line in lines)
 
 
-class _Vectors(C99CodePrinter):
-    """C for vectors of samples: they know no pow(), and zero is one of them."""
+class _VectorPrinter(C99CodePrinter):  # type: ignore[misc]  # SymPy is not typed
+    """C code for vectors of samples: no pow(), and zero is a vector too."""
 
     def _print_Pow(self, expr: Any) -> str:
         return "*".join([self._print(expr.base)] * int(expr.exp))

@@ -1,8 +1,8 @@
-"""Joint terms that look at a whole motion of one joint: hysteresis, smooth friction, cable torque.
+"""Joint torque terms with memory or shape: hysteresis, smooth Coulomb friction, cable torque.
 
-A feature has `suffixes`, the names of its columns after the joint's, and `values(q, v, reach)`,
-its columns (N, k) along positions and rates (N,) of the joint; `reach` (low, high) is where the
-joint went in training, so that a column means the same on every other motion.
+A feature has `suffixes`, which name its columns "<joint>.<suffix>", and `values(q, v, reach)`, its
+columns (N, k) along positions and rates (N,) of the joint. `reach` (low, high) is the range of the
+joint in the training motions, so that a column has the same meaning on every motion.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from sysid_bench.types import Array, Trajectory
 
 
 class Feature(Protocol):
-    """Columns of one joint along a whole motion."""
+    """Regressor columns of one joint along a whole motion; see the module's docstring."""
 
     @property
     def suffixes(self) -> tuple[str, ...]: ...
@@ -25,76 +25,85 @@ class Feature(Protocol):
 
 @dataclass(frozen=True)
 class Play:
-    """Friction that does not jump where the joint turns round but builds up along a way of twice
-    `width` times the joint's reach: the play operator, (q - p) / r with p dragged along by q at a
-    distance of r at most. Rate-independent hysteresis, as of cables and belts (Brokate and Sprekels
-    1996)."""
+    """Rate-independent hysteresis of cables and belts: the play operator (Brokate and Sprekels
+    1996).
+
+    The column is (q - p) / r, with r = `width` times the joint's range. q drags p along at a
+    distance of at most r, so that friction builds up over a travel of 2 r after a reversal instead
+    of changing its sign at once.
+    """
 
     width: float = 0.01
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """play10 for a width of 1 %."""
+        """Column name, e.g. play10 for a width of 1 %."""
         return (f"play{1000 * self.width:g}",)
 
     def values(self, q: Array, v: Array, reach: tuple[float, float]) -> Array:
-        """(N, 1) between -1 and 1."""
+        """Return the column (N, 1), between -1 and 1."""
         r = max(self.width * (reach[1] - reach[0]), 1e-12)
         dragged, p = np.empty_like(q), float(q[0] - r * np.sign(v[0]))
-        for k, here in enumerate(q.tolist()):
-            p = min(max(p, here - r), here + r)
+        for k, position in enumerate(q.tolist()):
+            p = min(max(p, position - r), position + r)
             dragged[k] = p
-        return ((q - dragged) / r)[:, None]
+        return np.asarray((q - dragged) / r)[:, None]
 
 
 @dataclass(frozen=True)
 class PositionPlay:
-    """Hysteresis that is not everywhere the same, as where a cable bends more: play times the
-    position and its square, -1 to 1 over the joint's reach."""
+    """Hysteresis that varies with position, as where a cable bends more.
+
+    The columns are those of `Play` times the normalised position (-1 to 1 over the joint's range)
+    and its square.
+    """
 
     width: float = 0.01
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """play10q1 and play10q2 for a width of 1 %."""
-        (own,) = Play(self.width).suffixes
-        return (f"{own}q1", f"{own}q2")
+        """Column names, e.g. play10q1 and play10q2 for a width of 1 %."""
+        (play,) = Play(self.width).suffixes
+        return (f"{play}q1", f"{play}q2")
 
     def values(self, q: Array, v: Array, reach: tuple[float, float]) -> Array:
-        """(N, 2)."""
-        return Play(self.width).values(q, v, reach) * Polynomial(2).values(q, v, reach)
+        """Return the columns (N, 2)."""
+        return np.asarray(Play(self.width).values(q, v, reach) * Polynomial(2).values(q, v, reach))
 
 
 @dataclass(frozen=True)
 class SmoothCoulomb:
-    """tanh(v / scale): Coulomb friction without a jump; scale in rad/s or m/s."""
+    """Coulomb friction without a discontinuity: tanh(v / scale), `scale` in rad/s or m/s."""
 
     scale: float = 0.02
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """tanh20 for 0.02 rad/s."""
+        """Column name, e.g. tanh20 for 0.02 rad/s."""
         return (f"tanh{1000 * self.scale:g}",)
 
     def values(self, q: Array, v: Array, reach: tuple[float, float]) -> Array:
-        """(N, 1)."""
+        """Return the column (N, 1)."""
         return np.tanh(v / self.scale)[:, None]
 
 
 @dataclass(frozen=True)
 class Polynomial:
-    """Torque that depends on where the joint is, as of cables that bend: powers up to `degree` of
-    its position, -1 to 1 over its reach."""
+    """Position-dependent torque, e.g. of bending cables: powers 1 to `degree` of the normalised
+    position, which is -1 to 1 over the joint's range."""
 
     degree: int = 3
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """q1, q2, ..."""
+        """Column names q1, q2, ..."""
         return tuple(f"q{power}" for power in range(1, self.degree + 1))
 
     def values(self, q: Array, v: Array, reach: tuple[float, float]) -> Array:
-        """(N, degree); beyond the reach the position is held, since powers run away there."""
+        """Return the columns (N, degree).
+
+        Outside of the range the position is clipped, since powers grow without bound there.
+        """
         middle, half = 0.5 * (reach[0] + reach[1]), 0.5 * (reach[1] - reach[0]) or 1.0
         x = np.clip((q - middle) / half, -1.0, 1.0)
         return np.stack([x**power for power in range(1, self.degree + 1)], axis=1)
@@ -102,45 +111,50 @@ class Polynomial:
 
 @dataclass(frozen=True, eq=False)
 class JointFeatures:
-    """Chosen columns of features, by name "<joint>.<suffix>", each on its own joint's row. `reach`
-    is that of each joint in training."""
+    """Columns of features for several joints, named "<joint>.<suffix>", each on its joint's row.
+
+    `indices` are those of each joint in q and v, `ranges` (low, high) its range in training.
+    """
 
     features: tuple[Feature, ...]
-    places: dict[str, tuple[int, int]]  # joint -> (place in q, place in v)
-    reach: dict[str, tuple[float, float]]
+    indices: dict[str, tuple[int, int]]
+    ranges: dict[str, tuple[float, float]]
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """All names, joint after joint."""
+        """All column names, joint by joint."""
         return tuple(
             f"{joint}.{suffix}"
-            for joint in self.places
+            for joint in self.indices
             for feature in self.features
             for suffix in feature.suffixes
         )
 
     def of_joint(self, joint: str, motion: Trajectory, chosen: Sequence[str]) -> Array:
-        """The chosen columns (N, k) of one joint, in the order of `chosen`."""
-        at, dof = self.places[joint]
+        """Return the columns (N, k) of one joint that `chosen` names, in that order."""
+        qadr, dof = self.indices[joint]
         found: dict[str, Array] = {}
         for feature in self.features:
             names = [f"{joint}.{suffix}" for suffix in feature.suffixes]
             if not set(names).isdisjoint(chosen):
-                values = feature.values(motion.q[:, at], motion.v[:, dof], self.reach[joint])
+                values = feature.values(motion.q[:, qadr], motion.v[:, dof], self.ranges[joint])
                 found |= dict(zip(names, values.T, strict=True))
-        own = [found[name] for name in chosen if name in found]
-        return np.stack(own, axis=1) if own else np.zeros((len(motion), 0))
+        columns = [found[name] for name in chosen if name in found]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(motion), 0))
 
 
 def features_of(
     features: Sequence[Feature],
     joints: Sequence[str],
-    places: Sequence[tuple[int, int]],
+    indices: Sequence[tuple[int, int]],
     motions: Sequence[Trajectory],
 ) -> JointFeatures:
-    """Features of some joints, with their reach over all training motions."""
-    reach = {}
-    for joint, (at, _) in zip(joints, places, strict=True):
-        q = np.concatenate([motion.q[:, at] for motion in motions])
-        reach[joint] = (float(q.min()), float(q.max()))
-    return JointFeatures(tuple(features), dict(zip(joints, places, strict=True)), reach)
+    """Return the features of `joints`, with their range over all training motions.
+
+    `indices` are the indices (in q, in v) of each joint.
+    """
+    ranges = {}
+    for joint, (qadr, _) in zip(joints, indices, strict=True):
+        q = np.concatenate([motion.q[:, qadr] for motion in motions])
+        ranges[joint] = (float(q.min()), float(q.max()))
+    return JointFeatures(tuple(features), dict(zip(joints, indices, strict=True)), ranges)

@@ -1,8 +1,8 @@
-"""The compiled kernel, kernel.c, through its plain C functions: trees and columns as flat arrays.
+"""Python interface of the compiled regressor kernel, kernel.c.
 
-One library holds the kernel once per instruction set; the best that the processor has is taken.
-Where the library is absent, too old for its source or unwanted, `chosen()` says why, and the NumPy
-kernel serves: same values, same contract.
+One library holds the kernel once per instruction set; the best one that the processor supports is
+used. If the library is missing, was compiled from another source or is switched off,
+`selected_kernel()` gives the reason, and the NumPy kernel computes the same values.
 """
 
 import ctypes
@@ -24,18 +24,19 @@ from sysid_bench.regressors.kernel_layout import KernelLayout, columns_layout
 from sysid_bench.types import Array, Trajectory
 
 VARIABLE: Final = "SYSID_BENCH_KERNEL"
-"""`numpy`, `compiled`, or one of `LEVELS`: which kernel this process takes; unset, the best."""
+"""Environment variable that selects the kernel: `numpy`, `compiled` or one of `LEVELS`; unset, the
+fastest is used."""
 
 LEVELS: Final = {"x86-64-v4": "v4", "x86-64-v3": "v3", "baseline": "base"}
-"""Instruction sets, best first, and what the functions compiled for them end in: AVX-512, AVX2
-with FMA, and what every processor of the kind has."""
+"""Instruction sets, fastest first, with the suffix of the functions compiled for them: AVX-512,
+AVX2 with FMA, and the baseline of the architecture."""
 
 SOURCE: Final = Path(__file__).with_name("kernel.c")
 
 
 @dataclass(frozen=True)
-class KernelChoice:
-    """Which kernel works in this process; `reason`: why it is NumPy where it is."""
+class SelectedKernel:
+    """Kernel of this process: the compiled `library`, or NumPy with the `reason` for it."""
 
     library: "Library | None"
     reason: str = ""
@@ -47,26 +48,26 @@ class KernelChoice:
 
 
 @cache
-def selected_kernel() -> KernelChoice:
-    """The kernel of this process; UsageError for a name in the variable that is none."""
+def selected_kernel() -> SelectedKernel:
+    """Return the kernel of this process; raises UsageError for an invalid environment variable."""
     wanted = os.environ.get(VARIABLE, "")
     if wanted not in ("", "numpy", "compiled", *LEVELS):
         known = ", ".join(("numpy", "compiled", *LEVELS))
-        raise UsageError(f"{VARIABLE} is {wanted!r}; it is unset or one of {known}.")
+        raise UsageError(f"{VARIABLE} is {wanted!r}; unset it, or use one of {known}.")
     if wanted == "numpy":
-        return KernelChoice(None, f"{VARIABLE} asks for it")
+        return SelectedKernel(None, f"selected by {VARIABLE}")
     try:
-        return KernelChoice(_load(wanted))
+        return SelectedKernel(_load(wanted))
     except OSError as error:
-        return KernelChoice(None, str(error))
+        return SelectedKernel(None, str(error))
 
 
 def _load(wanted: str) -> "Library":
-    """The library and the wanted instruction set, or the best; OSError with the reason."""
+    """Library for the wanted instruction set, or for the fastest; OSError gives the reason."""
     dll = c_library(SOURCE, "libregressor", "kernel_source")
     usable = [level for level in LEVELS if _usable(dll, level)]
     if wanted in LEVELS and wanted not in usable:
-        raise OSError(f"{wanted} is not among what this machine has: {', '.join(usable)}")
+        raise OSError(f"{wanted} is not supported by this machine; it has {', '.join(usable)}")
     return Library(dll, wanted if wanted in LEVELS else usable[0])
 
 
@@ -84,59 +85,69 @@ class _Motion(ctypes.Structure):
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """The functions of one instruction set."""
+    """Functions of the compiled kernel for one instruction set."""
 
     dll: Any
     level: str
 
-    def rows(self, program: KernelLayout, motion: Trajectory) -> Array:
-        """The values (program.size, N): rows of Y without their zeros."""
-        out = np.empty((program.size, len(motion)))
-        self._call("rows", program, motion, out)
+    def rows(self, layout: KernelLayout, motion: Trajectory) -> Array:
+        """Return the values (layout.size, N): rows of Y without their zeros."""
+        out = np.empty((layout.size, len(motion)))
+        self._call("rows", layout, motion, (out,))
         return out
 
-    def dense(self, program: KernelLayout, motion: Trajectory, out: Array) -> Array:
-        """Y (N, rows, p) with its zeros, into `out`."""
-        self._call("dense", program, motion, program.runs, out, width=out.shape[2])
+    def dense(self, layout: KernelLayout, motion: Trajectory, out: Array) -> Array:
+        """Return Y (N, rows, p) with its zeros, written into `out`."""
+        self._call("dense", layout, motion, (layout.runs, out), width=out.shape[2])
         return out
 
-    def fold(self, program: KernelLayout, motion: Trajectory, b: Array, R: Sequence[Array]) -> None:
-        """R (k + 1, k + 1) of each of the program's rows absorbs its rows of [Y | b], b (N, nv)."""
+    def accumulate(
+        self, layout: KernelLayout, motion: Trajectory, b: Array, R: Sequence[Array]
+    ) -> None:
+        """Update each R (k + 1, k + 1) in place to the R factor of [R; Y_i | b_i], b (N, nv), for
+        the rows i of the layout."""
         factors = np.array([part.ctypes.data for part in R], dtype=np.uintp)
-        to = (program.at, program.count + 1, program.rows)
-        self._call("fold", program, motion, _plain(b), len(R), *to, factors)
+        targets = (layout.starts, layout.count + 1, layout.rows)
+        self._call("fold", layout, motion, (_contiguous(b), len(R), *targets, factors))
 
-    def torque(self, program: KernelLayout, motion: Trajectory, phi: Array) -> Array:
-        """Rigid-body torque (N, nv) of the program's links with parameters phi (links, 10)."""
+    def torque(self, layout: KernelLayout, motion: Trajectory, phi: Array) -> Array:
+        """Return the rigid-body torque (N, nv) of the layout's links; phi (links, 10)."""
         out = np.empty(motion.v.shape)
-        self._call("torque", program, motion, _plain(phi), out)
+        self._call("torque", layout, motion, (_contiguous(phi), out))
         return out
 
     def _call(
-        self, name: str, program: KernelLayout, motion: Trajectory, *args: Any, width: int = 0
+        self,
+        name: str,
+        layout: KernelLayout,
+        motion: Trajectory,
+        args: Sequence[Any],
+        width: int = 0,
     ) -> None:
-        q, v, a = (_plain(x) for x in (motion.q, motion.v, motion.a))
+        # ctypes sees addresses alone: q, v, a and args keep their arrays alive during the call.
+        q, v, a = (_contiguous(x) for x in (motion.q, motion.v, motion.a))
         span = _Motion(len(motion), *(x.ctypes.data for x in (q, v, a)))
-        tree, plan = ctypes.byref(program.tree), ctypes.byref(program.plan)
-        sizes = (ctypes.c_int64(program.size), ctypes.c_int64(width))
+        tree, plan = ctypes.byref(layout.tree), ctypes.byref(layout.plan)
+        sizes = (ctypes.c_int64(layout.size), ctypes.c_int64(width))
         size = self._function("work", ctypes.c_int64)(tree, *sizes)
-        given = [_argument(x) for x in (*args, _desk(size))]
-        self._function(name, None)(tree, plan, ctypes.byref(span), *given)
+        arguments = [_argument(x) for x in (*args, _workspace(size))]
+        self._function(name, None)(tree, plan, ctypes.byref(span), *arguments)
 
-    def _function(self, name: str, answer: Any) -> Any:
+    def _function(self, name: str, result: Any) -> Any:
         function = getattr(self.dll, f"{name}_{LEVELS[self.level]}")
-        function.restype = answer
+        function.restype = result
         return function
 
 
-_DESKS: Final = threading.local()
+_WORKSPACES: Final = threading.local()
 
 
-def _desk(size: int) -> Array:
-    """Room to work in, one per thread and kept: fresh memory costs more than the kernel."""
-    if getattr(_DESKS, "room", np.zeros(0)).nbytes < size:
-        _DESKS.room = np.empty(size, dtype=np.uint8)
-    return _DESKS.room
+def _workspace(size: int) -> Array:
+    """Scratch memory of the calling thread; kept, since fresh pages cost more than the kernel."""
+    buffer: Array = getattr(_WORKSPACES, "buffer", np.zeros(0))
+    if buffer.nbytes < size:
+        buffer = _WORKSPACES.buffer = np.empty(size, dtype=np.uint8)
+    return buffer
 
 
 def _argument(x: Any) -> Any:
@@ -145,19 +156,19 @@ def _argument(x: Any) -> Any:
     return ctypes.c_int64(x) if isinstance(x, int) else ctypes.byref(x)
 
 
-def _plain(x: Array) -> Array:
+def _contiguous(x: Array) -> Array:
     return np.ascontiguousarray(x, dtype=float)
 
 
-_PROGRAMS: Final[weakref.WeakKeyDictionary[Any, dict[tuple[int, ...], KernelLayout]]] = (
+_LAYOUTS: Final[weakref.WeakKeyDictionary[Any, dict[tuple[int, ...], KernelLayout]]] = (
     weakref.WeakKeyDictionary()
 )
 
 
 def layout_of(columns: Columns, rows: Sequence[int] | None = None) -> KernelLayout:
-    """The program of some rows of the columns (None: all), made once."""
+    """Return the kernel layout of the given rows of `columns` (None: all); cached."""
     wanted = tuple(range(len(columns.rows)) if rows is None else rows)
-    made = _PROGRAMS.setdefault(columns, {})
-    if wanted not in made:
-        made[wanted] = columns_layout(columns, wanted)
-    return made[wanted]
+    layouts = _LAYOUTS.setdefault(columns, {})
+    if wanted not in layouts:
+        layouts[wanted] = columns_layout(columns, wanted)
+    return layouts[wanted]

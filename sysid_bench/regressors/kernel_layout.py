@@ -1,4 +1,4 @@
-"""A tree and its wanted columns as the flat arrays that kernel.c reads."""
+"""Flat arrays of a kinematic tree and its regressor columns, as kernel.c reads them."""
 
 import ctypes
 from collections.abc import Sequence
@@ -12,50 +12,53 @@ from sysid_bench.regressors.columns import Columns, LinkColumns
 from sysid_bench.types import Array
 
 ABOUT, ALONG, ABOUT_X, WORLD_X = 0, 1, 2, 5
-"""What a degree of freedom of a joint does: it turns about the joint's axis or moves along it,
-turns about the joint's own x (y, z follow), moves along the world's x (y, z follow)."""
+"""Motion of a degree of freedom: rotation about the joint's axis, translation along it, rotation
+about the joint's own x (then y, z), translation along the world's x (then y, z)."""
 
 TERM_CODES: Final = {"fv": 0, "fc": 1, "offset": 2, "Ia": 3, "k": 4}
 
 
-def _structure(name: str, *fields: str) -> type[ctypes.Structure]:
-    """A C struct; a word with a star is a pointer, another one an integer of 64 bits."""
+def _structure(name: str, fields: str) -> type[ctypes.Structure]:
+    """C struct of the given fields; a name with a star is a pointer, any other an int64."""
     kinds = {True: ctypes.c_void_p, False: ctypes.c_int64}
-    members = [(word.lstrip("*"), kinds[word.startswith("*")]) for word in fields]
+    members = [(word.lstrip("*"), kinds[word.startswith("*")]) for word in fields.split()]
     return type(name, (ctypes.Structure,), {"_fields_": members})
 
 
+# Names and order of the fields are those of the structs in kernel.c.
 CTree: Final = _structure(
-    "CTree", "joints", "nq", "nv", "*kind", "*before", "*qadr", "*vadr",
-    "*R0", "*p0", "*axis", "*anchor", "*q0", "*gravity",
-)  # fmt: skip
+    "CTree",
+    "joints nq nv *kind *before *qadr *vadr *R0 *p0 *axis *anchor *q0 *gravity",
+)
 CPlan: Final = _structure(
-    "CPlan", "carriers", "terms", "values", "*frame", "*slot", "*outputs", "*mixed", "*first",
-    "*from", "*part", "*dest", "*mixes",
-    "*term_kind", "*term_dest", "*term_vadr", "*term_qadr", "*term_reference",
-)  # fmt: skip
-
-
-CRuns: Final = _structure("CRuns", "rows", "width", "*first", "*value", "*column", "*length")
+    "CPlan",
+    "carriers terms values *frame *slot *outputs *mixed *first *from *part *dest *mixes "
+    "*term_kind *term_dest *term_vadr *term_qadr *term_reference",
+)
+CRuns: Final = _structure("CRuns", "rows width *first *value *column *length")
 
 
 @dataclass(frozen=True, eq=False)
 class KernelLayout:
-    """What the kernel is to compute: a struct of the tree and one of the columns, with the arrays
-    that they point into, the number of values, and where each of its rows is among them."""
+    """Input of one call of the kernel: C structs of the tree and the columns, and the output rows.
+
+    `arrays` keeps alive what the structs point to. `size` is the number of values per sample. Row i
+    of the output is degree of freedom `rows[i]`; its `count[i]` values begin at `starts[i]`, and
+    one value is left free behind them.
+    """
 
     tree: Any
     plan: Any
     arrays: tuple[Array, ...]
     size: int
-    rows: Array  # places in v of the rows
-    at: Array  # first value of each row; one value is left free after a row's columns
-    count: Array  # columns of each row
-    runs: Any  # struct of how dense rows are put together
+    rows: Array
+    starts: Array
+    count: Array
+    runs: Any  # struct CRuns: how values and zeros make up dense rows
 
 
 def columns_layout(wanted: Columns, rows: Sequence[int]) -> KernelLayout:
-    """The program of the rows of some columns, given as places in v."""
+    """Return the layout that computes the given rows (indices in v) of the columns `wanted`."""
     chosen = np.array(rows, dtype=np.int64)
     count = np.array([len(wanted.touched[i]) for i in rows], dtype=np.int64)
     ends = np.cumsum(count + 1)
@@ -69,22 +72,22 @@ def columns_layout(wanted: Columns, rows: Sequence[int]) -> KernelLayout:
             code = TERM_CODES[term.kind]
             plan.terms.append((code, dest, term.rate, term.qadr, term.reference))
     size = int(ends[-1]) if len(ends) else 0
-    at = ends - count - 1
-    places = [wanted.touched[i] for i in rows]
-    return _program(plan, size, chosen, at, count, _runs(places, at, len(wanted.columns)))
+    starts = ends - count - 1
+    touched = [wanted.touched[i] for i in rows]
+    return _layout(plan, size, (chosen, starts, count), _runs(touched, starts, len(wanted.columns)))
 
 
 def torque_layout(tree: Tree, links: Sequence[int]) -> KernelLayout:
-    """The program of the rigid-body torque of some links: a pair's value is its place in v."""
+    """Return the layout that computes the rigid-body torque (nv,) of the given links."""
     plan = _Plan(tree, {})
     for link in links:
-        plan.pair_up(link, {int(dof): int(dof) for dof in tree.links[link].dofs})
+        plan.add_pairs(link, {int(dof): int(dof) for dof in tree.links[link].dofs})
     none = np.zeros(0, np.int64)
-    return _program(plan, tree.nv, none, none, none, [])
+    return _layout(plan, tree.nv, (none, none, none), [])
 
 
 class _Plan:
-    """The columns of a program while they are gathered; `next`: the next free value of each row."""
+    """Columns of a layout under construction; `next` is the next free value of each row."""
 
     def __init__(self, tree: Tree, start: dict[int, int]) -> None:
         self.tree, self.next = tree, start
@@ -100,13 +103,13 @@ class _Plan:
         self.terms: list[tuple[int, int, int, int, float]] = []
 
     def add(self, columns: LinkColumns) -> None:
-        """The columns of one link, for those of its rows that are wanted."""
+        """Add the columns of one link, for those of its rows that are wanted."""
         dofs = self.tree.links[columns.link].dofs
-        wide = np.zeros((len(columns.places), 10))
+        wide = np.zeros((len(columns.indices), 10))
         slot = [-1] * 10
         if columns.mix is None:
-            for place, raw in enumerate(columns.raw):
-                slot[raw] = place
+            for index, raw in enumerate(columns.raw):
+                slot[raw] = index
         else:
             wide[:, columns.raw] = columns.mix
         self.slot.append(slot)
@@ -114,22 +117,22 @@ class _Plan:
         self.mixed.append(-1 if columns.mix is None else len(self.mixes))
         self.mixes += [] if columns.mix is None else wide.ravel().tolist()
         wanted = [int(dof) for dof in dofs if int(dof) in self.next]
-        self.pair_up(columns.link, {dof: self.take(dof, len(wide)) for dof in wanted})
+        self.add_pairs(columns.link, {dof: self.take(dof, len(wide)) for dof in wanted})
 
     def take(self, row: int, count: int) -> int:
-        """The first of the next values of a row."""
+        """Reserve the next `count` values of a row; return the first."""
         self.next[row] += count
         return self.next[row] - count
 
-    def pair_up(self, link: int, dest: dict[int, int]) -> None:
-        """The degrees of freedom that move a link, with the values that they go to."""
+    def add_pairs(self, link: int, dest: dict[int, int]) -> None:
+        """Add pairs of the link and a degree of freedom that moves it, with their values."""
         self.frame.append(int(self.last[link]))
         self.pairs += [(*self.motions[dof], value) for dof, value in dest.items()]
         self.first.append(len(self.pairs))
 
 
 def _motions(tree: Tree) -> dict[int, tuple[int, int]]:
-    """(joint, what it does) of every degree of freedom."""
+    """(joint, motion code) of every degree of freedom."""
     motions: dict[int, tuple[int, int]] = {}
     for j, joint in enumerate(tree.joints):
         if joint.kind == FREE:
@@ -142,49 +145,58 @@ def _motions(tree: Tree) -> dict[int, tuple[int, int]]:
     return motions
 
 
-def _runs(places: list[Array], at: Array, width: int) -> list[list[tuple[int, int, int]]]:
+def _runs(touched: list[Array], starts: Array, width: int) -> list[list[tuple[int, int, int]]]:
     """(value or -1 for zeros, column, length) of every row's runs of neighbouring columns."""
     rows = []
-    for columns, start in zip(places, at, strict=True):
+    for columns, start in zip(touched, starts, strict=True):
         source = np.full(width, -1)
         source[columns] = start + np.arange(len(columns))
         before, after = source[:-1], source[1:]
-        goes_on = np.where(after < 0, before < 0, (after == before + 1) & (before >= 0))
-        first = np.flatnonzero(np.concatenate([[width > 0], ~goes_on]))
+        continues = np.where(after < 0, before < 0, (after == before + 1) & (before >= 0))
+        first = np.flatnonzero(np.concatenate([[width > 0], ~continues]))
         length = np.diff([*first, width])
         rows.append(list(zip(source[first].tolist(), first.tolist(), length.tolist(), strict=True)))
     return rows
 
 
-def _program(
+def _layout(
     plan: _Plan,
     size: int,
-    rows: Array,
-    at: Array,
-    count: Array,
+    rows: tuple[Array, Array, Array],
     runs: list[list[tuple[int, int, int]]],
 ) -> KernelLayout:
+    """Layout of a finished plan; `rows` are the indices in v, first values and counts of rows."""
     tree, of_tree = _tree(plan.tree)
     pairs = np.array(plan.pairs, dtype=np.int64).reshape(-1, 3).T
     terms = list(zip(*plan.terms, strict=True)) or [()] * 5
     of_plan = [
-        *(_whole(x) for x in (plan.frame, plan.slot, plan.outputs, plan.mixed, plan.first)),
-        *(_whole(x) for x in pairs),
+        *(_integers(x) for x in (plan.frame, plan.slot, plan.outputs, plan.mixed, plan.first)),
+        *(_integers(x) for x in pairs),
         np.array(plan.mixes, dtype=float),
-        *(_whole(x) for x in terms[:4]),
+        *(_integers(x) for x in terms[:4]),
         np.array(terms[4], dtype=float),
     ]
     struct = CPlan(len(plan.frame), len(plan.terms), size, *(x.ctypes.data for x in of_plan))
     width = sum(length for _, _, length in runs[0]) if runs else 0
     flat = np.array([run for row in runs for run in row], dtype=np.int64).reshape(-1, 3).T
-    of_runs = [_whole(np.cumsum([0, *(len(row) for row in runs)])), *(_whole(x) for x in flat)]
-    laid = CRuns(len(runs), width, *(x.ctypes.data for x in of_runs))
-    places, at, count = (_whole(x) for x in (rows, at, count))
-    return KernelLayout(tree, struct, (*of_tree, *of_plan, *of_runs), size, places, at, count, laid)
+    first = _integers(np.cumsum([0, *(len(row) for row in runs)]))
+    of_runs = [first, *(_integers(x) for x in flat)]
+    dofs, starts, count = (_integers(x) for x in rows)
+    return KernelLayout(
+        tree=tree,
+        plan=struct,
+        arrays=(*of_tree, *of_plan, *of_runs),
+        size=size,
+        rows=dofs,
+        starts=starts,
+        count=count,
+        runs=CRuns(len(runs), width, *(x.ctypes.data for x in of_runs)),
+    )
 
 
 def _tree(tree: Tree) -> tuple[Any, list[Array]]:
-    """Joints in tree order, each a frame of its own: those of one body follow one another."""
+    """Struct of the joints in tree order, each with a frame of its own: the joints of one body
+    form a chain of frames."""
     before: list[int] = []
     R0: list[Array] = []
     p0: list[Array] = []
@@ -199,17 +211,17 @@ def _tree(tree: Tree) -> tuple[Any, list[Array]]:
         last.append(len(before) - 1)
     joints = tree.joints
     arrays = [
-        *(_whole(x) for x in ([joint.kind for joint in joints], before)),
-        *(_whole(x) for x in ([j.qadr for j in joints], [j.vadr for j in joints])),
-        *(_real(x) for x in (R0, p0, [j.axis for j in joints], [j.anchor for j in joints])),
-        *(_real(x) for x in ([j.q0 for j in joints], tree.gravity)),
+        *(_integers(x) for x in ([joint.kind for joint in joints], before)),
+        *(_integers(x) for x in ([j.qadr for j in joints], [j.vadr for j in joints])),
+        *(_floats(x) for x in (R0, p0, [j.axis for j in joints], [j.anchor for j in joints])),
+        *(_floats(x) for x in ([j.q0 for j in joints], tree.gravity)),
     ]
     return CTree(len(joints), tree.nq, tree.nv, *(x.ctypes.data for x in arrays)), arrays
 
 
-def _whole(values: Any) -> Array:
+def _integers(values: Any) -> Array:
     return np.ascontiguousarray(values, dtype=np.int64)
 
 
-def _real(values: Any) -> Array:
+def _floats(values: Any) -> Array:
     return np.ascontiguousarray(values, dtype=float)

@@ -1,7 +1,8 @@
-"""Y of a sensor whose sub-tree ends at other sensors that have constants of their own.
+"""Regressor of a force/torque sensor whose sub-tree ends at further, distal sensors with offsets.
 
-What such a sensor measures less what those measure is W phi + o - sum_s X_s(q) o_s: the constants
-o_s are columns of its rows, moved there as their wrench is (see `handed_on`).
+The reading of such a sensor minus those of the distal ones is Y phi + o - sum_s X_s(q) o_s: the
+offset o_s (6,) of distal sensor s is a column in its rows, transformed like a wrench by X_s (6, 6)
+(`wrench.wrench_transform`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,99 +15,98 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, SensorCut
 from sysid_bench.regressors.coupled import AnyRegression, CoupledBlock, torque_regression
 from sysid_bench.regressors.regression import Block
-from sysid_bench.regressors.wrench import moved_frame
+from sysid_bench.regressors.wrench import wrench_transform
 from sysid_bench.types import Array, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class NestedSensorRegressor:
-    """The regression `whole` with the constants of `stops` in the rows of `cut`."""
+    """Regressor `regression` with the offsets of the `distal` sensors in the rows of `cut`."""
 
-    whole: AnyRegression
+    regression: AnyRegression
     instruments: Instruments
     cut: SensorCut
-    stops: tuple[SensorCut, ...]
+    distal: tuple[SensorCut, ...]
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """Names of what is measured."""
-        return self.whole.rows
+        """Names of the measured rows."""
+        return self.regression.rows
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the parameters (p,)."""
-        return self.whole.columns
+        return self.regression.columns
 
     @cached_property
-    def own(self) -> dict[int, int]:
-        """Row of the cut -> which of its six components that is."""
+    def _components(self) -> dict[int, int]:
+        """Row index of each of the cut's six wrench components -> index of the component."""
         return {self.rows.index(name): k for k, name in enumerate(self.cut.rows)}
 
     @cached_property
-    def columns_asked(self) -> Array:
-        """Which of the stops' constants (6 stops,) are columns."""
+    def _offset_mask(self) -> Array:
+        """Mask (6 s,) of the s distal sensors' offsets that are columns of Y."""
         named = set(self.columns)
-        return np.array([c in named for stop in self.stops for c in _constants_of(stop)])
+        return np.array([c in named for stop in self.distal for c in _offsets_of(stop)])
 
     @cached_property
-    def constants(self) -> Array:
-        """Places in Y of the stops' constants that are columns."""
-        names = np.array([c for stop in self.stops for c in _constants_of(stop)])[
-            self.columns_asked
-        ]
+    def _offset_columns(self) -> Array:
+        """Indices in Y of the distal sensors' offsets that are columns of Y."""
+        names = np.array([c for stop in self.distal for c in _offsets_of(stop)])[self._offset_mask]
         return np.array([self.columns.index(name) for name in names], dtype=int)
 
     @cached_property
     def touched(self) -> tuple[Array, ...]:
-        """For each row the places (k,) in Y that it can be non-zero in, as `row` has them."""
+        """Indices (k,) of the columns in which each row can be non-zero, as `row` orders them."""
         return tuple(
-            np.concatenate([places, self.constants]) if i in self.own else places
-            for i, places in enumerate(self.whole.touched)
+            np.concatenate([touched, self._offset_columns]) if i in self._components else touched
+            for i, touched in enumerate(self.regression.touched)
         )
 
     def blocks(self, motion: Trajectory) -> Iterator["NestedSensorBlock"]:
-        """Y of consecutive samples, along motions with the places of all sensors."""
-        for block in self.whole.blocks(motion):
+        """Yield Y of consecutive samples, along motions with the coordinates of all sensors."""
+        for block in self.regression.blocks(motion):
             X = [
-                moved_frame(self.instruments, _part(motion, block.samples), self.cut, stop)
-                for stop in self.stops
+                wrench_transform(self.instruments, _part(motion, block.samples), self.cut, stop)
+                for stop in self.distal
             ]
-            yield NestedSensorBlock(self, block, np.concatenate(X, axis=2)[..., self.columns_asked])
+            yield NestedSensorBlock(self, block, np.concatenate(X, axis=2)[..., self._offset_mask])
 
 
 @dataclass(frozen=True, eq=False)
 class NestedSensorBlock:
-    """The samples of one block; X (n, 6, k): unit constants of the stops, moved to the cut."""
+    """Y of the samples of one block; X (n, 6, k): unit offsets of the distal sensors, transformed
+    to the frame of the cut."""
 
     regression: NestedSensorRegressor
-    whole: Block | CoupledBlock
+    block: Block | CoupledBlock
     X: Array
 
     @property
     def samples(self) -> slice:
-        """The samples of the motion that the block holds."""
-        return self.whole.samples
+        """Slice of the motion's samples that the block holds."""
+        return self.block.samples
 
     @property
     def count(self) -> int:
-        """How many samples that are."""
-        return self.whole.count
+        """Number n of samples."""
+        return self.block.count
 
     def row(self, i: int) -> Array:
-        """Row i of Y, (k, n), in the columns `touched[i]`."""
-        row = self.whole.row(i)
-        k = self.regression.own.get(i)
+        """Return row i of Y, (k, n), in the columns `touched[i]`."""
+        row = self.block.row(i)
+        k = self.regression._components.get(i)
         return row if k is None else np.concatenate([row, -self.X[:, k].T])
 
-    def joined(self, i: int, b: Array) -> Array:
-        """Row i with a right-hand side b (n,) below it, (k + 1, n)."""
+    def augmented(self, i: int, b: Array) -> Array:
+        """Return row i with a right-hand side b (n,) below it, (k + 1, n)."""
         return np.concatenate([self.row(i), b[None]])
 
     def dense(self) -> Array:
-        """Y (n, rows, p) with its zeros."""
+        """Return Y (n, rows, p) with its zeros."""
         Y = np.zeros((self.count, len(self.regression.rows), len(self.regression.columns)))
-        for i, places in enumerate(self.regression.touched):
-            Y[:, i, places] = self.row(i).T
+        for i, touched in enumerate(self.regression.touched):
+            Y[:, i, touched] = self.row(i).T
         return Y
 
 
@@ -119,20 +119,23 @@ def measured_regression(
     instruments: Instruments,
     rows: Sequence[str] | None = None,
 ) -> MeasuredRegressor:
-    """The regression of all that is measured on the parameters named in `columns`; constants of a
-    sensor that is none of the measured `rows` act through the first one, which it ends."""
-    whole = torque_regression(robot, columns, instruments)
+    """Return the regression of all measured rows on the parameters named in `columns`.
+
+    Offsets of a sensor whose rows are not among the measured `rows` appear in the rows of the first
+    sensor, whose sub-tree it ends. Raises UsageError for an unknown name.
+    """
+    tree = torque_regression(robot, columns, instruments)
     named = set(columns)
-    stops = tuple(
+    distal = tuple(
         cut
         for cut in instruments.cuts[1:]
-        if rows is not None and cut.rows[0] not in rows and named.intersection(_constants_of(cut))
+        if rows is not None and cut.rows[0] not in rows and named.intersection(_offsets_of(cut))
     )
-    return NestedSensorRegressor(whole, instruments, instruments.cuts[0], stops) if stops else whole
+    return NestedSensorRegressor(tree, instruments, instruments.cuts[0], distal) if distal else tree
 
 
-def _constants_of(cut: SensorCut) -> tuple[str, ...]:
-    """Names of a sensor's six constants."""
+def _offsets_of(cut: SensorCut) -> tuple[str, ...]:
+    """Names of a sensor's six offsets."""
     return tuple(f"{row}.{SUFFIX['offset']}" for row in cut.rows)
 
 

@@ -1,7 +1,7 @@
-"""The witness: the same regressor by Pinocchio, from the paired model. Imports no other regressor.
+"""Reference regressor by Pinocchio, built from the paired model, independently of our kernels.
 
-Pinocchio's columns are per joint and its welded bodies share them; the pairing's transports X turn
-them into ours, and one named permutation turns its order of the six inertias.
+Pinocchio has ten columns per joint, shared by all bodies welded behind it. The pairing's parameter
+transports X (10, 10) give the columns of each body, and one permutation its order of the inertias.
 """
 
 import mujoco
@@ -15,7 +15,10 @@ from sysid_bench.types import Array, Regressor, Trajectory
 
 
 def pinocchio_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
-    """Y (N, nv, 10 nb) by `computeJointTorqueRegressor`, rows and columns as in MuJoCo's model."""
+    """Return Y (N, nv, 10 nb) by `computeJointTorqueRegressor`, rows and columns in MuJoCo's order.
+
+    A body's parameters are m, m c and the inertia about its origin, in body axes.
+    """
     pairing = robot.pairing
     q = pairing.configuration(motion.q)
     v, a = pairing.rates(motion.q, motion.v, motion.a)
@@ -24,9 +27,12 @@ def pinocchio_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
 
 
 def reduced_regressor(robot: RobotModel, motion: Trajectory, tree: Regressor) -> Regressor:
-    """`pinocchio_regressor` on the independent joints of a coupled robot; the joints that follow
-    are resolved from Pinocchio's own Jacobians, never by its mimic models, which it has no
-    regressor for."""
+    """Return the regressor (N, n, 10 nb) of a coupled robot's independent joints; `tree` is that of
+    `pinocchio_regressor`.
+
+    Dependent rates are solved from constraint Jacobians by Pinocchio, independently of
+    `models.coupling`. Pinocchio's mimic joints are not used: it has no regressor for them.
+    """
     coupling = robot.coupling
     assert coupling is not None
     J = _closure_jacobian(robot, motion)
@@ -39,8 +45,8 @@ def reduced_regressor(robot: RobotModel, motion: Trajectory, tree: Regressor) ->
 
 
 def _closure_jacobian(robot: RobotModel, motion: Trajectory) -> Array:
-    """J (N, m, nv) of a robot's equalities, J v = 0 at closed q: of loops by the Jacobians of the
-    joints that carry their ends, in world axes."""
+    """Constraint Jacobian J (N, m, nv), J v = 0 at closed q; rows of loops come from the Jacobians
+    of the joints that carry their two ends, in world axes."""
     pairing, mj = robot.pairing, robot.mj
     data = pairing.model.createData()
     loops = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
@@ -56,7 +62,7 @@ def _closure_jacobian(robot: RobotModel, motion: Trajectory) -> Array:
 
 
 def _loop_rows(robot: RobotModel, data: pin.Data, e: int) -> Array:
-    """[v; w] (6, nv) of one end against the other; of a connect the first three rows."""
+    """Relative twist [v; w] (6, nv) of the two ends of a loop; of a connect, v (3, nv) alone."""
     mj, pairing = robot.mj, robot.pairing
     ends = []
     for body, p, _ in ends_of(mj, e):
@@ -75,11 +81,11 @@ def _loop_rows(robot: RobotModel, data: pin.Data, e: int) -> Array:
 
 
 def _sum_rows(robot: RobotModel, e: int, q: Array) -> Array:
-    """The row (1, nv) of a joint or tendon equality at q (nq,)."""
-    row, place = np.zeros((1, robot.nv)), {joint.vadr: joint.qadr for joint in robot.joints}
+    """Row (1, nv) of a joint or tendon equality at q (nq,): y = polynomial(x) in MuJoCo."""
+    row, qadr = np.zeros((1, robot.nv)), {joint.vadr: joint.qadr for joint in robot.joints}
     first, second = sums_of(robot.mj, e)
-    at = sum(c * (q[place[d]] - robot.mj.qpos0[place[d]]) for d, c in second.items())
-    slope = sum(k * c * at ** (k - 1) for k, c in enumerate(robot.mj.eq_data[e, :5]) if k)
+    x = sum(c * (q[qadr[d]] - robot.mj.qpos0[qadr[d]]) for d, c in second.items())
+    slope = sum(k * c * x ** (k - 1) for k, c in enumerate(robot.mj.eq_data[e, :5]) if k)
     for dof, coefficient in first.items():
         row[0, dof] += coefficient
     for dof, coefficient in second.items():
@@ -88,7 +94,8 @@ def _sum_rows(robot: RobotModel, e: int, q: Array) -> Array:
 
 
 def joint_columns(model: pin.Model, q: Array, v: Array, a: Array) -> Array:
-    """Y (N, nv, n_joints, 10) of a Pinocchio model in its own coordinates, our order of the ten."""
+    """Return Y (N, nv, n_joints, 10) of a Pinocchio model in its own coordinates, with the ten
+    parameters in our order."""
     data = model.createData()
     Y = np.empty((len(q), model.nv, 10 * (model.njoints - 1)))
     for k in range(len(q)):
@@ -98,7 +105,7 @@ def joint_columns(model: pin.Model, q: Array, v: Array, a: Array) -> Array:
 
 
 def body_columns(Y: Array, pairing: Pairing) -> Array:
-    """Columns per body (N, nv, 10 nb) from columns per joint (N, nv, n_joints, 10)."""
+    """Return columns per body (N, nv, 10 nb) from columns per joint (N, nv, n_joints, 10)."""
     out = np.zeros((*Y.shape[:2], len(pairing.carrier), 10))
     for b, joint in enumerate(pairing.carrier):
         if joint > 0:

@@ -1,8 +1,8 @@
-"""A second, native witness: Pinocchio's own parser of the same canonical URDF text.
+"""Second reference regressor: Pinocchio's own parser reads the canonical URDF text.
 
-The text is given to it with names of our own, so that no name of a file means anything to it, and
-with two rewritings that change no motion: a floating joint at the ground is its root joint, and a
-planar joint comes as the two slides and the hinge that MuJoCo makes of it.
+Links and joints are renamed first, so that no name has a special meaning to the parser. Two further
+changes leave the motion as it is: a floating joint at the world becomes the root joint, and a
+planar joint becomes two slides and a hinge, as in MuJoCo.
 """
 
 import xml.etree.ElementTree as ET
@@ -20,37 +20,40 @@ from sysid_bench.spatial.inertia import transport
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Regressor, Trajectory
 
-_ROOT: Final = "root_joint"  # Pinocchio's own name for it
+_ROOT: Final = "root_joint"  # the name that Pinocchio gives to the joint of a floating base
 
 
 @dataclass(frozen=True, eq=False)
-class _Native:
-    """Pinocchio's model, and what our bodies and joints are called in it."""
+class _UrdfModel:
+    """Pinocchio's model, and the names in it of our bodies and joints."""
 
     model: pin.Model
     bodies: dict[str, str]
     joints: dict[str, str]
 
     def body(self, name: str) -> pin.Frame:
-        called = self.bodies.get(name, "")
-        if not self.model.existBodyName(called):
+        """Frame of a body; raises UnsupportedError if the parser dropped it."""
+        urdf_name = self.bodies.get(name, "")
+        if not self.model.existBodyName(urdf_name):
             raise UnsupportedError(f"Pinocchio's parser has no body {name!r}.")
-        return self.model.frames[self.model.getBodyId(called)]
+        return self.model.frames[self.model.getBodyId(urdf_name)]
 
     def joint(self, name: str, kind: str) -> pin.JointModel:
-        called = _ROOT if kind == "free" else self.joints.get(name, "")
-        if not self.model.existJointName(called):
+        """Joint model; raises UnsupportedError if the parser dropped it."""
+        urdf_name = _ROOT if kind == "free" else self.joints.get(name, "")
+        if not self.model.existJointName(urdf_name):
             raise UnsupportedError(f"Pinocchio's parser has no joint {name!r}.")
-        return self.model.joints[self.model.getJointId(called)]
+        return self.model.joints[self.model.getJointId(urdf_name)]
 
 
 def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
-    """Y (N, nv, 10 nb) of the bodies and joints that Pinocchio reads itself.
+    """Return Y (N, nv, 10 nb) of the model that Pinocchio's URDF parser reads, rows and columns in
+    MuJoCo's order.
 
-    Raises UnsupportedError where its parser cannot serve: MJCF, a mounted payload (no text has it),
-    joints that it does not know.
+    Raises UnsupportedError for an MJCF robot, a mounted payload (which is in no URDF text) and
+    joints that the parser does not support.
     """
-    native = _native(robot)
+    native = _urdf_model(robot)
     q, v, a = _state(robot, native, motion)
     Y_joint = joint_columns(native.model, q, v, a)
     rows = _rows(robot, native)
@@ -65,15 +68,15 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     return Regressor(_base_force_to_world(robot, motion, Y), robot.rows, robot.inertial_columns)
 
 
-def _native(robot: RobotModel) -> _Native:
+def _urdf_model(robot: RobotModel) -> _UrdfModel:
     if robot.format != "urdf":
         raise UnsupportedError(
             "Pinocchio's MJCF parser ignores options that the model may rely on."
         )
     if robot.payload:
-        raise UnsupportedError("The payload is mounted in the compiled model; no text holds it.")
+        raise UnsupportedError("The payload is mounted in the compiled model, not in the URDF.")
     text = ET.fromstring(robot.text)
-    _take_floating_joint(text)
+    _remove_floating_joint(text)
     for joint in text.findall("joint"):
         if joint.get("type") == "planar":
             _split_planar(text, joint, robot)
@@ -83,18 +86,18 @@ def _native(robot: RobotModel) -> _Native:
         model = pin.buildModelFromXML(ET.tostring(text, encoding="unicode"), *root)
     except (ValueError, RuntimeError) as error:
         raise UnsupportedError(
-            f"Pinocchio's parser refuses it: {' '.join(str(error).split())}"
+            f"Pinocchio's parser rejects the URDF: {' '.join(str(error).split())}"
         ) from error
     if model.nv != robot.nv:
         raise UnsupportedError(
-            f"Pinocchio's parser sees {model.nv} degrees of freedom, MuJoCo {robot.nv}."
+            f"Pinocchio's parser finds {model.nv} degrees of freedom, MuJoCo {robot.nv}."
         )
     model.gravity = pin.Motion(robot.tree.gravity, np.zeros(3))
-    return _Native(model, bodies, joints)
+    return _UrdfModel(model, bodies, joints)
 
 
-def _take_floating_joint(text: ET.Element) -> None:
-    """A floating joint at the ground is the root joint, whose position is that in the world."""
+def _remove_floating_joint(text: ET.Element) -> None:
+    """Remove a floating joint below the world link: Pinocchio's root joint takes its role."""
     below = [j for j in text.findall("joint") if _end(j, "parent").get("link") == "world"]
     if [joint.get("type") for joint in below] == ["floating"]:
         text.remove(below[0])
@@ -104,7 +107,8 @@ def _take_floating_joint(text: ET.Element) -> None:
 
 
 def _split_planar(text: ET.Element, joint: ET.Element, robot: RobotModel) -> None:
-    """Two slides and a hinge along MuJoCo's axes: a URDF gives the normal of the plane alone."""
+    """Replace a planar joint by two slides and a hinge along MuJoCo's axes: the URDF gives only the
+    normal of the plane."""
     name, end = str(joint.get("name")), _end(joint, "child")
     child, limit = end.get("link"), {"effort": "0", "velocity": "0"}
     for element in joint.findall("axis"):
@@ -128,7 +132,7 @@ def _split_planar(text: ET.Element, joint: ET.Element, robot: RobotModel) -> Non
 
 
 def _rename(text: ET.Element) -> tuple[dict[str, str], dict[str, str]]:
-    """Gives links and joints names of our own, in place; old name -> new one."""
+    """Rename links and joints to b0, b1, ... and j0, j1, ... in place; return old -> new names."""
     bodies = {str(link.get("name")): f"b{k}" for k, link in enumerate(text.findall("link"))}
     joints = {str(joint.get("name")): f"j{k}" for k, joint in enumerate(text.findall("joint"))}
     for link in text.findall("link"):
@@ -142,46 +146,48 @@ def _rename(text: ET.Element) -> tuple[dict[str, str], dict[str, str]]:
 
 def _end(joint: ET.Element, tag: str) -> ET.Element:
     element = joint.find(tag)
-    assert element is not None  # the canonical text has both
+    assert element is not None  # the canonical text always has a parent and a child
     return element
 
 
-def _state(robot: RobotModel, native: _Native, motion: Trajectory) -> tuple[Array, Array, Array]:
+def _state(robot: RobotModel, native: _UrdfModel, motion: Trajectory) -> tuple[Array, Array, Array]:
     q = np.tile(pin.neutral(native.model), (len(motion), 1))
     v, a = np.zeros((2, len(motion), native.model.nv))
     v_all, a_all = robot.pairing.rates(motion.q, motion.v, motion.a)
     q_all = robot.pairing.configuration(motion.q)
     for joint in robot.joints:
-        there = native.joint(joint.name, joint.kind)
-        at, dof, n = there.idx_q, there.idx_v, len(joint.dofs)
+        target = native.joint(joint.name, joint.kind)
+        qadr, dof, n = target.idx_q, target.idx_v, len(joint.dofs)
         v[:, dof : dof + n] = v_all[:, joint.vadr : joint.vadr + n]
         a[:, dof : dof + n] = a_all[:, joint.vadr : joint.vadr + n]
         if joint.kind in ("hinge", "slide"):
             angle = q_all[:, joint.qadr]
-            # A continuous joint is stored as cosine and sine.
-            q[:, at : at + there.nq] = (
+            # Pinocchio represents a continuous joint by cosine and sine.
+            q[:, qadr : qadr + target.nq] = (
                 angle[:, None]
-                if there.nq == 1
+                if target.nq == 1
                 else np.stack([np.cos(angle), np.sin(angle)], axis=1)
             )
         else:
-            q[:, at : at + there.nq] = q_all[:, joint.qadr : joint.qadr + there.nq]
+            q[:, qadr : qadr + target.nq] = q_all[:, joint.qadr : joint.qadr + target.nq]
     return q, v, a
 
 
-def _rows(robot: RobotModel, native: _Native) -> Array:
-    """For each of our rows the row of the native model."""
+def _rows(robot: RobotModel, native: _UrdfModel) -> Array:
+    """Row of Pinocchio's model for each of our rows (nv,)."""
     rows = np.empty(robot.nv, dtype=int)
     for joint in robot.joints:
-        there = native.joint(joint.name, joint.kind)
-        rows[joint.vadr : joint.vadr + len(joint.dofs)] = there.idx_v + np.arange(len(joint.dofs))
+        target = native.joint(joint.name, joint.kind)
+        rows[joint.vadr : joint.vadr + len(joint.dofs)] = target.idx_v + np.arange(len(joint.dofs))
     return rows
 
 
 def _base_force_to_world(robot: RobotModel, motion: Trajectory, Y: Array) -> Array:
+    """Y with the force on a floating base in world axes, as in MuJoCo; Pinocchio's is in body
+    axes."""
     for joint in robot.joints:
         if joint.kind == "free":
             R = matrix_of_quaternion(motion.q[:, joint.qadr + 3 : joint.qadr + 7])
-            at = joint.vadr
-            Y[:, at : at + 3] = np.einsum("nij,njc->nic", R, Y[:, at : at + 3])
+            force = slice(joint.vadr, joint.vadr + 3)
+            Y[:, force] = np.einsum("nij,njc->nic", R, Y[:, force])
     return Y

@@ -1,10 +1,10 @@
-"""The witness of base wrenches: the sub-tree behind a sensor as a free-flying Pinocchio model whose
-root is any of its bodies. Imports no other regressor.
+"""Reference regressor of base wrenches: the sub-tree distal to a sensor as a floating Pinocchio
+model, rooted at any of its bodies, independently of our kernels.
 
-A joint between the sensor and the new root is passed backwards: its placement is inverted, the axis
-of a hinge or slide negated, the quaternion of a ball conjugated; positions of hinges and slides and
-the signs of their torques stay. The root's pose, twist and acceleration come from Pinocchio's own
-forward kinematics of the whole robot.
+A joint between the sensor and the new root is traversed in reverse: its placement is inverted, the
+axis of a hinge or slide negated, the quaternion of a ball conjugated. Positions of hinges and
+slides and the signs of their torques do not change. The root's pose, twist and acceleration come
+from Pinocchio's forward kinematics of the whole robot.
 """
 
 from dataclasses import dataclass
@@ -22,23 +22,23 @@ from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Regressor, Trajectory
 
 MOMENT_FIRST: Final = (3, 4, 5, 0, 1, 2)
-"""Places in Pinocchio's [f; n] of our [n; f]."""
+"""Indices in Pinocchio's wrench [f; n] of our [n; f]."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Edge:
-    """MuJoCo's joint j from node `near` to node `far`; `before`: where it is placed in `near`."""
+    """MuJoCo's joint j from node `parent` to node `child`; `placement`: its pose in `parent`."""
 
     j: int
-    near: int
-    far: int
-    before: pin.SE3
+    parent: int
+    child: int
+    placement: pin.SE3
 
 
 @dataclass(frozen=True, eq=False)
 class _Graph:
-    """The sub-tree without a root: nodes move rigidly, edges are joints. Body b of the cut rides on
-    node `node[b]` with the pose `pose[b]` in it."""
+    """Sub-tree as an unrooted graph of rigid nodes and joints (edges): body b of the cut belongs to
+    node `node[b]` and has the pose `pose[b]` in it."""
 
     edges: tuple[_Edge, ...]
     node: dict[int, int]
@@ -47,19 +47,20 @@ class _Graph:
 
 @dataclass(frozen=True, eq=False)
 class _Rooted:
-    """The model with one root: joint and pose in it of every node, and for each edge its Pinocchio
-    joint and whether it is passed backwards."""
+    """Pinocchio model with a chosen root: `joint` and `pose` in it of every node; `direction` maps
+    MuJoCo's joint to Pinocchio's and whether it is traversed in reverse."""
 
     model: pin.Model
     joint: dict[int, int]
     pose: dict[int, pin.SE3]
-    passed: dict[int, tuple[int, bool]]
+    direction: dict[int, tuple[int, bool]]
 
 
 def pinocchio_wrench_regressor(
     robot: RobotModel, cut: SensorCut, motion: Trajectory, base: str
 ) -> tuple[Regressor, Regressor]:
-    """(Y_n (N, 6, p) [n; f] at the body `base`, Y_c (N, k, p)) of what is behind a sensor."""
+    """Return Y_n (N, 6, p), the wrench [n; f] at the body `base` in its axes, and Y_c (N, k, p),
+    the torques of the k degrees of freedom, of the sub-tree distal to a sensor."""
     graph = _graph(robot, cut)
     body = robot.body_names.index(base)
     rooted = _rooted(robot, graph, body)
@@ -82,14 +83,15 @@ def _graph(robot: RobotModel, cut: SensorCut) -> _Graph:
         if b == cut.body:
             continue
         parent = int(mj.body_parentid[b + 1]) - 1
-        here, place = node[parent], pose[parent] * _fixed(mj.body_pos[b + 1], mj.body_quat[b + 1])
+        current = node[parent]
+        placement = pose[parent] * _fixed(mj.body_pos[b + 1], mj.body_quat[b + 1])
         for k in range(int(mj.body_jntnum[b + 1])):
             j = int(mj.body_jntadr[b + 1]) + k
             anchor = pin.SE3(np.eye(3), np.array(mj.jnt_pos[j]))
             count += 1
-            edges.append(_Edge(j, here, count, place * anchor))
-            here, place = count, anchor.inverse()
-        node[b], pose[b] = here, place
+            edges.append(_Edge(j, current, count, placement * anchor))
+            current, placement = count, anchor.inverse()
+        node[b], pose[b] = current, placement
     return _Graph(tuple(edges), node, pose)
 
 
@@ -99,23 +101,23 @@ def _rooted(robot: RobotModel, graph: _Graph, body: int) -> _Rooted:
     first = graph.node[body]
     joint = {first: model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")}
     pose = {first: graph.pose[body].inverse()}
-    passed: dict[int, tuple[int, bool]] = {}
+    direction: dict[int, tuple[int, bool]] = {}
     open_nodes = [first]
     while open_nodes:
-        here = open_nodes.pop()
+        current = open_nodes.pop()
         for edge in graph.edges:
-            if here not in (edge.near, edge.far) or edge.j in passed:
+            if current not in (edge.parent, edge.child) or edge.j in direction:
                 continue
-            backwards = here == edge.far
-            there = edge.near if backwards else edge.far
-            place = pose[here] if backwards else pose[here] * edge.before
-            joint[there] = model.addJoint(
-                joint[here], _joint_model(robot, edge.j, backwards), place, f"joint{edge.j}"
+            backwards = current == edge.child
+            target = edge.parent if backwards else edge.child
+            placement = pose[current] if backwards else pose[current] * edge.placement
+            joint[target] = model.addJoint(
+                joint[current], _joint_model(robot, edge.j, backwards), placement, f"joint{edge.j}"
             )
-            pose[there] = edge.before.inverse() if backwards else pin.SE3.Identity()
-            passed[edge.j] = joint[there], backwards
-            open_nodes.append(there)
-    return _Rooted(model, joint, pose, passed)
+            pose[target] = edge.placement.inverse() if backwards else pin.SE3.Identity()
+            direction[edge.j] = joint[target], backwards
+            open_nodes.append(target)
+    return _Rooted(model, joint, pose, direction)
 
 
 def _joint_model(robot: RobotModel, j: int, backwards: bool) -> pin.JointModel:
@@ -136,53 +138,54 @@ def _states(
     v, a = np.zeros((2, len(motion), rooted.model.nv))
     q[:, :7], v[:, :6], a[:, :6] = _base_states(robot, body, motion)
     for edge in graph.edges:
-        number, backwards = rooted.passed[edge.j]
+        number, backwards = rooted.direction[edge.j]
         joint = rooted.model.joints[number]
-        at, dof = int(robot.mj.jnt_qposadr[edge.j]), int(robot.mj.jnt_dofadr[edge.j])
-        own = slice(joint.idx_v, joint.idx_v + joint.nv)
-        v[:, own], a[:, own] = (x[:, dof : dof + joint.nv] for x in (motion.v, motion.a))
+        qadr, dof = int(robot.mj.jnt_qposadr[edge.j]), int(robot.mj.jnt_dofadr[edge.j])
+        dofs = slice(joint.idx_v, joint.idx_v + joint.nv)
+        v[:, dofs], a[:, dofs] = (x[:, dof : dof + joint.nv] for x in (motion.v, motion.a))
         if int(robot.mj.jnt_type[edge.j]) != BALL:
-            q[:, joint.idx_q] = motion.q[:, at] - robot.mj.qpos0[at]
+            q[:, joint.idx_q] = motion.q[:, qadr] - robot.mj.qpos0[qadr]
             continue
-        wxyz = motion.q[:, at : at + 4]
+        wxyz = motion.q[:, qadr : qadr + 4]
         wxyz = wxyz / np.linalg.norm(wxyz, axis=1, keepdims=True)
         q[:, joint.idx_q : joint.idx_q + 4] = wxyz[:, [1, 2, 3, 0]]
         if backwards:
             R = matrix_of_quaternion(wxyz)
             q[:, joint.idx_q : joint.idx_q + 3] *= -1
-            v[:, own] = -np.einsum("nij,nj->ni", R, v[:, own])
-            a[:, own] = -np.einsum("nij,nj->ni", R, a[:, own])
+            v[:, dofs] = -np.einsum("nij,nj->ni", R, v[:, dofs])
+            a[:, dofs] = -np.einsum("nij,nj->ni", R, a[:, dofs])
     return q, v, a
 
 
 def _base_states(robot: RobotModel, body: int, motion: Trajectory) -> tuple[Array, Array, Array]:
-    """Free-flyer q (N, 7), v (N, 6), a (N, 6) of a body, from the paired model of the robot."""
+    """Free-flyer q (N, 7), v (N, 6) and a (N, 6) of a body, from the paired model of the robot;
+    velocities [v; w] are in body axes."""
     pairing = robot.pairing
     q = pairing.configuration(motion.q)
     v, a = pairing.rates(motion.q, motion.v, motion.a)
-    joint, place = _place_in_joint(robot, body)
+    joint, placement = _pose_in_joint(robot, body)
     data = pairing.model.createData()
     out = np.empty((len(motion), 7)), np.empty((len(motion), 6)), np.empty((len(motion), 6))
     for k in range(len(motion)):
         pin.forwardKinematics(pairing.model, data, q[k], v[k], a[k])
-        out[0][k] = pin.SE3ToXYZQUAT(data.oMi[joint] * place)
-        out[1][k] = place.actInv(data.v[joint]).vector
-        out[2][k] = place.actInv(data.a[joint]).vector
+        out[0][k] = pin.SE3ToXYZQUAT(data.oMi[joint] * placement)
+        out[1][k] = placement.actInv(data.v[joint]).vector
+        out[2][k] = placement.actInv(data.a[joint]).vector
     return out
 
 
-def _place_in_joint(robot: RobotModel, body: int) -> tuple[int, pin.SE3]:
-    """The joint of the paired model that carries a body, and the body's pose in it."""
-    mj, b, place = robot.mj, body + 1, pin.SE3.Identity()
+def _pose_in_joint(robot: RobotModel, body: int) -> tuple[int, pin.SE3]:
+    """Joint of the paired model that carries a body, and the body's pose in it."""
+    mj, b, pose = robot.mj, body + 1, pin.SE3.Identity()
     while b > 0 and mj.body_jntnum[b] == 0:
-        place = _fixed(mj.body_pos[b], mj.body_quat[b]) * place
+        pose = _fixed(mj.body_pos[b], mj.body_quat[b]) * pose
         b = int(mj.body_parentid[b])
     if b > 0:
         last = int(mj.body_jntadr[b] + mj.body_jntnum[b]) - 1
         free = int(mj.jnt_type[last]) == 0
         anchor = np.zeros(3) if free else np.array(mj.jnt_pos[last])
-        place = pin.SE3(np.eye(3), -anchor) * place
-    return int(robot.pairing.carrier[body]), place
+        pose = pin.SE3(np.eye(3), -anchor) * pose
+    return int(robot.pairing.carrier[body]), pose
 
 
 def _fixed(position: Array, quaternion: Array) -> pin.SE3:
@@ -194,8 +197,8 @@ def _body_columns(Y: Array, cut: SensorCut, graph: _Graph, rooted: _Rooted) -> A
     parts = []
     for b in cut.bodies:
         node = graph.node[b]
-        place = rooted.pose[node] * graph.pose[b]
-        X = transport(place.rotation, place.translation)
+        pose = rooted.pose[node] * graph.pose[b]
+        X = transport(pose.rotation, pose.translation)
         parts.append(per_joint[:, :, rooted.joint[node] - 1] @ X)
     return np.concatenate(parts, axis=-1)
 
@@ -203,16 +206,17 @@ def _body_columns(Y: Array, cut: SensorCut, graph: _Graph, rooted: _Rooted) -> A
 def _joint_rows(
     robot: RobotModel, graph: _Graph, rooted: _Rooted, motion: Trajectory, Y: Array
 ) -> tuple[Array, tuple[str, ...]]:
-    """Rows in MuJoCo's order; a ball that is passed backwards has its moment in the other body."""
+    """Rows in MuJoCo's order. The moment of a ball that is traversed in reverse is in the axes of
+    the other body, and has to be rotated."""
     parts = [np.zeros((len(Y), 0, Y.shape[-1]))]
     names: list[str] = []
     for edge in graph.edges:
-        number, backwards = rooted.passed[edge.j]
+        number, backwards = rooted.direction[edge.j]
         joint = rooted.model.joints[number]
         rows = Y[:, joint.idx_v : joint.idx_v + joint.nv]
-        at, dof = int(robot.mj.jnt_qposadr[edge.j]), int(robot.mj.jnt_dofadr[edge.j])
+        qadr, dof = int(robot.mj.jnt_qposadr[edge.j]), int(robot.mj.jnt_dofadr[edge.j])
         if backwards and int(robot.mj.jnt_type[edge.j]) == BALL:
-            R = matrix_of_quaternion(motion.q[:, at : at + 4])
+            R = matrix_of_quaternion(motion.q[:, qadr : qadr + 4])
             rows = -np.einsum("nji,njp->nip", R, rows)
         parts.append(rows)
         names += robot.rows[dof : dof + joint.nv]

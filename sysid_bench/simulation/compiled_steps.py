@@ -1,10 +1,12 @@
-"""A simulation whose force laws look at each state: the loop over steps, compiled where it can be.
+"""Simulation loop for state-dependent force laws, compiled if possible.
 
-Laws of this package name themselves and their numbers, and steps.c evaluates them between MuJoCo's
-steps; a stranger's law is a Python function, and then so is the loop, as without a compiler.
+Force laws of this package have a `kind` and parameters `numbers`, and steps.c evaluates them
+between MuJoCo's steps. With a law of a plug-in author, or without the library, the loop is in
+Python.
 """
 
 import ctypes
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +19,7 @@ from sysid_bench.simulation.plant import Plant
 from sysid_bench.types import Array
 
 KINDS: Final = {"stribeck": 0, "coupled": 1}
-"""Laws that steps.c knows, as it counts them."""
+"""Force laws that steps.c implements, with their codes there."""
 
 SOURCE: Final = Path(__file__).with_name("steps.c")
 
@@ -38,21 +40,37 @@ class _Record(ctypes.Structure):
 def simulate_steps(
     plant: Plant, mj: mujoco.MjModel, data: mujoco.MjData, t: Array, control: Array, each: int
 ) -> Signals:
-    """q (N, nq), v, a and motor torque (N, nv) at times t (N,) under inputs control (N, nu), held
-    for `each` steps, from the state of `data` on."""
+    """Simulate from the state of `data` on; return q (N, nq), v, a and motor torque (N, nv).
+
+    `t` (N,) are the sample times, `control` (N, nu) the inputs, each held for `each` steps of the
+    model.
+    """
     out = tuple(np.empty((len(t), size)) for size in (mj.nq, mj.nv, mj.nv, mj.nv))
     known = all(getattr(law, "kind", None) in KINDS for law in plant.laws)
     library = steps_library() if known else None
+    run = _Run(plant, mj, data, control, each)
     if isinstance(library, ctypes.CDLL):
-        _in_c(library, plant, mj, data, control, each, out)
+        _in_c(library, run, out)
     else:
-        _in_python(plant, mj, data, t, control, each, out)
+        _in_python(run, t, out)
     return out  # type: ignore[return-value]
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One simulation: plant, its compiled model, state, inputs (N, nu) and steps per input."""
+
+    plant: Plant
+    mj: mujoco.MjModel
+    data: mujoco.MjData
+    control: Array
+    each: int
 
 
 @cache
 def steps_library() -> Any:
-    """The compiled loop with MuJoCo's step, or the reason (a text) why there is none."""
+    """Return the compiled loop, linked to MuJoCo's step; or the reason, as text, why there is
+    none."""
     try:
         dll = c_library(SOURCE, "libsteps", "steps_source")
         dll.step = ctypes.cast(_engine().mj_step, ctypes.c_void_p)
@@ -62,54 +80,45 @@ def steps_library() -> Any:
 
 
 def _engine() -> ctypes.CDLL:
-    """The library that the Python bindings have loaded."""
+    """Shared library of MuJoCo that its Python bindings have loaded."""
     folder = Path(mujoco.__file__).parent
     found = [file for word in ("*mujoco.so*", "*mujoco*.dylib", "mujoco.dll")
              for file in sorted(folder.glob(word))]  # fmt: skip
     if not found:
-        raise OSError(f"there is no library of MuJoCo in {folder}")
+        raise OSError(f"MuJoCo's library was not found in {folder}")
     return ctypes.CDLL(str(found[0]))
 
 
-def _in_c(
-    library: Any,
-    plant: Plant,
-    mj: mujoco.MjModel,
-    data: mujoco.MjData,
-    control: Array,
-    each: int,
-    out: tuple[Array, ...],
-) -> None:
+def _in_c(library: Any, run: _Run, out: tuple[Array, ...]) -> None:
+    plant, mj, data = run.plant, run.mj, run.data
     arrays = (data.qpos, data.qvel, data.qacc, data.qfrc_actuator, data.ctrl, data.qfrc_applied)
     state = _State(mj.nq, mj.nv, mj.nu, *(x.ctypes.data for x in arrays))
     record = _Record(*(x.ctypes.data for x in out))
-    inputs, constant = np.ascontiguousarray(control, float), -np.asarray(plant.terms.offset, float)
+    # C sees addresses alone: these arrays have to live until the call returns.
+    inputs = np.ascontiguousarray(run.control, float)
+    constant = -np.asarray(plant.terms.offset, float)
     numbers = [np.ascontiguousarray(law.numbers, float) for law in plant.laws]
     kinds = np.array([KINDS[law.kind] for law in plant.laws], dtype=np.int64)
-    places = np.array([x.ctypes.data for x in numbers], dtype=np.uintp)
+    addresses = np.array([x.ctypes.data for x in numbers], dtype=np.uintp)
     pointer, count = ctypes.c_void_p, ctypes.c_int64
-    library.simulation_steps.restype = None
-    library.simulation_steps(
-        library.step, pointer(mj._address), pointer(data._address), ctypes.byref(state),
-        count(len(inputs)), count(each), pointer(inputs.ctypes.data), pointer(constant.ctypes.data),
-        count(len(numbers)), pointer(kinds.ctypes.data), pointer(places.ctypes.data),
+    arguments = (
+        *(library.step, pointer(mj._address), pointer(data._address), ctypes.byref(state)),
+        *(count(len(inputs)), count(run.each)),
+        *(pointer(x.ctypes.data) for x in (inputs, constant)),
+        count(len(numbers)),
+        *(pointer(x.ctypes.data) for x in (kinds, addresses)),
         ctypes.byref(record),
-    )  # fmt: skip
+    )
+    library.simulation_steps.restype = None
+    library.simulation_steps(*arguments)
 
 
-def _in_python(
-    plant: Plant,
-    mj: mujoco.MjModel,
-    data: mujoco.MjData,
-    t: Array,
-    control: Array,
-    each: int,
-    out: tuple[Array, ...],
-) -> None:
+def _in_python(run: _Run, t: Array, out: tuple[Array, ...]) -> None:
+    plant, mj, data = run.plant, run.mj, run.data
     for k, now in enumerate(t):
-        data.ctrl[:] = control[k]
+        data.ctrl[:] = run.control[k]
         out[0][k], out[1][k] = data.qpos, data.qvel
-        for step in range(each):
+        for step in range(run.each):
             extra = plant.extra(now, data.qpos, data.qvel)
             data.qfrc_applied[:] = -plant.terms.offset - extra
             mujoco.mj_step(mj, data)

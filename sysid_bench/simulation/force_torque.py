@@ -1,4 +1,4 @@
-"""Force/torque sensors: what MuJoCo's own force and torque sensors give, and how real ones err."""
+"""Force/torque sensors: exact wrenches by MuJoCo's sensors, and the errors of real sensors."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -17,14 +17,15 @@ from sysid_bench.spatial.rotation import (
 from sysid_bench.types import Array, Trajectory
 
 LEVER: Final = 0.1
-"""Moment per force (m) in the ranges of common six-axis sensors: the scale of crosstalk."""
+"""m: ratio of moment and force ranges of common six-axis sensors, which scales crosstalk."""
 
 SITE: Final = "force/torque sensor {}"
 
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """An external wrench (N, 6) [n; f] on `body`, about its origin, in its axes."""
+    """External wrench (N, 6) [n; f] (N m, N) on the body with index `body`, at its origin and in
+    its axes."""
 
     body: int
     wrench: Array
@@ -33,30 +34,32 @@ class Contact:
 def sensor_wrench(
     plant: Plant, cuts: Sequence[SensorCut], motion: Trajectory, touch: Contact | None = None
 ) -> Array:
-    """What ideal sensors measure (N, 6 sensors), [n; f] each, along an exact motion.
+    """Return the wrenches (N, 6 s) that s ideal sensors measure along an exact motion, [n; f] each,
+    in the sensor frame.
 
-    The model is a copy with a site, a force and a torque sensor per cut; rotors (armature) and
-    friction act inside of the joints and are not felt beyond them.
+    Rotor inertia (armature) and friction act inside the joints and do not appear in the reading.
+    Raises SimulationError if a wrench is not finite.
     """
     spec = plant.robot.spec.copy()
     for k, cut in enumerate(cuts):
         _add_sensor(spec, plant.robot.body_names[cut.body], cut, SITE.format(k))
     mj = plant.compiled(spec)
     data = mujoco.MjData(mj)
-    places = _places(mj, len(cuts))
-    out = np.empty((len(motion), len(places)))
+    addresses = _sensor_addresses(mj, len(cuts))
+    out = np.empty((len(motion), len(addresses)))
     for k in range(len(motion)):
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]
         if touch is not None:
             mujoco.mj_kinematics(mj, data)
             data.xfrc_applied[touch.body + 1] = _at_com(data, touch.body + 1, touch.wrench[k])
         mujoco.mj_inverse(mj, data)
-        out[k] = data.sensordata[places]
+        out[k] = data.sensordata[addresses]
     return check_finite(plant.robot.name, out, "sensor wrench")
 
 
 def contact_torque(plant: Plant, touch: Contact, motion: Trajectory) -> Array:
-    """Generalised force (N, nv) of an external wrench: what it takes off the joints."""
+    """Return the generalised force (N, nv) of an external wrench; the motors supply that much
+    less."""
     mj = plant.fixed_contact_free_model
     data = mujoco.MjData(mj)
     out = np.zeros((len(motion), mj.nv))
@@ -66,14 +69,18 @@ def contact_torque(plant: Plant, touch: Contact, motion: Trajectory) -> Array:
         mujoco.mj_comPos(mj, data)
         b = touch.body + 1
         force = _at_com(data, b, touch.wrench[k])
-        mujoco.mj_applyFT(mj, data, force[:3], force[3:], data.xipos[b], b, out[k])
+        point = data.xipos[b]
+        mujoco.mj_applyFT(
+            mj, data, force=force[:3], torque=force[3:], point=point, body=b, qfrc_target=out[k]
+        )
     return out
 
 
 def random_wrench(motion: Trajectory, force: float, rng: np.random.Generator) -> Array:
-    """A wrench (N, 6) with forces of up to `force` (N) and moments of a tenth of it (N m)."""
+    """Return a sinusoidal wrench (N, 6) [n; f] with random phases, force amplitude `force` (N) and
+    a tenth of it in N m."""
     phase = rng.normal(size=6)
-    return np.repeat([0.1, 1.0], 3) * force * np.sin(2 * motion.t[:, None] + phase)
+    return np.asarray(np.repeat([0.1, 1.0], 3) * force * np.sin(2 * motion.t[:, None] + phase))
 
 
 def _add_sensor(spec: mujoco.MjSpec, body: str, cut: SensorCut, name: str) -> None:
@@ -84,18 +91,18 @@ def _add_sensor(spec: mujoco.MjSpec, body: str, cut: SensorCut, name: str) -> No
         )
 
 
-def _places(mj: mujoco.MjModel, count: int) -> Array:
-    """Where the six numbers of each sensor stand in sensordata, moments first."""
-    places = []
+def _sensor_addresses(mj: mujoco.MjModel, count: int) -> Array:
+    """Indices in sensordata of the six components of each sensor, moments first."""
+    addresses: list[int] = []
     for k in range(count):
         for kind in (mujoco.mjtSensor.mjSENS_TORQUE, mujoco.mjtSensor.mjSENS_FORCE):
             start = int(mj.sensor_adr[mj.sensor(f"{SITE.format(k)} {kind.name}").id])
-            places += [start, start + 1, start + 2]
-    return np.array(places, dtype=int)
+            addresses += [start, start + 1, start + 2]
+    return np.array(addresses, dtype=int)
 
 
 def _at_com(data: mujoco.MjData, b: int, wrench: Array) -> Array:
-    """[f; n] in world axes about the centre of mass, as MuJoCo takes it."""
+    """[f; n] at the centre of mass in world axes, as in MuJoCo's xfrc_applied."""
     R_wb = data.xmat[b].reshape(3, 3)
     moment, force = R_wb @ wrench[:3], R_wb @ wrench[3:]
     return np.concatenate([force, moment + np.cross(data.xpos[b] - data.xipos[b], force)])
@@ -103,12 +110,14 @@ def _at_com(data: mujoco.MjData, b: int, wrench: Array) -> Array:
 
 @dataclass(frozen=True)
 class WrenchNoise:
-    """How a sensor errs. Standard deviations: white `force` (N) and `moment` (N m), of constants
-    (`..._offset`) and of slopes in time (`..._drift`, per second), and of `gain` (share, each of
-    the six axes) and `crosstalk` (share, each of the thirty other entries; between force and moment
-    in the ratio `LEVER`). `mounting`: the sensor is turned by this
-    angle (rad) about an axis drawn at random. `touch` (N, and a tenth of it in N m): what acts on
-    the last body behind the sensor during the middle third of the recording."""
+    """Errors of a force/torque sensor, as standard deviations unless stated otherwise.
+
+    `force` (N), `moment` (N m): white noise; `..._offset`: constant offsets; `..._drift`: drift per
+    second; `gain`: relative, of the six diagonal entries of the calibration matrix; `crosstalk`:
+    relative, of the other thirty, scaled by `LEVER` between force and moment. `mounting` (rad):
+    angle of a misalignment about a random axis. `touch` (N, and a tenth of it in N m): amplitude of
+    a contact on the last body distal to the sensor during the middle third of the recording.
+    """
 
     force: float = 0.0
     moment: float = 0.0
@@ -122,34 +131,37 @@ class WrenchNoise:
     touch: float = 0.0
 
     def white(self) -> Array:
-        """Standard deviation (6,) of the white noise."""
+        """Return the standard deviation (6,) of the white noise, [n; f]."""
         return np.repeat([self.moment, self.force], 3)
 
 
 WRENCH_NOISE = tuple(field.name for field in fields(WrenchNoise))
-"""Keys of a noise table that belong to force/torque sensors."""
+"""Keys of a noise table that describe force/torque sensors."""
 
 
 def wrench_noise(noise: Mapping[str, float]) -> WrenchNoise:
-    """The part of a noise table that is about force/torque sensors."""
+    """Return the errors of force/torque sensors from a noise table; other keys are ignored."""
     return WrenchNoise(**{key: noise[key] for key in WRENCH_NOISE if key in noise})
 
 
 @dataclass(frozen=True, eq=False)
 class SensorError:
-    """One sensor as it was made: it reads A f + offset + slope t (6,)."""
+    """Errors of one sensor: it reads A f + offset + slope t, (6,) [n; f]; A (6, 6) is the
+    calibration error."""
 
     A: Array
     offset: Array
     slope: Array
 
     def measure(self, wrench: Array, t: Array) -> Array:
-        """The reading (N, 6) of an exact wrench (N, 6)."""
+        """Return the reading (N, 6) of an exact wrench (N, 6) at times t (N,), without white
+        noise."""
         return np.asarray(wrench @ self.A.T + self.offset + t[:, None] * self.slope)
 
 
 def sensor_error(noise: WrenchNoise, rng: np.random.Generator) -> SensorError:
-    """A sensor drawn with these errors. Levels share their draws: comparisons are paired."""
+    """Draw the errors of one sensor; noise levels share their normal draws, so that comparisons
+    between levels are paired."""
     z_gain, z_cross = rng.normal(size=6), rng.normal(size=(6, 6))
     z_axis, z_offset, z_slope = rng.normal(size=3), rng.normal(size=6), rng.normal(size=6)
     size = np.repeat([LEVER, 1.0], 3)

@@ -1,4 +1,4 @@
-"""How large a robot's gravity torques are: a scale for gains and effects."""
+"""RMS gravity torques of a robot: a scale for controller gains and friction effects."""
 
 from dataclasses import replace
 
@@ -11,15 +11,17 @@ from sysid_bench.simulation.inverse import rigid_torque
 from sysid_bench.types import Array, Trajectory
 
 POSTURES = 50
+"""Number of random postures."""
 
 
 def gravity_rms(robot: RobotModel, mj: mujoco.MjModel) -> Array:
-    """RMS gravity torque (nv,) of a compiled model of the robot over random postures."""
+    """Return the RMS gravity torque (nv,) of a compiled model of the robot over random postures."""
     return _rms(_gravity_torque(robot, mj)[1])
 
 
 def measured_gravity_rms(robot: RobotModel, mj: mujoco.MjModel) -> Array:
-    """The same on the joints that have torques of their own (n,)."""
+    """Return the RMS gravity torque on the joints with measured torque (n,), over random
+    postures."""
     postures, tau = _gravity_torque(robot, mj)
     return _rms(robot.reduced(postures.q, tau))
 
@@ -32,4 +34,4 @@ def _gravity_torque(robot: RobotModel, mj: mujoco.MjModel) -> tuple[Trajectory, 
 
 
 def _rms(tau: Array) -> Array:
-    return np.sqrt((tau**2).mean(axis=0))
+    return np.asarray(np.sqrt((tau**2).mean(axis=0)))

@@ -1,4 +1,4 @@
-"""Inverse simulation: the exact torque along a given motion."""
+"""Inverse dynamics simulation: the exact torque along a given motion."""
 
 from dataclasses import dataclass
 
@@ -10,22 +10,26 @@ from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 CHUNK = 512
-"""Samples that one Batch holds as parallel simulations."""
+"""Samples per MuJoCo batch."""
 
 
 @dataclass(frozen=True)
 class Inverse:
-    """The robot follows the motion exactly: tau = M a + bias + joint terms + effects; of coupled
-    joints the independent ones carry it all, tau_ind = G^T tau."""
+    """Simulation in which the robot follows the motion exactly.
+
+    tau = M a + bias + joint terms + effects; for coupled joints tau_ind = G^T tau on the
+    independent ones.
+    """
 
     def design_rate(self, recording: float) -> float:
-        """Rate (Hz) at which the motion is to be designed for a recording rate."""
+        """Return the rate (Hz) at which the motion has to be sampled for a recording rate."""
         return recording
 
     def run(
         self, plant: Plant, commanded: Trajectory, encoder: Array
     ) -> tuple[Oracle, Controller | None]:
-        """What happens along the motion; encoder noise (N, n) has no controller to disturb."""
+        """Return the exact motion and torques; there is no controller, so that the encoder error
+        (N, n) has no effect on them."""
         tree = rigid_torque(plant.fixed_contact_free_model, commanded) + _passive_torque(
             plant, commanded
         )
@@ -34,8 +38,8 @@ class Inverse:
 
 
 def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
-    """M(q) a + bias(q, v) (N, nv) by MuJoCo, with the armature that M holds."""
-    rows, columns, places = _entries_of_M(mj)
+    """Return M(q) a + bias(q, v) (N, nv) by MuJoCo; M contains the armature (rotor inertia)."""
+    rows, columns, indices = _entries_of_M(mj)
     tau = np.empty_like(motion.v)
     batch = Batch(mj, min(CHUNK, len(motion)), nthread=1)
     q, v, bias, M = (batch.bind(name) for name in ("qpos", "qvel", "qfrc_bias", "M"))
@@ -45,26 +49,27 @@ def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
         q[:n], v[:n] = motion.q[part], motion.v[part]
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         dense = np.zeros((n, mj.nv, mj.nv))
-        dense[:, rows, columns] = dense[:, columns, rows] = M[:n, places]
+        dense[:, rows, columns] = dense[:, columns, rows] = M[:n, indices]
         tau[part] = np.einsum("nij,nj->ni", dense, motion.a[part]) + bias[:n]
     return tau
 
 
 def _passive_torque(plant: Plant, motion: Trajectory) -> Array:
-    """Friction, offset, spring and effects (N, nv): what the motors supply beyond M a + bias."""
+    """Torque (N, nv) of friction, offset, springs and effects, which the motors supply besides
+    M a + bias."""
     terms, robot = plant.terms, plant.robot
     tau = terms.viscous * motion.v + terms.coulomb * np.sign(motion.v) + terms.offset
     for joint in robot.joints:
         if joint.kind in ("hinge", "slide"):
             deflection = motion.q[:, joint.qadr] - terms.spring_reference[joint.vadr]
             tau[:, joint.vadr] += terms.spring[joint.vadr] * deflection
-    return tau + plant.extra(motion.t, motion.q, motion.v)
+    return np.asarray(tau + plant.extra(motion.t, motion.q, motion.v))
 
 
 def _entries_of_M(mj: mujoco.MjModel) -> tuple[Array, Array, Array]:
-    """Rows, columns and places of MuJoCo's sparse lower triangle of M."""
+    """Rows, columns and indices of MuJoCo's sparse lower triangle of M."""
     rows = np.repeat(np.arange(mj.nv), mj.M_rownnz)
-    places = np.concatenate(
+    indices = np.concatenate(
         [np.arange(a, a + n) for a, n in zip(mj.M_rowadr, mj.M_rownnz, strict=True)]
     )
-    return rows, np.array(mj.M_colind)[places], places
+    return rows, np.array(mj.M_colind)[indices], indices

@@ -1,4 +1,5 @@
-"""A robot without its numbers: kinematics that a method may simulate with its own parameters."""
+"""Kinematic model without dynamic parameters, for methods that simulate with their own
+estimates."""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -14,16 +15,17 @@ from sysid_bench.spatial.rotation import quaternion_of_matrix
 
 
 def kinematics_only(robot: RobotModel) -> RobotModel:
-    """Kinematics, names, limits and spring references of a robot, built anew from nothing else.
+    """Return a robot with the kinematics, names, limits and spring references of another, and
+    nothing else.
 
-    Every body has unit mass and inertia and no joint has friction, so that whoever holds the model
-    has to say what it weighs; the text, the manifest and the payload are left behind.
+    Bodies have unit mass and inertia and joints no friction; source text, manifest and payload are
+    removed. An identification method cannot read the true parameters from it.
     """
-    spec = _bare_spec(robot.mj)
+    spec = _kinematic_spec(robot.mj)
     spec.option = robot.spec.option
-    nothing = {field.name: np.zeros(robot.nv) for field in fields(JointTerms)}
-    nothing["viscous_coupling"] = np.zeros((robot.nv, robot.nv))
-    nothing["spring_reference"] = robot.joint_terms.spring_reference
+    terms = {field.name: np.zeros(robot.nv) for field in fields(JointTerms)}
+    terms["viscous_coupling"] = np.zeros((robot.nv, robot.nv))
+    terms["spring_reference"] = robot.joint_terms.spring_reference
     return replace(
         robot,
         manifest=Manifest(robot.name, Path()),
@@ -31,12 +33,12 @@ def kinematics_only(robot: RobotModel) -> RobotModel:
         mj=spec.compile(),
         spec=spec,
         phi=np.zeros_like(robot.phi),
-        joint_terms=JointTerms(**nothing),
+        joint_terms=JointTerms(**terms),
         text=b"",
     )
 
 
-def _bare_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
+def _kinematic_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
     """Bodies, joints and equalities of a compiled model; no shapes, inertias or joint terms."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -46,7 +48,7 @@ def _bare_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
             name=mj.body(b).name, pos=mj.body_pos[b], quat=mj.body_quat[b]
         )
         body.explicitinertial, body.mass, body.inertia = True, 1.0, np.ones(3)
-        # Left alone, these are undefined, and the compiler takes the body's own pose for them.
+        # Unless set, these are NaN, which the compiler replaces by the body's pose.
         body.ipos, body.iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
         for k in range(mj.body_jntnum[b]):
             _add_joint(body, mj, int(mj.body_jntadr[b]) + k)
@@ -57,21 +59,21 @@ def _bare_spec(mj: mujoco.MjModel) -> mujoco.MjSpec:
 
 
 def _add_joint(body: mujoco.MjsBody, mj: mujoco.MjModel, j: int) -> None:
-    kind, at = mujoco.mjtJoint(int(mj.jnt_type[j])), int(mj.jnt_qposadr[j])
+    kind, qadr = mujoco.mjtJoint(int(mj.jnt_type[j])), int(mj.jnt_qposadr[j])
     joint = body.add_joint(name=mj.joint(j).name, type=kind)
     if kind == mujoco.mjtJoint.mjJNT_FREE:
         return
     joint.pos, joint.axis = mj.jnt_pos[j], mj.jnt_axis[j]
     joint.actfrclimited, joint.actfrcrange = bool(mj.jnt_actfrclimited[j]), mj.jnt_actfrcrange[j]
     if kind != mujoco.mjtJoint.mjJNT_BALL:
-        joint.ref, joint.springref = mj.qpos0[at], mj.qpos_spring[at]
+        joint.ref, joint.springref = mj.qpos0[qadr], mj.qpos_spring[qadr]
 
 
 def _add_equality(
     spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody], mj: mujoco.MjModel, e: int
 ) -> None:
-    """An equality of joints or tendons as one of fixed tendons, of bodies as one of sites: MuJoCo
-    would find the anchors of bodies anew from their reference posture."""
+    """Add an equality of joints or tendons as one of fixed tendons, and one of bodies as one of
+    sites, since MuJoCo computes anchors of bodies anew from their reference posture."""
     kind = mujoco.mjtEq(int(mj.eq_type[e]))
     loop = kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
     names = []

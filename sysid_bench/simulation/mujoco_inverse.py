@@ -1,4 +1,4 @@
-"""MuJoCo's own inverse dynamics, sample by sample: the second witness of Y."""
+"""Reference torques by MuJoCo's inverse dynamics, sample by sample."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,10 +15,11 @@ _BIT: Final = mujoco.mjtDisableBit
 
 
 def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
-    """M a + bias (N, nv) from `mj_inverse`, passive and constraint forces taken out."""
+    """Return M a + bias (N, nv) by `mj_inverse`, without passive and constraint forces."""
     with captured_warnings():
         mj = contact_free_flags(robot.spec.copy().compile())
-    # Off, not subtracted: a damping of 1e11, which holds a joint still, would drown the rest.
+    # Passive forces are disabled, not subtracted: the damping of 1e11 that some models use to fix a
+    # joint would cancel all digits.
     for bit in (_BIT.mjDSBL_SPRING, _BIT.mjDSBL_DAMPER, _BIT.mjDSBL_FRICTIONLOSS):
         mj.opt.disableflags |= int(bit)
     data = mujoco.MjData(mj)
@@ -32,16 +33,19 @@ def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ConstrainedTorque:
-    """What MuJoCo says of closed chains along a motion: `tau` (N, n) on the independent joints, and
-    the largest `violation` (rad, m) of any constraint."""
+    """Inverse dynamics of closed chains along a motion: `tau` (N, n) on the independent joints, and
+    the largest constraint `violation` (rad, m)."""
 
     tau: Array
     violation: float
 
 
 def constrained_torque(robot: RobotModel, motion: Trajectory) -> ConstrainedTorque:
-    """The torques with which the independent joints alone make the motion: M a + bias less the
-    constraint forces that hold the joints that follow, by MuJoCo's own constraint Jacobian."""
+    """Return the torques of a motion that the independent joints alone drive: M a + bias - J^T f.
+
+    The constraint forces f follow from zero torque on the dependent joints, with MuJoCo's
+    constraint Jacobian J.
+    """
     coupling = robot.coupling
     assert coupling is not None
     with captured_warnings():
@@ -54,9 +58,9 @@ def constrained_torque(robot: RobotModel, motion: Trajectory) -> ConstrainedTorq
     for k in range(len(motion)):
         data.qpos[:] = motion.q[k]
         mujoco.mj_fwdPosition(mj, data)
-        closes = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-        J = data.efc_J.reshape(data.nefc, mj.nv)[closes]
-        violation = max(violation, float(np.abs(data.efc_pos[closes]).max(initial=0.0)))
+        equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        J = data.efc_J.reshape(data.nefc, mj.nv)[equality]
+        violation = max(violation, float(np.abs(data.efc_pos[equality]).max(initial=0.0)))
         force = np.linalg.lstsq(J[:, coupling.dependent].T, tree[k, coupling.dependent])[0]
         tau[k] -= J[:, coupling.independent].T @ force
     return ConstrainedTorque(tau, violation)

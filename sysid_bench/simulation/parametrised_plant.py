@@ -1,4 +1,4 @@
-"""The model that a method simulates: the robot's kinematics with the method's own parameters."""
+"""Plant model of an identification method: the robot's kinematics with estimated parameters."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -12,45 +12,50 @@ from sysid_bench.types import Array, Body
 
 @dataclass(frozen=True, eq=False)
 class KnownModel:
-    """What a method is told of a robot: a bare `robot`, the names of its unknowns and the parts
-    that the task takes as known. Nothing of the unknowns' values can be reached from here."""
+    """Model knowledge of an identification method: the kinematics `robot`, the names `parameters`
+    (p,) of the unknowns, and what the task takes as known.
+
+    `known_links` (n_links, 10) are inertial parameters, `known_terms` (nv,) joint terms by name,
+    and `known_coupling` (nv, nv) viscous friction between joints. The true values of the unknowns
+    cannot be reached from here.
+    """
 
     robot: RobotModel
     parameters: tuple[str, ...]
     bodies: tuple[Body, ...]
-    known_links: Array  # (n_links, 10)
-    known_terms: dict[str, Array]  # by term, (nv,)
-    known_coupling: Array  # (nv, nv), viscous
+    known_links: Array
+    known_terms: dict[str, Array]
+    known_coupling: Array
 
 
-def parametrised_plant(told: KnownModel, theta: Array) -> Plant:
-    """A plant with the unknowns at theta (p,) and the rest as it is declared known."""
-    robot = told.robot
-    places = {name: i for i, name in enumerate(told.parameters)}
+def parametrised_plant(model: KnownModel, theta: Array) -> Plant:
+    """Return the plant with the values theta (p,) of the unknowns and the known parameters."""
+    robot = model.robot
+    index = {name: i for i, name in enumerate(model.parameters)}
     phi = np.zeros_like(robot.phi)
-    for link, known in zip(robot.tree.links, told.known_links, strict=True):
+    for link, known in zip(robot.tree.links, model.known_links, strict=True):
         phi[link.body] += known
-    for body in told.bodies:
-        at = robot.body_names.index(body.name)
-        phi[at] += theta[[places[column] for column in body.columns]]
-    terms = _terms(told, theta, places)
+    for body in model.bodies:
+        b = robot.body_names.index(body.name)
+        phi[b] += theta[[index[column] for column in body.columns]]
+    terms = _terms(model, theta, index)
     return Plant(robot, terms, coupling_laws(terms), phi)
 
 
-def _terms(told: KnownModel, theta: Array, places: dict[str, int]) -> JointTerms:
-    robot, values = told.robot, {}
+def _terms(model: KnownModel, theta: Array, index: dict[str, int]) -> JointTerms:
+    robot, values = model.robot, {}
     for term, suffix in SUFFIX.items():
-        known = told.known_terms.get(term)
+        known = model.known_terms.get(term)
         value = np.zeros(robot.nv) if known is None else known.copy()
         for dof in robot.scalar_dofs:
-            at = places.get(f"{robot.rows[dof]}.{suffix}")
-            if at is not None:
-                value[dof] = theta[at]
+            i = index.get(f"{robot.rows[dof]}.{suffix}")
+            if i is not None:
+                value[dof] = theta[i]
         values[term] = value
-    coupling = told.known_coupling.copy()
+    coupling = model.known_coupling.copy()
     for dof, other in itertools.permutations(robot.scalar_dofs, 2):
-        at = places.get(f"{robot.rows[dof]}.fv.{robot.rows[other]}")
-        if at is not None:
-            coupling[dof, other] = theta[at]
+        i = index.get(f"{robot.rows[dof]}.fv.{robot.rows[other]}")
+        if i is not None:
+            coupling[dof, other] = theta[i]
     values["viscous_coupling"] = coupling
     return replace(robot.joint_terms, **values)

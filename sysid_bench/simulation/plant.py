@@ -1,4 +1,5 @@
-"""The plant: the robot that moves, with the joint terms it has and effects the model lacks."""
+"""The simulated plant: a robot with its joint terms, and effects that its model does not
+contain."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,12 +17,13 @@ from sysid_bench.types import Array
 
 
 class Effect(Protocol):
-    """Something that a plant does beyond the identified model.
+    """Unmodelled effect: torque of a plant that the identified model does not contain.
 
-    `prepare(robot)` settles what the effect is on this robot (random draws come from its own seed);
-    it returns a force law `(t, q, v) -> torque`, t (), q (..., nq), v (..., nv), torque (..., nv):
-    what the motors must supply on top. A law sees single samples (closed loop) or whole motions.
-    One that carries a `kind` and `numbers` that steps.c knows is compiled.
+    `prepare(robot)` returns the effect's force law on this robot, `(t, q, v) -> torque` with t (),
+    q (..., nq), v (..., nv) and torque (..., nv): the torque that the motors supply in addition
+    (None: no effect). A law is called with single samples (closed loop) or whole motions. Random
+    draws come from a seed of its own. A law with a `kind` and `numbers` that steps.c implements
+    runs compiled.
     """
 
     def prepare(self, robot: RobotModel) -> Any: ...
@@ -29,8 +31,8 @@ class Effect(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """A robot with its joint terms and the force laws of effects on top; `phi` (nb, 10) replaces
-    the robot's own inertias where it is given."""
+    """A robot with joint terms and the force laws of effects; `phi` (nb, 10), if given, replaces
+    the robot's inertial parameters."""
 
     robot: RobotModel
     terms: JointTerms
@@ -39,14 +41,15 @@ class Plant:
 
     @cached_property
     def fixed_contact_free_model(self) -> mujoco.MjModel:
-        """The plant's model on the bench."""
+        """Compiled model of the plant without contacts, joint limits and equality constraints."""
         return self.compiled(self.robot.spec.copy())
 
     def compiled(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """A spec of this robot, compiled with the plant's inertias and terms and `bench_flags`."""
+        """Compile a spec of this robot with the plant's inertias and joint terms and
+        `contact_free_flags`; raises EstimationError if they cannot be simulated."""
         if self.phi is not None:
             for body in spec.bodies:
-                body.simple = 0  # a body flagged simple may not get another centre of mass
+                body.simple = 0  # MuJoCo assumes that the centre of mass of a simple body is fixed
         with captured_warnings():
             mj = contact_free_flags(spec.compile())
         if self.phi is not None:
@@ -56,44 +59,46 @@ class Plant:
         return mj
 
     def extra(self, t: Array, q: Array, v: Array) -> Array:
-        """Torque (..., nv) of the effects."""
-        total = np.zeros_like(v)
+        """Return the torque (..., nv) of all effects at t, q (..., nq), v (..., nv)."""
+        total: Array = np.zeros_like(v)
         for law in self.laws:
-            total = total + law(t, q, v)
+            total = np.asarray(total + law(t, q, v))
         return total
 
 
 def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
-    """The plant of a robot; an effect that prepares None adds nothing."""
-    laws = [effect.prepare(robot) for effect in effects]
-    own = tuple(law for law in laws if law is not None)
-    return Plant(robot, robot.joint_terms, own + coupling_laws(robot.joint_terms))
+    """Return the plant of a robot with the given effects and its own joint terms."""
+    prepared = [effect.prepare(robot) for effect in effects]
+    laws = tuple(law for law in prepared if law is not None)
+    return Plant(robot, robot.joint_terms, laws + coupling_laws(robot.joint_terms))
 
 
 def coupling_laws(terms: JointTerms) -> tuple[Any, ...]:
-    """The law of viscous friction between joints, where there is any: no passive element of MuJoCo
-    has an unsymmetric one."""
-    return (Coupled(terms.viscous_coupling),) if terms.viscous_coupling.any() else ()
+    """Return the force law of viscous friction between joints, if there is any; MuJoCo has no
+    passive element with an unsymmetric damping matrix."""
+    return (ViscousCoupling(terms.viscous_coupling),) if terms.viscous_coupling.any() else ()
 
 
 @dataclass(frozen=True, eq=False)
-class Coupled:
-    """Torque `numbers` (nv, nv) times v."""
+class ViscousCoupling:
+    """Viscous friction between joints: tau = D v, with D = `numbers` (nv, nv)."""
 
     numbers: Array
     kind: str = "coupled"
 
     def __call__(self, t: Array, q: Array, v: Array) -> Array:
-        """Torque (..., nv)."""
-        return v @ self.numbers.T
+        """Return the torque (..., nv) at v (..., nv)."""
+        return np.asarray(v @ self.numbers.T)
 
 
 def contact_free_flags(mj: mujoco.MjModel) -> mujoco.MjModel:
-    """Contacts, joint limits and equality constraints off: a robot on an identification bench
-    moves freely, and coupled joints are actuated one by one. Forces that are no joint terms are off
-    as well: tendons, gravity compensation, the medium, non-linear springs and dampers."""
+    """Disable contacts, joint limits and equality constraints of a model, in place, and return it.
+
+    Forces that are not joint terms are disabled as well: tendons, gravity compensation, fluid drag,
+    non-linear springs and dampers. Coupled joints are then actuated one by one.
+    """
     bits = mujoco.mjtDisableBit
-    # Autoreset would start a diverged simulation again from its reference, as if nothing happened.
+    # With autoreset a diverged simulation would silently start again from its reference posture.
     for bit in (
         bits.mjDSBL_CONTACT,
         bits.mjDSBL_LIMIT,
@@ -101,7 +106,7 @@ def contact_free_flags(mj: mujoco.MjModel) -> mujoco.MjModel:
         bits.mjDSBL_AUTORESET,
     ):
         mj.opt.disableflags |= int(bit)
-    # Inverse dynamics of the continuous time, whatever the integrator.
+    # Inverse dynamics in continuous time, whatever the integrator.
     mj.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_INVDISCRETE)
     mj.opt.density = mj.opt.viscosity = 0.0
     mj.body_gravcomp[:] = 0.0
@@ -114,16 +119,19 @@ def contact_free_flags(mj: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def set_inertias(mj: mujoco.MjModel, phi: Array) -> None:
-    """Writes phi (nb, 10) into a compiled model; EstimationError for a body that cannot exist."""
-    for b, numbers in enumerate(phi, start=1):
-        mass, com, inertia = mass_com_inertia(numbers)
+    """Write inertial parameters phi (nb, 10), in body axes, into a compiled model.
+
+    Raises EstimationError for a body with negative mass or principal moments.
+    """
+    for b, body_phi in enumerate(phi, start=1):
+        mass, com, inertia = mass_com_inertia(body_phi)
         moments, axes = np.linalg.eigh(inertia)
         if mass < 0 or moments[0] < -1e-9 * max(moments[-1], 1e-12):
             raise EstimationError(
                 f"Body {mj.body(b).name!r} cannot be simulated with mass {mass:.3g} kg and "
                 f"principal moments {', '.join(f'{m:.3g}' for m in moments)} kg m^2."
             )
-        if np.linalg.det(axes) < 0:
+        if np.linalg.det(axes) < 0:  # a rotation matrix is needed for the quaternion
             axes[:, 0] *= -1
         mj.body_mass[b], mj.body_ipos[b] = mass, com
         mujoco.mju_mat2Quat(mj.body_iquat[b], np.ascontiguousarray(axes).ravel())
@@ -131,7 +139,7 @@ def set_inertias(mj: mujoco.MjModel, phi: Array) -> None:
 
 
 def _set_joint_terms(mj: mujoco.MjModel, plant: "Plant") -> None:
-    """Writes viscous and Coulomb friction, armature and springs of hinges and slides."""
+    """Write viscous and Coulomb friction, armature and springs of hinges and slides."""
     terms = plant.terms
     for j, joint in enumerate(plant.robot.joints):
         if joint.kind not in ("hinge", "slide"):
@@ -144,7 +152,7 @@ def _set_joint_terms(mj: mujoco.MjModel, plant: "Plant") -> None:
 
 
 def _not_negative(term: str, value: float, joint: str) -> float:
-    """The value, zero where only rounding makes it negative; EstimationError where it is."""
+    """The value, or zero if it is negative by rounding only; else EstimationError."""
     if value < -1e-9:
         raise EstimationError(
             f"Joint {joint!r} cannot be simulated with {term} = {value:.3g}: it is negative."
@@ -153,7 +161,8 @@ def _not_negative(term: str, value: float, joint: str) -> float:
 
 
 def check_finite(name: str, array: Array, what: str) -> Array:
-    """The array, or SimulationError naming the first sample that is not a number."""
+    """Return the array (N, ...); raises SimulationError with the first sample that is not
+    finite."""
     bad = ~np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
     if bad.any():
         first = int(np.flatnonzero(bad)[0])

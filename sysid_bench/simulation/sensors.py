@@ -1,8 +1,9 @@
-"""Sensors: what a robot reports of what happened."""
+"""Sensor models of a robot: noisy and quantised encoders, noisy joint torques."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
@@ -12,11 +13,13 @@ from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of noise: encoders `q` (rad, m), torque `tau` (N m, N) or `tau_relative`
-    (share of the joint's RMS torque in the noise-free training motion), and the `quantum` that
-    encoders round to (rad, m). White, but for torque whose noise has a `tau_correlation` from each
-    recorded sample to the next: autoregressive of first order, of the same deviation.
-    Torques drift by `tau_drift` (N m/s, N/s, standard deviation of a joint's)."""
+    """Sensor noise, as standard deviations.
+
+    `q` (rad, m): white noise of encoders; `quantum` (rad, m): their resolution; `tau` (N m, N) or
+    `tau_relative` (fraction of the joint's RMS torque in the noise-free training motion): torque
+    noise; `tau_correlation`: correlation of torque noise between consecutive recorded samples, as a
+    first-order autoregression; `tau_drift` (N m/s, N/s): torque drift of a joint.
+    """
 
     q: float = 0.0
     tau: float = 0.0
@@ -26,24 +29,24 @@ class Noise:
     tau_correlation: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raises UsageError for noise that never changes."""
+        """Raise UsageError for a correlation outside of [0, 1)."""
         if not 0.0 <= self.tau_correlation < 1.0:
             raise UsageError(
-                f"tau_correlation = {self.tau_correlation!r}: samples of noise are alike by a "
-                "number from 0 (white) to below 1."
+                f"tau_correlation = {self.tau_correlation!r}: give a number from 0 (white noise) "
+                "to below 1."
             )
 
     def torque_std(self, tau: Array) -> Array:
-        """Standard deviation (n,) of the torque noise for noise-free torques (N, n)."""
-        return self.tau + self.tau_relative * np.sqrt((tau**2).mean(axis=0))
+        """Return the standard deviation (n,) of torque noise for noise-free torques (N, n)."""
+        return np.asarray(self.tau + self.tau_relative * np.sqrt((tau**2).mean(axis=0)))
 
     def in_time(self, white: Array) -> Array:
-        """White draws (N, n) with the correlation of torque noise: e_t = c e_(t-1) +
-        sqrt(1 - c^2) w_t, e_0 = w_0, so that every sample has the deviation of w."""
+        """Return white draws w (N, n) with the correlation c of torque noise in time.
+
+        e_t = c e_(t-1) + sqrt(1 - c^2) w_t with e_0 = w_0, so that the variance does not change.
+        """
         if self.tau_correlation == 0.0:
             return white
-        from scipy.signal import lfilter
-
         c = self.tau_correlation
         start = (1 - np.sqrt(1 - c**2)) * white[:1]
         scaled, _ = lfilter([np.sqrt(1 - c**2)], [1.0, -c], white, axis=0, zi=start)
@@ -52,22 +55,26 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class NoiseDraws:
-    """Standard normal draws of one repeat, (N, rows) each: shared by all noise levels."""
+    """Standard normal draws of one repeat, shared by all noise levels: `encoder` (N, rows) per
+    control step, `torque` (K, rows) per recorded sample."""
 
     encoder: Array
     torque: Array
 
 
 def draw_noise(count: int, recorded: int, rows: int, rng: np.random.Generator) -> NoiseDraws:
-    """Draws for `count` control steps and `recorded` samples."""
+    """Return the draws for `count` control steps and `recorded` samples."""
     return NoiseDraws(rng.normal(size=(count, rows)), rng.normal(size=(recorded, rows)))
 
 
 def encoder_error(
     noise: Noise, draws: NoiseDraws, q: Array | None = None, rounded: Array | slice = slice(None)
 ) -> Array:
-    """Error of every encoder reading (N, rows); with positions q (N, rows) that of rounding too, in
-    the degrees of freedom `rounded` (an orientation has no encoder that counts)."""
+    """Return the error of every encoder reading (N, rows), rad or m.
+
+    With positions q (N, rows) it includes quantisation, in the degrees of freedom `rounded`; the
+    orientation of a floating base has no encoder.
+    """
     error = noise.q * draws.encoder
     if noise.quantum > 0 and q is not None:
         read = q[:, rounded] + error[:, rounded]
@@ -85,10 +92,11 @@ def measure(
     controller: Controller | None,
     ideal_rates: bool,
 ) -> Recording:
-    """The recording of every `every`-th step: encoders with their error (N, n), torque with that of
-    each recorded sample (K, n). With `ideal_rates` v and a are reported exactly as well.
+    """Return the recording of every `every`-th simulation step.
 
-    Joints that follow others carry no encoder: what is recorded of them follows from the others.
+    `error` (N, n) is that of the encoders, `torque_error` (K, n) that of each recorded torque
+    sample. With `ideal_rates`, exact v and a are recorded too. Dependent joints have no encoder:
+    their positions follow from those of the independent joints.
     """
     motion = oracle.motion
     kept = slice(None, None, every)
@@ -112,17 +120,18 @@ def measure(
 
 
 def with_position_error(robot: RobotModel, q: Array, error: Array) -> Array:
-    """Configurations (N, nq) moved by (N, nv): added to positions, turned onto quaternions."""
+    """Return configurations (N, nq) with errors (N, nv): added to positions, and as rotation
+    vectors in body axes to quaternions."""
     out = q.copy()
     for joint in robot.joints:
-        at, dof = joint.qadr, joint.vadr
+        qadr, dof = joint.qadr, joint.vadr
         if joint.kind in ("hinge", "slide"):
-            out[:, at] += error[:, dof]
+            out[:, qadr] += error[:, dof]
             continue
         if joint.kind == "free":
-            out[:, at : at + 3] += error[:, dof : dof + 3]
-            at, dof = at + 3, dof + 3
-        out[:, at : at + 4] = product(
-            out[:, at : at + 4], quaternion_of_vector(error[:, dof : dof + 3])
+            out[:, qadr : qadr + 3] += error[:, dof : dof + 3]
+            qadr, dof = qadr + 3, dof + 3
+        out[:, qadr : qadr + 4] = product(
+            out[:, qadr : qadr + 4], quaternion_of_vector(error[:, dof : dof + 3])
         )
     return out

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.kernel_c import VARIABLE, KernelChoice, layout_of, selected_kernel
+from sysid_bench.regressors.kernel_c import VARIABLE, SelectedKernel, layout_of, selected_kernel
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.benchmarks import peers
@@ -38,7 +38,7 @@ class Subject:
         self.motion: Trajectory = states(self.robot, 3000 if self.humanoid else 20000)
         self.names = peers.own_columns(self.robot)
         self.Y: Array = np.empty((len(self.motion), self.robot.nv, len(self.names)))
-        self._columns: dict[KernelChoice, Regression] = {}
+        self._columns: dict[SelectedKernel, Regression] = {}
 
     @property
     def columns(self) -> Regression:

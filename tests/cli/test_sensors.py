@@ -70,7 +70,7 @@ def test_a_robot_held_before_the_sensor_says_what_it_cannot_know() -> None:
     """A sensor between the world and a robot on its bench: the data tell less than flight would."""
     told = identify("z1", task="wrench", sensor="base_static_joint")
     assert told["sensor"]["excited_rank"] < told["sensor"]["structural_rank"]
-    assert any("cannot be foretold" in w or "no torque" in w for w in told["warnings"])
+    assert any("unpredictable" in w or "no torque" in w for w in told["warnings"])
 
 
 def test_unknown_noise_lists_the_kinds() -> None:

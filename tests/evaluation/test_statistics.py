@@ -108,7 +108,7 @@ def test_two_periods_are_needed_to_see_a_spread() -> None:
     W = regressor()
     problem = problem_of(W, W @ TRUTH)
     for samples in (PERIOD * PERIODS, 10 * PERIOD * PERIODS, 0):
-        with pytest.raises(UsageError, match="two at least"):
+        with pytest.raises(UsageError, match="at least two"):
             period_standard_error(problem, TRUTH, np.ones(2), samples)
     assert period_standard_error(problem, TRUTH, np.ones(2), PERIOD * PERIODS // 2).freedom == 1
 

@@ -77,4 +77,4 @@ def test_a_method_that_cannot_says_which_torques_are_missing() -> None:
     execute(argument(locked.spec, "wls"), rows.append)
     assert rows[0]["status"] == "failed"
     assert rows[0]["excited_rank"] == 17
-    assert "l_wrist_yaw cannot be foretold" in rows[0]["reason"]
+    assert "l_wrist_yaw are unpredictable" in rows[0]["reason"]

@@ -52,10 +52,10 @@ def test_mujocos_sensor_feels_what_the_regressor_tells(seed: int) -> None:
         touch = Contact(int(rng.choice(cut.bodies)), rng.normal(size=(5, 6)))
         felt = sensor_wrench(plant_of(robot), (cut,), motion, touch)
         base = robot.body_names[touch.body]
-        found = np.einsum("nij,nj->ni", made.transform(base), free - felt)
+        found = np.einsum("nij,nj->ni", made.wrench_transform(base), free - felt)
         np.testing.assert_allclose(found, touch.wrench, atol=1e-10 * (1 + np.abs(free).max()))
         relief = contact_torque(plant_of(robot), touch, motion)[:, list(made.dofs)]
-        there = np.einsum("nkc,nc->nk", made.projection(base), free - felt)
+        there = np.einsum("nkc,nc->nk", made.jacobian(base), free - felt)
         np.testing.assert_allclose(there, relief, atol=1e-10 * (1 + np.abs(free).max()))
 
 

@@ -7,11 +7,12 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.identifiability.subspaces import (
-    complement_directions,
+    Subspaces,
     excitation_of,
-    orthonormal_span,
-    outside_of,
+    projection_residual,
+    row_space,
     structural_subspaces,
+    subspace_sine,
 )
 from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.robot import RobotModel
@@ -33,6 +34,14 @@ CUTS = {
 """Place: further sensors, dimension of I_Yn, of I_Yc for every base, number of bases."""
 
 
+def assert_lemma_and_proposition(found: Subspaces) -> None:
+    """Lemma 1: I_Yn is the same for every base. Proposition 1: I_Yc is a subspace of I_Yn."""
+    for wrench in found.wrenches.values():
+        assert subspace_sine(found.wrench, wrench) < ANGLE
+    for torque in found.torques.values():
+        assert projection_residual(found.wrench, torque) < ANGLE
+
+
 @pytest.mark.parametrize("at", CUTS)
 def test_the_icub_has_the_dimensions_of_its_sub_trees(at: str) -> None:
     others, wrench, torque, bases = CUTS[at]
@@ -43,8 +52,7 @@ def test_the_icub_has_the_dimensions_of_its_sub_trees(at: str) -> None:
     assert found.rank == wrench
     assert {basis.shape[1] for basis in found.torques.values()} == {torque}
     assert len(found.torques) == (bases if some is None else len(some))
-    assert found.sensor_subspace < ANGLE
-    assert found.joint_subspace < ANGLE
+    assert_lemma_and_proposition(found)
     values = found.singular_values
     assert values[wrench - 1] > 1e-3 * values[0]
     assert values[wrench] < 1e-13 * values[0]
@@ -63,11 +71,10 @@ def test_lemma_and_proposition_hold_for_every_link_of_any_tree(seed: int) -> Non
     robot = robot_of(random_robot(seed))
     cut = cut_at(robot, robot.body_names[seed % len(robot.body_names)])
     found = structural_subspaces(robot, cut)
-    assert found.sensor_subspace < ANGLE
-    assert found.joint_subspace < ANGLE
+    assert_lemma_and_proposition(found)
     assert found.rank >= 10
     for basis in found.joints.values():
-        assert outside_of(found.wrench, basis) < ANGLE
+        assert projection_residual(found.wrench, basis) < ANGLE
 
 
 def _moving(robot: RobotModel, names: tuple[str, ...], seed: int = 0) -> Trajectory:
@@ -119,7 +126,7 @@ def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
     moved = tuple(rng.choice(robot.rows[6:], 3, replace=False))
     made = sub_tree(robot, cut, _moving(robot, moved, seed))
     told = excitation_of(made, structural_subspaces(robot, cut))
-    basis, _ = orthonormal_span(made.Y_n)
+    basis, _ = row_space(made.Y_n)
     change = np.array(rng.normal(size=made.Y_n.shape[-1:]))
     change = change - basis @ (basis.T @ change)
     assert np.abs(made.Y_n @ change).max() < 1e-10
@@ -133,11 +140,11 @@ def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
 def test_apart_and_outside_are_sines() -> None:
     x, y, z = np.eye(3)[:, :, None]
     tilted = np.cos(0.1) * x + np.sin(0.1) * y
-    assert outside_of(x, tilted) == pytest.approx(np.sin(0.1))
-    assert complement_directions(x, tilted) == pytest.approx(np.sin(0.1))
-    assert complement_directions(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
-    assert complement_directions(x, np.hstack([x, y])) == 1.0
-    assert outside_of(np.hstack([x, y]), tilted) == pytest.approx(0.0, abs=1e-15)
+    assert projection_residual(x, tilted) == pytest.approx(np.sin(0.1))
+    assert subspace_sine(x, tilted) == pytest.approx(np.sin(0.1))
+    assert subspace_sine(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
+    assert subspace_sine(x, np.hstack([x, y])) == 1.0
+    assert projection_residual(np.hstack([x, y]), tilted) == pytest.approx(0.0, abs=1e-15)
 
 
 def test_data_of_another_sub_tree_are_refused() -> None:

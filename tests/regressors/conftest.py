@@ -5,14 +5,14 @@ from collections.abc import Iterator
 import pytest
 
 from sysid_bench.regressors import kernel_c as compiled
-from sysid_bench.regressors.kernel_c import VARIABLE, KernelChoice, selected_kernel
+from sysid_bench.regressors.kernel_c import VARIABLE, SelectedKernel, selected_kernel
 
 
 @pytest.fixture
 def choose(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     """A function that makes a kernel, by its name in the variable, that of this process."""
 
-    def to(name: str) -> KernelChoice:
+    def to(name: str) -> SelectedKernel:
         monkeypatch.setenv(VARIABLE, name)
         selected_kernel.cache_clear()
         return selected_kernel()

@@ -16,7 +16,7 @@ from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors import kernel_c as compiled
 from sysid_bench.regressors.derive import c_source
-from sysid_bench.regressors.kernel_c import SOURCE, VARIABLE, KernelChoice, selected_kernel
+from sysid_bench.regressors.kernel_c import SOURCE, VARIABLE, SelectedKernel, selected_kernel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
 from sysid_bench.regressors.qr_accumulation import accumulate, accumulate_all
@@ -25,7 +25,7 @@ from sysid_bench.types import Array, Trajectory
 from tests.random_trees import random_texts
 from tests.robots import NAMED, named_robot, random_robot, relative_gap, robot_of, states
 
-Choose = Callable[[str], KernelChoice]
+Choose = Callable[[str], SelectedKernel]
 SAME = 1e-12
 """Largest difference of the two kernels, and to Pinocchio, relative to the largest number."""
 
@@ -237,7 +237,7 @@ def test_the_block_of_the_kernel_is_what_the_derivation_prints() -> None:
 def test_numpy_serves_where_it_is_asked_for(choose: Choose) -> None:
     choice = choose("numpy")
     assert choice.library is None
-    assert str(choice) == f"NumPy ({VARIABLE} asks for it)"
+    assert str(choice) == f"NumPy (selected by {VARIABLE})"
 
 
 def test_a_kernel_that_is_none_is_refused_with_those_that_are(choose: Choose) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors import kernel_numpy as kernel
-from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, newton_euler, sweep
+from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, link_motions, newton_euler
 from sysid_bench.simulation.plant import contact_free_flags
 from sysid_bench.types import Trajectory
 from tests.robots import named_robot, random_robot, relative_gap, robot_of, states
@@ -49,7 +49,7 @@ def _engine_states(
 
 
 def _swept(robot: RobotModel, motion: Trajectory) -> list[LinkMotion]:
-    return sweep(robot.tree, motion.q.T, motion.v.T, motion.a.T)
+    return link_motions(robot.tree, motion.q.T, motion.v.T, motion.a.T)
 
 
 def test_rates_and_accelerations_are_mujocos(robot: RobotModel) -> None:

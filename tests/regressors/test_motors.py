@@ -35,7 +35,7 @@ def test_what_motors_pay_is_what_joints_feel(seed: int) -> None:
         )
         motor = columns.names.index(name.partition(".")[0])
         paid = {"fv": v, "fc": np.sign(v), "Ia": motors.a}.get(name.partition(".")[2])
-        own = columns.table.of_joint(columns.names[motor], motors, [name])
+        own = columns.features.of_joint(columns.names[motor], motors, [name])
         torque = own[:, 0] if paid is None else paid[:, motor]
         np.testing.assert_allclose(power, torque * v[:, motor], atol=1e-9)
 

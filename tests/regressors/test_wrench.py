@@ -90,7 +90,7 @@ def test_torques_behind_the_sensor_are_those_of_the_whole_robot(seed: int) -> No
     f_b = made.Y_n @ phi
     for b in cut.bodies:
         base = robot.body_names[b]
-        there = np.einsum("nkc,nc->nk", made.projection(base), f_b)
+        there = np.einsum("nkc,nc->nk", made.jacobian(base), f_b)
         np.testing.assert_allclose(
             made.joint_torque(base) @ phi + there, truth, atol=1e-9 * (1 + np.abs(tau).max())
         )

@@ -1,4 +1,4 @@
-"""The plant that the identified model can express: the robot with its joint terms, nothing else."""
+"""Plant without unmodelled effects: the robot with its joint terms alone."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from sysid_bench.models.robot import RobotModel
 
 @dataclass(frozen=True)
 class Matched:
-    """No effect."""
+    """No unmodelled effect: the identified model can represent the plant exactly."""
 
     def prepare(self, robot: RobotModel) -> None:
-        """Nothing to add."""
+        """Return no force law."""

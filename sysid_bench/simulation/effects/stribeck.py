@@ -1,4 +1,4 @@
-"""Stribeck friction: more Coulomb friction near standstill than in motion."""
+"""Stribeck friction: friction that decreases with speed near standstill."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -12,10 +12,12 @@ from sysid_bench.types import Array
 
 @dataclass(frozen=True)
 class Stribeck:
-    """Adds F exp(-(v/vs)^2) tanh(v/v0) to every hinge and slide (Armstrong-Helouvry 1991, eq. 3.1).
+    """Torque F exp(-(v/vs)^2) tanh(v/v0) on every hinge and slide (Armstrong-Helouvry 1991, eq.
+    3.1).
 
-    F is `share` of a joint's gravity torque scale, so that one setting fits small and large arms:
-    the RMS gravity torque of the joint over random postures, floored at 0.1 % of the largest.
+    F is the fraction `share` of the joint's RMS gravity torque over random postures (at least 0.1 %
+    of that of the most loaded joint), so that one setting suits small and large arms. `vs` is the
+    Stribeck velocity, `v0` the width of the smooth sign (rad/s, m/s).
     """
 
     share: float = field(default=0.1, metadata={"unit": "%"})
@@ -23,23 +25,23 @@ class Stribeck:
     v0: float = field(default=0.005, metadata={"unit": "rad|m"})  # per second
     vanishes_at_rest: ClassVar[bool] = True
 
-    def prepare(self, robot: RobotModel) -> "Law":
-        """The force law of this robot."""
+    def prepare(self, robot: RobotModel) -> "StribeckLaw":
+        """Return the force law for this robot."""
         gravity = gravity_rms(robot, robot.mj)
         gravity = np.maximum(gravity, 1e-3 * gravity.max())
         scale = np.zeros(robot.nv)
         scale[robot.scalar_dofs] = self.share * gravity[robot.scalar_dofs]
-        return Law(np.concatenate([scale, [self.vs, self.v0]]))
+        return StribeckLaw(np.concatenate([scale, [self.vs, self.v0]]))
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
-    """`numbers`: F (nv,), vs, v0."""
+class StribeckLaw:
+    """Force law of Stribeck friction; `numbers` (nv + 2,) are F (nv,), vs, v0."""
 
     numbers: Array
     kind: str = "stribeck"
 
     def __call__(self, t: Array, q: Array, v: Array) -> Array:
-        """Torque (..., nv)."""
+        """Return the torque (..., nv) at v (..., nv)."""
         scale, (vs, v0) = self.numbers[:-2], self.numbers[-2:]
-        return scale * np.exp(-((v / vs) ** 2)) * np.tanh(v / v0)
+        return np.asarray(scale * np.exp(-((v / vs) ** 2)) * np.tanh(v / v0))
