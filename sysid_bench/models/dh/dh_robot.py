@@ -160,7 +160,7 @@ def _inertial(table: DhTable, placed: list[_Placed], i: int, massless: bool) -> 
         mass, moments = TINY[0], np.full(3, TINY[1])
     else:
         mass = DENSITY * float(np.prod(size)) if row.mass is None else row.mass
-        moments = mass / 12 * (float(size @ size) - size**2)
+        moments = mass / 12 * (float((size**2).sum()) - size**2)
     if not mass > 0:
         raise UsageError(f"Link {row.link!r} has the mass {mass}; name it massless, or give one.")
     return f'<inertial pos="{_words(com)}" mass="{mass:.9g}" diaginertia="{_words(moments)}"/>'
