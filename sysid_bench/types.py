@@ -135,6 +135,10 @@ class BaseMap:
     row_space: Float[Array, "r p"] | None = None
     """An orthonormal basis of the rows of K, sharper than K where its entries are large."""
 
+    dropped: Float[Array, "d p"] | None = None
+    """A factor of the near-degenerate directions: |dropped theta| is the size of the torque that
+    beta = K theta leaves out, on the scale of `singular_values`."""
+
     @property
     def rank(self) -> int:
         """r, the number of base parameters."""

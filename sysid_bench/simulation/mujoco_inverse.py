@@ -6,7 +6,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.models.checks.mujoco_warnings import captured_warnings
+from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.plant import contact_free_flags
 from sysid_bench.types import Array, Trajectory
@@ -16,7 +16,7 @@ _BIT: Final = mujoco.mjtDisableBit
 
 def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
     """M a + bias (N, nv) from `mj_inverse`, passive and constraint forces taken out."""
-    with captured_warnings():
+    with recorded_warnings():
         mj = contact_free_flags(robot.spec.copy().compile())
     # Off, not subtracted: a damping of 1e11, which holds a joint still, would drown the rest.
     for bit in (_BIT.mjDSBL_SPRING, _BIT.mjDSBL_DAMPER, _BIT.mjDSBL_FRICTIONLOSS):
@@ -44,7 +44,7 @@ def constrained_torque(robot: RobotModel, motion: Trajectory) -> ConstrainedTorq
     constraint forces that hold the joints that follow, by MuJoCo's own constraint Jacobian."""
     coupling = robot.coupling
     assert coupling is not None
-    with captured_warnings():
+    with recorded_warnings():
         mj = contact_free_flags(robot.spec.copy().compile())
     mj.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
     mj.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)

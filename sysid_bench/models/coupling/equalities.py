@@ -25,7 +25,7 @@ ADVICE: Final = "write couplings = false in a robot.toml to let every joint move
 
 
 @dataclass(frozen=True, eq=False)
-class _Equalities:
+class Equalities:
     """The constraints of a model, the ids of the equalities they come from, and in words which
     active ones are left out."""
 
@@ -34,7 +34,7 @@ class _Equalities:
     left_out: tuple[str, ...]
 
 
-def equalities_of(mj: mujoco.MjModel) -> _Equalities:
+def equalities_of(mj: mujoco.MjModel) -> Equalities:
     """What an MJCF's equalities say about joints; raises ModelError for loops that pass balls or
     free bodies, and for spatial tendons."""
     constraints: list[Constraint] = []
@@ -48,10 +48,10 @@ def equalities_of(mj: mujoco.MjModel) -> _Equalities:
             continue
         constraints.append(_constraint(mj, e))
         ids.append(e)
-    return _Equalities(tuple(constraints), tuple(ids), tuple(left_out))
+    return Equalities(tuple(constraints), tuple(ids), tuple(left_out))
 
 
-def keep_equalities(spec: mujoco.MjSpec, equalities: _Equalities) -> None:
+def keep_equalities(spec: mujoco.MjSpec, equalities: Equalities) -> None:
     """Deletes every equality of a spec that is no constraint of the robot's coupling."""
     for equality in [e for e in spec.equalities if e.id not in equalities.ids]:
         spec.delete(equality)

@@ -8,7 +8,7 @@ from sysid_bench.models.tree import HINGE, SLIDE
 from sysid_bench.models.urdf.canonical_urdf import Mimic
 
 
-def add_mimics(spec: mujoco.MjSpec, mimics: Sequence[Mimic]) -> Iterator[str]:
+def mimic_equalities(spec: mujoco.MjSpec, mimics: Sequence[Mimic]) -> Iterator[str]:
     """Adds an equality per mimic joint; in words, those that follow what does not move."""
     moving = {joint.name for joint in spec.joints if int(joint.type) in (HINGE, SLIDE)}
     for mimic in mimics:

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, first_names
-from sysid_bench.models.checks.mujoco_warnings import captured_warnings
+from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.mjcf.mjcf_files import files_outside, is_inside
 from sysid_bench.types import Array
 
@@ -164,7 +164,7 @@ def _write_down(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> None:
 
 def _compiled(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> mujoco.MjModel:
     try:
-        with captured_warnings():
+        with recorded_warnings():
             return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         if absent:
