@@ -55,8 +55,8 @@ def solid(text: str, mass: float) -> tuple[float, float, float, float, float, fl
             k = mass / 12
             return (k * (y**2 + z**2), 0.0, 0.0, k * (x**2 + z**2), 0.0, k * (x**2 + y**2))
     raise UsageError(
-        f"{text!r} is not a solid; write 'box X Y Z m', 'sphere RADIUS m', 'rod LENGTH m', 'point', "
-        "or six numbers Ixx Ixy Ixz Iyy Iyz Izz."
+        f"{text!r} is not a solid; write 'box X Y Z m', 'sphere RADIUS m', 'rod LENGTH m', "
+        "'point', or six numbers Ixx Ixy Ixz Iyy Iyz Izz."
     )
 
 
@@ -128,7 +128,8 @@ def _check_possible(name: str, six: list[float]) -> None:
     if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
         raise UsageError(
             f"The payload {name!r} is physically impossible: its principal "
-            f"moments {moments.tolist()} violate the triangle inequality; give the inertia about the centre of mass, in kg m^2."
+            f"moments {moments.tolist()} violate the triangle inequality; give the inertia "
+            "about the centre of mass, in kg m^2."
         )
 
 

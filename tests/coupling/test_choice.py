@@ -136,9 +136,9 @@ def test_a_motion_closes_alike_at_once_and_sample_by_sample() -> None:
     assert robot.coupling is not None
     (group,) = robot.coupling.groups
     turns = np.linspace(-3.0, 3.0, 2000)[:, None]
-    together, good = group.is_closed(turns)
+    together, good = group.motion_closure(turns)
     assert good.all()
-    apart, _ = group.is_closed(turns[::97][np.random.default_rng(0).permutation(21)])
+    apart, _ = group.motion_closure(turns[::97][np.random.default_rng(0).permutation(21)])
     order = np.argsort(apart[:, group.independent[0]])
     np.testing.assert_allclose(apart[order], together[::97], atol=1e-9)
 

@@ -41,9 +41,9 @@ def _check_kind(joint: ET.Element, root: str, name: str) -> None:
     above = None if parent is None else parent.get("link")
     if kind == "floating" and not (above == root == "world"):
         raise ModelError(
-            f"{name}: the floating joint {joint.get('name')!r} is attached to the link {above!r}; only "
-            "a root link called 'world' may carry one. Remove the joint and ask for a free base, "
-            "or make it fixed."
+            f"{name}: the floating joint {joint.get('name')!r} is attached to "
+            f"{above!r}; only a root link called 'world' may carry one. Remove the joint and ask for "
+            "a free base, or make it fixed."
         )
 
 
