@@ -109,8 +109,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         coupling = _coupling(mj, joints, equalities, manifest, source)
         repairs += equalities.left_out + (() if coupling is None else coupling.repairs)
     body_names = _body_names(mj)
-    # A payload is the only body that the bare model does not have.
-    payload_body = next(iter(set(body_names) - set(names))) if payload else None
+    added = set(body_names) - set(names)  # the payload, if there is one
     return RobotModel(
         name=manifest.name,
         manifest=manifest,
@@ -124,7 +123,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         joint_terms=model_joint_terms(mj, manifest, joints),
         limits=limits_of(mj, joints, manifest, source.velocities),
         tool_body=body_names.index(names[tool]),
-        payload_body=None if payload_body is None else body_names.index(payload_body),
+        payload_body=body_names.index(added.pop()) if added else None,
         format=source.format,
         text=source.text,
         repairs=repairs,

@@ -265,7 +265,7 @@ def test_wrong_words_are_usage(mjcf: Path) -> None:
 
 
 def test_the_other_format_is_refused(mjcf: Path, urdf: Path) -> None:
-    with pytest.raises(ModelError, match="no MJCF"):
+    with pytest.raises(ModelError, match="not an MJCF"):
         updated_mjcf(urdf, {})
     with pytest.raises(ModelError, match="no URDF"):
         updated_urdf(mjcf, {})
@@ -301,7 +301,7 @@ def test_copies_are_refused(tmp_path: Path) -> None:
         '<mujoco><worldbody><replicate count="2" offset="1 0 0"><body name="arm"><joint/>'
         '<geom size=".1"/></body></replicate></worldbody></mujoco>'
     )
-    with pytest.raises(ModelError, match="<replicate> makes it"):
+    with pytest.raises(ModelError, match="<replicate> creates it"):
         updated_mjcf(path, {load_robot(path).body_names[0]: PHI})
 
 

@@ -42,13 +42,7 @@ def coupling_of(
     Raises UsageError for an unknown name, ModelError for a coupling that cannot be used.
     """
     groups = _groups(constraints, dofs, actuated, independent)
-    following = np.sort(np.concatenate([group.dofs[group.dependent] for group in groups]))
-    moving = np.setdiff1d(np.arange(len(dofs.names)), following)
-    if len(moving) == 0:
-        raise ModelError(
-            "The equalities hold every joint; there is nothing to identify. Write "
-            "couplings = false in a robot.toml to let every joint move on its own."
-        )
+    moving, following = _independent_and_dependent(groups, len(dofs.names))
     low, high, slower = dofs.low.copy(), dofs.high.copy(), np.ones(len(dofs.names))
     bounds = np.array(dofs.stated)
     repairs = []
@@ -71,6 +65,17 @@ def coupling_of(
         bounds=bounds[:, following],
         repairs=tuple(repairs),
     )
+
+
+def _independent_and_dependent(groups: tuple[Group, ...], nv: int) -> tuple[Array, Array]:
+    following = np.sort(np.concatenate([group.dofs[group.dependent] for group in groups]))
+    moving = np.setdiff1d(np.arange(nv), following)
+    if len(moving) == 0:
+        raise ModelError(
+            "The equalities fix all joints; there is nothing to identify. Write "
+            "couplings = false in a robot.toml to let every joint move on its own."
+        )
+    return moving, following
 
 
 def _groups(

@@ -64,17 +64,15 @@ def group_of(
     dependent = _pivots(scaled, [columns for columns in allowed if columns], count)
     if len(dependent) < count:
         required = ", ".join(names[dof] for dof in dofs if int(dof) in wanted)
-        free = len(dofs) - count
         raise ModelError(
             f"coupling.independent: {required} cannot all be independent; of the coupled joints "
-            f"{', '.join(names[dof] for dof in dofs)} only {free} can."
+            f"{', '.join(names[dof] for dof in dofs)} only {len(dofs) - count} can."
         )
-    independent = np.setdiff1d(np.arange(len(dofs)), dependent)
     group = Group(
         constraints=tuple(constraints),
         dofs=dofs,
         dependent=dependent,
-        independent=independent,
+        independent=np.setdiff1d(np.arange(len(dofs)), dependent),
         reference=np.zeros(len(dofs)),
         units=units,
         row_units=row_units,

@@ -1,8 +1,10 @@
 """Denavit-Hartenberg tables as printed in papers, read from CSV.
 
-# let a2 = 0.279                 named lengths, which printed results use # connect 2pp 3
-o_2pp is a point of link 3: a closed chain link, joint, prev, a, alpha, d, theta, low, high, mass,
-com, size 1,    R,     ,     0, pi/2,  0, q1 2p,   R,     1,    a2p, 0,   0, q2 + q3
+    # let a2 = 0.279                 named lengths, which printed results use
+    # connect 2pp 3                  o_2pp is a point of link 3: a closed chain
+    link, joint, prev, a, alpha, d, theta, low, high, mass, com, size
+    1,    R,     ,     0, pi/2,  0, q1
+    2p,   R,     1,    a2p, 0,   0, q2 + q3
 
 `joint` is R (revolute), P (prismatic) or F (a fixed frame); `passive` after it means no motor.
 `theta` of an R row and `d` of a P row hold the link's own variable `q<link>` (the default of an
@@ -222,9 +224,7 @@ class _Cells:
         if not words:
             return None
         if len(words) != 3:
-            raise UsageError(
-                f"{self.where}, column {name}: write three numbers with blanks between; got {words}."
-            )
+            raise UsageError(f"{self.where}, column {name}: write three numbers; got {words}.")
         where = f"{self.where}, column {name}"
         x, y, z = (
             read_expression(word, self.symbols, frozenset(), where).constant for word in words

@@ -42,8 +42,8 @@ def _check_kind(joint: ET.Element, root: str, name: str) -> None:
     if kind == "floating" and not (above == root == "world"):
         raise ModelError(
             f"{name}: the floating joint {joint.get('name')!r} is attached to "
-            f"{above!r}; only a root link called 'world' may carry one. Remove the joint and ask for "
-            "a free base, or make it fixed."
+            f"{above!r}; only a root link called 'world' may carry one. Remove the joint and ask "
+            "for a free base, or make it fixed."
         )
 
 
