@@ -10,7 +10,7 @@ from sysid_bench.models.tree import FREE
 from sysid_bench.models.urdf.inertia_repair import MASSLESS, TINY_MASS, TINY_MOMENT
 
 
-def free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
+def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
     """Give the root body a free joint, and mass where it has none; return the repairs in words.
 
     Raises ModelError, with the name of the `robot`, for several root bodies and for a root body

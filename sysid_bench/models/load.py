@@ -19,11 +19,11 @@ from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.coupling.equalities import (
     Equalities,
     equalities_of,
-    keep_equalities,
+    select_equalities,
 )
 from sysid_bench.models.coupling.mimic import mimic_equalities
 from sysid_bench.models.element_names import name_elements, unused_name
-from sysid_bench.models.free_base import free_base as float_base
+from sysid_bench.models.free_base import add_free_base
 from sysid_bench.models.joint_terms import apply_joint_terms, model_joint_terms
 from sysid_bench.models.limits import limits_of, stated_limits
 from sysid_bench.models.locking import lock_joints
@@ -34,7 +34,7 @@ from sysid_bench.models.robot import TYPE_NAMES, Joint, RobotModel
 from sysid_bench.models.tool import mount_payload, tool_frame
 from sysid_bench.models.tree import FREE, tree_of
 from sysid_bench.models.urdf.canonical_urdf import Urdf, canonical_urdf
-from sysid_bench.models.xml_file import parse_xml, read_bytes
+from sysid_bench.models.xml_file import parse_xml, read_file
 from sysid_bench.spatial.inertia import phi_of
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array
@@ -71,7 +71,7 @@ class _Source:
 
 def _read_source(manifest: Manifest, free: bool) -> _Source:
     """Read a URDF or MJCF, told apart by the root element, not by the suffix."""
-    data = read_bytes(manifest.path) if manifest.text is None else manifest.text.encode()
+    data = read_file(manifest.path) if manifest.text is None else manifest.text.encode()
     root = parse_xml(data, manifest.path.name).tag
     if root == "robot":
         return _urdf_source(data, manifest, free)
@@ -91,7 +91,7 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
 
 def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source) -> RobotModel:
     spec = source.spec
-    base_repairs = float_base(spec, manifest.name) if free else ()
+    base_repairs = add_free_base(spec, manifest.name) if free else ()
     bare = _bare_model(spec, manifest)
     names = _body_names(bare)
     tool, pose = tool_frame(bare, manifest, names)
@@ -99,7 +99,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         mount_payload(spec, tool + 1, pose, payload, unused_name("payload", names))
     equalities = equalities_of(bare) if manifest.couplings and bare.neq else None
     if equalities is not None:
-        keep_equalities(spec, equalities)
+        select_equalities(spec, equalities)
     mj = _compile(spec, manifest) if payload or equalities is not None else bare
     joints = _joints(mj)
     _check_names(manifest, joints, _body_names(mj))

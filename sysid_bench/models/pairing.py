@@ -71,7 +71,7 @@ class Pairing:
         return rows
 
 
-def pair_engines(mj: mujoco.MjModel) -> Pairing:
+def pinocchio_pairing(mj: mujoco.MjModel) -> Pairing:
     """Return the pairing of a compiled MuJoCo model with Pinocchio."""
     model = pin.Model()
     model.gravity = pin.Motion(gravity_of(mj), np.zeros(3))

@@ -214,6 +214,6 @@ class RobotModel:
     @cached_property
     def pairing(self) -> "Pairing":
         """The same robot in Pinocchio."""
-        from sysid_bench.models.pairing import pair_engines
+        from sysid_bench.models.pairing import pinocchio_pairing
 
-        return pair_engines(self.mj)
+        return pinocchio_pairing(self.mj)

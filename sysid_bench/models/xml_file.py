@@ -14,7 +14,7 @@ DEEPEST: Final = 400
 """Levels of nested elements; MuJoCo stops at 500, Python's recursion at 1000."""
 
 
-def read_bytes(path: Path) -> bytes:
+def read_file(path: Path) -> bytes:
     """Return the bytes of a model file; raises ModelError for a file larger than `LARGEST_FILE`."""
     if path.stat().st_size > LARGEST_FILE:
         raise ModelError(

@@ -61,7 +61,7 @@ def _ranges(mj: "mujoco.MjModel") -> Iterator[str]:
         yield f"limits of {names} beyond two turns: are they in degrees?"
 
 
-def rpy_warnings(robot: ET.Element) -> Iterator[str]:
+def angle_warnings(robot: ET.Element) -> Iterator[str]:
     """Return a warning for origins of a URDF with an angle beyond a turn; its numbers are checked
     before."""
     turned = [

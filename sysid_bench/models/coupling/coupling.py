@@ -135,13 +135,13 @@ class Coupling:
         value = float(group.condition(x)[0])
         return ModelError(
             f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is singular, "
-            f"at {reference_posture(self, group, given)} (smallest singular value {value:.2g} on "
+            f"at {_configuration_text(self, group, given)} (smallest singular value {value:.2g} on "
             "the way there); keep the motion nearer to the reference posture, by limits in the "
             "manifest."
         )
 
 
-def reference_posture(coupling: Coupling, group: Group, given: Array) -> str:
+def _configuration_text(coupling: Coupling, group: Group, given: Array) -> str:
     """Return "crank = 0.31, lift = -0.2" for the independent joints of a group."""
     moving = group.dofs[group.independent]
     values = given + coupling.q0[moving]

@@ -52,7 +52,7 @@ def equalities_of(mj: mujoco.MjModel) -> Equalities:
     return Equalities(tuple(constraints), tuple(ids), tuple(left_out))
 
 
-def keep_equalities(spec: mujoco.MjSpec, equalities: Equalities) -> None:
+def select_equalities(spec: mujoco.MjSpec, equalities: Equalities) -> None:
     """Delete all equalities of a spec that are not constraints of the robot's coupling."""
     for equality in [e for e in spec.equalities if e.id not in equalities.ids]:
         spec.delete(equality)

@@ -28,7 +28,7 @@ _AUTO: Final = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO)
 LARGEST_MESH: Final = 256 * 2**20  # bytes
 
 
-def explicit_inertias(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str, ...]:
+def compiled_inertia(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str, ...]:
     """Make the inertias of a spec explicit where meshes or rules of the compiler determine them,
     and delete all shapes that need a file. Return the bodies whose meshes are absent, in words.
 

@@ -7,7 +7,7 @@ import mujoco
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.mjcf.mjcf_files import check_files
-from sysid_bench.models.mjcf.mjcf_inertia import explicit_inertias
+from sysid_bench.models.mjcf.mjcf_inertia import compiled_inertia
 from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT, joint_terms_of
 
 _LOOKS = ("hfields", "skins", "textures", "materials")
@@ -34,7 +34,7 @@ def mjcf_spec(
             spec.delete(element)
     for element in [*spec.geoms, *spec.sites, *spec.tendons]:
         element.material = ""
-    repairs = explicit_inertias(spec, path, folder)
+    repairs = compiled_inertia(spec, path, folder)
     repairs += joint_terms_of(spec)
     actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
     for actuator in list(spec.actuators):

@@ -10,7 +10,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.spatial.rotation import quaternion_of_matrix
 from sysid_bench.types import Array
 
-Y: Final = (0.0, 1.0, 0.0)
+_HINGE_AXIS: Final = (0.0, 1.0, 0.0)
 """Axis of the hinges of a mechanism, which lies in the x-z plane of its mount."""
 
 
@@ -23,7 +23,7 @@ class _Part:
     parent: str | None
     p: Array
     kind: str = "hinge"
-    axis: tuple[float, ...] | Array = Y
+    axis: tuple[float, ...] | Array = _HINGE_AXIS
     range: tuple[float, float] | None = None
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.checks.unit_checks import rpy_warnings
+from sysid_bench.models.checks.unit_checks import angle_warnings
 from sysid_bench.models.urdf.inertia_repair import repair_inertias
 from sysid_bench.models.urdf.link_tree import LinkTree, link_tree
 from sysid_bench.models.urdf.urdf_joints import canonical_joints
@@ -63,7 +63,7 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     compiler.set("fusestatic", "false")
     return Urdf(
         ET.tostring(robot, encoding="unicode"),
-        (*repairs, *limits, *removed, *rpy_warnings(robot)),
+        (*repairs, *limits, *removed, *angle_warnings(robot)),
         _velocity_limits(robot, name),
         mimic,
     )

@@ -17,7 +17,7 @@ from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
     attribute_edits,
-    insertion_edit,
+    element_edit,
     numbers,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia
@@ -66,13 +66,13 @@ class _Elements:
 
     def __init__(self, root: Element, robot: RobotModel) -> None:
         world = [section for section in root.children if section.tag == "worldbody"]
-        inside = [element for section in world for element in section.descendants()]
+        inside = [element for section in world for element in section.subtree()]
         bodies = [element for element in inside if element.tag == "body"]
         joints = [joint for body in bodies for joint in _joints_of(body)]
         self.elements = {"body": bodies, "joint": joints}
         self.names = {"body": robot.body_names, "joint": [joint.name for joint in robot.joints]}
         self.copied = [e.tag for e in inside if e.tag in _COPIES]
-        self.included = any(e.tag == "include" for e in root.descendants())
+        self.included = any(e.tag == "include" for e in root.subtree())
         self.file = robot.manifest.path.name
 
     def body(self, name: str) -> Element:
@@ -131,7 +131,7 @@ def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
         yield from attribute_edits(data, inertial, {**dict.fromkeys(_POSE), **values})
     elif phi.any() or body.child("geom") is not None:
         words = " ".join(f'{key}="{value}"' for key, value in values.items() if value is not None)
-        yield insertion_edit(data, body, f"<inertial {words}/>")
+        yield element_edit(data, body, f"<inertial {words}/>")
 
 
 def _inertia(inertia: Array) -> dict[str, str | None]:

@@ -7,7 +7,7 @@ from typing import Final
 from sysid_bench.errors import ModelError
 from sysid_bench.models.writing.round_trip import check_round_trip
 from sysid_bench.models.writing.update import Bodies, Joints, Update, update_of
-from sysid_bench.models.writing.xml_text import Edit, Element, apply_edits, elements_of
+from sysid_bench.models.writing.xml_text import Edit, Element, apply_edits, element_tree
 from sysid_bench.models.xml_file import LARGEST_FILE
 
 FORMATS: Final = {"mujoco": "an MJCF", "robot": "a URDF"}
@@ -30,7 +30,7 @@ def rewrite(
     path = Path(path)
     update = update_of(path, bodies, joints or {}, verdicts)
     data = path.read_bytes()[: LARGEST_FILE + 1]
-    root = elements_of(data, path.name)
+    root = element_tree(data, path.name)
     if root.tag != tag:
         raise ModelError(
             f"{path.name} is not {FORMATS[tag]}: its root element is <{root.tag}>, not <{tag}>."

@@ -11,7 +11,7 @@ from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
     attribute_edits,
-    insertion_edit,
+    element_edit,
     numbers,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia, six_of_matrix
@@ -65,12 +65,12 @@ def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
     inertial = link.child("inertial")
     if inertial is None:
         if phi.any():
-            yield insertion_edit(data, link, _inertial(parts))
+            yield element_edit(data, link, _inertial(parts))
         return
     for part in parts.items():
         present = inertial.child(part[0])
         if present is None:
-            yield insertion_edit(data, inertial, _element(part))
+            yield element_edit(data, inertial, _element(part))
         else:
             yield from attribute_edits(data, present, part[1])
 
@@ -87,7 +87,7 @@ def _joint_edits(
     values = {_DYNAMICS[key]: numbers(value) for key, value in terms.items()}
     dynamics = joint.child("dynamics")
     if dynamics is None:
-        yield insertion_edit(data, joint, _element(("dynamics", values)))
+        yield element_edit(data, joint, _element(("dynamics", values)))
     else:
         yield from attribute_edits(data, dynamics, values)
 

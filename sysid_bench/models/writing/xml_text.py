@@ -30,11 +30,11 @@ class Element:
         """Return the first child with this tag, None without one."""
         return next((child for child in self.children if child.tag == tag), None)
 
-    def descendants(self) -> Iterator["Element"]:
+    def subtree(self) -> Iterator["Element"]:
         """Yield the element and all below it, in the order of the text."""
         yield self
         for child in self.children:
-            yield from child.descendants()
+            yield from child.subtree()
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Edit:
     text: str
 
 
-def elements_of(data: bytes, name: str) -> Element:
+def element_tree(data: bytes, name: str) -> Element:
     """Return the root element of an XML text in UTF-8; raises ModelError with `name`.
 
     Entities and a DOCTYPE are refused earlier, by `parse_xml`.
@@ -110,7 +110,7 @@ def attribute_edits(
         yield Edit(last, last, new)
 
 
-def insertion_edit(data: bytes, parent: Element, element: str) -> Edit:
+def element_edit(data: bytes, parent: Element, element: str) -> Edit:
     """Return the edit that adds `element` as the first child, indented like the others."""
     if parent.empty:
         # <tag/> becomes <tag>...</tag>; blanks before its slash are kept within the start tag.
