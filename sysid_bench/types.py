@@ -136,6 +136,10 @@ class BaseMap:
     row_space: Float[Array, "r p"] | None = None
     """Orthonormal basis of the row space of K, more accurate than K where its entries are large."""
 
+    dropped: Float[Array, "d p"] | None = None
+    """A factor of the near-degenerate directions: |dropped theta| is the size of the torque that
+    beta = K theta leaves out, on the scale of `singular_values`."""
+
     @property
     def rank(self) -> int:
         """Number r of base parameters."""

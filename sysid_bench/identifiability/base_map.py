@@ -44,15 +44,39 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     dropped = values[rank:]
     gap = float(values[rank - 1] / dropped[0]) if dropped.any() else np.inf
     pivots = _left_to_right_pivots(R, rank)
+    K = _coefficients(R, pivots)
+    near_degenerate = int((dropped > NOISE_FLOOR * largest).sum())
     return BaseMap(
-        K=_coefficients(R, pivots),
+        K=K,
         pivots=pivots,
         parameters=parameters,
         gap=gap,
-        near_degenerate=int((dropped > NOISE_FLOOR * largest).sum()),
+        near_degenerate=near_degenerate,
         singular_values=values,
         row_space=Vt[:rank],
+        dropped=_dropped_factor(R, pivots, K, near_degenerate),
     )
+
+
+def dropped_torque(base: BaseMap, theta: Array) -> float:
+    """Torque that the base parameters of theta (p,) leave out, as a share of the whole torque, both
+    RMS over the random states: |(R - R_p K) theta| / |R theta|, at most
+    sigma_(r+1) sqrt(1 + |K|^2) |theta| / |R theta|. Zero without near-degenerate directions.
+    """
+    if base.near_degenerate == 0 or base.dropped is None or base.row_space is None:
+        return 0.0
+    whole = float(np.linalg.norm(base.singular_values[: base.rank] * (base.row_space @ theta)))
+    left_out = float(np.linalg.norm(base.dropped @ theta))
+    return left_out / whole if whole > 0 else 0.0
+
+
+def _dropped_factor(R: Array, pivots: Array, K: Array, count: int) -> Array:
+    """D (count, p) with |D theta| = |(R - R_p K) theta|: the remainder has no more directions than
+    those that the rank drops, the rest of it is rounding."""
+    if count == 0:
+        return np.zeros((0, R.shape[1]))
+    _, values, Vt = np.linalg.svd(R - R[:, pivots] @ K, full_matrices=False)
+    return values[:count, None] * Vt[:count]
 
 
 def _left_to_right_pivots(R: Array, rank: int) -> Array:

@@ -1,7 +1,7 @@
-"""How far a body reaches, from what every model file tells: where its joints and neighbours are."""
+"""Bounding boxes of bodies, from what every model file states: joints, shapes and child frames."""
 
 from collections.abc import Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -9,26 +9,29 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Extent
 
+if TYPE_CHECKING:
+    import mujoco
+
 MARGIN: Final = 0.2
-"""m; housings, motors and tools reach beyond the joints that they hold."""
+"""m; margin around a body: housings, motors and tools reach beyond the joints that they hold."""
 
 LAST: Final = 0.4
-"""m; the same of a body that carries no other, as a torso without a head: nothing else tells how
-far it reaches."""
+"""m; margin of a body that carries no other, such as a torso without a head: its extent is unknown.
+"""
 
 SHARE: Final = 0.5
-"""Of the box around the joints: links bow out beside the line between them."""
+"""Margin as a share of the diagonal: links bow out from the line between their joints."""
 
 HOUSING: Final = 0.1
-"""m around the joints; what is further out is too little to hold much mass."""
+"""m around the joints; little mass lies further out."""
 
 
 def body_extents(robot: RobotModel) -> Mapping[str, Extent]:
-    """Of each body the box around its frame, its joints, its shapes (MJCF), the frames of bodies
-    that it carries and all of those that are welded to it, widened by margins.
+    """Return the bounding box of each body (m, body frame): around its frame, joints, shapes
+    (MJCF), the frames of its children and all that is welded to it, widened by margins.
 
-    Generous: it tells a centre of mass that cannot be from one that can, no more. A payload, of
-    which nothing is known, has none.
+    Generous: it only excludes centres of mass that are impossible. A payload, of which nothing is
+    known, has none.
     """
     mj, boxes = robot.mj, {}
     for i, name in enumerate(robot.body_names):
@@ -43,7 +46,8 @@ def body_extents(robot: RobotModel) -> Mapping[str, Extent]:
     return boxes
 
 
-def _points(mj, body: int) -> Array:  # type: ignore[no-untyped-def]
+def _points(mj: "mujoco.MjModel", body: int) -> Array:
+    """Points (k, 3) of a body in its frame; those of welded children are turned into it."""
     points = [np.zeros(3)]
     points += [np.array(mj.jnt_pos[j]) for j in np.flatnonzero(mj.jnt_bodyid == body)]
     for g in np.flatnonzero(mj.geom_bodyid == body):
@@ -59,9 +63,10 @@ def _points(mj, body: int) -> Array:  # type: ignore[no-untyped-def]
     return np.array(points)
 
 
-def _shape(mj, geom: int) -> Array:  # type: ignore[no-untyped-def]
-    """The corners (8, 3) of the box around a shape."""
+def _shape(mj: "mujoco.MjModel", geom: int) -> Array:
+    """Corners (8, 3) of the box around a shape, in the body frame."""
     centre, half = np.split(np.array(mj.geom_aabb[geom]), 2)
     corners = centre + half * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     R = matrix_of_quaternion(np.array(mj.geom_quat[geom]))
-    return np.array(mj.geom_pos[geom]) + corners @ R.T
+    turned: Array = np.array(mj.geom_pos[geom]) + corners @ R.T
+    return turned

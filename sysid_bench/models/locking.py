@@ -1,4 +1,4 @@
-"""Joints that do not move: they become part of the bodies they would carry."""
+"""Locked joints: each is removed, and its body is welded to the parent at the given position."""
 
 from collections.abc import Mapping
 
@@ -15,8 +15,9 @@ from sysid_bench.spatial.rotation import (
 
 
 def lock_joints(spec: mujoco.MjSpec, mj: mujoco.MjModel, where: Mapping[str, float]) -> None:
-    """Takes the named joints out of a spec, each at its position (rad, m; of ball and free joints:
-    at the reference); `mj` is that spec compiled. Raises ModelError for a joint that is not there.
+    """Remove the named joints from a spec, each at its position (rad, m; ball and free joints at
+    their reference); `mj` is the compiled spec. Raises ModelError for an unknown joint, and for one
+    that is coupled to a moving joint or shares its body with others.
     """
     known = [mj.joint(j).name for j in range(mj.njnt)]
     for name in where:
@@ -36,23 +37,24 @@ def _lock(spec: mujoco.MjSpec, mj: mujoco.MjModel, j: int, position: float) -> N
     if moved:
         _check_only(mj, j)
         axis, quaternion = np.array(mj.jnt_axis[j]), np.array(mj.body_quat[body.id])
-        place, R = np.array(mj.body_pos[body.id]), matrix_of_quaternion(quaternion)
+        origin, R = np.array(mj.body_pos[body.id]), matrix_of_quaternion(quaternion)
         if kind == HINGE:
             turn, anchor = quaternion_of_vector(axis * moved), np.array(mj.jnt_pos[j])
-            place = place + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
+            # The anchor stays where it is; the body frame turns about it.
+            origin = origin + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
             quaternion = product(quaternion, turn)
         else:
-            place = place + R @ axis * moved
-        body.pos, body.quat = place, quaternion
+            origin = origin + R @ axis * moved
+        body.pos, body.quat = origin, quaternion
         body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     spec.delete(joint)
 
 
 def _drop_couplings(spec: mujoco.MjSpec, mj: mujoco.MjModel, locked: set[str]) -> None:
-    """Couplings and fixed tendons of locked joints go, with what pulls at them: a tendon's forces
-    are no joint terms.
+    """Delete the couplings and fixed tendons of locked joints, with the actuators of these tendons:
+    forces of tendons are not joint terms.
 
-    Raises ModelError where a locked joint is coupled to one that moves.
+    Raises ModelError where a locked joint is coupled to a moving one.
     """
     over = {t: _joints_under(mj, t) for t in range(mj.ntendon)}
     tendons = {mj.tendon(t).name for t, joints in over.items() if joints & locked}
@@ -61,7 +63,7 @@ def _drop_couplings(spec: mujoco.MjSpec, mj: mujoco.MjModel, locked: set[str]) -
         if coupled & locked and coupled - locked and mj.eq_active0[e]:
             raise ModelError(
                 f"Joint {min(coupled & locked)!r} cannot be locked while "
-                f"{min(coupled - locked)!r}, which is coupled to it, moves: lock both, or neither."
+                f"{min(coupled - locked)!r}, which is coupled to it, moves: lock both or neither."
             )
         if coupled & locked:
             spec.delete(spec.equalities[e])
@@ -72,7 +74,7 @@ def _drop_couplings(spec: mujoco.MjSpec, mj: mujoco.MjModel, locked: set[str]) -
 
 
 def _joints_under(mj: mujoco.MjModel, t: int) -> set[str]:
-    """The joints whose positions a fixed tendon adds up."""
+    """Names of the joints whose positions a fixed tendon adds up."""
     return {
         mj.joint(int(mj.wrap_objid[w])).name
         for w in range(int(mj.tendon_adr[t]), int(mj.tendon_adr[t] + mj.tendon_num[t]))
@@ -81,7 +83,7 @@ def _joints_under(mj: mujoco.MjModel, t: int) -> set[str]:
 
 
 def _coupled(mj: mujoco.MjModel, e: int, over: Mapping[int, set[str]]) -> set[str]:
-    """The joints whose positions an equality ties together; none for loops."""
+    """Names of the joints whose positions an equality relates; none for closed loops."""
     kind, ends = int(mj.eq_type[e]), (int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e]))
     if kind == int(mujoco.mjtEq.mjEQ_JOINT):
         return {mj.joint(end).name for end in ends if end >= 0}
@@ -91,7 +93,8 @@ def _coupled(mj: mujoco.MjModel, e: int, over: Mapping[int, set[str]]) -> set[st
 
 
 def _check_only(mj: mujoco.MjModel, j: int) -> None:
-    """Several joints of one body would each have to be locked where the others have left them."""
+    """Refuse one of several joints of a body: its pose would depend on the positions of the
+    others."""
     if int(mj.body_jntnum[mj.jnt_bodyid[j]]) > 1:
         raise ModelError(
             f"Joint {mj.joint(j).name!r} shares its body with others and can be locked at its "

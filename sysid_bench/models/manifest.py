@@ -1,26 +1,28 @@
-"""A robot as data: `robots/<name>/robot.toml`, or any model file on its own."""
+"""Manifest of a robot: the contents of `robots/<name>/robot.toml`, or a model file on its own."""
 
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from sysid_bench import places
-from sysid_bench.errors import ModelError, UsageError, reason_of, unknown_name
+from sysid_bench.errors import ModelError, UsageError, unknown_name
+from sysid_bench.models.packages import PACKAGES, is_packaged, package_file, unknown_file
+from sysid_bench.models.random.random_mechanism import random_mechanism
+from sysid_bench.models.random.random_tree import random_robot
 
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
-"""Joint terms that can be identified beside the inertial parameters."""
+"""Joint terms that can be identified besides the inertial parameters."""
 
-TERM_ADVICE: Final = "Those of single joints are written 'j1.k' or 'j5.fv.j6'."
+TERM_ADVICE: Final = "Terms of single joints are written 'j1.k' or 'j5.fv.j6'."
 
 
 def is_term(word: str) -> bool:
-    """Whether a word may be a joint term: a kind, or a parameter whose robot has to know it."""
+    """True for a kind of joint term, or a parameter, which is checked against the robot later."""
     return word in TERMS or ("." in word and not word.startswith(".") and " " not in word)
 
 
@@ -57,7 +59,7 @@ class _Table(BaseModel):
 
 
 class Limits(_Table):
-    """Limits of a joint in rad or m, and N m or N; None comes from the model."""
+    """Limits of a joint: q (rad, m), v (/s), a (/s^2), tau (N m, N); None: taken from the model."""
 
     q: tuple[Finite, Finite] | None = None
     v: Positive | None = None
@@ -66,7 +68,7 @@ class Limits(_Table):
 
 
 class JointTerms(_Table):
-    """What the simulated joint does beside moving masses; None comes from the model."""
+    """Joint terms of the simulated robot besides inertia; None: taken from the model."""
 
     viscous: NotNegative | None = None  # N m s/rad
     coulomb: NotNegative | None = None  # N m
@@ -84,21 +86,21 @@ class Sensor(_Table):
     at: str
 
 
-class Couplings(_Table):
-    """Which joints of coupled ones move on their own; the rest is chosen."""
+class _CouplingTable(_Table):
+    """Independent joints among coupled ones; the remaining choice is automatic."""
 
     independent: tuple[str, ...] = ()
 
 
 class Source(_Table):
-    """Where the model comes from."""
+    """Origin of the model; further keys are free."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
     licence: str = ""
 
 
 class Dh(_Table):
-    """The Denavit-Hartenberg table that a model was made of (`sysid-bench init robot`)."""
+    """Denavit-Hartenberg table that the model was generated from (`sysid-bench init robot`)."""
 
     table: str
     convention: Literal["standard", "modified"] = "standard"
@@ -107,14 +109,14 @@ class Dh(_Table):
 
 
 class Paper(_Table):
-    """How a paper prints base parameters: bodies in its order, and parameters it takes for zero."""
+    """Order of the bodies in a paper's base parameters, and parameters that it sets to zero."""
 
     order: tuple[str, ...] = ()
     zero: tuple[str, ...] = ()
 
 
 class _Text(_Table):
-    """The file as written."""
+    """Keys of robot.toml as written."""
 
     name: str
     title: str = ""
@@ -131,19 +133,20 @@ class _Text(_Table):
     dh: Dh | None = None
     paper: Paper | None = None
     couplings: bool = True
-    coupling: Couplings = Couplings()
+    coupling: _CouplingTable = _CouplingTable()
     sensor: tuple[Sensor, ...] = ()
     source: Source = Source()
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """A robot's description; `path` is the model file, `limits` and `joints` go by joint name."""
+    """Description of a robot: `path` is the model file; `limits` and `joints` go by joint name or
+    "all"."""
 
     name: str
     path: Path
     title: str = ""
-    assets: Path | None = None  # the folder that an MJCF may read files of; None: its own
+    assets: Path | None = None  # folder that an MJCF may read files from; None: its own
     tool: str | None = None
     free_base: bool = False
     gravity: tuple[float, float, float] | None = None
@@ -151,27 +154,25 @@ class Manifest:
     limits: Mapping[str, Limits] = field(default_factory=dict)
     joints: Mapping[str, JointTerms] = field(default_factory=dict)
     couplings: bool = True  # False: mimic joints and closed loops are ignored
-    independent: tuple[str, ...] = ()  # of coupled joints, those that must move on their own
+    independent: tuple[str, ...] = ()  # coupled joints that must be independent
     sensors: tuple[Sensor, ...] = ()
     licence: str = ""
     manifest_file: Path | None = None
     locked: Mapping[str, float] = field(default_factory=dict)  # joints that do not move (rad, m)
-    massless: tuple[str, ...] = ()  # bodies that are not asked for
+    massless: tuple[str, ...] = ()  # bodies whose parameters are not unknowns
     dh: Dh | None = None
     paper: Paper | None = None
-    text: str | None = None  # the model itself, where it is no file: `path` is then but a label
+    text: str | None = None  # the model itself where there is no file; `path` is then a label
 
-
-PACKAGES: Final = ("example-robot-data", "robot_descriptions")
-"""Where model files come from beside the user's own: `package:rest`."""
 
 RANDOM: Final = "random"
+"""Source of random robots: `random:SEED`, `random:KIND:SEED`."""
 
 
 def find_manifest(
     source: str, robots_dir: Path | None = None, folder: Path | None = None
 ) -> Manifest:
-    """The robot called `source`: a name, a folder with robot.toml, a model file, a file of a
+    """Return the manifest of `source`: a name, a folder with robot.toml, a model file, a file of a
     package ("example-robot-data:ur_description/urdf/ur5_robot.urdf", "robot_descriptions:NAME"), a
     random tree ("random:7"), or a random robot with a mechanism ("random:four-bar:7").
 
@@ -194,11 +195,11 @@ def find_manifest(
 
 
 def read_manifest(file: Path) -> Manifest:
-    """The manifest in a robot.toml; all its mistakes in one ModelError."""
+    """Read the manifest in a robot.toml; raises one ModelError that lists all its errors."""
     try:
         written = _Text.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{file} is no TOML: {error}.") from error
+        raise ModelError(f"{file} is not valid TOML: {error}.") from error
     except ValidationError as error:
         lines = "; ".join(_line(problem) for problem in error.errors())
         raise ModelError(f"{file}: {lines}.") from error
@@ -250,20 +251,17 @@ def _from_path(path: Path, source: str) -> Manifest:
 
 
 def is_model(source: str) -> bool:
-    """Whether the text names a model by itself, without any list of robots."""
+    """True for a text that names a model without a list of robots: file, package or random."""
     scheme, colon, _ = source.partition(":")
     return bool(colon) and scheme in (RANDOM, "file", *PACKAGES)
 
 
 def _random(source: str, rest: str) -> Manifest:
-    from sysid_bench.models.random.random_mechanism import random_mechanism
-    from sysid_bench.models.random.random_tree import random_robot
-
     kind, _, seed = rest.rpartition(":")
     if not (seed.isascii() and seed.isdigit() and len(seed) <= 18):
         raise UsageError(
-            f"{source!r}: a random robot goes by a whole number; write 'random:7' for a tree, "
-            "'random:four-bar:7' for one with a mechanism."
+            f"{source!r}: the seed of a random robot must be a whole number; write 'random:7' for "
+            "a tree, 'random:four-bar:7' for one with a mechanism."
         )
     text = random_mechanism(kind, int(seed)) if kind else random_robot(int(seed))
     title = f"A random {kind or 'tree'}, seed {int(seed)}"
@@ -271,86 +269,42 @@ def _random(source: str, rest: str) -> Manifest:
 
 
 def _from_package(source: str, rest: str) -> Manifest:
-    if source.startswith("robot_descriptions:"):
-        path, assets = _robot_description(rest, source)
-        name = rest.removesuffix("_description")
-        return Manifest(name=name, path=path, title=rest, assets=assets)
-    folder = places.example_robot_data()
-    path = folder / rest
+    path, assets = package_file(source, source)
     if not path.is_file():
-        known = [str(file.relative_to(folder)) for file in folder.rglob("*.urdf")]
-        raise _unknown_file(rest, known)
-    return Manifest(name=path.stem, path=path, title=rest)
-
-
-def _unknown_file(name: str, known: Sequence[str]) -> UsageError:
-    near = get_close_matches(name, known, n=3, cutoff=0.8)
-    if not near:  # a shorter name, or one of another folder
-        near = [file for file in known if Path(name).stem.lower() in file.lower()][:3]
-    nearest = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
-    return UsageError(
-        f"No file of example-robot-data is called {name!r}.{nearest} There are {len(known)} URDFs."
-    )
+        raise unknown_file(rest)
+    described = source.startswith("robot_descriptions:")
+    name = rest.removesuffix("_description") if described else path.stem
+    return Manifest(name=name, path=path, title=rest, assets=assets)
 
 
 def _model_path(written: str, manifest: Path) -> tuple[Path, Path | None]:
-    """The model file, and the folder of the package that it may read files of."""
-    assets = None
-    package, colon, rest = written.partition(":")
-    if package == "example-robot-data" and colon:
-        path = places.example_robot_data() / rest
-    elif package == "robot_descriptions" and colon:
-        path, assets = _robot_description(rest, str(manifest))
+    """The model file of a manifest, and the folder of the package that it may read files from."""
+    if is_packaged(written):
+        path, assets = package_file(written, str(manifest))
     else:
-        path = manifest.parent / written
+        path, assets = manifest.parent / written, None
     if not path.is_file():
-        raise ModelError(f"{manifest}: the model file {written!r} is not there (looked at {path}).")
+        raise ModelError(
+            f"{manifest}: the model file {written!r} does not exist (looked at {path})."
+        )
     return path, assets
 
 
-def _robot_description(name: str, manifest: str) -> tuple[Path, Path | None]:
-    """The model file of a description, and its package's folder. Reading it may fetch it."""
-    import importlib
-
-    asked = f"{manifest}: 'robot_descriptions:{name}'"
-    try:
-        if not name.isidentifier() or name.startswith("_"):
-            raise ModuleNotFoundError(name)
-        module = importlib.import_module(f"robot_descriptions.{name}")
-    except ModuleNotFoundError as error:
-        raise ModelError(
-            f"{asked} is not installed or not known; "
-            "pip install robot_descriptions, and see its list of names."
-        ) from error
-    except Exception as error:  # its modules clone repositories while they are imported
-        raise ModelError(
-            f"{asked} could not be fetched ({reason_of(error)[:200]}); it needs the internet once, "
-            "to download the robot's files."
-        ) from error
-    file = getattr(module, "URDF_PATH", None) or getattr(module, "MJCF_PATH", None)
-    if file is None:
-        raise ModelError(f"{asked} is no robot: it has neither a URDF nor an MJCF.")
-    path, folder = Path(file), getattr(module, "PACKAGE_PATH", None)
-    if not path.is_file():
-        raise ModelError(f"{asked}: its file {str(path)!r} is not there; fetch it again.")
-    return path, Path(folder) if folder and path.is_relative_to(folder) else None
-
-
 def _line(problem: Any) -> str:
-    place = ".".join(str(part) for part in problem["loc"])
+    key = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         known = sorted(_known_keys(problem["loc"]))
-        return f"{place}: {unknown_name('key', str(problem['loc'][-1]), known)}".rstrip(".")
-    return f"{place}: {problem['msg'].removeprefix('Value error, ')}"
+        return f"{key}: {unknown_name('key', str(problem['loc'][-1]), known)}".rstrip(".")
+    return f"{key}: {problem['msg'].removeprefix('Value error, ')}"
 
 
-def _known_keys(place: tuple[Any, ...]) -> set[str]:
-    if len(place) == 1:
+def _known_keys(path: tuple[Any, ...]) -> set[str]:
+    if len(path) == 1:
         return set(_Text.model_fields)
     tables: dict[Any, type[BaseModel]] = {
         "limits": Limits,
         "joints": JointTerms,
-        "coupling": Couplings,
+        "coupling": _CouplingTable,
         "sensor": Sensor,
     }
-    return set(tables.get(place[0], Source).model_fields)
+    return set(tables.get(path[0], Source).model_fields)

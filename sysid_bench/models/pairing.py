@@ -1,9 +1,9 @@
-"""A compiled mjModel as a Pinocchio model with the same frames, and the maps between the two.
+"""Pairing of MuJoCo and Pinocchio: one robot in both engines, and the maps between the two.
 
-The rules are those of the engines, met once here: Pinocchio has one joint per joint and lumps
-welded bodies; its free-flyer velocity is all in the body frame, MuJoCo's linear part in the world;
-quaternions are x y z w there and w x y z here. Armature stays outside `pin.Model`, since a free
-joint's armature depends on the frame.
+All differences of convention between the engines are resolved here: Pinocchio has one joint per
+joint and lumps welded bodies; its free-flyer velocity is all in the body frame, MuJoCo's linear
+part in the world; quaternions are x y z w there and w x y z here. Armature stays outside
+`pin.Model`, since a free joint's armature depends on the frame.
 """
 
 from dataclasses import dataclass
@@ -19,13 +19,14 @@ from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array
 
 FROM_PINOCCHIO: Final = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
-"""Places in Pinocchio's m h Ixx Ixy Iyy Ixz Iyz Izz of our m h Ixx Ixy Ixz Iyy Iyz Izz."""
+"""Indices in Pinocchio's m h Ixx Ixy Iyy Ixz Iyz Izz of our m h Ixx Ixy Ixz Iyy Iyz Izz."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """`model`, and how its joints carry MuJoCo's bodies: body b (the world is none) rides on the
-    joint `carrier[b]` (0: the universe), and its parameters act there as X[b] @ phi_b."""
+    """Pinocchio's `model`, and how its joints carry MuJoCo's bodies: body b (not counting the
+    world) is fixed to the joint `carrier[b]` (0: the universe), and its parameters act there as
+    X[b] @ phi_b."""
 
     model: pin.Model
     carrier: Array
@@ -36,7 +37,7 @@ class Pairing:
     scalar: tuple[tuple[int, float], ...]  # (q address, qpos0) of hinges and slides
 
     def configuration(self, q: Array) -> Array:
-        """Pinocchio's q (..., nq) of MuJoCo's q (..., nq)."""
+        """Return Pinocchio's q (..., nq) for MuJoCo's q (..., nq)."""
         out = np.array(q, dtype=float)
         for address, q0 in self.scalar:
             out[..., address] -= q0
@@ -48,7 +49,8 @@ class Pairing:
         return out
 
     def rates(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-        """Pinocchio's v and a (N, nv) of MuJoCo's: T v, and T a less w × v for a free joint."""
+        """Return Pinocchio's v and a (N, nv) for MuJoCo's: of a free joint R' v and R' a - w × R' v
+        for the linear part, since its axes turn with the body."""
         v, a = np.array(v, dtype=float), np.array(a, dtype=float)
         for qa, va in self.free:
             R_wb = matrix_of_quaternion(q[..., qa + 3 : qa + 7])
@@ -60,8 +62,8 @@ class Pairing:
         return v, a
 
     def rows_to_mujoco(self, q: Array, rows: Array) -> Array:
-        """Torque rows (N, nv, ...) turned from Pinocchio's to MuJoCo's: the force of a free joint
-        goes from body to world axes."""
+        """Return torque rows (N, nv, ...) of Pinocchio in MuJoCo's convention: the force of a free
+        joint is turned from body to world axes."""
         rows = np.array(rows, dtype=float)
         for qa, va in self.free:
             R_wb = matrix_of_quaternion(q[..., qa + 3 : qa + 7])
@@ -69,8 +71,8 @@ class Pairing:
         return rows
 
 
-def pair_engines(mj: mujoco.MjModel) -> Pairing:
-    """The pairing of a compiled model with Pinocchio."""
+def pinocchio_pairing(mj: mujoco.MjModel) -> Pairing:
+    """Return the pairing of a compiled MuJoCo model with Pinocchio."""
     model = pin.Model()
     model.gravity = pin.Motion(gravity_of(mj), np.zeros(3))
     carrier = np.zeros(mj.nbody, dtype=int)
@@ -98,7 +100,8 @@ def pair_engines(mj: mujoco.MjModel) -> Pairing:
 def _add_body(
     model: pin.Model, mj: mujoco.MjModel, b: int, joint: int, parent_pose: pin.SE3
 ) -> tuple[int, pin.SE3]:
-    """Adds the joints of body b below `joint`; the joint that carries b and b's pose in it."""
+    """Add the joints of body b below `joint`; return the joint that carries b, and b's pose in
+    it."""
     placement = parent_pose * _se3(mj.body_pos[b], mj.body_quat[b])
     for k in range(int(mj.body_jntnum[b])):
         j = int(mj.body_jntadr[b]) + k

@@ -1,4 +1,4 @@
-"""Payloads: what is mounted at the tool frame."""
+"""Payloads: rigid bodies mounted at the tool frame, by name or as a table."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Payload:
 
     @property
     def phi(self) -> Array:
-        """The ten parameters (10,) about the tool frame."""
+        """Inertial parameters (10,) about the tool frame."""
         return phi_of(self.mass, np.array(self.com), matrix_of_six(np.array(self.inertia)))
 
     def __bool__(self) -> bool:
@@ -36,8 +36,8 @@ class Payload:
 
 
 def solid(text: str, mass: float) -> tuple[float, float, float, float, float, float]:
-    """Inertia about the centre of "box 0.1 0.1 0.2 m", "sphere 0.05 m" (radius), "rod 0.3 m"
-    (thin, along x) or "point", of uniform density."""
+    """Return the inertia (kg m^2) about the centre of "box 0.1 0.1 0.2 m", "sphere 0.05 m"
+    (radius), "rod 0.3 m" (thin, along x) or "point", of uniform density."""
     word, _, rest = text.strip().partition(" ")
     sizes = _lengths(text, rest)
     if not all(0 < size <= _LARGEST for size in sizes):
@@ -55,13 +55,14 @@ def solid(text: str, mass: float) -> tuple[float, float, float, float, float, fl
             k = mass / 12
             return (k * (y**2 + z**2), 0.0, 0.0, k * (x**2 + z**2), 0.0, k * (x**2 + y**2))
     raise UsageError(
-        f"{text!r} is no solid; write 'box X Y Z m', 'sphere RADIUS m', 'rod LENGTH m', 'point', "
-        "or six numbers Ixx Ixy Ixz Iyy Iyz Izz."
+        f"{text!r} is not a solid; write 'box X Y Z m', 'sphere RADIUS m', 'rod LENGTH m', "
+        "'point', or six numbers Ixx Ixy Ixz Iyy Iyz Izz."
     )
 
 
 def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
-    """A payload from its name or its table {mass, com, inertia, name}; raises UsageError."""
+    """Return the payload of a name or of a table {mass, com, inertia, name}; raises UsageError for
+    unknown names and keys, numbers out of range, and inertias that are physically impossible."""
     if isinstance(spec, str):
         if spec not in PAYLOADS:
             advice = (
@@ -70,7 +71,9 @@ def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
             raise unknown_name("payload", spec, PAYLOADS, advice)
         return PAYLOADS[spec]
     if not isinstance(spec, Mapping):
-        raise UsageError(f"{spec!r} is no payload; give a name ({', '.join(PAYLOADS)}) or a table.")
+        raise UsageError(
+            f"{spec!r} is not a payload; give a name ({', '.join(PAYLOADS)}) or a table."
+        )
     for key in spec:
         if key not in ("name", "mass", "com", "inertia"):
             raise unknown_name("key of a payload", str(key), ("name", "mass", "com", "inertia"))
@@ -96,11 +99,13 @@ def _lengths(text: str, rest: str) -> list[float]:
 
 
 def _length(word: str, unit: str) -> float:
-    """Metres of "50" in the unit of the whole solid, or of "50mm" in its own."""
-    number, own = split_quantity(word)
-    if own and own not in _METRES:
-        raise UsageError(f"{word!r} has the unit {own!r}; expected one of {', '.join(_METRES)}.")
-    return number * _METRES[own or unit]
+    """Metres of "50" in the unit of the whole solid, or of "50mm" in the unit written there."""
+    number, written = split_quantity(word)
+    if written and written not in _METRES:
+        raise UsageError(
+            f"{word!r} has the unit {written!r}; expected one of {', '.join(_METRES)}."
+        )
+    return number * _METRES[written or unit]
 
 
 def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list[float]:
@@ -117,12 +122,14 @@ def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list
 
 
 def _check_possible(name: str, six: list[float]) -> None:
+    """Principal moments of mass in space obey I1 >= 0 and I1 + I2 >= I3; rounding is forgiven."""
     moments = np.linalg.eigvalsh(matrix_of_six(np.array(six)))
     slack = 1e-9 * max(moments[-1], 1e-12)
     if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
         raise UsageError(
-            f"The payload {name!r} cannot exist: its principal moments {moments.tolist()} break "
-            "the triangle inequality; give the inertia about the centre of mass, in kg m^2."
+            f"The payload {name!r} is physically impossible: its principal "
+            f"moments {moments.tolist()} violate the triangle inequality; give the inertia "
+            "about the centre of mass, in kg m^2."
         )
 
 

@@ -1,4 +1,4 @@
-"""One robot for both engines: the compiled MuJoCo model, its names, its limits and its truth."""
+"""`RobotModel`: the compiled MuJoCo model with its names, limits, couplings and true parameters."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -27,14 +27,14 @@ SUFFIX: Final = {
     "armature": "Ia",
     "spring": "k",
 }
-"""Joint terms and the names of their parameters, `<joint>.fv` and so on."""
+"""Suffix of each joint term in parameter names: `<joint>.fv` and so on."""
 
 TERM_OF: Final = {suffix: term for term, suffix in SUFFIX.items()}
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint's name, kind (free ball slide hinge), its places in q and v, and its dof names."""
+    """A joint: name, kind (free ball slide hinge), addresses in q and v, names of its dofs."""
 
     name: str
     kind: str
@@ -45,10 +45,10 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class JointTerms:
-    """What each degree of freedom does beside moving masses, arrays (nv,):
-    tau = viscous v + coulomb sign(v) + offset + armature a + spring (q - spring_reference)
-    + viscous_coupling v; viscous_coupling (nv, nv) has a zero diagonal and need not be symmetric:
-    row i is what the rates of others cost joint i, as tendons over several joints make it."""
+    """Joint terms, the torque of each degree of freedom besides inertia and gravity, arrays (nv,):
+    tau = viscous v + coulomb sign(v) + offset + armature a + spring (q - spring_reference) +
+    viscous_coupling v; viscous_coupling (nv, nv) has a zero diagonal and need not be symmetric: row
+    i is the friction on joint i due to the rates of others, as with tendons over several joints."""
 
     viscous: Array
     coulomb: Array
@@ -72,8 +72,8 @@ class JointLimits:
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """A robot, with a payload mounted or not. `phi` (nb, 10) and `joint_terms` are the truth that
-    the plant is built with; methods are given a prior drawn around it, never this."""
+    """A robot, with a payload mounted or not. `phi` (nb, 10) and `joint_terms` are the true
+    parameters of the simulated plant; methods are given a prior drawn around them, never these."""
 
     name: str
     manifest: Manifest
@@ -92,7 +92,7 @@ class RobotModel:
     text: bytes = field(repr=False)  # the canonical text (URDF) or the file (MJCF)
     repairs: tuple[str, ...] = ()
     coupling: Coupling | None = None
-    """Joints that follow others; None where every joint moves on its own."""
+    """Coupled joints (mimics, equalities, closed chains); None where every joint is independent."""
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -101,8 +101,8 @@ class RobotModel:
 
     @property
     def _row_kinds(self) -> tuple[str, ...]:
-        """What each row is (nv,), so that like is compared with like: forces of slides, torques of
-        hinges and balls, force and moment on a floating base."""
+        """Kind of each row (nv,), since only rows of one kind and unit are compared: forces of
+        slides, torques of hinges and balls, force and moment on a floating base."""
         kinds = {
             "hinge": ("joint N m",),
             "slide": ("joint N",),
@@ -118,7 +118,7 @@ class RobotModel:
 
     @cached_property
     def torque_dofs(self) -> Array:
-        """Degrees of freedom (n,) that move on their own: torque lives on them."""
+        """Independent degrees of freedom (n,): the torque of coupled joints is taken on them."""
         return np.arange(self.nv) if self.coupling is None else self.coupling.independent
 
     @property
@@ -133,15 +133,16 @@ class RobotModel:
 
     @cached_property
     def uncoupled(self) -> "RobotModel":
-        """The same tree with every joint on its own."""
+        """The same tree with every joint independent."""
         return self if self.coupling is None else replace(self, coupling=None)
 
     def reduced(self, q: Array, tau: Array) -> Array:
-        """Torques (N, n) on `torque_rows` of generalised forces tau (N, nv) of the tree at q."""
+        """Return torques G' tau (N, n) on `torque_rows`, tau (N, nv) being forces of the tree at
+        q."""
         return tau if self.coupling is None else self.coupling.reduced(q, tau)
 
     def completed(self, motion: Trajectory) -> Trajectory:
-        """The motion with the joints that follow where the independent ones put them."""
+        """Return the motion with the dependent joints placed by the independent ones."""
         if self.coupling is None:
             return motion
         q, v, a = self.coupling.completed(motion.q, motion.v, motion.a)
@@ -149,12 +150,12 @@ class RobotModel:
 
     @property
     def scalar_dofs(self) -> Array:
-        """Degrees of freedom (k,) of hinges and slides: those that can have joint terms."""
+        """Degrees of freedom (k,) of hinges and slides, which alone have joint terms."""
         return np.array([j.vadr for j in self.joints if j.kind in ("hinge", "slide")], dtype=int)
 
     @property
     def floating(self) -> bool:
-        """Whether any body moves freely."""
+        """True where a body moves freely."""
         return any(joint.kind == "free" for joint in self.joints)
 
     @property
@@ -163,8 +164,8 @@ class RobotModel:
         return tuple(f"{body}.{name}" for body in self.body_names for name in NAMES)
 
     def term_columns(self, terms: tuple[str, ...]) -> tuple[str, ...]:
-        """`<joint>.fv` ... of the chosen joint terms, term after term: "viscous" is that of every
-        hinge and slide, "j1.k" that of one, "j5.fv.j6" what the rate of j6 costs j5.
+        """Return the parameter names of joint terms, term after term: "viscous" is that of every
+        hinge and slide, "j1.k" that of one joint, "j5.fv.j6" the friction on j5 due to j6.
 
         Raises UsageError for a term that the robot does not have.
         """
@@ -178,8 +179,8 @@ class RobotModel:
         return tuple(dict.fromkeys(columns))
 
     def term_index(self, name: str) -> tuple[str, int, int | None]:
-        """A joint term's parameter as (term, its degree of freedom, the one whose rate it is
-        multiplied with where that is another); raises UsageError for an unknown name."""
+        """Return (term, degree of freedom, the one whose rate it multiplies where that is another)
+        of a parameter name; raises UsageError for an unknown name."""
         joints = {self.rows[dof]: int(dof) for dof in self.scalar_dofs}
         for joint, dof in joints.items():
             rest = name.removeprefix(f"{joint}.")
@@ -192,27 +193,27 @@ class RobotModel:
                 return TERM_OF[rest], dof, None
         known = [*SUFFIX, *(f"{joint}.{suffix}" for joint in joints for suffix in TERM_OF)]
         raise unknown_name(
-            "joint term", name, known, "A joint's rate that another pays for is 'j5.fv.j6'."
+            "joint term", name, known, "Viscous friction on j5 due to j6 is 'j5.fv.j6'."
         )
 
     def term_values(self, terms: tuple[str, ...]) -> Array:
-        """The true values of `term_columns(terms)`."""
-        places = [self.term_index(name) for name in self.term_columns(terms)]
+        """Return the true values of `term_columns(terms)`."""
+        indices = [self.term_index(name) for name in self.term_columns(terms)]
         return np.array(
             [
                 getattr(self.joint_terms, term)[dof if other is None else (dof, other)]
-                for term, dof, other in places
+                for term, dof, other in indices
             ]
         )
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """Every body with the names of its ten columns."""
+        """All bodies, each with the names of its ten columns."""
         return tuple(Body(b, tuple(f"{b}.{n}" for n in NAMES)) for b in self.body_names)
 
     @cached_property
     def pairing(self) -> "Pairing":
-        """The same robot for Pinocchio."""
-        from sysid_bench.models.pairing import pair_engines
+        """The same robot in Pinocchio."""
+        from sysid_bench.models.pairing import pinocchio_pairing
 
-        return pair_engines(self.mj)
+        return pinocchio_pairing(self.mj)

@@ -1,4 +1,4 @@
-"""Force/torque sensors: where they cut a robot, what is downstream, and which rows they measure.
+"""Force/torque sensors: where they cut a robot, the sub-tree downstream, and the rows they measure.
 
 A sensor measures the wrench [n; f] that the carrying part exerts on the sub-tree downstream, about
 the origin of the sensor frame and in its axes (MuJoCo's sign): Y_n phi where nothing touches the
@@ -27,8 +27,8 @@ KINDS: Final = ("wrench N m",) * 3 + ("wrench N",) * 3
 
 @dataclass(frozen=True, eq=False)
 class SensorCut:
-    """A sensor between `body` and what carries it; R (3, 3), p (3,): the sensor frame in the body.
-    `bodies`: the sub-tree, from `body` down to where `stops`, the next sensors, cut it off."""
+    """A sensor between `body` and its parent; R (3, 3), p (3,): the sensor frame in the body.
+    `bodies`: the sub-tree from `body` down to the next sensors, `end_sensors`."""
 
     name: str
     at: str
@@ -45,32 +45,33 @@ class SensorCut:
 
 
 class Measured(Protocol):
-    """A tree and what its degrees of freedom are called: those of the robot, then further ones."""
+    """A tree and the names of its degrees of freedom: those of the robot, then further ones."""
 
     @property
-    def tree(self) -> Tree: ...
+    def tree(self) -> Tree:
+        """The kinematic tree."""
+
     @property
-    def rows(self) -> tuple[str, ...]: ...
+    def rows(self) -> tuple[str, ...]:
+        """Names of its degrees of freedom (nv,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Instruments:
-    """What is measured on a robot: the torque of its degrees of freedom, then six rows per cut.
+    """Measured rows of a robot: the torque of its degrees of freedom, then six rows per sensor.
 
-    To `tree` a sensor is three hinges and three slides that stand still at its frame: what acts
-    along them is its wrench, so that one kernel serves every row.
+    In `tree` a sensor is three hinges and three slides at rest at its frame. Their generalised
+    forces are its wrench, so that one kernel serves all rows.
     """
 
     cuts: tuple[SensorCut, ...]
     tree: Tree
     rows: tuple[str, ...]  # of the tree: every degree of freedom, then the sensors
-    measured: tuple[
-        str, ...
-    ]  # without joints that follow others, which have no torque of their own
+    measured: tuple[str, ...]  # of `rows`, without dependent joints, which carry no torque
     kinds: tuple[str, ...]  # of `measured`
 
     def motion(self, motion: Trajectory) -> Trajectory:
-        """The motion (N, nv) with the places of all sensors (N, nv + 6 sensors), at rest."""
+        """Return the motion (N, nv) with the joints of all sensors (N, nv + 6 sensors), at rest."""
         if not self.cuts:
             return motion
         still = np.zeros((len(motion), 6 * len(self.cuts)))
@@ -78,13 +79,14 @@ class Instruments:
         return replace(motion, q=q, v=v, a=a)
 
     def root(self, cut: SensorCut) -> range:
-        """The six places of a cut's wrench among the rows of the tree."""
+        """Return the six indices of a sensor's wrench among the rows of the tree."""
         first = self.rows.index(cut.rows[0])
         return range(first, first + 6)
 
 
 def instruments_of(robot: RobotModel, cuts: Sequence[SensorCut] = ()) -> Instruments:
-    """The instruments of a robot with these sensors."""
+    """Return the measured rows of a robot with these sensors; raises UnsupportedError for two
+    sensors at one body."""
     more = {
         cut.body: _still_joints(cut, robot.mj.nq + 6 * k, robot.nv + 6 * k)
         for k, cut in enumerate(cuts)
@@ -92,15 +94,15 @@ def instruments_of(robot: RobotModel, cuts: Sequence[SensorCut] = ()) -> Instrum
     if len(more) < len(cuts):
         raise UnsupportedError(
             f"{robot.name}: two of the sensors {', '.join(cut.name for cut in cuts)} cut at one "
-            "body; they measure the same."
+            "body; they measure the same wrench."
         )
     wrenches = tuple(row for cut in cuts for row in cut.rows)
     return Instruments(
-        tuple(cuts),
-        tree_of(robot.mj, more) if cuts else robot.tree,
-        robot.rows + wrenches,
-        robot.torque_rows + wrenches,
-        robot.torque_kinds + KINDS * len(cuts),
+        cuts=tuple(cuts),
+        tree=tree_of(robot.mj, more) if cuts else robot.tree,
+        rows=robot.rows + wrenches,
+        measured=robot.torque_rows + wrenches,
+        kinds=robot.torque_kinds + KINDS * len(cuts),
     )
 
 
@@ -113,8 +115,8 @@ def _still_joints(cut: SensorCut, qadr: int, vadr: int) -> tuple[TreeJoint, ...]
 
 @dataclass(frozen=True, eq=False)
 class FloatingSubtree:
-    """The sub-tree of a cut on its own, its first body flying freely: any base pose, twist and
-    acceleration. `root` are the places of the six free degrees of freedom in v."""
+    """The sub-tree of a sensor on its own, its first body on a free joint: any base pose, twist and
+    acceleration. `root` are the indices of the six free degrees of freedom in v."""
 
     cut: SensorCut
     tree: Tree
@@ -123,39 +125,40 @@ class FloatingSubtree:
 
     @property
     def root(self) -> range:
-        """The six places of the free base among the rows."""
+        """The six indices of the free base among the rows."""
         return self.free.dofs
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
-        """Places in v of the degrees of freedom inside of the sub-tree."""
+        """Indices in v of the degrees of freedom inside the sub-tree."""
         inside = {int(dof) for link in self.tree.links for dof in link.dofs}
         return tuple(sorted(inside - set(self.root)))
 
 
 def floating_subtree(robot: RobotModel, cut: SensorCut) -> FloatingSubtree:
-    """The sub-tree of a cut as a free-flying robot; places in q and v stay, the free base is last.
+    """Return the sub-tree of a sensor as a floating robot; addresses in q and v stay, the free base
+    comes last.
 
-    What an arbitrary motion of the base can tell is asked of it (Traversaro et al. 2015, eq. 6).
+    Its base parameters are those of arbitrary base motions (Traversaro et al. 2015, eq. 6).
     """
     free = TreeJoint(FREE, robot.mj.nq, robot.nv, np.zeros(3), np.zeros(3), 0.0)
     whole = tree_of(robot.mj, {cut.body: (free,)})
-    places: dict[int, int] = {-1: -1}
+    new_index: dict[int, int] = {-1: -1}
     links: list[Link] = []
     for old, link in enumerate(whole.links):
         if link.body not in cut.bodies:
             continue
         first = link.body == cut.body
         joints = (free,) if first else link.joints
-        own = [dof for joint in joints for dof in joint.dofs]
-        before = [] if first else links[places[link.parent]].dofs.tolist()
-        dofs = np.array([*before, *own])
-        parent = -1 if first else places[link.parent]
+        added = [dof for joint in joints for dof in joint.dofs]
+        before = [] if first else links[new_index[link.parent]].dofs.tolist()
+        dofs = np.array([*before, *added])
+        parent = -1 if first else new_index[link.parent]
         links.append(replace(link, parent=parent, joints=joints, dofs=dofs))
-        places[old] = len(links) - 1
+        new_index[old] = len(links) - 1
     inside = [b in cut.bodies for b in range(len(whole.carrier))]
-    carrier = [places.get(int(c), -1) if own else -1
-               for c, own in zip(whole.carrier, inside, strict=True)]  # fmt: skip
+    carrier = [new_index.get(int(c), -1) if kept else -1
+               for c, kept in zip(whole.carrier, inside, strict=True)]  # fmt: skip
     tree = replace(whole, links=tuple(links), carrier=np.array(carrier, dtype=int))
     return FloatingSubtree(
         cut, tree, robot.rows + tuple(f"{cut.name}.free{k}" for k in range(6)), free
@@ -163,10 +166,11 @@ def floating_subtree(robot: RobotModel, cut: SensorCut) -> FloatingSubtree:
 
 
 def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) -> SensorCut:
-    """The cut of a sensor: one of the robot's manifest by name, or any fixed joint, site or body.
+    """Return the cut of a sensor: one of the robot's manifest by name, or any fixed joint, site or
+    body.
 
     `others`: sensors that end the sub-tree where they are downstream (None: those of the manifest).
-    A site cuts between its body and what carries that. Raises UsageError for an unknown name, and
+    A site cuts between its body and the parent. Raises UsageError for an unknown name, and
     ModelError or UnsupportedError where nothing can be cut there.
     """
     named = {entry.name: entry.at for entry in robot.manifest.sensors}
@@ -179,22 +183,24 @@ def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) 
             ends[end] = other
     bodies = _downstream(robot, body, set(ends))
     reached = {int(robot.mj.body_parentid[end + 1]) - 1 for end in ends} & set(bodies)
-    stops = [name for end, name in ends.items() if robot.mj.body_parentid[end + 1] - 1 in reached]
-    return SensorCut(sensor, at, body, R, p, bodies, tuple(stops))
+    last = [name for end, name in ends.items() if robot.mj.body_parentid[end + 1] - 1 in reached]
+    return SensorCut(
+        name=sensor, at=at, body=body, R=R, p=p, bodies=bodies, end_sensors=tuple(last)
+    )
 
 
 def sensor_names(text: str) -> list[str]:
-    """The sensors of a text: "left, right"."""
+    """Return the sensors of a list such as "left, right"."""
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def the_sensor(robot: RobotModel, sensor: str | None) -> str:
-    """The name asked for, or the only sensor of the robot's manifest; UnsupportedError with what
-    there is."""
+    """Return the given name, or the only sensor of the robot's manifest; raises UnsupportedError,
+    with the known sensors, for several or none."""
     if sensor is not None and len(sensor_names(sensor)) > 1:
         raise UnsupportedError(
-            f"{robot.name}: the sensors {sensor} each have a sub-tree of their own; take one at a "
-            "time, or the task 'robot', which takes several beside all joint torques."
+            f"{robot.name}: the sensors {sensor} each have a sub-tree of their own; use one at a "
+            "time, or the task 'robot', which takes several besides all joint torques."
         )
     if sensor is not None:
         return sensor
@@ -209,15 +215,15 @@ def the_sensor(robot: RobotModel, sensor: str | None) -> str:
 
 
 def last_body(robot: RobotModel, cut: SensorCut) -> int:
-    """The tool where it is behind the sensor, else the body with the most joints before it."""
+    """Return the tool body where it is distal to the sensor, else the body with the most joints."""
     if robot.tool_body in cut.bodies:
         return robot.tool_body
 
-    def joints_before(body: int) -> int:
+    def count_dofs(body: int) -> int:
         link = int(robot.tree.carrier[body])
         return 0 if link < 0 else len(robot.tree.links[link].dofs)
 
-    return max(cut.bodies, key=joints_before)
+    return max(cut.bodies, key=count_dofs)
 
 
 def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
@@ -242,15 +248,15 @@ def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
     moving |= {joint.name: "" for joint in robot.joints}
     if at in moving:
         raise UnsupportedError(
-            f"{robot.name}: {at!r} is a joint that moves; a sensor sits at a fixed joint, a site "
-            "or a body: name the body behind it."
+            f"{robot.name}: {at!r} is a moving joint; a sensor sits at a fixed joint, a site "
+            "or a body: name the body distal to it."
         )
     known = [*(s.name for s in robot.manifest.sensors), *fixed, *sites, *robot.body_names]
     raise unknown_name("sensor, fixed joint, site or body", at, known)
 
 
 def _urdf_joints(robot: RobotModel) -> tuple[dict[str, str], dict[str, str]]:
-    """Child link of every fixed and of every moving joint of a URDF by the joint's name."""
+    """Child links of the fixed and of the moving joints of a URDF, by joint name."""
     tables: tuple[dict[str, str], dict[str, str]] = ({}, {})
     if robot.format == "urdf" and robot.text:
         for joint in ET.fromstring(robot.text).iter("joint"):
@@ -262,12 +268,14 @@ def _urdf_joints(robot: RobotModel) -> tuple[dict[str, str], dict[str, str]]:
 
 def _body(robot: RobotModel, link: str) -> int:
     if link not in robot.body_names:
-        raise ModelError(f"{robot.name}: the link {link!r} behind the sensor is no body here.")
+        raise ModelError(
+            f"{robot.name}: the link {link!r} distal to the sensor is not a body of the robot."
+        )
     return robot.body_names.index(link)
 
 
 def _downstream(robot: RobotModel, body: int, ends: set[int]) -> tuple[int, ...]:
-    """The body and all that hangs on it, without what hangs on `ends`."""
+    """The body and its descendants, without `ends` and their descendants."""
     inside = {body}
     for b in range(body + 1, len(robot.body_names)):
         if int(robot.mj.body_parentid[b + 1]) - 1 in inside and b not in ends:

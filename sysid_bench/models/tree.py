@@ -1,7 +1,7 @@
-"""The kinematic tree of a compiled MuJoCo model as plain constants: no engine needed afterwards.
+"""The kinematic tree of a compiled MuJoCo model as plain constants: no engine is needed afterwards.
 
-A *link* is a body that has joints; bodies welded to it (or to the world) are its *riders*, with
-their constant pose folded into `X`. Conventions are MuJoCo's: several joints act in their order on
+A *link* is a body that has joints. Bodies welded to it (or to the world) act through it: their
+constant pose is part of `X`. Conventions are MuJoCo's: several joints act in their order on
 one body, each about its own anchor `jnt_pos`, with `q - qpos0`; a free joint has linear velocity in
 the world and angular velocity in the body.
 """
@@ -9,16 +9,14 @@ the world and angular velocity in the body.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+import mujoco
 import numpy as np
 
 from sysid_bench.spatial.inertia import transport
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array
-
-if TYPE_CHECKING:
-    import mujoco
 
 FREE: Final = 0
 BALL: Final = 1
@@ -41,7 +39,7 @@ class TreeJoint:
 
     @property
     def dofs(self) -> range:
-        """Its places in v."""
+        """Its indices in v."""
         return range(self.vadr, self.vadr + DOFS[self.kind])
 
 
@@ -60,8 +58,8 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Links in tree order; body b rides on link `carrier[b]` (-1: the world), and its parameters
-    act there as X[b] @ phi_b, X (nb, 10, 10). `gravity` (3,) in the world."""
+    """Links in tree order; body b is welded to link `carrier[b]` (-1: the world), where its
+    parameters act as X[b] @ phi_b, X (nb, 10, 10). `gravity` (3,) in the world."""
 
     links: tuple[Link, ...]
     carrier: Array
@@ -76,7 +74,7 @@ class Tree:
         return tuple(joint for link in self.links for joint in link.joints)
 
     def composite_links(self, phi: Array) -> Array:
-        """Parameters (n_links, 10) of each link with all its riders, from phi (nb, 10)."""
+        """Return phi (n_links, 10) of each link with all bodies welded to it, from phi (nb, 10)."""
         total = np.zeros((len(self.links), 10))
         for b, link in enumerate(self.carrier):
             if link >= 0:
@@ -87,10 +85,10 @@ class Tree:
 NOTHING: Final[Mapping[int, tuple[TreeJoint, ...]]] = MappingProxyType({})
 
 
-def tree_of(mj: "mujoco.MjModel", more: Mapping[int, tuple[TreeJoint, ...]] = NOTHING) -> Tree:
-    """The tree of a compiled model; body b here is MuJoCo's body b + 1 (the world is none).
+def tree_of(mj: mujoco.MjModel, more: Mapping[int, tuple[TreeJoint, ...]] = NOTHING) -> Tree:
+    """Return the tree of a compiled model; body b here is MuJoCo's body b + 1, after the world.
 
-    `more`: joints that body b has behind its own, at places in q and v behind the model's.
+    `more`: further joints of body b after its own; their addresses in q and v follow the model's.
     """
     links: list[Link] = []
     carrier: list[int] = [-1]
@@ -108,10 +106,10 @@ def tree_of(mj: "mujoco.MjModel", more: Mapping[int, tuple[TreeJoint, ...]] = NO
             pose.append((R0, p0))
             X.append(transport(R0, p0))
             continue
-        own = [dof for joint in joints for dof in joint.dofs]
+        new = [dof for joint in joints for dof in joint.dofs]
         before = links[carrier[p]].dofs if carrier[p] >= 0 else np.zeros(0, dtype=int)
         links.append(
-            Link(b - 1, carrier[p], R0, p0, joints, np.concatenate([before, own]).astype(int))
+            Link(b - 1, carrier[p], R0, p0, joints, np.concatenate([before, new]).astype(int))
         )
         carrier.append(len(links) - 1)
         pose.append((np.eye(3), np.zeros(3)))
@@ -123,16 +121,14 @@ def tree_of(mj: "mujoco.MjModel", more: Mapping[int, tuple[TreeJoint, ...]] = NO
     return Tree(tuple(links), np.array(carrier[1:], dtype=int), stacked, gravity_of(mj), nq, nv)
 
 
-def gravity_of(mj: "mujoco.MjModel") -> Array:
-    """Gravity (3,) in the world; zero where the model's flag disables it."""
-    import mujoco
-
+def gravity_of(mj: mujoco.MjModel) -> Array:
+    """Return gravity (3,) in the world, m/s^2; zero where a flag of the model disables it."""
     off = mj.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     return np.zeros(3) if off else np.array(mj.opt.gravity)
 
 
-def _joint(mj: "mujoco.MjModel", j: int) -> TreeJoint:
-    # int(): MuJoCo's enums do not compare equal to numpy integers from this side.
+def _joint(mj: mujoco.MjModel, j: int) -> TreeJoint:
+    # int(): `numpy integer == MuJoCo enum` is False even where the values agree.
     kind = int(mj.jnt_type[j])
     qadr = int(mj.jnt_qposadr[j])
     moves_by_scalar = kind in (SLIDE, HINGE)

@@ -1,10 +1,11 @@
-"""What a robot looks like, for pictures alone: shapes of URDF links and MuJoCo geoms."""
+"""Visual shapes of URDF links and MuJoCo geoms, for pictures alone."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+import mujoco
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
@@ -16,16 +17,17 @@ _MESHES: Final = (".stl", ".obj", ".glb", ".gltf", ".dae")
 _GEOMS: Final[dict[int, tuple[ShapeKind, int]]] = {
     2: ("sphere", 1), 3: ("capsule", 2), 4: ("ellipsoid", 3), 5: ("cylinder", 2), 6: ("box", 3)
 }  # fmt: skip
-"""MuJoCo's geom types, and how many of its sizes count."""
+"""MuJoCo's geom types, and the number of sizes that each uses."""
 
 
 def shapes_of(robot: RobotModel) -> tuple[Shape, ...]:
-    """Shapes of the bodies of a robot; none where its file shows none that can be read."""
+    """Return the shapes of the bodies of a robot; empty where its file has none that can be
+    read."""
     if robot.format == "mjcf":
         return tuple(_geoms(robot))
     bodies = {name: i for i, name in enumerate(robot.body_names)}
     root = parse_xml(robot.manifest.path.read_bytes(), robot.manifest.path.name)
-    for tag in ("collision", "visual"):  # collision shapes are small, and meant to be simple
+    for tag in ("collision", "visual"):  # collision shapes come first: their files are small
         shapes = [
             shape
             for link in root.findall("link")
@@ -39,9 +41,8 @@ def shapes_of(robot: RobotModel) -> tuple[Shape, ...]:
 
 
 def body_poses(robot: RobotModel, q: Array) -> tuple[Array, Array]:
-    """Positions (N, nb, 3) and quaternions (N, nb, 4), w first, of every body in the world."""
-    import mujoco
-
+    """Return positions (N, nb, 3) in m and quaternions (N, nb, 4), w first, of all bodies in the
+    world, at q (N, nq)."""
     data = mujoco.MjData(robot.mj)
     positions = np.empty((len(q), len(robot.body_names), 3))
     quaternions = np.empty((len(q), len(robot.body_names), 4))
@@ -85,22 +86,23 @@ def _shape(element: ET.Element, body: int, model: Path) -> Iterator[Shape]:
                 size = (float(kind.get("radius", 0)), 0.5 * float(kind.get("length", 0)))
                 shape: ShapeKind = "cylinder" if kind.tag == "cylinder" else "capsule"
                 yield Shape(body, shape, size, position, quaternion)
-    except ValueError:  # a broken shape is no reason to lose a recording
+    except ValueError:  # a picture without this shape is better than none
         return
 
 
 def _mesh(written: str, model: Path) -> Path | None:
-    """The file behind package://NAME/..., file://... or a relative path, if it is there."""
+    """The file of package://NAME/..., file://... or a relative path; None where it does not
+    exist."""
     if not written.lower().endswith(_MESHES):
         return None
     if written.startswith("package://"):
         rest = Path(written.removeprefix("package://"))
-        places = [
+        candidates = [
             parent / part for parent in model.parents for part in (rest, Path(*rest.parts[1:]))
         ]
     else:
-        places = [model.parent / written.removeprefix("file://")]
-    return next((place for place in places if place.is_file()), None)
+        candidates = [model.parent / written.removeprefix("file://")]
+    return next((file for file in candidates if file.is_file()), None)
 
 
 def _numbers(element: ET.Element | None, key: str, count: int, default: float = 0.0) -> Array:
@@ -112,7 +114,7 @@ def _numbers(element: ET.Element | None, key: str, count: int, default: float = 
 
 
 def _quaternion_of_rpy(rpy: Array) -> Array:
-    """Fixed-axis roll, pitch, yaw as URDF means them."""
+    """Quaternion (4,) of roll, pitch, yaw about fixed axes, as in URDF."""
     total = np.array([1.0, 0.0, 0.0, 0.0])
     for axis, angle in enumerate(rpy):
         turn = np.zeros(4)

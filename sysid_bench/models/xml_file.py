@@ -1,4 +1,4 @@
-"""The XML of a model as elements: no entities, no namespaces, no depth that breaks a reader."""
+"""XML of model files as elements: entities, huge files and deep nesting are refused."""
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -8,28 +8,29 @@ from xml.parsers import expat
 from sysid_bench.errors import ModelError
 
 LARGEST_FILE: Final = 64 * 2**20
-"""Bytes; a model text beyond it is a mistake."""
+"""Bytes; a larger model text is a mistake."""
 
 DEEPEST: Final = 400
-"""Nested elements; MuJoCo stops at 500, Python's recursion at 1000."""
+"""Levels of nested elements; MuJoCo stops at 500, Python's recursion at 1000."""
 
 
-def read_bytes(path: Path) -> bytes:
-    """The bytes of a model's text; raises ModelError for a file that no robot has."""
+def read_file(path: Path) -> bytes:
+    """Return the bytes of a model file; raises ModelError for a file larger than `LARGEST_FILE`."""
     if path.stat().st_size > LARGEST_FILE:
         raise ModelError(
-            f"{path.name} has {path.stat().st_size} bytes; no robot text is that long."
+            f"{path.name} has {path.stat().st_size} bytes; {LARGEST_FILE} are allowed at most."
         )
     return path.read_bytes()
 
 
 def parse_xml(text: str | bytes, name: str) -> ET.Element:
-    """The root element; DOCTYPE and entities are refused, since they can explode or read files.
+    """Return the root element of an XML text; raises ModelError with the file's `name`.
 
-    Names keep their prefixes as they are written, declared or not, as both engines read them.
+    DOCTYPE and entities are refused, since they can grow without bound or read files. Prefixes of
+    names stay as written, declared or not, as both engines read them.
     """
     data = text.encode() if isinstance(text, str) else text
-    letters = data.replace(b"\0", b"")  # the same letters in UTF-16 and UTF-32
+    letters = data.replace(b"\0", b"")  # finds the words in UTF-16 and UTF-32, too
     if b"<!DOCTYPE" in letters or b"<!ENTITY" in letters:
         raise ModelError(
             f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
@@ -43,7 +44,7 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
         parser.Parse(data, True)
         root = builder.close()
     except (expat.ExpatError, ValueError, LookupError) as error:
-        raise ModelError(f"{name} is no well-formed XML: {error}.") from error
+        raise ModelError(f"{name} is not well-formed XML: {error}.") from error
     _check_depth(root, name)
     return root
 
@@ -54,4 +55,4 @@ def _check_depth(root: ET.Element, name: str) -> None:
         level = [child for element in level for child in element]
         if not level:
             return
-    raise ModelError(f"{name} nests elements more than {DEEPEST} deep; no robot is like that.")
+    raise ModelError(f"{name} nests elements more than {DEEPEST} levels deep; simplify the file.")

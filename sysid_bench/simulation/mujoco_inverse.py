@@ -6,7 +6,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.models.checks.mujoco_warnings import captured_warnings
+from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.plant import contact_free_flags
 from sysid_bench.types import Array, Trajectory
@@ -16,7 +16,7 @@ _BIT: Final = mujoco.mjtDisableBit
 
 def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
     """Return M a + bias (N, nv) by `mj_inverse`, without passive and constraint forces."""
-    with captured_warnings():
+    with recorded_warnings():
         mj = contact_free_flags(robot.spec.copy().compile())
     # Passive forces are disabled, not subtracted: the damping of 1e11 that some models use to fix a
     # joint would cancel all digits.
@@ -48,7 +48,7 @@ def constrained_torque(robot: RobotModel, motion: Trajectory) -> ConstrainedTorq
     """
     coupling = robot.coupling
     assert coupling is not None
-    with captured_warnings():
+    with recorded_warnings():
         mj = contact_free_flags(robot.spec.copy().compile())
     mj.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
     mj.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)

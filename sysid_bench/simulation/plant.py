@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import EstimationError, SimulationError
-from sysid_bench.models.checks.mujoco_warnings import captured_warnings
+from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.robot import JointTerms, RobotModel
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array
@@ -50,7 +50,7 @@ class Plant:
         if self.phi is not None:
             for body in spec.bodies:
                 body.simple = 0  # MuJoCo assumes that the centre of mass of a simple body is fixed
-        with captured_warnings():
+        with recorded_warnings():
             mj = contact_free_flags(spec.compile())
         if self.phi is not None:
             set_inertias(mj, self.phi)

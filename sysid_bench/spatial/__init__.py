@@ -1,0 +1,1 @@
+"""Spatial algebra: inertial parameters of rigid bodies, quaternions and rotation matrices."""

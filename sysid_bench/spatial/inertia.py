@@ -1,8 +1,8 @@
-"""Inertia of one rigid body: phi (10,) about a frame's origin, in its axes.
+"""Inertial parameters of a rigid body: phi (10,) about the origin of a frame, in its axes.
 
 phi = [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] with h = m c and I about the origin. The
 pseudo-inertia J = [[tr(I)/2 1 - I, h], [h', m]] (Wensing, Kim, Slotine 2018, eq. 12) is linear in
-phi, and a body can exist iff J is positive semidefinite.
+phi, and a body is physically possible iff J is positive semidefinite.
 """
 
 import numpy as np
@@ -14,12 +14,12 @@ _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def six_of_matrix(matrix: Array) -> Array:
-    """Ixx Ixy Ixz Iyy Iyz Izz (..., 6) of a symmetric matrix (..., 3, 3)."""
+    """Return Ixx Ixy Ixz Iyy Iyz Izz (..., 6) of a symmetric matrix (..., 3, 3)."""
     return np.stack([matrix[..., i, j] for i, j in _PAIRS], axis=-1)
 
 
 def matrix_of_six(six: Array) -> Array:
-    """The symmetric matrix (..., 3, 3) of Ixx Ixy Ixz Iyy Iyz Izz (..., 6)."""
+    """Return the symmetric matrix (..., 3, 3) of Ixx Ixy Ixz Iyy Iyz Izz (..., 6)."""
     matrix = np.zeros((*six.shape[:-1], 3, 3), dtype=six.dtype)
     for k, (i, j) in enumerate(_PAIRS):
         matrix[..., i, j] = matrix[..., j, i] = six[..., k]
@@ -27,21 +27,26 @@ def matrix_of_six(six: Array) -> Array:
 
 
 def phi_of(mass: float, com: Array, inertia: Array) -> Array:
-    """phi (10,) of a mass (kg), centre of mass (3,) (m) and inertia (3, 3) about it (kg m^2)."""
+    """Return phi (10,) of a mass (kg), centre of mass c (3,) (m) and inertia (3, 3) about it (kg
+    m^2).
+
+    Steiner: I = I_c + m (c'c 1 - c c') about the origin.
+    """
     com = np.asarray(com, dtype=float)
     about_origin = inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))
     return np.concatenate([[mass], mass * com, six_of_matrix(about_origin)])
 
 
 def mass_com_inertia(phi: Array) -> tuple[float, Array, Array]:
-    """Mass, centre of mass (3,), inertia (3, 3) about it; the com of a massless body is zero."""
+    """Return mass (kg), centre of mass (3,) and inertia (3, 3) about it; the com of a massless body
+    is zero."""
     mass, h = float(phi[0]), phi[1:4]
     com = h / mass if mass != 0.0 else np.zeros(3)
     return mass, com, matrix_of_six(phi[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com))
 
 
 def pseudo_inertia(phi: Array) -> Array:
-    """J (..., 4, 4) of phi (..., 10)."""
+    """Return J (..., 4, 4) of phi (..., 10)."""
     inertia = matrix_of_six(phi[..., 4:])
     J = np.zeros((*phi.shape[:-1], 4, 4), dtype=phi.dtype)
     trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
@@ -52,7 +57,7 @@ def pseudo_inertia(phi: Array) -> Array:
 
 
 def phi_of_pseudo_inertia(J: Array) -> Array:
-    """phi (..., 10) of J (..., 4, 4)."""
+    """Return phi (..., 10) of J (..., 4, 4)."""
     second = J[..., :3, :3]
     trace = np.trace(second, axis1=-2, axis2=-1)[..., None, None]
     inertia = trace * np.eye(3) - second
@@ -60,12 +65,16 @@ def phi_of_pseudo_inertia(J: Array) -> Array:
 
 
 def transport(R_ab: Array, p_ab: Array) -> Array:
-    """X (10, 10) with phi_a = X phi_b, for frame b at p_ab (3,) with axes R_ab (3, 3) in a."""
+    """Return X (10, 10) with phi_a = X phi_b, for frame b at p_ab (3,) with axes R_ab (3, 3) in a.
+
+    The pseudo-inertia transforms as J_a = H J_b H' with the homogeneous matrix H.
+    """
     H = np.eye(4)
     H[:3, :3], H[:3, 3] = R_ab, p_ab
     return phi_of_pseudo_inertia(H @ pseudo_inertia(np.eye(10)) @ H.T).T
 
 
 def smallest_eigenvalue(phi: Array) -> Array:
-    """The smallest eigenvalue (...) of the pseudo-inertia of phi (..., 10); >= 0: it can exist."""
+    """Return the smallest eigenvalue (...) of the pseudo-inertia of phi (..., 10); a body is
+    physically possible iff it is >= 0."""
     return np.linalg.eigvalsh(pseudo_inertia(phi))[..., 0]

@@ -6,7 +6,7 @@ from sysid_bench.types import Array
 
 
 def skew(x: Array) -> Array:
-    """[x]_x (..., 3, 3) with [x]_x y = x × y."""
+    """Return [x]_x (..., 3, 3) with [x]_x y = x × y."""
     out = np.zeros((*x.shape, 3))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         out[..., k, j] = x[..., i]
@@ -15,7 +15,7 @@ def skew(x: Array) -> Array:
 
 
 def matrix_of_quaternion(quaternion: Array) -> Array:
-    """R (..., 3, 3) of a quaternion (..., 4), which is normalised first."""
+    """Return R (..., 3, 3) of a quaternion (..., 4), which is normalised first."""
     w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -26,7 +26,7 @@ def matrix_of_quaternion(quaternion: Array) -> Array:
 
 
 def quaternion_of_matrix(R: Array) -> Array:
-    """A unit quaternion (4,) of one rotation matrix (3, 3), w >= 0 (Shepperd 1978)."""
+    """Return a unit quaternion (4,) of one rotation matrix (3, 3), w >= 0 (Shepperd 1978)."""
     squares = np.array([np.trace(R), *np.diag(R)])
     largest = int(np.argmax(squares))
     q = np.empty(4)
@@ -39,11 +39,12 @@ def quaternion_of_matrix(R: Array) -> Array:
         q[0] = R[k, j] - R[j, k]
         q[1 + i] = 1 + R[i, i] - R[j, j] - R[k, k]
         q[1 + j], q[1 + k] = R[j, i] + R[i, j], R[k, i] + R[i, k]
-    return q / np.linalg.norm(q) * (1.0 if q[0] >= 0 else -1.0)
+    unit: Array = q / np.linalg.norm(q) * (1.0 if q[0] >= 0 else -1.0)
+    return unit
 
 
 def product(left: Array, right: Array) -> Array:
-    """Quaternion product (..., 4): first `right`, then `left`."""
+    """Return the quaternion product (..., 4): the rotation `right`, then `left`."""
     a, b, c, d = np.moveaxis(left, -1, 0)
     w, x, y, z = np.moveaxis(right, -1, 0)
     parts = [
@@ -56,12 +57,13 @@ def product(left: Array, right: Array) -> Array:
 
 
 def conjugate(quaternion: Array) -> Array:
-    """The inverse rotation (..., 4) of a unit quaternion."""
-    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+    """Return the inverse rotation (..., 4) of a unit quaternion."""
+    inverse: Array = quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+    return inverse
 
 
 def quaternion_of_vector(rotation_vector: Array) -> Array:
-    """exp of a rotation vector (..., 3) as a unit quaternion (..., 4)."""
+    """Return exp of a rotation vector (..., 3) as a unit quaternion (..., 4)."""
     angle = np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
     # np.sinc is sin(pi x)/(pi x): smooth at zero, where a plain quotient is 0/0.
     half = 0.5 * np.sinc(angle / (2 * np.pi)) * rotation_vector
@@ -69,7 +71,7 @@ def quaternion_of_vector(rotation_vector: Array) -> Array:
 
 
 def body_rates(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array]:
-    """Angular velocity and acceleration in the body frame (..., 3) of R = exp([r]_x).
+    """Return angular velocity and acceleration in the body frame (..., 3) of R = exp([r]_x).
 
     w = J dr with the right Jacobian J = 1 - c1 [r]_x + c2 [r]_x^2 of SO(3) (Chirikjian 2012,
     eq. 10.86), c1 = (1 - cos|r|)/|r|^2, c2 = (|r| - sin|r|)/|r|^3; its time derivative by the
@@ -81,14 +83,13 @@ def body_rates(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array]:
     r_r_dr = np.cross(r, r_dr)
     w = dr - c1 * r_dr + c2 * r_r_dr
     change = -d1 * rdot * r_dr + d2 * rdot * r_r_dr
-    change = change + c2 * (
-        np.cross(dr, r_dr)
-    )  # the product rule's other terms vanish: dr × dr = 0
+    change = change + c2 * np.cross(dr, r_dr)  # other terms of the product rule: dr × dr = 0
     return w, ddr - c1 * r_ddr + c2 * np.cross(r, r_ddr) + change
 
 
 def _jacobian_series(angle: Array) -> tuple[Array, Array, Array, Array]:
-    """c1, c2 and their derivatives by |r|^2, times 2, so that dc/dt = d * (r . dr)."""
+    """c1, c2 and twice their derivatives by |r|^2, so that dc/dt = d * (r . dr)."""
+    # Taylor series below 0.05 rad, where the closed forms lose digits by cancellation.
     small = angle < 0.05
     x = np.where(small, 1.0, angle)
     s, c, x2 = np.sin(x), np.cos(x), x * x

@@ -28,7 +28,7 @@ def basis(
         expression,
         near_degenerate,
     )
-    from sysid_bench.identifiability.base_map import base_map
+    from sysid_bench.identifiability.base_map import base_map, dropped_torque
     from sysid_bench.identifiability.structural import structural_factor
     from sysid_bench.identifiability.verdicts import verdicts
     from sysid_bench.models.load import load_robot
@@ -56,6 +56,7 @@ def basis(
         "inertial": sum(name in inertial for name in base.names),
         "gap": base.gap,
         "near_degenerate": base.near_degenerate,
+        "dropped_torque": dropped_torque(base, asked.truth.theta),
         "near_degenerate_directions": [
             {"singular_value": value, "expression": expression(parts, 2), "terms": parts}
             for value, parts in near_degenerate(R, base)
@@ -84,6 +85,9 @@ def summary(answer: dict[str, Any]) -> list[str]:
         f"  near-degenerate ({entry['singular_value']:.1e} of the largest): {entry['expression']}"
         for entry in answer["near_degenerate_directions"]
     ]
+    if answer["near_degenerate"]:
+        share = answer["dropped_torque"]
+        lines.append(f"  these carry {share:.1e} of the torque, which no estimate predicts")
     for verdict, words in _WORDS.items():
         names = [name for name, own in answer["verdicts"].items() if own == verdict]
         if names:

@@ -24,7 +24,7 @@ from .conftest import Run, one_sentence
 
 BASIS = {
     "robot", "task", "terms", "parameters", "base_parameters", "inertial", "gap",
-    "near_degenerate", "combinations", "verdicts",
+    "near_degenerate", "dropped_torque", "combinations", "verdicts",
 }  # fmt: skip
 ANSWER = {
     "model", "task", "estimator", "rank", "parameters", "condition", "rmse_train", "rmse_test",

@@ -136,9 +136,9 @@ def test_a_motion_closes_alike_at_once_and_sample_by_sample() -> None:
     assert robot.coupling is not None
     (group,) = robot.coupling.groups
     turns = np.linspace(-3.0, 3.0, 2000)[:, None]
-    together, good = group.is_closed(turns)
+    together, good = group.motion_closure(turns)
     assert good.all()
-    apart, _ = group.is_closed(turns[::97][np.random.default_rng(0).permutation(21)])
+    apart, _ = group.motion_closure(turns[::97][np.random.default_rng(0).permutation(21)])
     order = np.argsort(apart[:, group.independent[0]])
     np.testing.assert_allclose(apart[order], together[::97], atol=1e-9)
 
@@ -147,7 +147,7 @@ def test_loops_through_balls_and_spatial_tendons_are_refused_with_advice() -> No
     ball = '<body name="rod" pos="0 0 0.2"><joint name="rod" type="ball"/>'
     body = hinge("a", "0 0 0", ball + '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>')
     loop = '<connect body1="rod" body2="b" anchor="0 0 0.1"/>'
-    with pytest.raises(ModelError, match=r"passes 'rod', a ball.*couplings = false"):
+    with pytest.raises(ModelError, match=r"contains 'rod', a ball.*couplings = false"):
         robot_of(mjcf(body + hinge("b", "0.3 0 0"), loop))
     sites = PAIR.replace("<inertial", '<site name="s"/><inertial', 1)
     sites = sites[::-1].replace("<inertial"[::-1], '<site name="t"/><inertial'[::-1], 1)[::-1]
@@ -165,7 +165,7 @@ def test_what_couples_nothing_is_left_out() -> None:
     assert robot.coupling is None
     (told,) = (text for text in robot.repairs if "left out" in text)
     assert "mocap" in told
-    with pytest.raises(ModelError, match=r"hold every joint.*couplings = false"):
+    with pytest.raises(ModelError, match=r"fix all joints.*couplings = false"):
         robot_of(mjcf(PAIR, '<joint joint1="a"/><joint joint1="b"/>'))
 
 
@@ -230,7 +230,7 @@ def test_a_mimic_of_nothing_moves_on_its_own_and_is_told(target: str) -> None:
     robot = robot_of(urdf("", f'<mimic joint="{target}"/>'))
     assert robot.coupling is None
     (told,) = (text for text in robot.repairs if "mimic" in text)
-    assert "'j2' moves on its own" in told
+    assert "'j2' treated as independent" in told
     assert f"{target!r}" in told
 
 

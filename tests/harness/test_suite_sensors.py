@@ -33,7 +33,7 @@ def test_an_unknown_place_is_told_with_its_line_and_the_nearest_name() -> None:
         read('["ur5", "z1"]', "wirst")
     with pytest.raises(UsageError, match=r"'l_wrst_1'\. Did you mean 'l_wrist_1'"):
         read('"icub"', "l_arm, l_wrst_1")
-    with pytest.raises(UsageError, match="a joint that moves"):
+    with pytest.raises(UsageError, match="a moving joint"):
         read('"z1"', "joint3")
 
 

@@ -95,6 +95,8 @@ def test_slopes_are_those_of_the_divergence() -> None:
         size = 1e-6 * max(abs(theta[j]), 1e-4)
         step = size * (np.arange(len(theta)) == j)
         rise = (prior.divergence(theta + step) - prior.divergence(theta - step)) / (2 * size)
-        bend = (prior.derivatives(theta + step)[0] - prior.derivatives(theta - step)[0]) / (2 * size)
+        bend = (prior.derivatives(theta + step)[0] - prior.derivatives(theta - step)[0]) / (
+            2 * size
+        )
         assert rise == pytest.approx(gradient[j], rel=1e-4, abs=1e-4 * np.abs(gradient).max())
         np.testing.assert_allclose(bend, hessian[j], atol=1e-4 * np.abs(hessian[j]).max())

@@ -57,7 +57,7 @@ def _with_swapped_tags(text: str, draw: random.Random) -> str:
 
 
 def survives_or_says_why(text: str, suffix: str, folder: Path) -> bool:
-    """Whether it loads; a refusal must be one sentence or two on one line, in words."""
+    """True where the file loads; a refusal must be one sentence or two on one line, in words."""
     file = folder / f"damaged{suffix}"
     file.write_text(text, encoding="utf-8")
     try:

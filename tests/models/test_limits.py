@@ -36,7 +36,7 @@ def check_limits(robot: RobotModel) -> None:
 
 
 def check_states(robot: RobotModel) -> None:
-    """Of joints on their own: what follows others goes where these put it."""
+    """Limits hold for independent joints; dependent ones go where these put them."""
     motion = states(robot.uncoupled, 50)
     for joint in robot.joints:
         at = joint.qadr

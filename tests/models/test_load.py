@@ -1,4 +1,4 @@
-"""What loading makes of a file: names, floating bases, the truth in MuJoCo's own model."""
+"""Loading of a file: names, floating bases, true parameters as in MuJoCo's own model."""
 
 import mujoco
 import numpy as np
@@ -8,7 +8,7 @@ from sysid_bench.errors import ModelError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.plant import contact_free_flags
-from sysid_bench.spatial.inertia import smallest_eigenvalue
+from sysid_bench.spatial.inertia import matrix_of_six, smallest_eigenvalue
 from tests.robots import NAMED, named_robot, random_robot, robot_of, states
 
 EVERY = [*NAMED, *range(8)]
@@ -35,7 +35,6 @@ def test_every_body_can_exist(robot: RobotModel) -> None:
 
 def test_kinetic_energy_is_that_of_the_ten_numbers(robot: RobotModel) -> None:
     """v' M v / 2 from MuJoCo equals the sum over bodies of m v²/2 + w'(h × v) + w' I w / 2."""
-    from sysid_bench.spatial.inertia import matrix_of_six
 
     mj = contact_free_flags(robot.spec.copy().compile())
     data = mujoco.MjData(mj)

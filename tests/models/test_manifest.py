@@ -96,8 +96,8 @@ def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
         ('name = "r"\nfile = ""', "file"),
         ('name = "r"\nfile = "example-robot-data:absent.urdf"', "absent.urdf"),
         ('name = "r"\nfile = "robot_descriptions:no_such_robot"', "no_such_robot"),
-        ("name = ", "no TOML"),
-        ("name = 1\nname = 2", "no TOML"),
+        ("name = ", "not valid TOML"),
+        ("name = 1\nname = 2", "not valid TOML"),
     ],
 )
 def test_a_manifest_without_a_robot_is_refused(text: str, word: str, tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_a_manifest_without_a_robot_is_refused(text: str, word: str, tmp_path: P
 def test_a_manifest_that_is_no_text_is_refused(tmp_path: Path) -> None:
     file = manifest_file(tmp_path, "")
     file.write_bytes(b"\xff\xfe\x00name")
-    with pytest.raises(ModelError, match="no TOML"):
+    with pytest.raises(ModelError, match="not valid TOML"):
         read_manifest(file)
 
 

@@ -238,7 +238,7 @@ def test_a_mesh_outside_of_the_folder_is_not_read(place: str, tmp_path: Path) ->
     file = tmp_path / "model" / "r.xml"
     file.write_text(MESHED.replace("corner.stl", f"../{place}".format(tmp_path).removeprefix(
         "../" if place.startswith("{") else "")))  # fmt: skip
-    with pytest.raises(ModelError, match="outside of the model's folder"):
+    with pytest.raises(ModelError, match="outside the model's folder"):
         load_robot(file)
 
 

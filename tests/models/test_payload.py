@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,7 +18,15 @@ from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.spatial.inertia import mass_com_inertia, matrix_of_six, smallest_eigenvalue
 from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Array
-from tests.robots import NAMED, named_robot, random_mjcf, random_rotation, robot_of, states
+from tests.robots import (
+    NAMED,
+    cloud_phi,
+    named_robot,
+    random_mjcf,
+    random_rotation,
+    robot_of,
+    states,
+)
 
 LOADS = [name for name in PAYLOADS if name != "none"]
 LENGTHS = st.floats(1e-3, 10)
@@ -75,9 +84,9 @@ def test_no_solid_is_refused_with_what_was_written(text: str) -> None:
 
 WRONG: list[tuple[Any, str]] = [
     ("sphere-2kg", "Did you mean 'sphere-1kg'?"),
-    (5, "5 is no payload"),
-    (None, "None is no payload"),
-    ([1.0], "[1.0] is no payload"),
+    (5, "5 is not a payload"),
+    (None, "None is not a payload"),
+    ([1.0], "[1.0] is not a payload"),
     ({}, "mass"),
     ({"mass": 1, "comm": [0, 0, 0]}, "Did you mean 'com'?"),
     ({1: 2}, "'1'"),
@@ -95,8 +104,8 @@ WRONG: list[tuple[Any, str]] = [
     ({"mass": 1, "inertia": 5}, "6 number"),
     ({"mass": 1, "inertia": [1, 0, 0, 1, 0, math.inf]}, "finite"),
     ({"mass": 1, "inertia": [1, 0, 0, 1, 0, 2.1]}, "triangle inequality"),
-    ({"mass": 1, "inertia": [1, 2, 0, 1, 0, 1]}, "cannot exist"),
-    ({"mass": 1, "inertia": [-1, 0, 0, -1, 0, -1]}, "cannot exist"),
+    ({"mass": 1, "inertia": [1, 2, 0, 1, 0, 1]}, "physically impossible"),
+    ({"mass": 1, "inertia": [-1, 0, 0, -1, 0, -1]}, "physically impossible"),
 ]
 
 
@@ -156,8 +165,6 @@ def check_composite(bare: RobotModel, loaded: RobotModel, payload: Payload) -> N
 
 def tool_pose(bare: RobotModel, loaded: RobotModel) -> tuple[Array, Array]:
     """Pose of the tool frame in its body, from the site's own pose where the tool is a site."""
-    import mujoco
-
     data = mujoco.MjData(bare.mj)
     mujoco.mj_kinematics(bare.mj, data)
     names = [bare.mj.site(i).name for i in range(bare.mj.nsite)]
@@ -180,10 +187,6 @@ def cloud(payload: Payload) -> tuple[Array, Array]:
 
 def in_carrier(bare: RobotModel, masses: Array, points: Array) -> Array:
     """Ten numbers, in the link's frame, of point masses given in the frame of the tool's body."""
-    import mujoco
-
-    from tests.robots import cloud_phi
-
     data = mujoco.MjData(bare.mj)
     mujoco.mj_kinematics(bare.mj, data)
     link = bare.tree.links[int(bare.tree.carrier[bare.tool_body])].body + 1

@@ -114,7 +114,7 @@ def test_a_description_that_cannot_be_fetched_is_one_sentence(
         (tmp_path / "robot_descriptions" / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "robot_descriptions", raising=False)
-    for name, words in (("far", "could not be fetched.*internet"), ("hand", "neither a URDF")):
+    for name, words in (("far", "could not be downloaded.*internet"), ("hand", "neither a URDF")):
         with pytest.raises(ModelError, match=words) as refusal:
             find_manifest(f"robot_descriptions:{name}_description")
         assert "\n" not in str(refusal.value)

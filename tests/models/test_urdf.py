@@ -100,12 +100,12 @@ def test_a_good_file_needs_no_repair() -> None:
 
 
 BROKEN = {
-    "no XML": ("<robot>", "no well-formed XML"),
-    "empty": ("", "no well-formed XML"),
+    "no XML": ("<robot>", "not well-formed XML"),
+    "empty": ("", "not well-formed XML"),
     "not a robot": ("<model/>", "its root element is <model>"),
     "doctype": ('<!DOCTYPE x [<!ENTITY y "z">]>' + GOOD, "DOCTYPE"),
     "no links": (robot(), "no <link>"),
-    "a joint alone": (robot(joint("j", "a", "b")), "'a', which is no link"),
+    "a joint alone": (robot(joint("j", "a", "b")), "'a', which is not one of its links"),
     "link without name": (robot("<link/>", link("b")), "<link> has no name"),
     "two links of a name": (robot(link("a"), link("a")), "2 <link> elements are called 'a'"),
     "two joints of a name": (
@@ -126,8 +126,11 @@ BROKEN = {
         "b, c form a cycle apart from 'a'",
     ),
     "own parent": (robot(link("a"), link("b"), joint("j", "b", "b")), "cycle"),
-    "missing parent": (robot(link("b"), joint("j", "x", "b")), "'x', which is no link"),
-    "missing child": (robot(link("a"), joint("j", "a", "x")), "'x', which is no link"),
+    "missing parent": (
+        robot(link("b"), joint("j", "x", "b")),
+        "'x', which is not one of its links",
+    ),
+    "missing child": (robot(link("a"), joint("j", "a", "x")), "'x', which is not one of its links"),
     "no child": (GOOD.replace('<child link="b"/>', ""), "child of joint 'j' is None"),
     "negative mass": (GOOD.replace('value="1"', 'value="-1"', 1), "negative mass -1.0"),
     "NaN mass": (GOOD.replace('value="1"', 'value="nan"', 1), "'nan'"),
@@ -175,7 +178,7 @@ def test_an_impossible_inertia_is_made_possible_and_told(inertia: str) -> None:
     text = robot(link("a"), link("b", inertia=inertia), joint("j", "a", "b"))
     urdf = canonical_urdf(text, "r.urdf")
     (words,) = urdf.repairs
-    assert "inertia of link 'b' made possible" in words
+    assert "inertia of link 'b' made physically possible" in words
     moments = np.linalg.eigvalsh(body_inertia(urdf.text, "b"))
     assert moments[0] > 0
     assert moments[0] + moments[1] >= moments[2]

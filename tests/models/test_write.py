@@ -13,7 +13,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.mjcf_writer import updated_mjcf
 from sysid_bench.models.writing.update import JOINT_KEYS
 from sysid_bench.models.writing.urdf_writer import updated_urdf
-from sysid_bench.models.writing.xml_text import elements_of
+from sysid_bench.models.writing.xml_text import element_tree
 from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
 from sysid_bench.types import Array
 from tests.robots import random_mjcf, random_phi, random_rotation, urdf_files
@@ -165,9 +165,7 @@ def test_every_kind_of_body_is_written(mjcf: Path, name: str) -> None:
 def test_a_body_that_had_shapes_alone_keeps_them(mjcf: Path) -> None:
     text = updated_mjcf(mjcf, {"base": PHI})
     (root,) = [
-        e
-        for e in elements_of(text.encode(), "x").descendants()
-        if e.attributes.get("name") == "base"
+        e for e in element_tree(text.encode(), "x").subtree() if e.attributes.get("name") == "base"
     ]
     assert [child.tag for child in root.children][:2] == ["inertial", "geom"]
 
@@ -265,7 +263,7 @@ def test_wrong_words_are_usage(mjcf: Path) -> None:
 
 
 def test_the_other_format_is_refused(mjcf: Path, urdf: Path) -> None:
-    with pytest.raises(ModelError, match="no MJCF"):
+    with pytest.raises(ModelError, match="not an MJCF"):
         updated_mjcf(urdf, {})
     with pytest.raises(ModelError, match="no URDF"):
         updated_urdf(mjcf, {})
@@ -301,7 +299,7 @@ def test_copies_are_refused(tmp_path: Path) -> None:
         '<mujoco><worldbody><replicate count="2" offset="1 0 0"><body name="arm"><joint/>'
         '<geom size=".1"/></body></replicate></worldbody></mujoco>'
     )
-    with pytest.raises(ModelError, match="<replicate> makes it"):
+    with pytest.raises(ModelError, match="<replicate> creates it"):
         updated_mjcf(path, {load_robot(path).body_names[0]: PHI})
 
 
@@ -321,7 +319,7 @@ def test_a_joint_is_written_without_what_its_actuators_add(tmp_path: Path, seed:
     own = {key: float(rng.random()) for key in added}
     total = {key: own[key] + added[key] for key in added}
     text = updated_mjcf(path, {}, {"ja": total, "jb": own})
-    elements = elements_of(text.encode(), "").descendants()
+    elements = element_tree(text.encode(), "").subtree()
     joints = {e.attributes["name"]: e.attributes for e in elements if e.tag == "joint"}
     for joint in ("ja", "jb"):
         for key in added:

@@ -5,11 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sysid_bench.evaluation.dropped_bound import dropped_bound
 from sysid_bench.simulation.effects.matched import Matched
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.gravity import gravity_rms
 from sysid_bench.simulation.plant import plant_of
-from tests.experiments.experiment_world import CLOSED_LOOP, SHIPPED, executed, robot_of, spec
+from tests.experiments.experiment_world import (
+    CLOSED_LOOP,
+    SHIPPED,
+    executed,
+    ready_once,
+    robot_of,
+    spec,
+)
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda", "file:arm.xml", "solo12"])
@@ -58,10 +66,11 @@ def test_the_matched_plant_has_no_law() -> None:
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_an_unmodelled_effect_moves_the_held_out_torque_error_away_from_zero(name: str) -> None:
-    made = spec(robot=name)
+    made, exact = spec(robot=name), ready_once(name)
+    bound = dropped_bound(exact.problem, exact.held_out, exact.truth.theta)
     for row in executed(made, "ols", "wls"):
         assert row["status"] == "ok", row["reason"]
-        assert row["torque_error"] < 1e-9
+        assert row["torque_error"] < 1e-9 + bound.torque_error
     for row in executed(replace(made, plant={"use": "stribeck"}), "ols", "wls"):
         assert row["status"] == "ok", row["reason"]
         # Beside the weight of a floating robot its legs are small joints, which are listed apart.

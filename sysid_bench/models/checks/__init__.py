@@ -1,0 +1,1 @@
+"""Checks of a compiled model: finite numbers, unit warnings, MuJoCo's own warnings."""

@@ -1,4 +1,4 @@
-"""Numbers of a compiled model: MuJoCo takes NaN, infinities and absurd sizes without a word."""
+"""Finite checks of a compiled model: MuJoCo accepts NaN, infinities and absurd sizes silently."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -10,10 +10,10 @@ if TYPE_CHECKING:
     import mujoco
 
 LARGEST: Final = 1e9
-"""SI units. No robot weighs or reaches more; squares and products of it stay far from overflow."""
+"""SI units. No robot is heavier or larger; squares and products of it stay far from overflow."""
 
 LARGEST_TREE: Final = 100_000
-"""Bodies times degrees of freedom; Y of 50 states takes 400 MB then."""
+"""Bodies times degrees of freedom; Y of 50 states then takes 400 MB."""
 
 LARGEST_TERM: Final = 1e13
 """N m s/rad and the like: public models hold joints still with a damping of 1e11."""
@@ -29,7 +29,8 @@ _OF_THE_MODEL: Final = {
 
 
 def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
-    """Raises ModelError, naming the first body or joint, for a number beyond `LARGEST` or none."""
+    """Raise ModelError, naming the first body or joint, for numbers that are not finite, beyond
+    `LARGEST`, or negative where that is impossible."""
     for key in _OF_BODIES:
         for b in _wrong(getattr(mj, key)):
             raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
@@ -37,7 +38,7 @@ def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
         for j in _wrong(getattr(mj, key)):
             raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
     for key in ("body_quat", "body_iquat"):
-        # What overflows when MuJoCo normalises it comes out as zero.
+        # A quaternion that overflows when MuJoCo normalises it becomes zero.
         lengths = np.linalg.norm(getattr(mj, key), axis=1)
         for b in np.flatnonzero(np.abs(lengths - 1) > 1e-6).tolist():
             raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
@@ -56,15 +57,15 @@ def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
 
 
 def _wrong(values: np.ndarray, largest: float = LARGEST) -> list[int]:
-    """First places whose numbers are not finite or too large; NaN compares false."""
+    """Indices of rows with a number that is not finite or too large; NaN compares false."""
     good = np.abs(values.reshape(len(values), -1)) <= largest
     return [int(i) for i in np.flatnonzero(~good.all(axis=1))]
 
 
 def _error(
-    name: str, place: str, key: str, value: np.ndarray, largest: float = LARGEST
+    name: str, element: str, key: str, value: np.ndarray, largest: float = LARGEST
 ) -> ModelError:
     return ModelError(
-        f"{name}: {key} of {place} is {np.ravel(value).tolist()}; numbers must be finite and at "
+        f"{name}: {key} of {element} is {np.ravel(value).tolist()}; numbers must be finite and at "
         f"most {largest:.0e} in SI units: correct the file."
     )

@@ -1,4 +1,4 @@
-"""MuJoCo's warnings, kept for whoever asks instead of printed and logged to a file."""
+"""MuJoCo's warnings, recorded instead of printed and logged to a file."""
 
 import warnings
 from collections import deque
@@ -7,31 +7,33 @@ from contextlib import contextmanager
 
 import mujoco
 
-_HEARD: deque[str] = deque(maxlen=100)
+_RECORDED: deque[str] = deque(maxlen=100)
 
 
-def capture_warnings() -> None:
-    """From now on warnings are kept; a handler that the user has set stays in place."""
+def _install_handler() -> None:
+    """Record warnings from now on; a handler that the user has set stays in place."""
     if mujoco.get_mju_user_warning() is None:
-        mujoco.set_mju_user_warning(_HEARD.append)
+        mujoco.set_mju_user_warning(_RECORDED.append)
 
 
 @contextmanager
-def captured_warnings() -> Iterator[None]:
-    """Within, the warnings that the compiler gives to Python are kept with the others. They speak
-    of mass matrices singular at the reference, as those of z-x-z hinges on one body are: no fault
-    by itself."""
-    with warnings.catch_warnings(record=True) as told:
+def recorded_warnings() -> Iterator[None]:
+    """Record, within the context, the warnings that the compiler gives to Python.
+
+    They report mass matrices that are singular at the reference, as with z-x-z hinges on one body:
+    not an error by itself.
+    """
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         yield
-    _HEARD.extend(str(warning.message) for warning in told)
+    _RECORDED.extend(str(warning.message) for warning in caught)
 
 
 def warnings_from() -> tuple[str, ...]:
-    """The warnings since the last call, each once."""
-    texts = tuple(dict.fromkeys(" ".join(text.split()) for text in _HEARD))
-    _HEARD.clear()
+    """Return the warnings since the last call, each once."""
+    texts = tuple(dict.fromkeys(" ".join(text.split()) for text in _RECORDED))
+    _RECORDED.clear()
     return texts
 
 
-capture_warnings()
+_install_handler()

@@ -1,4 +1,4 @@
-"""Numbers that are possible and look like a wrong unit: told in words, never changed."""
+"""Unit warnings: values that are possible but suggest a wrong unit. They are never changed."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -13,14 +13,14 @@ from sysid_bench.models.tree import HINGE
 if TYPE_CHECKING:
     import mujoco
 
-FAR: Final = 10.0  # m; how far a centre of mass lies from its body's frame, or mass from it
-LONG: Final = 50.0  # m; how far a body's frame lies from its parent's
-TURNS: Final = 4 * math.pi  # rad; a hinge that is limited at all stops before
+FAR: Final = 10.0  # m; distance of a centre of mass from its body's frame, or radius of gyration
+LONG: Final = 50.0  # m; distance of a body's frame from its parent's
+TURNS: Final = 4 * math.pi  # rad; limited hinges stop before
 PLACEHOLDER: Final = 1e3  # rad; beyond it a limit means "none", in any unit
 
 
 def unit_warnings(mj: "mujoco.MjModel") -> tuple[str, ...]:
-    """What in a compiled model looks like millimetres, degrees or g mm^2; one line a kind."""
+    """Return one warning for each kind of value that looks like millimetres, degrees or g mm^2."""
     return (*_lengths(mj), *_inertias(mj), *_ranges(mj))
 
 
@@ -39,7 +39,7 @@ def _lengths(mj: "mujoco.MjModel") -> Iterator[str]:
 
 
 def _inertias(mj: "mujoco.MjModel") -> Iterator[str]:
-    """By the radius of gyration: what a body's mass at one distance would have."""
+    """By the radius of gyration sqrt(I / m): the distance of the mass if it were in one point."""
     wide = [
         b
         for b in range(1, mj.nbody)
@@ -47,7 +47,7 @@ def _inertias(mj: "mujoco.MjModel") -> Iterator[str]:
     ]
     if wide:
         yield (
-            f"inertia of {_named(mj, wide)} as of mass more than {FAR:.0f} m away: is this in "
+            f"inertia of {_named(mj, wide)} has a radius of gyration above {FAR:.0f} m: is this in "
             "kg mm^2 or g mm^2?"
         )
 
@@ -61,8 +61,9 @@ def _ranges(mj: "mujoco.MjModel") -> Iterator[str]:
         yield f"limits of {names} beyond two turns: are they in degrees?"
 
 
-def turned_too_far(robot: ET.Element) -> Iterator[str]:
-    """Origins of a URDF whose roll, pitch or yaw is more than a turn; the text has good numbers."""
+def angle_warnings(robot: ET.Element) -> Iterator[str]:
+    """Return a warning for origins of a URDF with an angle beyond a turn; its numbers are checked
+    before."""
     turned = [
         str(part.get("name"))
         for part in (*robot.findall("link"), *robot.findall("joint"))

@@ -1,4 +1,4 @@
-"""The coupling of a compiled model: its constraints in groups, each with its reach."""
+"""Coupling of a robot from its constraints: groups of coupled joints, each with its limits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,19 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import ModelError, unknown_name
-from sysid_bench.models.coupling.closure_limits import closure_limits, largest_slope
+from sysid_bench.models.coupling.closure_limits import closure_limits, largest_jacobian
 from sysid_bench.models.coupling.constraints import Constraint
 from sysid_bench.models.coupling.coupling import Coupling, names_of
 from sysid_bench.models.coupling.group import Group
-from sysid_bench.models.coupling.independent_joints import connected_groups, group_of
+from sysid_bench.models.coupling.independent_joints import group_constraints, group_of
 from sysid_bench.types import Array
 
 
 @dataclass(frozen=True, eq=False)
 class Dofs:
-    """What is known of the degrees of freedom (nv,): names, place in q and reference of hinges and
-    slides (-1, 0 elsewhere), which are slides, and limits: `low`, `high`, `v` as motions use them,
-    `stated` the same and `a` where somebody states them, infinite elsewhere."""
+    """Degrees of freedom (nv,): names, address in q and reference of hinges and slides (-1, 0
+    elsewhere), True for slides, and limits: `low`, `high`, `v` as motions use them; `stated` (low,
+    high, v, a) where manifest or model states them, infinite elsewhere."""
 
     names: tuple[str, ...]
     qadr: Array
@@ -36,37 +36,21 @@ def coupling_of(
     actuated: Sequence[str] = (),
     independent: Sequence[str] = (),
 ) -> Coupling:
-    """The coupling of constraints on a robot's degrees of freedom; `actuated` joints are rather
-    independent than others, those named in `independent` must be.
+    """Return the coupling of constraints on degrees of freedom; `actuated` joints are independent
+    rather than others, those named in `independent` must be.
 
     Raises UsageError for an unknown name, ModelError for a coupling that cannot be used.
     """
-    for name in independent:
-        if name not in dofs.names:
-            raise unknown_name("joint in coupling.independent", name, dofs.names)
-    place = {name: dof for dof, name in enumerate(dofs.names)}
-    motors = frozenset(place[name] for name in actuated if name in place)
-    wanted = frozenset(place[name] for name in independent)
-    groups = tuple(
-        group_of(members, dofs.slides, dofs.names, motors, wanted)
-        for members in connected_groups(constraints)
-    )
-    following = np.sort(np.concatenate([group.dofs[group.dependent] for group in groups]))
-    moving = np.setdiff1d(np.arange(len(dofs.names)), following)
-    if len(moving) == 0:
-        raise ModelError(
-            "The equalities hold every joint; there is nothing to identify. Write "
-            "couplings = false in a robot.toml to let every joint move on its own."
-        )
+    groups = _groups(constraints, dofs, actuated, independent)
+    moving, following = _independent_and_dependent(groups, len(dofs.names))
     low, high, slower = dofs.low.copy(), dofs.high.copy(), np.ones(len(dofs.names))
     bounds = np.array(dofs.stated)
     repairs = []
     for group in groups:
-        own = group.dofs[group.independent]
-        low[own], high[own], slower[own], told = _room(group, dofs)
-        repairs += [told] if told else []
-        after = group.dofs[group.dependent]
-        bounds[:2, after] = _kept(group, dofs, ignored=bool(told))
+        free = group.dofs[group.independent]
+        low[free], high[free], slower[free], repair = _group_limits(group, dofs)
+        repairs += [repair] if repair else []
+        bounds[:2, group.dofs[group.dependent]] = _kept_ranges(group, dofs, ignored=bool(repair))
     return Coupling(
         nv=len(dofs.names),
         names=dofs.names,
@@ -83,8 +67,37 @@ def coupling_of(
     )
 
 
-def _room(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
-    """(low, high, slower) of the independent joints of a group, and in words what was ignored."""
+def _independent_and_dependent(groups: tuple[Group, ...], nv: int) -> tuple[Array, Array]:
+    following = np.sort(np.concatenate([group.dofs[group.dependent] for group in groups]))
+    moving = np.setdiff1d(np.arange(nv), following)
+    if len(moving) == 0:
+        raise ModelError(
+            "The equalities fix all joints; there is nothing to identify. Write "
+            "couplings = false in a robot.toml to let every joint move on its own."
+        )
+    return moving, following
+
+
+def _groups(
+    constraints: Sequence[Constraint],
+    dofs: Dofs,
+    actuated: Sequence[str],
+    independent: Sequence[str],
+) -> tuple[Group, ...]:
+    for name in independent:
+        if name not in dofs.names:
+            raise unknown_name("joint in coupling.independent", name, dofs.names)
+    index = {name: dof for dof, name in enumerate(dofs.names)}
+    motors = frozenset(index[name] for name in actuated if name in index)
+    wanted = frozenset(index[name] for name in independent)
+    return tuple(
+        group_of(members, dofs.slides, dofs.names, motors, wanted)
+        for members in group_constraints(constraints)
+    )
+
+
+def _group_limits(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
+    """(low, high, slower) of the independent joints of a group, and ignored limits in words."""
     moving, following = group.dofs[group.independent], group.dofs[group.dependent]
     if len(moving) == 0:
         return np.zeros(0), np.zeros(0), np.ones(0), ""
@@ -92,36 +105,37 @@ def _room(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:
     bounds = dofs.stated[0][group.dofs], dofs.stated[1][group.dofs]
     bounds[0][group.independent], bounds[1][group.independent] = dofs.low[moving], dofs.high[moving]
     low, high = closure_limits(group, bounds[0] - q0, bounds[1] - q0)
-    told = ""
-    if not _roomy(group, low, high):
-        # Files couple joints against their own limits; a follower's limit binds nothing then.
+    repair = ""
+    if not _is_wide(group, low, high):
+        # Some files couple joints against their own limits; those of dependent joints are dropped.
         for bound, none in zip(bounds, (-np.inf, np.inf), strict=True):
             bound[group.dependent] = none
         low, high = closure_limits(group, bounds[0] - q0, bounds[1] - q0)
-        told = (
-            f"limits of {names_of(dofs.names, following)} ignored: they leave "
-            f"{names_of(dofs.names, moving)}, which they follow, no room"
+        repair = (
+            f"limits of {names_of(dofs.names, following)} ignored: with them, "
+            f"{names_of(dofs.names, moving)}, which they follow, could not move"
         )
-    if not _roomy(group, low, high):
+    if not _is_wide(group, low, high):
         least = float(group.condition(group.reference[None])[0])
         raise ModelError(
             f"The coupling of {names_of(dofs.names, group.dofs)} leaves "
-            f"{names_of(dofs.names, moving)} no room: next to the reference posture the closure is "
+            f"{names_of(dofs.names, moving)} no range: near the reference posture the closure is "
             f"lost or singular (smallest singular value there {least:.2g}); draw the model in a "
             "posture that is not flat or stretched."
         )
-    slope = largest_slope(group, low, high)
+    slope = largest_jacobian(group, low, high)
+    # A dependent joint is as fast as F v: independent ones slow down until it keeps its limit.
     fastest = slope @ dofs.v[moving]
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.minimum(1.0, dofs.stated[2][following] / fastest)
     share = np.where(fastest > 0, share, 1.0)
     slower = np.where(slope > 0, share[:, None], 1.0).min(axis=0, initial=1.0)
-    return low + dofs.q0[moving], high + dofs.q0[moving], slower, told
+    return low + dofs.q0[moving], high + dofs.q0[moving], slower, repair
 
 
-def _kept(group: Group, dofs: Dofs, ignored: bool) -> tuple[Array, Array]:
-    """The range (low, high) of the joints of a group that follow; a reference beyond it is where
-    motions start all the same."""
+def _kept_ranges(group: Group, dofs: Dofs, ignored: bool) -> tuple[Array, Array]:
+    """The range (low, high) of the dependent joints of a group, widened to the reference posture,
+    where motions start even outside the limits."""
     after = group.dofs[group.dependent]
     if ignored:
         return np.full(len(after), -np.inf), np.full(len(after), np.inf)
@@ -129,5 +143,5 @@ def _kept(group: Group, dofs: Dofs, ignored: bool) -> tuple[Array, Array]:
     return np.minimum(dofs.stated[0][after], here), np.maximum(dofs.stated[1][after], here)
 
 
-def _roomy(group: Group, low: Array, high: Array) -> bool:
+def _is_wide(group: Group, low: Array, high: Array) -> bool:
     return bool((high - low > 1e-3 * group.units[group.independent]).all())

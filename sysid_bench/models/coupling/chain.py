@@ -1,6 +1,7 @@
-"""The joints on the way from a common body to a point: its pose, its Jacobian and their change.
+"""Serial chain of joints from a common body to a frame: pose, Jacobian and drift acceleration.
 
-Everything is in the axes of the common body, samples first. A chain knows hinges and slides alone.
+All quantities are in the axes of the common body, samples first. A chain has hinges and slides
+only.
 """
 
 from dataclasses import dataclass
@@ -13,9 +14,9 @@ from sysid_bench.types import Array
 
 @dataclass(frozen=True, eq=False)
 class ChainJoint:
-    """One hinge or slide: its place among the coordinates, axis and anchor (3,) in its body."""
+    """One hinge or slide: its index among the coordinates, axis and anchor (3,) in its body."""
 
-    place: int
+    index: int
     slide: bool
     axis: Array
     anchor: Array
@@ -23,7 +24,7 @@ class ChainJoint:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One body: its pose (p, R) in the body before, and the joints that move it, in order."""
+    """One body: its pose (p, R) in the parent, and the joints that move it, in order."""
 
     p: Array
     R: Array
@@ -39,7 +40,7 @@ class Chain:
     R: Array
 
     def evaluate(self, x: Array) -> "_ChainState":
-        """Where the end is with the joints displaced by x (N, k) from their reference."""
+        """Return the pose of the end with the joints displaced by x (N, k) from their reference."""
         N = len(x)
         R, p = np.tile(np.eye(3), (N, 1, 1)), np.zeros((N, 3))
         joints, axes, anchors = [], [], []
@@ -48,11 +49,11 @@ class Chain:
             for joint in step.joints:
                 axis = R @ joint.axis
                 anchor = p + R @ joint.anchor
-                displacement = x[:, joint.place]
+                displacement = x[:, joint.index]
                 if joint.slide:
                     p = p + axis * displacement[:, None]
                 else:
-                    R = R @ _turns_about(joint.axis, displacement)
+                    R = R @ _rotations(joint.axis, displacement)
                     p = anchor - R @ joint.anchor
                 joints.append(joint)
                 axes.append(axis)
@@ -71,54 +72,56 @@ class _ChainState:
     anchors: tuple[Array, ...]
 
     def jacobian(self, k: int) -> Array:
-        """Twist [w; v] (N, 6, k) of the end per unit rate of each of k coordinates."""
+        """Return the Jacobian J (N, 6, k) of the end's twist [w; v]."""
         J = np.zeros((len(self.p), 6, k))
         for joint, axis, anchor in zip(self.joints, self.axes, self.anchors, strict=True):
             if joint.slide:
-                J[:, 3:, joint.place] = axis
+                J[:, 3:, joint.index] = axis
             else:
-                J[:, :3, joint.place] = axis
-                J[:, 3:, joint.place] = _cross(axis, self.p - anchor)
+                J[:, :3, joint.index] = axis
+                J[:, 3:, joint.index] = _cross(axis, self.p - anchor)
         return J
 
     def drift(self, v: Array) -> Array:
-        """Acceleration [alpha; a] (N, 6) of the end at rates v (N, k) that do not change."""
+        """Return the drift acceleration dJ/dt v (N, 6), [alpha; a] of the end at constant rates
+        v."""
         w, out = np.zeros_like(self.p), np.zeros((len(self.p), 6))
         velocity = np.einsum("nij,nj->ni", self.jacobian(v.shape[1])[:, 3:], v)
         for i, (joint, axis) in enumerate(zip(self.joints, self.axes, strict=True)):
-            rate = v[:, joint.place, None]
+            rate = v[:, joint.index, None]
             turning = _cross(w, axis)
             if joint.slide:
                 out[:, 3:] += turning * rate
                 continue
-            carried = self._carried(self.anchors[i], i, v)
+            carried = self._transport_velocity(self.anchors[i], i, v)
             out[:, :3] += turning * rate
             out[:, 3:] += _cross(turning, self.p - self.anchors[i]) * rate
             out[:, 3:] += _cross(axis, velocity - carried) * rate
             w = w + axis * rate
         return out
 
-    def _carried(self, point: Array, count: int, v: Array) -> Array:
-        """Velocity (N, 3) that the first `count` joints give to a point beyond them."""
+    def _transport_velocity(self, point: Array, count: int, v: Array) -> Array:
+        """Velocity (N, 3) of a point due to the first `count` joints."""
         velocity = np.zeros_like(point)
         for joint, axis, anchor in zip(
             self.joints[:count], self.axes[:count], self.anchors[:count], strict=True
         ):
             arm = axis if joint.slide else _cross(axis, point - anchor)
-            velocity += arm * v[:, joint.place, None]
+            velocity += arm * v[:, joint.index, None]
         return velocity
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """a x b of vectors (N, 3): numpy's own spends more on its axes than on the numbers."""
+    """a x b of vectors (N, 3); np.cross is slower by its handling of axes."""
     out = np.empty_like(a)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         out[:, i] = a[:, j] * b[:, k] - a[:, k] * b[:, j]
     return out
 
 
-def _turns_about(axis: Array, angle: Array) -> Array:
+def _rotations(axis: Array, angle: Array) -> Array:
     """Rotations (N, 3, 3) by `angle` (N,) about a unit axis (Rodrigues)."""
     along = np.outer(axis, axis)
     cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
-    return along + (np.eye(3) - along) * cos + skew(axis) * sin
+    R: Array = along + (np.eye(3) - along) * cos + skew(axis) * sin
+    return R

@@ -1,4 +1,4 @@
-"""What couples joints: relations between sums of joint positions, and loops that are closed.
+"""Constraints that couple joints: relations between sums of joint positions, and closed chains.
 
 Both are equations r(x) = 0 in the displacements x of some hinges and slides from their reference,
 with the Jacobian J = dr/dx and the drift dJ/dt v.
@@ -15,7 +15,7 @@ from sysid_bench.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """first . x = P(second . x), P by its coefficients from the constant on: an equality of two
+    """first . x = P(second . x), P by its coefficients in ascending order: an equality of two
     joints or two fixed tendons, or of one with a constant."""
 
     name: str
@@ -26,25 +26,26 @@ class Relation:
 
     @property
     def linear(self) -> bool:
-        """Whether J is the same everywhere."""
+        """True where J is constant."""
         return not self.coefficients[2:].any()
 
     def equation(self, x: Array) -> tuple[Array, Array]:
-        """r (N, 1) and J (N, 1, k) at x (N, k)."""
+        """Return r (N, 1) and J (N, 1, k) at x (N, k)."""
         slope = polynomial.polyval(x @ self.second, polynomial.polyder(self.coefficients))
         r = x @ self.first - polynomial.polyval(x @ self.second, self.coefficients)
         return r[:, None], (self.first - slope[:, None] * self.second)[:, None]
 
     def drift(self, x: Array, v: Array) -> Array:
-        """dJ/dt v (N, 1)."""
+        """Return dJ/dt v (N, 1) = -P''(second . x) (second . v)^2."""
         bend = polynomial.polyval(x @ self.second, polynomial.polyder(self.coefficients, 2))
-        return (-bend * (v @ self.second) ** 2)[:, None]
+        drift: Array = (-bend * (v @ self.second) ** 2)[:, None]
+        return drift
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """Two chains from one body whose ends meet: in their points, and where `rigid` in their axes
-    as well. Rows: difference of the points, then the rotation vector between the axes."""
+    """A closed chain: two serial chains from one body whose ends coincide, in position, and where
+    `rigid` in orientation, too. Rows: difference of positions, then the rotation vector."""
 
     name: str
     dofs: tuple[int, ...]
@@ -54,23 +55,27 @@ class Loop:
 
     @property
     def linear(self) -> bool:
-        """Whether J is the same everywhere: never counted on."""
+        """False: J depends on x, but in special cases, which are not looked for."""
         return False
 
     def equation(self, x: Array) -> tuple[Array, Array]:
-        """r (N, 3 or 6) and J (N, 3 or 6, k) at x (N, k); J is exact where the loop is closed."""
+        """Return r (N, 3 or 6) and J (N, 3 or 6, k) at x (N, k); J is exact where the loop
+        closes."""
         one, other = self.one.evaluate(x), self.other.evaluate(x)
         J = one.jacobian(x.shape[1]) - other.jacobian(x.shape[1])
         r = one.p - other.p
         if not self.rigid:
             return r, J[:, 3:]
+        # Half the sum of the cross products of the axes is sin(angle) times the rotation axis.
         turn = 0.5 * np.cross(other.R, one.R, axis=1).sum(axis=2)
         return np.concatenate([r, turn], axis=1), J[:, [3, 4, 5, 0, 1, 2]]
 
     def drift(self, x: Array, v: Array) -> Array:
-        """dJ/dt v (N, 3 or 6)."""
+        """Return dJ/dt v (N, 3 or 6)."""
         difference = self.one.evaluate(x).drift(v) - self.other.evaluate(x).drift(v)
-        return difference[:, [3, 4, 5, 0, 1, 2]] if self.rigid else difference[:, 3:]
+        rows = [3, 4, 5, 0, 1, 2] if self.rigid else [3, 4, 5]
+        drift: Array = difference[:, rows]
+        return drift
 
 
 Constraint = Relation | Loop

@@ -1,5 +1,5 @@
-"""Which degrees of freedom move and which follow, and how: q, v, a of the tree from those of the
-independent joints, and torques of the tree on them, tau_ind = G(q)^T tau_tree."""
+"""Coupled joints of a robot: q, v, a of the whole tree from those of the independent joints, and
+torques of the tree reduced to them, tau_ind = G(q)^T tau_tree."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,12 +13,15 @@ from sysid_bench.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """The couplings of a robot with `nv` degrees of freedom: `independent` (n,) ones move, the
-    `dependent` (m,) ones follow. Arrays (n,): `low`, `high` bound positions that all close;
-    `slower` is the share of its limits that an independent joint may use so that its followers keep
-    theirs; `bounds` (4, m): lowest and highest position, velocity and acceleration stated for those
-    that follow, infinite where none is. `repairs` tells what had to be ignored.
-    `qadr` and `q0` (nv,): place in q and reference of hinges and slides (-1, 0 elsewhere)."""
+    """The couplings of a robot with `nv` degrees of freedom, `independent` (n,) and `dependent`
+    (m,).
+
+    Arrays (n,): within `low` and `high` all positions close; `slower` is the share of its velocity
+    limit that an independent joint may use so that its followers keep theirs. `bounds` (4, m):
+    lowest and highest position, velocity and acceleration stated for dependent joints, infinite
+    where none is. `qadr` and `q0` (nv,): address in q and reference of hinges and slides (-1, 0
+    elsewhere). `repairs`: ignored limits, in words.
+    """
 
     nv: int
     names: tuple[str, ...]
@@ -35,7 +38,7 @@ class Coupling:
 
     @cached_property
     def _columns(self) -> tuple[tuple[Group, Array, Array], ...]:
-        """Each group with the places of its dependent and independent dofs among all of them."""
+        """Each group with the indices of its dependent and independent dofs among all of them."""
         return tuple(
             (
                 group,
@@ -47,12 +50,12 @@ class Coupling:
 
     @property
     def constant(self) -> bool:
-        """Whether G is the same everywhere."""
+        """True where G is constant."""
         return all(group.linear for group in self.groups)
 
     @cached_property
     def depends_on(self) -> Array:
-        """(m, n) whether a dependent dof follows an independent one at all."""
+        """Matrix (m, n), True where a dependent dof follows an independent one."""
         out = np.zeros((len(self.dependent), len(self.independent)), dtype=bool)
         for group, rows, columns in self._columns:
             if group.linear:
@@ -63,44 +66,47 @@ class Coupling:
         return out
 
     def independent_of(self, dof: int) -> Array:
-        """The independent dofs that a dependent one follows, in tree order."""
-        return self.independent[self.depends_on[int(np.searchsorted(self.dependent, dof))]]
+        """Return the independent dofs that a dependent one follows, in tree order."""
+        row = int(np.searchsorted(self.dependent, dof))
+        followed: Array = self.independent[self.depends_on[row]]
+        return followed
 
     def follow(self, q: Array) -> Array:
-        """F (N, m, n) with v_dep = F v_ind at closed q (N, nq)."""
+        """Return F (N, m, n) with v_dep = F v_ind at closed q (N, nq)."""
         out = np.zeros((len(q), len(self.dependent), len(self.independent)))
         for group, rows, columns in self._columns:
             out[:, rows[:, None], columns] = group.follow(self._displacement(group, q))
         return out
 
     def G(self, q: Array) -> Array:
-        """G (N, nv, n) with v = G v_ind at closed q (N, nq)."""
+        """Return G (N, nv, n) with v = G v_ind at closed q (N, nq)."""
         out = np.zeros((len(q), self.nv, len(self.independent)))
         out[:, self.independent, np.arange(len(self.independent))] = 1.0
         out[:, self.dependent] = self.follow(q)
         return out
 
     def reduced(self, q: Array, tau: Array) -> Array:
-        """G^T tau (N, n) of generalised forces tau (N, nv) of the tree."""
+        """Return G^T tau (N, n) of generalised forces tau (N, nv) of the tree (d'Alembert)."""
         followed = np.einsum("nij,ni->nj", self.follow(q), tau[:, self.dependent])
-        return tau[:, self.independent] + followed
+        total: Array = tau[:, self.independent] + followed
+        return total
 
     def completed(
         self, q: Array, v: Array, a: Array, near: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """q (N, nq), v, a (N, nv) of the whole tree: dependent joints follow the independent ones,
-        whatever came in their places. `near` (N, nq), closed postures not far away, saves time.
+        """Return q (N, nq), v, a (N, nv) of the whole tree, with the values of dependent joints
+        replaced. `near` (N, nq), closed postures not far away, saves time.
 
-        Raises ModelError where the closure cannot be met or is singular, naming the configuration.
+        Raises ModelError, with the configuration, where the closure is lost or singular.
         """
         q, v, a = q.copy(), v.copy(), a.copy()
         for group in self.groups:
             moving, following = group.dofs[group.independent], group.dofs[group.dependent]
             given = self._displacement(group, q)[:, group.independent]
-            beside = None if near is None else self._displacement(group, near)
-            x, good = group.is_closed(given, beside)
+            start = None if near is None else self._displacement(group, near)
+            x, good = group.motion_closure(given, start)
             if not good.all():
-                raise self._lost(group, given[int(np.argmin(good))])
+                raise self._lost_closure(group, given[int(np.argmin(good))])
             q[:, self.qadr[group.dofs]] = x + self.q0[group.dofs]
             F = group.follow(x)
             v[:, following] = _times(F, v[:, moving])
@@ -108,34 +114,35 @@ class Coupling:
         return q, v, a
 
     def spread(self, values: Array) -> Array:
-        """Values (N, n) of the independent dofs at their places (N, nv); zero elsewhere."""
+        """Return values (N, n) of the independent dofs among all dofs (N, nv), zero elsewhere."""
         out = np.zeros((len(values), self.nv))
         out[:, self.independent] = values
         return out
 
     def reference(self, q: Array) -> Array:
-        """q (nq,) with the coupled joints at their closed reference posture."""
+        """Return q (nq,) with the coupled joints at their closed reference posture."""
         q = q.copy()
         for group in self.groups:
             q[self.qadr[group.dofs]] = group.reference + self.q0[group.dofs]
         return q
 
     def _displacement(self, group: Group, q: Array) -> Array:
-        return q[:, self.qadr[group.dofs]] - self.q0[group.dofs]
+        x: Array = q[:, self.qadr[group.dofs]] - self.q0[group.dofs]
+        return x
 
-    def _lost(self, group: Group, given: Array) -> ModelError:
+    def _lost_closure(self, group: Group, given: Array) -> ModelError:
         x, _ = group.continuation(given[None])
         value = float(group.condition(x)[0])
         return ModelError(
             f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is singular, "
-            f"at {reference_posture(self, group, given)} (smallest singular value {value:.2g} on "
+            f"at {_configuration_text(self, group, given)} (smallest singular value {value:.2g} on "
             "the way there); keep the motion nearer to the reference posture, by limits in the "
             "manifest."
         )
 
 
-def reference_posture(coupling: Coupling, group: Group, given: Array) -> str:
-    """ "crank = 0.31, lift = -0.2" of the independent joints of a group."""
+def _configuration_text(coupling: Coupling, group: Group, given: Array) -> str:
+    """Return "crank = 0.31, lift = -0.2" for the independent joints of a group."""
     moving = group.dofs[group.independent]
     values = given + coupling.q0[moving]
     return ", ".join(
@@ -144,10 +151,11 @@ def reference_posture(coupling: Coupling, group: Group, given: Array) -> str:
 
 
 def names_of(names: tuple[str, ...], dofs: Array) -> str:
-    """ "a, b, c" of some degrees of freedom."""
+    """Return "a, b, c" for degrees of freedom by their indices."""
     return ", ".join(names[dof] for dof in dofs)
 
 
 def _times(F: Array, v: Array) -> Array:
     """F v (N, r) for F (N or 1, r, c) and v (N, c)."""
-    return np.matmul(F, v[:, :, None])[:, :, 0]
+    product: Array = np.matmul(F, v[:, :, None])[:, :, 0]
+    return product

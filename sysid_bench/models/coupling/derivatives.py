@@ -1,7 +1,7 @@
-"""How joints that follow change with those that move: derivatives of completed motions.
+"""Derivatives of dependent joints by independent ones, along completed motions.
 
-A follower is a function of the joints that move, x_dep = h(x), v_dep = F v with F = dh/dx, and
-a_dep = F a + v' h'' v. What h'' does is taken from differences of closed postures sample by sample.
+Dependent positions are x_dep = h(x), so that v_dep = F v with F = dh/dx, and a_dep = F a + v' h''
+v. Terms with h'' come from central differences of closed postures, sample by sample.
 """
 
 from dataclasses import dataclass
@@ -15,18 +15,18 @@ from sysid_bench.models.coupling.group import Group
 from sysid_bench.types import Array, Trajectory
 
 Slopes = tuple[Array, Array, Array]
-"""Derivatives of a number by q, v, a (N, nv) of a motion."""
+"""Derivatives of a scalar by q, v, a (N, nv) of a motion."""
 
 STEP: Final = 1e-4
-"""Of the differences, in units of a joint: their error is a hundred-millionth, that of rounding in
-a closure less."""
+"""Step of the differences, in units of a joint: their error is of order STEP^2 = 1e-8, and rounding
+of a closure over STEP is less."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Curvature:
-    """One group of coupled joints along a motion: how `following` (r,) follow `moving` (c,), dofs
-    of the tree. F (N, r, c); by each position x_j those of F, v_dep and a_dep, (N, r, c, c) and
-    (N, r, c); None where F is the same everywhere."""
+    """Derivatives of one group of coupled joints along a motion: `following` (r,) and `moving` (c,)
+    are dofs of the tree; F (N, r, c); F_x (N, r, c, c), v_x and a_x (N, r, c) are the derivatives
+    of F, v_dep and a_dep by the independent positions; None where F is constant."""
 
     following: Array
     moving: Array
@@ -37,43 +37,45 @@ class _Curvature:
 
 
 def pull_back(coupling: Coupling, motion: Trajectory, slopes: Slopes) -> Slopes:
-    """Derivatives of a number by what moves, from those by q, v, a (N, nv) of every joint: the
-    followers' are handed on, and are zero afterwards."""
+    """Return derivatives of a scalar by the independent q, v, a, from those by q, v, a (N, nv) of
+    all joints (chain rule); entries of dependent joints become zero."""
     if not any(slope[:, coupling.dependent].any() for slope in slopes):
         return slopes
     q, v, a = (slope.copy() for slope in slopes)
-    for bend in curvatures(coupling, motion):
-        own = [slope[:, bend.following] for slope in (q, v, a)]
-        for slope, part in zip((q, v, a), own, strict=True):
+    for bend in _curvatures(coupling, motion):
+        dependent = [slope[:, bend.following] for slope in (q, v, a)]
+        for slope, part in zip((q, v, a), dependent, strict=True):
             slope[:, bend.moving] += np.einsum("nrc,nr->nc", bend.F, part)
             slope[:, bend.following] = 0.0
         if bend.v_x is not None and bend.a_x is not None:
-            q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.v_x, own[1])
-            q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.a_x, own[2])
+            q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.v_x, dependent[1])
+            q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.a_x, dependent[2])
             # h'' is symmetric: v' h'' v changes with v_j twice as v_dep does with x_j.
-            v[:, bend.moving] += 2 * np.einsum("nrc,nr->nc", bend.v_x, own[2])
+            v[:, bend.moving] += 2 * np.einsum("nrc,nr->nc", bend.v_x, dependent[2])
     return q, v, a
 
 
 def pull_back_follow(coupling: Coupling, motion: Trajectory, S: Array) -> Array:
-    """Derivatives by q (N, nv) of what moves of sum(S * F), S (N, m, n) as `Coupling.follow`."""
+    """Return derivatives (N, nv) of sum(S * F) by the independent q, S (N, m, n) as
+    `Coupling.follow`."""
     out = np.zeros_like(motion.v)
-    for bend in curvatures(coupling, motion):
+    for bend in _curvatures(coupling, motion):
         if bend.F_x is not None:
             rows = np.searchsorted(coupling.dependent, bend.following)
             columns = np.searchsorted(coupling.independent, bend.moving)
-            own = S[:, rows[:, None], columns]
-            out[:, bend.moving] += np.einsum("nrcj,nrc->nj", bend.F_x, own)
+            part = S[:, rows[:, None], columns]
+            out[:, bend.moving] += np.einsum("nrcj,nrc->nj", bend.F_x, part)
     return out
 
 
 @lru_cache(maxsize=4)
-def curvatures(coupling: Coupling, motion: Trajectory) -> tuple[_Curvature, ...]:
-    """All groups along a completed motion; kept, since many slopes are asked about one motion."""
-    return tuple(_bend(coupling, group, motion) for group in coupling.groups)
+def _curvatures(coupling: Coupling, motion: Trajectory) -> tuple[_Curvature, ...]:
+    """All groups along a completed motion; cached, since many scalars are derived for one
+    motion."""
+    return tuple(_curvature(coupling, group, motion) for group in coupling.groups)
 
 
-def _bend(coupling: Coupling, group: Group, motion: Trajectory) -> _Curvature:
+def _curvature(coupling: Coupling, group: Group, motion: Trajectory) -> _Curvature:
     following, moving = group.dofs[group.dependent], group.dofs[group.independent]
     x = motion.q[:, coupling.qadr[group.dofs]] - coupling.q0[group.dofs]
     F = group.follow(x)
@@ -81,19 +83,19 @@ def _bend(coupling: Coupling, group: Group, motion: Trajectory) -> _Curvature:
         return _Curvature(following, moving, np.repeat(F, len(x), axis=0))
     v, a = motion.v[:, group.dofs], motion.a[:, moving]
     parts = []
-    for j, place in enumerate(group.independent):
-        step = STEP * group.units[place]
+    for j, coordinate in enumerate(group.independent):
+        step = STEP * group.units[coordinate]
         move = np.zeros((len(x), len(moving)))
         move[:, j] = step
-        up, down = (_state(group, group.residual_rank(x, s * move), v, a) for s in (1.0, -1.0))
+        up, down = (_state(group, group.local_closure(x, s * move), v, a) for s in (1.0, -1.0))
         parts.append([(u - d) / (2 * step) for u, d in zip(up, down, strict=True)])
     F_x, v_x, a_x = (np.stack(part, axis=-1) for part in zip(*parts, strict=True))
     return _Curvature(following, moving, F, F_x, v_x, a_x)
 
 
 def _state(group: Group, x: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-    """F, v_dep and a_dep at closed x (N, k) where the joints that move do so with v (of all of the
-    group) and a."""
+    """F, v_dep and a_dep at closed x (N, k) for rates v (N, k) of the group and accelerations a of
+    its independent joints."""
     F = group.follow(x)
     v = v.copy()
     v[:, group.dependent] = _times(F, v[:, group.independent])
@@ -101,4 +103,5 @@ def _state(group: Group, x: Array, v: Array, a: Array) -> tuple[Array, Array, Ar
 
 
 def _times(F: Array, v: Array) -> Array:
-    return np.matmul(F, v[:, :, None])[:, :, 0]
+    product: Array = np.matmul(F, v[:, :, None])[:, :, 0]
+    return product

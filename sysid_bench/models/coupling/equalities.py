@@ -1,4 +1,5 @@
-"""The active equality constraints of a compiled model as constraints on hinges and slides."""
+"""Active equalities of a MuJoCo model as constraints on hinges and slides: joint and tendon
+equalities become relations, connects and welds closed chains."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,40 +26,40 @@ ADVICE: Final = "write couplings = false in a robot.toml to let every joint move
 
 
 @dataclass(frozen=True, eq=False)
-class _Equalities:
-    """The constraints of a model, the ids of the equalities they come from, and in words which
-    active ones are left out."""
+class Equalities:
+    """The constraints of a model, the ids of their equalities, and the active equalities that are
+    left out, in words."""
 
     constraints: tuple[Constraint, ...]
     ids: tuple[int, ...]
     left_out: tuple[str, ...]
 
 
-def equalities_of(mj: mujoco.MjModel) -> _Equalities:
-    """What an MJCF's equalities say about joints; raises ModelError for loops that pass balls or
-    free bodies, and for spatial tendons."""
+def equalities_of(mj: mujoco.MjModel) -> Equalities:
+    """Return the constraints of a compiled model; raises ModelError for loops through ball or free
+    joints, and for spatial tendons."""
     constraints: list[Constraint] = []
     ids, left_out = [], []
     for e in range(mj.neq):
         if not mj.eq_active0[e]:
             continue
-        why = _no_coupling(mj, e)
-        if why:
-            left_out.append(f"equality {_name(mj, e)} left out: {why}")
+        reason = _reason_without_coupling(mj, e)
+        if reason:
+            left_out.append(f"equality {_name(mj, e)} left out: {reason}")
             continue
         constraints.append(_constraint(mj, e))
         ids.append(e)
-    return _Equalities(tuple(constraints), tuple(ids), tuple(left_out))
+    return Equalities(tuple(constraints), tuple(ids), tuple(left_out))
 
 
-def keep_equalities(spec: mujoco.MjSpec, equalities: _Equalities) -> None:
-    """Deletes every equality of a spec that is no constraint of the robot's coupling."""
+def select_equalities(spec: mujoco.MjSpec, equalities: Equalities) -> None:
+    """Delete all equalities of a spec that are not constraints of the robot's coupling."""
     for equality in [e for e in spec.equalities if e.id not in equalities.ids]:
         spec.delete(equality)
 
 
-def _no_coupling(mj: mujoco.MjModel, e: int) -> str:
-    """Why an equality couples no joints; empty where it does."""
+def _reason_without_coupling(mj: mujoco.MjModel, e: int) -> str:
+    """The reason why an equality couples no joints; empty where it couples some."""
     kind = int(mj.eq_type[e])
     if kind not in (_JOINT, _TENDON, _CONNECT, _WELD):
         return "it couples no joints"
@@ -67,7 +68,7 @@ def _no_coupling(mj: mujoco.MjModel, e: int) -> str:
     one, other = (body for body, _, _ in ends_of(mj, e))
     if mj.body_mocapid[one] >= 0 or mj.body_mocapid[other] >= 0:
         return "a mocap body is moved by hand"
-    if not (_joints_on(mj, _way(mj, one, other)) or _joints_on(mj, _way(mj, other, one))):
+    if not (_joints_on(mj, _path(mj, one, other)) or _joints_on(mj, _path(mj, other, one))):
         return "its bodies move together already"
     return ""
 
@@ -80,8 +81,8 @@ def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
 
 
 def sums_of(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
-    """The two sums {dof: coefficient} that a joint or tendon equality relates; the second may be
-    empty."""
+    """Return the two sums {dof: coefficient} that a joint or tendon equality relates; the second
+    may be empty."""
     sum_of = _joint_sum if int(mj.eq_type[e]) == _JOINT else _tendon_sum
     other = int(mj.eq_obj2id[e])
     return sum_of(mj, int(mj.eq_obj1id[e])), sum_of(mj, other) if other >= 0 else {}
@@ -112,7 +113,7 @@ def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
         if int(mj.wrap_type[w]) != _WRAPS_JOINT:
             raise ModelError(
                 f"The equality of tendon {mj.tendon(t).name!r} cannot be resolved: its length is "
-                f"no sum of joint positions; use a fixed tendon, or {ADVICE}."
+                f"not a sum of joint positions; use a fixed tendon, or {ADVICE}."
             )
         dof = int(mj.jnt_dofadr[mj.wrap_objid[w]])
         total[dof] = total.get(dof, 0.0) + float(mj.wrap_prm[w])
@@ -121,22 +122,22 @@ def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
 
 def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> Loop:
     (one, p1, R1), (other, p2, R2) = ends_of(mj, e)
-    ways = _way(mj, one, other), _way(mj, other, one)
-    joints = [j for way in ways for j in _joints_on(mj, way)]
+    paths = _path(mj, one, other), _path(mj, other, one)
+    joints = [j for path in paths for j in _joints_on(mj, path)]
     for j in joints:
         if int(mj.jnt_type[j]) not in (HINGE, SLIDE):
             raise ModelError(
-                f"The loop of equality {_name(mj, e)} passes {mj.joint(j).name!r}, a ball or free "
-                f"joint; loops of hinges and slides alone can be closed. Delete it, or {ADVICE}."
+                f"The loop of equality {_name(mj, e)} contains {mj.joint(j).name!r}, a ball or "
+                f"free joint; only hinges and slides can close a loop. Delete it, or {ADVICE}."
             )
     dofs = tuple(sorted(int(mj.jnt_dofadr[j]) for j in joints))
-    first = Chain(tuple(_steps(mj, ways[0], dofs)), p1, R1)
-    second = Chain(tuple(_steps(mj, ways[1], dofs)), p2, R2)
+    first = Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1)
+    second = Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2)
     return Loop(_name(mj, e), dofs, first, second, rigid)
 
 
 def ends_of(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:
-    """(body, p, R) of the two frames that a connect or weld brings together."""
+    """Return (body, p, R) of the two frames that a connect or weld makes coincide."""
     ids = int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])
     if int(mj.eq_objtype[e]) == _SITE:
         return tuple(
@@ -146,7 +147,7 @@ def ends_of(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:
     data, unturned = np.array(mj.eq_data[e]), np.eye(3)
     if int(mj.eq_type[e]) == _CONNECT:
         return (ids[0], data[:3], unturned), (ids[1], data[3:6], unturned)
-    # MuJoCo keeps a weld's anchor in the second body first, then the pose in the first.
+    # eq_data of a weld: the anchor in the second body, then the relative pose in the first.
     return (ids[0], data[3:6], _matrix(data[6:10])), (ids[1], data[:3], unturned)
 
 
@@ -154,26 +155,26 @@ def _matrix(quaternion: Array) -> Array:
     return matrix_of_quaternion(np.array(quaternion) / np.linalg.norm(quaternion))
 
 
-def _way(mj: mujoco.MjModel, body: int, other: int) -> list[int]:
-    """The bodies from the last that both hang on (excluded) to `body`."""
+def _path(mj: mujoco.MjModel, body: int, other: int) -> list[int]:
+    """The bodies from the last common ancestor (excluded) to `body`."""
     mine, theirs = _ancestors(mj, body), set(_ancestors(mj, other))
     return [b for b in reversed(mine) if b not in theirs]
 
 
 def _ancestors(mj: mujoco.MjModel, body: int) -> list[int]:
-    """A body, the one it hangs on, and so on to the world."""
+    """A body, its parent, and so on to the world."""
     found = [body]
     while found[-1] > 0:
         found.append(int(mj.body_parentid[found[-1]]))
     return found
 
 
-def _joints_on(mj: mujoco.MjModel, way: list[int]) -> list[int]:
-    return [int(mj.body_jntadr[b]) + k for b in way for k in range(int(mj.body_jntnum[b]))]
+def _joints_on(mj: mujoco.MjModel, path: list[int]) -> list[int]:
+    return [int(mj.body_jntadr[b]) + k for b in path for k in range(int(mj.body_jntnum[b]))]
 
 
-def _steps(mj: mujoco.MjModel, way: list[int], dofs: tuple[int, ...]) -> Iterator[Step]:
-    for b in way:
+def _steps(mj: mujoco.MjModel, path: list[int], dofs: tuple[int, ...]) -> Iterator[Step]:
+    for b in path:
         joints = tuple(
             ChainJoint(
                 dofs.index(int(mj.jnt_dofadr[j])),

@@ -1,8 +1,8 @@
-"""Joints that constraints hold together: some of them move, the others follow.
+"""Group of coupled joints: dependent ones follow independent ones through closure equations.
 
 With the closure J v = 0 split in dependent and independent columns, v_dep = F v_ind with
 F = -J_dep^+ J_ind, and a_dep = F a_ind - J_dep^+ (dJ/dt v). Rows may be redundant (a planar loop
-closed in space): only the dependent columns have to be independent.
+closed in space): only the dependent columns must have full rank.
 """
 
 from collections.abc import Sequence
@@ -17,26 +17,26 @@ from sysid_bench.types import Array
 
 SINGULAR: Final = 1e-3
 """Smallest singular value of the scaled J_dep (its entries are of order one at the reference) below
-which a closure counts as singular: G would grow beyond all use."""
+which a closure counts as singular: G would grow without bound."""
 
 CLOSED: Final = 1e-4
-"""Residual (rad, m) up to which a closure is found. Rounding leaves 1e-16; rounded lengths in a
-model file leave a redundant row open by about as much as they are wrong."""
+"""Largest residual (rad, m) of a closed posture. Rounding leaves 1e-16; rounded lengths in a model
+file leave redundant rows open by about the error of these lengths."""
 
 STEP: Final = 0.1
-"""Independent joints go from the reference to a target in steps of this (rad; slides likewise, in
-the loop's own length): small enough for Newton's method to stay on its branch."""
+"""Largest step (rad; slides in units of the loop's length) from the reference to a target: small
+enough for Newton's method to stay on its branch."""
 
 ITERATIONS: Final = 4
-"""Newton steps at the end: 1e-2, 1e-4, 1e-8, 1e-16."""
+"""Newton steps at the target; quadratic convergence: 1e-2, 1e-4, 1e-8, 1e-16."""
 
 PATIENT: Final = 30
-"""Newton steps where the start may be far from closed."""
+"""Newton steps where the start may be far from a closed posture."""
 
 
 @dataclass(frozen=True, eq=False)
-class SolverState:
-    """What postures on a way have to keep: a smallest singular value, and limits (k,)."""
+class PostureBounds:
+    """Bounds that postures must keep: a smallest singular value, and limits (k,)."""
 
     regularity: float
     low: Array
@@ -46,8 +46,8 @@ class SolverState:
 @dataclass(frozen=True, eq=False)
 class Group:
     """Constraints on the degrees of freedom `dofs` (k,); `dependent` (r,) and `independent` are
-    places in them, `reference` (k,) a closed posture, `units` (k,) what scales a coordinate,
-    `row_units` (m,) what scales a row."""
+    indices in them, `reference` (k,) a closed posture, `units` (k,) and `row_units` (m,) the scales
+    of coordinates and rows."""
 
     constraints: tuple[Constraint, ...]
     dofs: Array
@@ -59,46 +59,54 @@ class Group:
 
     @cached_property
     def linear(self) -> bool:
-        """Whether F is the same everywhere."""
+        """True where F is constant."""
         return all(constraint.linear for constraint in self.constraints)
 
     def follow(self, x: Array) -> Array:
-        """F (N, r, k - r) at closed x (N, k); one for all (1, r, k - r) where it is constant."""
+        """Return F (N, r, k - r) at closed x (N, k); (1, r, k - r) where it is constant."""
         return self._followed(self._jacobian(x[:1] if self.linear else x))
 
     def drift(self, x: Array, v: Array) -> Array:
-        """What the dependent joints accelerate (N, r) when the independent ones do not."""
+        """Return -J_dep^+ (dJ/dt v) (N, r): the dependent acceleration at constant independent
+        rates."""
         if self.linear:
             return np.zeros((len(x), len(self.dependent)))
         bias = np.concatenate(
-            [c.drift(x[:, at], v[:, at]) for c, at in _located(self.constraints, self.dofs)], axis=1
+            [c.drift(x[:, i], v[:, i]) for c, i in _located(self.constraints, self.dofs)], axis=1
         )
-        return self._resolved(self._jacobian(x), -bias[:, :, None])[:, :, 0]
+        acceleration: Array = self._resolved(self._jacobian(x), -bias[:, :, None])[:, :, 0]
+        return acceleration
 
     def condition(self, x: Array) -> Array:
-        """Smallest singular value (N,) of the scaled J_dep; infinite where nothing depends."""
+        """Return the smallest singular value (N,) of the scaled J_dep; infinite without dependent
+        dofs."""
         return self._regularity(self._jacobian(x))
 
     def _regularity(self, J: Array) -> Array:
         if len(self.dependent) == 0:
             return np.full(len(J), np.inf)
         D = self._scaled(J)[:, :, self.dependent]
-        return np.sqrt(np.maximum(np.linalg.eigvalsh(D.swapaxes(1, 2) @ D)[:, 0], 0.0))
+        squares = np.linalg.eigvalsh(D.swapaxes(1, 2) @ D)[:, 0]
+        least: Array = np.sqrt(np.maximum(squares, 0.0))
+        return least
 
     def scaled_jacobian(self, x: Array) -> Array:
-        """J (N, m, k) with its rows and columns scaled to entries of order one."""
+        """Return J (N, m, k) with rows and columns scaled to entries of order one."""
         return self._scaled(self._jacobian(x))
 
     def _scaled(self, J: Array) -> Array:
-        return J * self.units / self.row_units[:, None]
+        scaled: Array = J * self.units / self.row_units[:, None]
+        return scaled
 
-    def solve_closure(self, x: Array) -> Array | None:
-        """The closed posture (k,) with the independent joints of x; None where none is near."""
+    def reference_closure(self, x: Array) -> Array | None:
+        """Return the closed posture (k,) with the independent joints of x; None where none is
+        near."""
         found, _, good = self._newton(x[None], PATIENT)
         return found[0] if good[0] and np.isfinite(found).all() else None
 
-    def least_squares_step(self, x: Array) -> Array:
-        """x (N, k) closed by the smallest moves of all its joints together."""
+    def least_squares_closure(self, x: Array) -> Array:
+        """Return x (N, k) closed by the smallest moves of all joints, the independent ones
+        included."""
         x = x.copy()
         for _ in range(PATIENT):
             r, J = self._equation(x)
@@ -106,20 +114,20 @@ class Group:
             x -= moves[:, :, 0] * self.units
         return x
 
-    def residual_rank(self, x: Array, moves: Array) -> Array:
-        """Closed postures a small way from closed x (N, k), moves (N, k - r) of the independent
-        joints away."""
+    def local_closure(self, x: Array, moves: Array) -> Array:
+        """Return postures (N, k) closed again after small moves (N, k - r) of the independent
+        joints from closed x (N, k)."""
         x = x.copy()
         x[:, self.dependent] += _times(self.follow(x), moves)
         x[:, self.independent] += moves
         return self._newton(x, 2)[0]
 
-    def is_closed(self, independent: Array, near: Array | None = None) -> tuple[Array, Array]:
-        """Closed x (N, k) with these independent joints (N, k - r), on the branch of the reference,
-        and which of them (N,) are closed and regular; `near` (N, k): closed postures of the same
-        branch from where the way is shorter."""
+    def motion_closure(self, independent: Array, near: Array | None = None) -> tuple[Array, Array]:
+        """Return x (N, k) with these independent joints (N, k - r), on the branch of the reference,
+        and True (N,) where x is closed and regular; `near` (N, k): closed postures of the same
+        branch to start from."""
         if self.linear:
-            return self._closed_at_once(independent), np.ones(len(independent), dtype=bool)
+            return self._linear_closure(independent), np.ones(len(independent), dtype=bool)
         if near is not None:
             x, share = self.continuation(independent, start=near)
             return x, share == 1.0
@@ -129,10 +137,10 @@ class Group:
         x = np.repeat(start, stride, axis=0)[: len(independent)]
         regular = np.repeat(regular, stride)[: len(independent)]
         if stride > 1:
-            at, moved = self.independent, independent - x[:, self.independent]
+            moved = independent - x[:, self.independent]
             before = self._jacobian(x)
             x[:, self.dependent] += _times(self._followed(before), moved)
-            x[:, at] = independent
+            x[:, self.independent] = independent
             x, J, found = self._newton(x, ITERATIONS)
             regular = regular & found & self._same_branch(before, J)
         return x, regular
@@ -140,14 +148,14 @@ class Group:
     def continuation(
         self,
         targets: Array,
-        keep: SolverState | None = None,
+        keep: PostureBounds | None = None,
         least: int = 1,
         start: Array | None = None,
     ) -> tuple[Array, Array]:
-        """`closed` for targets (N, k - r) that may lie far apart: each is walked to from the
-        reference, or from closed postures `start` (N, k), in `least` steps or more. x (N, k) of the
-        last place where the closure holds, and `keep` is kept, and its share (N,) of the way: 1 at
-        the target."""
+        """Follow the closure to targets (N, k - r) that may lie far apart, each from the reference
+        or from closed postures `start` (N, k), in `least` steps or more. Return x (N, k) of the
+        last posture that is closed and within the bounds `keep`, and its share (N,) of the way: 1
+        at the target."""
         x = np.tile(self.reference, (len(targets), 1)) if start is None else start
         J, begin = self._jacobian(x), x[:, self.independent]
         stretch = targets - begin
@@ -170,7 +178,7 @@ class Group:
         return x, share
 
     def _newton(self, x: Array, iterations: int) -> tuple[Array, Array, Array]:
-        """Dependent joints moved until the constraints hold; J there; whether (N,) they do."""
+        """Newton steps of the dependent joints; x, J there, and True (N,) where it is closed."""
         x = x.copy()
         for _ in range(iterations):
             r, J = self._equation(x)
@@ -180,16 +188,16 @@ class Group:
         return x, J, np.abs(r).max(axis=1, initial=0.0) <= CLOSED
 
     def _same_branch(self, before: Array, after: Array) -> Array:
-        """Whether (N,) J is regular, and was on the way from one place to the other: where a
-        singular posture lies between the two, one direction of J_dep has changed its sign."""
+        """True (N,) where J is regular and no singular posture lies between two postures: beyond
+        one, a direction of J_dep has changed its sign."""
         D, E = (self._scaled(J)[:, :, self.dependent] for J in (before, after))
-        kept = np.linalg.det(D.swapaxes(1, 2) @ E) > 0.0
+        kept: Array = np.linalg.det(D.swapaxes(1, 2) @ E) > 0.0
         return kept & (self._regularity(after) >= SINGULAR)
 
     def _followed(self, J: Array) -> Array:
         return self._resolved(J, -J[:, :, self.independent])
 
-    def _closed_at_once(self, independent: Array) -> Array:
+    def _linear_closure(self, independent: Array) -> Array:
         x = np.tile(self.reference, (len(independent), 1))
         F = self.follow(x[:1])[0]
         x[:, self.dependent] += (independent - x[:, self.independent]) @ F.T
@@ -197,7 +205,7 @@ class Group:
         return x
 
     def _stride(self, independent: Array) -> int:
-        """How many samples of a motion may start from one that is closed already."""
+        """Number of samples of a motion that may start from one closed posture."""
         moves = np.abs(np.diff(independent, axis=0) / self.units[self.independent])
         fastest = float(moves.max(initial=0.0))
         return max(1, min(64, int(STEP / fastest))) if fastest > 0 else max(1, len(independent))
@@ -209,26 +217,27 @@ class Group:
         return self._equation(x)[1]
 
     def _resolved(self, J: Array, rows: Array) -> Array:
-        """J_dep^+ rows (N, r, c) for rows (N, m, c); once refined, since the normal equations
+        """J_dep^+ rows (N, r, c) for rows (N, m, c); refined once, since the normal equations
         square the condition number."""
         D = J[:, :, self.dependent]
         T = D.swapaxes(1, 2)
         normal = T @ D
         r = normal.shape[1]
-        # Keeps the solver from stopping at a singular sample, which is sorted out afterwards.
+        # Keeps np.linalg.solve from raising at a singular sample, which is discarded afterwards.
         trace = np.trace(normal, axis1=1, axis2=2)
         normal = normal + (1e-14 * trace + 1e-300)[:, None, None] * np.eye(r)
         out = np.linalg.solve(normal, T @ rows)
-        return out + np.linalg.solve(normal, T @ (rows - D @ out))
+        refined: Array = out + np.linalg.solve(normal, T @ (rows - D @ out))
+        return refined
 
 
 def equation(constraints: Sequence[Constraint], dofs: Array, x: Array) -> tuple[Array, Array]:
-    """r (N, m) and J (N, m, k) of all constraints at x (N, k)."""
+    """Return r (N, m) and J (N, m, k) of all constraints at x (N, k)."""
     values, slopes = [], []
-    for constraint, at in _located(constraints, dofs):
-        r, own = constraint.equation(x[:, at])
+    for constraint, columns in _located(constraints, dofs):
+        r, part = constraint.equation(x[:, columns])
         J = np.zeros((*r.shape, len(dofs)))
-        J[:, :, at] = own
+        J[:, :, columns] = part
         values.append(r)
         slopes.append(J)
     return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
@@ -240,4 +249,5 @@ def _located(constraints: Sequence[Constraint], dofs: Array) -> list[tuple[Const
 
 def _times(F: Array, v: Array) -> Array:
     """F v (N, r) for F (N, r, c) and v (N, c)."""
-    return np.matmul(F, v[:, :, None])[:, :, 0]
+    product: Array = np.matmul(F, v[:, :, None])[:, :, 0]
+    return product

@@ -1,4 +1,4 @@
-"""Which joints of a group move and which follow, and the closed posture that motions start from."""
+"""Choice of the independent joints of a group, and the closed posture that motions start from."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,22 +12,22 @@ from sysid_bench.models.coupling.group import SINGULAR, Group, equation
 from sysid_bench.types import Array
 
 RANK: Final = 1e-4
-"""Singular values of the scaled J below this, relative to the largest, are redundant rows: lengths
-that model files round leave 1e-6."""
+"""Singular values of the scaled J below this, relative to the largest, belong to redundant rows:
+rounded lengths in model files leave 1e-6."""
 
 PIVOT: Final = 0.1
-"""A joint follows rather than a motor's where its column stands out at least this much of what the
-best one does: conditioning before convenience."""
+"""A joint without motor is dependent where its column rises to this share of the best one, at
+least: conditioning comes before convenience."""
 
 LATER: Final = 0.5
-"""The same for a joint rather than one earlier in the tree."""
+"""The same share for a joint later in the tree."""
 
 NEARBY: Final = 0.05
-"""How far from the reference (rad) its rank is compared."""
+"""rad; distance from the reference at which the rank is compared with that at the reference."""
 
 
-def connected_groups(constraints: Sequence[Constraint]) -> list[list[Constraint]]:
-    """The constraints by group: those that share a degree of freedom, directly or not."""
+def group_constraints(constraints: Sequence[Constraint]) -> list[list[Constraint]]:
+    """Return the constraints in groups: those that share a degree of freedom, directly or not."""
     groups: list[tuple[set[int], list[Constraint]]] = []
     for constraint in constraints:
         dofs, members = set(constraint.dofs), [constraint]
@@ -45,11 +45,11 @@ def group_of(
     actuated: frozenset[int],
     wanted: frozenset[int],
 ) -> Group:
-    """The group of connected constraints; `slides` (nv,): which dofs are lengths, `actuated`: those
-    that carry a motor, `wanted`: those that must be independent.
+    """Return the group of connected constraints; `slides` (nv,): True for lengths, `actuated`: dofs
+    with a motor, `wanted`: dofs that must be independent.
 
-    Raises ModelError where the wanted ones cannot all be, where nothing closes the constraints near
-    the model's reference posture, and where they are singular there.
+    Raises ModelError where the wanted dofs cannot all be independent, where no closed posture lies
+    near the model's reference posture, and where the closure is singular there.
     """
     dofs = np.array(sorted({dof for constraint in constraints for dof in constraint.dofs}))
     _, J = equation(constraints, dofs, np.zeros((1, len(dofs))))
@@ -58,25 +58,30 @@ def group_of(
     scaled = J[0] * units / row_units[:, None]
     count = _rank(scaled)
     allowed = [
-        [k for k in places if int(dofs[k]) not in wanted]
-        for places in _followers_first(constraints, dofs, actuated)
+        [k for k in columns if int(dofs[k]) not in wanted]
+        for columns in _followers_first(constraints, dofs, actuated)
     ]
-    dependent = _pivots(scaled, [places for places in allowed if places], count)
+    dependent = _pivots(scaled, [columns for columns in allowed if columns], count)
     if len(dependent) < count:
-        told = ", ".join(names[dof] for dof in dofs if int(dof) in wanted)
-        free = len(dofs) - count
+        required = ", ".join(names[dof] for dof in dofs if int(dof) in wanted)
         raise ModelError(
-            f"coupling.independent: {told} cannot all be independent; of the coupled joints "
-            f"{', '.join(names[dof] for dof in dofs)} only {free} can."
+            f"coupling.independent: {required} cannot all be independent; of the coupled joints "
+            f"{', '.join(names[dof] for dof in dofs)} only {len(dofs) - count} can."
         )
-    independent = np.setdiff1d(np.arange(len(dofs)), dependent)
-    start = np.zeros(len(dofs))
-    group = Group(tuple(constraints), dofs, dependent, independent, start, units, row_units)
+    group = Group(
+        constraints=tuple(constraints),
+        dofs=dofs,
+        dependent=dependent,
+        independent=np.setdiff1d(np.arange(len(dofs)), dependent),
+        reference=np.zeros(len(dofs)),
+        units=units,
+        row_units=row_units,
+    )
     return _closed_at_reference(group, names)
 
 
 def _units(constraints: Sequence[Constraint], J: Array, slides: Array) -> Array:
-    """(k,): 1 for a hinge, the longest lever arm of the loops for a slide."""
+    """Scales (k,) of coordinates: 1 for a hinge, the longest lever arm of the loops for a slide."""
     length, row = 0.0, 0
     for constraint in constraints:
         if isinstance(constraint, Loop):
@@ -87,7 +92,7 @@ def _units(constraints: Sequence[Constraint], J: Array, slides: Array) -> Array:
 
 
 def _row_units(constraints: Sequence[Constraint], scaled: Array) -> Array:
-    """(m,): the largest entry of the rows that have the same unit."""
+    """Scales (m,) of rows: the largest entry of the rows that have the same unit."""
     units, row = np.ones(len(scaled)), 0
     for constraint in constraints:
         size = 3 if isinstance(constraint, Loop) else 1
@@ -112,8 +117,8 @@ def _rank(scaled: Array) -> int:
 def _followers_first(
     constraints: Sequence[Constraint], dofs: Array, actuated: frozenset[int]
 ) -> list[list[int]]:
-    """Places in `dofs`: those that mimic another one, those without a motor, the rest; each later
-    in the tree first."""
+    """Indices in `dofs`: those that mimic another one, those without a motor, the rest; each from
+    the end of the tree."""
     mimics = {
         constraint.dofs[int(np.flatnonzero(constraint.first)[0])]
         for constraint in constraints
@@ -128,7 +133,8 @@ def _followers_first(
 
 
 def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
-    """At most `count` independent columns, of early kinds where they stand out enough."""
+    """At most `count` independent columns by greedy QR pivoting, of early kinds where they rise
+    enough above those chosen."""
     chosen: list[int] = []
     rest = scaled.copy()
     floor = RANK * float(np.linalg.norm(scaled, axis=0).max(initial=0.0))
@@ -148,32 +154,32 @@ def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
 
 
 def _closed_at_reference(group: Group, names: tuple[str, ...]) -> Group:
-    told = ", ".join(names[dof] for dof in group.dofs)
+    joints = ", ".join(names[dof] for dof in group.dofs)
     where = "the model's reference posture (qpos0, or all joints of a URDF at zero)"
-    x = group.solve_closure(group.reference)
+    x = group.reference_closure(group.reference)
     if x is None:
         raise ModelError(
-            f"The coupling of {told} cannot be closed near {where}; draw the model closed."
+            f"The coupling of {joints} cannot be closed near {where}; draw the model closed."
         )
     group = replace(group, reference=x)
     value = float(group.condition(x[None])[0])
-    hidden = _hidden(group)
-    if value < SINGULAR or hidden is not None:
-        least = value if hidden is None else hidden
+    branching = _branching(group)
+    if value < SINGULAR or branching is not None:
+        least = value if branching is None else branching
         positions = ", ".join(
             f"{names[dof]} at {displacement:.3g}"
             for dof, displacement in zip(group.dofs, x, strict=True)
         )
         raise ModelError(
-            f"The coupling of {told} is singular at {where}: smallest singular value {least:.2g} "
+            f"The coupling of {joints} is singular at {where}: smallest singular value {least:.2g} "
             f"({positions} from there); draw the model in a posture that is not flat or stretched."
         )
     return group
 
 
-def _hidden(group: Group) -> float | None:
-    """A singular value that vanishes at the reference and not nearby, where there is one: the
-    closure branches there, and nothing tells which way it goes."""
+def _branching(group: Group) -> float | None:
+    """A singular value that vanishes at the reference but not nearby, None without one: the closure
+    branches there, and the branch of the motion is undetermined."""
     if group.linear or len(group.independent) == 0:
         return None
     here = group.scaled_jacobian(group.reference[None])[0]
@@ -182,7 +188,7 @@ def _hidden(group: Group) -> float | None:
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(4, len(Vt) - r)) @ Vt[r:]
     directions *= NEARBY / np.abs(directions).max(axis=1, keepdims=True)
-    for x in group.least_squares_step(group.reference + directions * group.units):
+    for x in group.least_squares_closure(group.reference + directions * group.units):
         if _rank(group.scaled_jacobian(x[None])[0]) > r:
             return float(values[r]) if r < len(values) else 0.0
     return None

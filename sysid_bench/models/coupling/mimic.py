@@ -1,4 +1,4 @@
-"""URDF <mimic> as equalities of joints, which MuJoCo and we then read like any other."""
+"""Mimic joints of a URDF as joint equalities, which are then read like those of an MJCF."""
 
 from collections.abc import Iterator, Sequence
 
@@ -8,16 +8,17 @@ from sysid_bench.models.tree import HINGE, SLIDE
 from sysid_bench.models.urdf.canonical_urdf import Mimic
 
 
-def add_mimics(spec: mujoco.MjSpec, mimics: Sequence[Mimic]) -> Iterator[str]:
-    """Adds an equality per mimic joint; in words, those that follow what does not move."""
+def mimic_equalities(spec: mujoco.MjSpec, mimics: Sequence[Mimic]) -> Iterator[str]:
+    """Add an equality for each mimic joint q = multiplier * q_driver + offset; yield, in words,
+    those whose driver does not move."""
     moving = {joint.name for joint in spec.joints if int(joint.type) in (HINGE, SLIDE)}
     for mimic in mimics:
         if mimic.joint not in moving:
             continue
         if mimic.driver == mimic.joint or mimic.driver not in moving:
             yield (
-                f"joint {mimic.joint!r} moves on its own: it mimics {mimic.driver!r}, which is no "
-                "other hinge or slide of the robot"
+                f"joint {mimic.joint!r} treated as independent: it mimics {mimic.driver!r}, which "
+                "is not another hinge or slide of the robot"
             )
             continue
         equality = spec.add_equality(name=f"mimic of {mimic.joint}")

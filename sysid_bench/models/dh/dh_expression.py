@@ -1,5 +1,7 @@
-"""Cells of a Denavit-Hartenberg table: "-q2 + pi/2", "2*a2", "-60*deg"; read, never evaluated as
-Python. A value is a constant and a coefficient for each joint variable in it."""
+"""Expressions in the cells of a Denavit-Hartenberg table: "-q2 + pi/2", "2*a2", "-60*deg".
+
+They are parsed, never evaluated as Python. A value is a constant plus a coefficient for each joint
+variable in it."""
 
 import ast
 import math
@@ -27,7 +29,7 @@ class LinearExpression:
         )
 
     def times(self, factor: float) -> "LinearExpression":
-        """Everything multiplied by a number."""
+        """Return the expression multiplied by a number."""
         scaled = {name: factor * value for name, value in self.coefficients.items()}
         return LinearExpression(factor * self.constant, scaled)
 
@@ -35,8 +37,9 @@ class LinearExpression:
 def read_expression(
     text: str, symbols: Mapping[str, float], variables: frozenset[str], where: str
 ) -> LinearExpression:
-    """The value of a cell; an empty one is zero. Raises UsageError for anything but sums and
-    products of numbers, `symbols`, pi and deg, linear in `variables`."""
+    """Return the value of a cell; an empty one is zero. Raises UsageError, with `where`, for
+    anything but sums and products of numbers, `symbols`, pi and deg that are linear in
+    `variables`."""
     if not text.strip():
         return LinearExpression(0.0)
     try:
@@ -44,9 +47,9 @@ def read_expression(
         value = _value(tree, {**CONSTANTS, **symbols}, variables)
     except (SyntaxError, ValueError, RecursionError, OverflowError, ZeroDivisionError) as error:
         known = ", ".join([*sorted(variables), *symbols, *CONSTANTS])
-        reason = str(error) if isinstance(error, ValueError) else "it is no sum or product"
+        reason = str(error) if isinstance(error, ValueError) else "it is not a sum or product"
         raise UsageError(
-            f"{where}: {text.strip()!r} cannot be read: {reason}; there are numbers, + - * / **, "
+            f"{where}: {text.strip()!r} cannot be read: {reason}; use numbers, + - * / **, "
             f"and {known}."
         ) from error
     numbers = [value.constant, *value.coefficients.values()]
@@ -66,7 +69,7 @@ def _value(
         case ast.Name(id=name) if name in symbols:
             return LinearExpression(symbols[name])
         case ast.Name(id=name):
-            raise ValueError(f"nothing is called {name!r}")
+            raise ValueError(f"unknown name {name!r}")
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             return _value(inner, symbols, variables).times(-1.0)
         case ast.UnaryOp(op=ast.UAdd(), operand=inner):
@@ -75,7 +78,7 @@ def _value(
             return _combined(
                 _value(left, symbols, variables), op, _value(right, symbols, variables)
             )
-    raise ValueError("it is no sum or product of numbers and names")
+    raise ValueError("it is not a sum or product of numbers and names")
 
 
 def _combined(

@@ -1,15 +1,15 @@
-"""A Denavit-Hartenberg table as papers print it, read from CSV.
+"""Denavit-Hartenberg tables as printed in papers, read from CSV.
 
-    # let a2 = 0.279                 lengths with names, so that results can be printed with them
+    # let a2 = 0.279                 named lengths, which printed results use
     # connect 2pp 3                  o_2pp is a point of link 3: a closed chain
     link, joint, prev, a, alpha, d, theta, low, high, mass, com, size
     1,    R,     ,     0, pi/2,  0, q1
     2p,   R,     1,    a2p, 0,   0, q2 + q3
 
-`joint` is R (revolute), P (prismatic) or F (a fixed frame); with `passive` after it no motor is
-there. `theta` of an R row and `d` of a P row hold the link's own variable `q<link>` (an empty cell
-means just that) or those that it follows; everything else is constant. Only link, joint, a, alpha,
-d, theta are needed: `prev` is the row before, and what is unknown of masses is made up.
+`joint` is R (revolute), P (prismatic) or F (a fixed frame); `passive` after it means no motor.
+`theta` of an R row and `d` of a P row hold the link's own variable `q<link>` (the default of an
+empty cell) or those that it follows; all other cells are constant. Only link, joint, a, alpha, d,
+theta are required: `prev` is the row before, and unknown masses are those of bars.
 """
 
 import csv
@@ -26,7 +26,7 @@ NEEDED: Final = ("link", "joint", "a", "alpha", "d", "theta")
 COLUMNS: Final = (*NEEDED, "prev", "low", "high", "mass", "com", "size")
 KINEMATIC: Final = (*NEEDED, "prev")
 BASES: Final = ("", "-", "0", "base", "—")
-"""What stands in `prev` of a link on the base."""
+"""Values of `prev` for a link on the base."""
 
 _SYMBOL = re.compile(r"#\s*let\s+([A-Za-z_]\w*)\s*=\s*(.+)")
 _CONNECT = re.compile(r"#\s*connect\s+(\S+)\s+(\S+)\s*")
@@ -34,7 +34,7 @@ _CONNECT = re.compile(r"#\s*connect\s+(\S+)\s+(\S+)\s*")
 
 @dataclass(frozen=True)
 class DhRow:
-    """One link: its kind, the link before (None: the base), lengths and angles (m, rad) with the
+    """One link: its kind, the previous link (None: the base), lengths and angles (m, rad) with the
     joint variables in `theta` or `d`, limits, and mass (kg), com and size of a box (m) in the
     axes of its frame, from its frame's origin."""
 
@@ -53,24 +53,28 @@ class DhRow:
 
     @property
     def variable(self) -> str:
-        """The name of its own joint variable."""
+        """Name of the joint variable of this link."""
         return f"q{self.link}"
 
     @property
-    def moves(self) -> LinearExpression:
-        """What its joint does: theta of an R row, d of a P row."""
+    def joint_expression(self) -> LinearExpression:
+        """Position of its joint: theta of an R row, d of a P row."""
         return self.theta if self.kind == "R" else self.d
 
     @property
-    def follows(self) -> dict[str, float]:
-        """Coefficients of the variables that it follows; none where it moves on its own."""
-        return {} if self.variable in self.moves.coefficients else dict(self.moves.coefficients)
+    def coupling_coefficients(self) -> dict[str, float]:
+        """Coefficients of the variables that its joint follows; empty for an independent joint."""
+        return (
+            {}
+            if self.variable in self.joint_expression.coefficients
+            else dict(self.joint_expression.coefficients)
+        )
 
 
 @dataclass(frozen=True)
 class DhTable:
-    """The rows in the order of the table, the lengths that have names, and closed chains as pairs
-    of links: the origin of the first one's frame is a point of the second."""
+    """Rows in the order of the table, named lengths, and closed chains as pairs of links: the
+    origin of the first one's frame is a point of the second."""
 
     rows: tuple[DhRow, ...]
     symbols: Mapping[str, float] = field(default_factory=dict)
@@ -78,39 +82,39 @@ class DhTable:
 
 
 def read_table(path: Path, symbols: Mapping[str, float] | None = None) -> DhTable:
-    """The table of a CSV file; `symbols` replace the values of its named lengths.
+    """Read the table of a CSV file; `symbols` replace the values of its named lengths.
 
-    Raises UsageError naming file, line and column.
+    Raises UsageError with file, line and column.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"There is no readable table {str(path)!r}: {error}.") from error
-    told: dict[str, float] = {}
+    lengths: dict[str, float] = {}
     connects = []
     numbered = []
     for number, line in enumerate(lines, start=1):
         if found := _CONNECT.fullmatch(line.strip()):
             connects.append((found[1], found[2]))
         elif found := _SYMBOL.fullmatch(line.strip()):
-            value = read_expression(found[2], told, frozenset(), f"{path}, line {number}")
-            told[found[1]] = (symbols or {}).get(found[1], value.constant)
+            value = read_expression(found[2], lengths, frozenset(), f"{path}, line {number}")
+            lengths[found[1]] = (symbols or {}).get(found[1], value.constant)
         elif line.strip() and not line.lstrip().startswith("#"):
             numbered.append((number, [c.strip() for c in next(csv.reader([line]))]))
     if len(numbered) < 2:
-        raise UsageError(f"{path} has no rows; write a line of column names, then one for a link.")
+        raise UsageError(f"{path} has no rows; write a line of column names, then one per link.")
     header = [name.lower() for name in numbered[0][1]]
     _check_header(path, header)
     cells = [(n, dict(zip(header, row, strict=False))) for n, row in numbered[1:]]
-    rows = _rows(path, cells, told)
+    rows = _rows(path, cells, lengths)
     _check_links(path, rows, connects)
-    return DhTable(rows, told, tuple(connects))
+    return DhTable(rows, lengths, tuple(connects))
 
 
 def printed_table(
     path: Path,
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], dict[str, float]]:
-    """Head and rows of a table's kinematic columns as they are written, and its lengths."""
+    """Return head and rows of a table's kinematic columns as written, and its named lengths (m)."""
     table = read_table(path)
     lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     cells = [[c.strip() for c in next(csv.reader([x]))] for x in lines if not x.startswith("#")]
@@ -126,7 +130,7 @@ def _check_header(path: Path, header: list[str]) -> None:
     missing = [name for name in NEEDED if name not in header]
     if missing:
         raise UsageError(
-            f"{path} lacks the columns {', '.join(missing)}; needed are {', '.join(NEEDED)}."
+            f"{path} lacks the columns {', '.join(missing)}; required are {', '.join(NEEDED)}."
         )
 
 
@@ -143,7 +147,7 @@ def _rows(
 
 @dataclass(frozen=True)
 class _Cells:
-    """The cells of one line, and what names mean in them."""
+    """The cells of one line, and the names that may occur in them."""
 
     where: str
     row: Mapping[str, str]
@@ -151,17 +155,17 @@ class _Cells:
     variables: frozenset[str]
 
     def read(self, before: str | None) -> DhRow:
-        """The row; without a column `prev` it hangs on the one before."""
+        """Return the row; without a column `prev` its parent is the row before."""
         link = self.row.get("link", "")
         if not re.fullmatch(r"\w+", link):
             raise UsageError(
-                f"{self.where}: a link is called by letters and digits ('2p'); got {link!r}."
+                f"{self.where}: a link's name has letters and digits only ('2p'); got {link!r}."
             )
         kind, _, rest = self.row.get("joint", "").partition(" ")
         if kind not in ("R", "P", "F") or rest.strip() not in ("", "passive"):
             raise UsageError(
                 f"{self.where}, column joint: {self.row.get('joint')!r}; write R, P or F, and "
-                "'R passive' where no motor is."
+                "'R passive' for a joint without motor."
             )
         prev = self.row.get("prev")
         theta, d = (self.linear(name, kind) for name in ("theta", "d"))
@@ -181,31 +185,32 @@ class _Cells:
         )
 
     def linear(self, name: str, kind: str) -> LinearExpression:
-        """theta or d; what the joint moves is its own variable where the cell is empty."""
-        own, text = f"q{self.row['link']}", self.row.get(name, "").replace("—", "")
+        """Return theta or d; the joint variable of the link is the default where the joint
+        moves."""
+        variable, text = f"q{self.row['link']}", self.row.get(name, "").replace("—", "")
         moves = (kind, name) in (("R", "theta"), ("P", "d"))
         value = read_expression(text, self.symbols, self.variables, f"{self.where}, column {name}")
         if not moves and value.coefficients:
             raise UsageError(
-                f"{self.where}, column {name}: {text!r} moves, but the joint is {kind}."
+                f"{self.where}, column {name}: {text!r} is variable, but the joint is {kind}."
             )
         if moves and not value.coefficients:
-            value = value + LinearExpression(0.0, {own: 1.0})
-        if moves and own in value.coefficients and value.coefficients != {own: 1.0}:
+            value = value + LinearExpression(0.0, {variable: 1.0})
+        if moves and variable in value.coefficients and value.coefficients != {variable: 1.0}:
             raise UsageError(
-                f"{self.where}, column {name}: {text!r}; write {own} plus a constant, or the "
-                "variables that it follows without its own."
+                f"{self.where}, column {name}: {text!r}; write {variable} plus a constant, or "
+                "only the variables that it follows."
             )
         return value
 
     def number(self, name: str) -> float:
-        """A constant cell."""
+        """Return the value of a constant cell."""
         text = self.row.get(name, "").replace("—", "")
-        place = f"{self.where}, column {name}"
-        return read_expression(text, self.symbols, frozenset(), place).constant
+        where = f"{self.where}, column {name}"
+        return read_expression(text, self.symbols, frozenset(), where).constant
 
     def limits(self) -> tuple[float, float] | None:
-        """low and high, where they are told."""
+        """Return low and high; None where neither is stated."""
         if not self.row.get("low") and not self.row.get("high"):
             return None
         low, high = self.number("low"), self.number("high")
@@ -214,17 +219,15 @@ class _Cells:
         return low, high
 
     def three(self, name: str) -> tuple[float, float, float] | None:
-        """Three numbers in one cell."""
+        """Return the three numbers of one cell; None where it is empty."""
         words = self.row.get(name, "").split()
         if not words:
             return None
         if len(words) != 3:
-            raise UsageError(
-                f"{self.where}, column {name}: write three numbers apart by blanks; got {words}."
-            )
-        place = f"{self.where}, column {name}"
+            raise UsageError(f"{self.where}, column {name}: write three numbers; got {words}.")
+        where = f"{self.where}, column {name}"
         x, y, z = (
-            read_expression(word, self.symbols, frozenset(), place).constant for word in words
+            read_expression(word, self.symbols, frozenset(), where).constant for word in words
         )
         return x, y, z
 
@@ -236,17 +239,17 @@ def _check_links(path: Path, rows: tuple[DhRow, ...], connects: list[tuple[str, 
             raise UsageError(f"{path}: two links are called {row.link!r}.")
         if row.prev is not None and row.prev not in known:
             raise UsageError(
-                f"{path}: link {row.link!r} hangs on {row.prev!r}, which is not above it in the "
+                f"{path}: link {row.link!r} follows {row.prev!r}, which is not above it in the "
                 "table; order the rows from the base outwards."
             )
         known[row.link] = row
-    moving = {row.variable for row in rows if row.kind != "F" and not row.follows}
+    moving = {row.variable for row in rows if row.kind != "F" and not row.coupling_coefficients}
     for row in rows:
-        for name in row.follows:
+        for name in row.coupling_coefficients:
             if name not in moving:
                 raise UsageError(
-                    f"{path}: link {row.link!r} follows {name}, which does not move on its own; "
-                    f"there are {', '.join(sorted(moving))}."
+                    f"{path}: link {row.link!r} follows {name}, which is not independent; "
+                    f"independent are {', '.join(sorted(moving))}."
                 )
     for pair in connects:
         for link in pair:
@@ -254,4 +257,4 @@ def _check_links(path: Path, rows: tuple[DhRow, ...], connects: list[tuple[str, 
                 raise UsageError(f"{path}: connect: {unknown_name('link', link, known)}")
     clash = moving.intersection(CONSTANTS)
     if clash:
-        raise UsageError(f"{path}: {', '.join(sorted(clash))} is a constant; call the link else.")
+        raise UsageError(f"{path}: {', '.join(sorted(clash))} is a constant; rename the link.")

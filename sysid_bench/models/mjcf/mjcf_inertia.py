@@ -1,8 +1,8 @@
-"""Inertias that MuJoCo's compiler makes, written down once as the bodies' own.
+"""Inertias that MuJoCo's compiler derives from geoms and meshes, made explicit in each body.
 
-Meshes are read for bodies whose inertia comes from them, and for nothing else. Rules for the whole
-model (`settotalmass`, `balanceinertia`, bounds) are applied here and then forgotten, so that a
-payload that is mounted later is not scaled with the rest.
+Meshes are read only for bodies whose inertia comes from them. Rules for the whole model
+(`settotalmass`, `balanceinertia`, bounds) are applied once and then switched off, so that a payload
+mounted later is not scaled with the rest.
 """
 
 from collections.abc import Iterator, Mapping
@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, first_names
-from sysid_bench.models.checks.mujoco_warnings import captured_warnings
+from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.mjcf.mjcf_files import files_outside, is_inside
 from sysid_bench.types import Array
 
@@ -28,12 +28,11 @@ _AUTO: Final = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO)
 LARGEST_MESH: Final = 256 * 2**20  # bytes
 
 
-def explicit_inertias(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str, ...]:
-    """Makes the inertias of a spec explicit where meshes or rules of the compiler decide them, and
-    deletes every shape that needs a file. Meshes lie below `folder`. Tells, in words, the bodies
-    whose meshes are absent.
+def compiled_inertia(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str, ...]:
+    """Make the inertias of a spec explicit where meshes or rules of the compiler determine them,
+    and delete all shapes that need a file. Return the bodies whose meshes are absent, in words.
 
-    Raises ModelError where such a body moves and weighs nothing else, or a mesh lies outside of
+    Raises ModelError where such a body moves and has no other mass, or where a mesh lies outside
     `folder`.
     """
     weighing = [geom for body in spec.bodies for geom in _weighing(spec, body)]
@@ -53,7 +52,7 @@ def explicit_inertias(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[st
 
 @dataclass(frozen=True)
 class _Absent:
-    """Bodies whose inertia comes from meshes that are not there."""
+    """Bodies whose inertia comes from meshes that do not exist."""
 
     bodies: tuple[str, ...]
     files: tuple[str, ...]
@@ -63,7 +62,7 @@ class _Absent:
     def of(
         cls, lost: list[mujoco.MjsGeom], files: dict[mujoco.MjsGeom, Path | None], folder: Path
     ) -> "_Absent":
-        """In the order of the text, each once."""
+        """Return them in the order of the text, each once."""
         bodies = dict.fromkeys(geom.parent.name or "(unnamed)" for geom in lost)
         found = [file for geom in lost if (file := files[geom]) is not None]
         names = dict.fromkeys(str(file.resolve().relative_to(folder.resolve())) for file in found)
@@ -74,7 +73,7 @@ class _Absent:
 
     def __str__(self) -> str:
         return (
-            f"{first_names(self.bodies)}: inertia came from meshes that are not there "
+            f"{first_names(self.bodies)}: inertia came from meshes that do not exist "
             f"({first_names(self.files)}): give each of these bodies an <inertial>, or put "
             f"the meshes into the folder {self.folder!r}"
         )
@@ -85,7 +84,7 @@ def _is_filed(geom: mujoco.MjsGeom) -> bool:
 
 
 def _weighing(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> Iterator[mujoco.MjsGeom]:
-    """Shapes of a body that need a mesh and count in its inertia."""
+    """Shapes of a body that need a mesh and contribute to its inertia."""
     mode = int(spec.compiler.inertiafromgeom)
     if mode == _NEVER or (mode == _AUTO and body.explicitinertial) or body.name == "world":
         return
@@ -97,10 +96,10 @@ def _weighing(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> Iterator[mujoco.MjsG
 
 
 def _mesh_file(spec: mujoco.MjSpec, name: str, path: Path, folder: Path) -> Path | None:
-    """Where a mesh lies; None where its vertices stand in the text."""
+    """The file of a mesh; None where its vertices are in the text."""
     mesh = spec.mesh(name)
     if mesh is None:
-        raise ModelError(f"{path.name}: a geom asks for the mesh {name!r}, and there is none.")
+        raise ModelError(f"{path.name}: a geom uses the mesh {name!r}, which is not defined.")
     if not mesh.file:
         return None
     written = Path(mesh.file).name if spec.strippath else mesh.file
@@ -111,12 +110,14 @@ def _mesh_file(spec: mujoco.MjSpec, name: str, path: Path, folder: Path) -> Path
             f"{files_outside(path, file)}; or give the body an <inertial>."
         )
     if file.is_file() and file.stat().st_size > LARGEST_MESH:
-        raise ModelError(f"{path.name}: the mesh {mesh.file!r} is too large for a robot's part.")
+        raise ModelError(
+            f"{path.name}: the mesh {mesh.file!r} is larger than {LARGEST_MESH} bytes."
+        )
     return file
 
 
 def _keep_meshes(spec: mujoco.MjSpec, files: Mapping[str, Path | None]) -> None:
-    """Deletes all other meshes, and whatever else would make the compiler read files."""
+    """Delete all other meshes and settings that would make the compiler read files."""
     for mesh in list(spec.meshes):
         if mesh.name not in files:
             spec.delete(mesh)
@@ -126,7 +127,7 @@ def _keep_meshes(spec: mujoco.MjSpec, files: Mapping[str, Path | None]) -> None:
 
 
 def _has_rules(spec: mujoco.MjSpec) -> bool:
-    """Whether the compiler changes numbers that the text gives."""
+    """True where the compiler changes numbers of the text."""
     rules = spec.compiler
     return bool(
         rules.settotalmass > 0
@@ -138,10 +139,10 @@ def _has_rules(spec: mujoco.MjSpec) -> bool:
 
 
 def _write_down(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> None:
-    """Compiles once and takes the compiler's inertias, springs and dampers into the spec."""
+    """Compile once and copy the compiler's inertias, springs and dampers into the spec."""
     aligned = [(joint, joint.align) for joint in spec.joints]
     everywhere = spec.compiler.alignfree
-    # Aligned, a floating body's frame is its inertial one: the spec keeps the frames of the text.
+    # Alignment would move the frame of a floating body to its inertial frame; the text's is kept.
     spec.compiler.alignfree = False
     for joint, _ in aligned:
         joint.align = mujoco.mjtAlignFree.mjALIGNFREE_FALSE
@@ -164,7 +165,7 @@ def _write_down(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> None:
 
 def _compiled(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> mujoco.MjModel:
     try:
-        with captured_warnings():
+        with recorded_warnings():
             return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         if absent:
@@ -179,12 +180,12 @@ def _set_inertia(body: mujoco.MjsBody, mj: mujoco.MjModel) -> None:
     body.mass = float(mj.body_mass[body.id])
     body.ipos, body.iquat = mj.body_ipos[body.id], mj.body_iquat[body.id]
     body.inertia, body.fullinertia = mj.body_inertia[body.id], np.full(6, np.nan)
-    # Euler angles and the like of the text would win over the quaternion.
+    # Euler angles and the like in the text would override the quaternion.
     body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
 def _like(old: Any, value: Any) -> Array:
-    """A polynomial as MuJoCo 4 keeps it, of its linear term alone."""
+    """A polynomial of MuJoCo 4 with its linear coefficient only."""
     new = np.zeros_like(np.asarray(old, dtype=float))
     new[0] = float(np.ravel(value)[0])
     return new

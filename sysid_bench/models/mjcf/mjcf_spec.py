@@ -1,4 +1,5 @@
-"""An MJCF file as an MjSpec without the parts that need files or play no role in the dynamics."""
+"""Reading of an MJCF as an MjSpec, without the parts that need files or do not affect the
+dynamics."""
 
 from pathlib import Path
 
@@ -6,7 +7,7 @@ import mujoco
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.mjcf.mjcf_files import check_files
-from sysid_bench.models.mjcf.mjcf_inertia import explicit_inertias
+from sysid_bench.models.mjcf.mjcf_inertia import compiled_inertia
 from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT, joint_terms_of
 
 _LOOKS = ("hfields", "skins", "textures", "materials")
@@ -16,19 +17,24 @@ _UNUSED = ("keys", "pairs", "excludes", "sensors", "tuples")
 def mjcf_spec(
     path: Path, text: bytes | None = None, assets: Path | None = None
 ) -> tuple[mujoco.MjSpec, tuple[str, ...], tuple[str, ...]]:
-    """The spec of a file, or of a text that includes nothing and is called `path`; in words, what
-    had to be left out; and the joints that carry motors. Files are read below the folder `assets`,
-    or that of `path`. Raises ModelError with MuJoCo's reason."""
+    """Return the spec of a file, or of a text without includes that is called `path`; the parts
+    left out, in words; and the joints with motors.
+
+    Files are read below the folder `assets` (None: that of `path`). Raises ModelError with MuJoCo's
+    reason.
+    """
     folder = assets or path.parent
     spec = _read(path, text, folder)
     spec.compiler.fusestatic = False  # welded bodies keep their own parameters
-    spec.memory = spec.nstack = spec.njmax = spec.nconmax = -1  # as much as it needs
+    spec.memory = spec.nstack = spec.njmax = (
+        spec.nconmax
+    ) = -1  # sizes that the text reserves do not matter
     for collection in (*_UNUSED, *_LOOKS):
         for element in list(getattr(spec, collection)):
             spec.delete(element)
     for element in [*spec.geoms, *spec.sites, *spec.tendons]:
         element.material = ""
-    repairs = explicit_inertias(spec, path, folder)
+    repairs = compiled_inertia(spec, path, folder)
     repairs += joint_terms_of(spec)
     actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
     for actuator in list(spec.actuators):

@@ -1,9 +1,9 @@
-"""Joint terms of an MJCF model as MuJoCo has them, and in words what is no joint term.
+"""Joint terms of an MJCF, gathered at its joints; all other forces are left out and reported.
 
-Torque is taken at the joint, not at the motor: a gear is no part of the model, and what MuJoCo 4
-lets an actuator add to its joint (armature and damping, times the gear squared) is joint armature
-and joint damping. Flags that disable springs, dampers or friction are obeyed. Every other force
-(tendons, compensated gravity, a medium, polynomials) is left out of the simulated robot, and told.
+Torque is taken at the joint, not at the motor: gears are not part of the model, and the armature
+and damping that an actuator of MuJoCo 4 adds to its joint, times the gear squared, are joint
+armature and joint damping. Flags that disable springs, dampers or friction are obeyed. Other forces
+(tendons, gravity compensation, a medium, polynomials) are left out of the simulated robot.
 """
 
 from collections.abc import Iterator
@@ -18,10 +18,15 @@ _BIT: Final = mujoco.mjtDisableBit
 
 
 def joint_terms_of(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Gathers a spec's joint terms at its joints; what is left out, in words."""
-    told = [*_reflect_actuators(spec), *_drop_polynomials(spec)]
+    """Gather the joint terms of a spec at its joints; return what is left out, in words."""
+    left_out = [*_reflect_actuators(spec), *_drop_polynomials(spec)]
     _obey_flags(spec)
-    return (*told, *_drop_springs_of_balls(spec), *_drop_tendon_forces(spec), *_drop_medium(spec))
+    return (
+        *left_out,
+        *_drop_springs_of_balls(spec),
+        *_drop_tendon_forces(spec),
+        *_drop_medium(spec),
+    )
 
 
 def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -33,7 +38,8 @@ def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
         joint = joints.get(actuator.target)
         at_joint = int(actuator.trntype) in AT_JOINT and joint is not None
         if joint is None or not at_joint or int(joint.type) not in _SCALAR:
-            yield f"armature and damping of actuator {_called(actuator)}, at no joint, left out"
+            name = _called(actuator)
+            yield f"armature and damping of actuator {name} left out: it acts on no hinge or slide"
             continue
         if damping[1:].any():
             yield f"non-linear damping of actuator {_called(actuator)} left out"
@@ -52,7 +58,7 @@ def _drop_polynomials(spec: mujoco.MjSpec) -> Iterator[str]:
 
 
 def _obey_flags(spec: mujoco.MjSpec) -> None:
-    """Zeroes what the model switches off, and clears the flags: the numbers tell all."""
+    """Zero the terms that the model disables, and clear the flags."""
     flags = int(spec.option.disableflags)
     for joint in spec.joints:
         if flags & int(_BIT.mjDSBL_SPRING):
@@ -69,7 +75,7 @@ def _drop_springs_of_balls(spec: mujoco.MjSpec) -> Iterator[str]:
     for joint in spec.joints:
         if int(joint.type) not in _SCALAR and np.any(joint.stiffness):
             joint.stiffness = np.zeros_like(joint.stiffness)
-            yield f"spring of joint {_called(joint)}, which is neither hinge nor slide, left out"
+            yield f"spring of joint {_called(joint)} left out: it is neither hinge nor slide"
 
 
 def _drop_tendon_forces(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -79,7 +85,8 @@ def _drop_tendon_forces(spec: mujoco.MjSpec) -> Iterator[str]:
         for key in found:
             setattr(tendon, key, _zero(getattr(tendon, key)))
         if found:
-            yield f"{', '.join(found)} of tendon {_called(tendon)} left out: no terms of one joint"
+            terms = ", ".join(found)
+            yield f"{terms} of tendon {_called(tendon)} left out: not a term of one joint"
 
 
 def _drop_medium(spec: mujoco.MjSpec) -> Iterator[str]:

@@ -1,0 +1,1 @@
+"""Random robots (trees, mechanisms with coupled joints) and random states of any robot."""

@@ -10,27 +10,27 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.spatial.rotation import quaternion_of_matrix
 from sysid_bench.types import Array
 
-Y: Final = (0.0, 1.0, 0.0)
-"""Mechanisms are drawn in the x-z plane of their mount; their hinges turn about this."""
+_HINGE_AXIS: Final = (0.0, 1.0, 0.0)
+"""Axis of the hinges of a mechanism, which lies in the x-z plane of its mount."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A body of a mechanism, with the joint that moves it against its parent (None: the mount).
-    `p` and `axis` (3,) are those of the mount's frame at the reference posture."""
+    """A body of a mechanism, with its joint to the parent (None: the mount). `p` and `axis` (3,)
+    are in the frame of the mount at the reference posture."""
 
     name: str
     parent: str | None
     p: Array
     kind: str = "hinge"
-    axis: tuple[float, ...] | Array = Y
+    axis: tuple[float, ...] | Array = _HINGE_AXIS
     range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Mechanism:
-    """Parts, what couples them (MJCF below <tendon> and <equality>), and the joint with the motor.
-    `closures`: (kind, one part, other part, meeting point), which need the parts' drawn axes."""
+    """Parts, their couplings (MJCF below <tendon> and <equality>), and the joint with the motor.
+    `closures`: (kind, one part, other part, common point), written once the frames are drawn."""
 
     parts: tuple[_Part, ...]
     motor: str
@@ -40,9 +40,9 @@ class _Mechanism:
 
 
 def random_mechanism(kind: str, seed: int) -> str:
-    """The MJCF text of a random robot with a mechanism of this kind; SI units, radians.
+    """Return the MJCF text of a random robot with a mechanism of this kind; SI units, radians.
 
-    No Coulomb friction. Raises UsageError for an unknown kind or a negative seed.
+    There is no Coulomb friction. Raises UsageError for an unknown kind or a negative seed.
     """
     if kind not in MECHANISMS:
         raise unknown_name("kind of coupled random robot", kind, MECHANISMS)
@@ -70,7 +70,8 @@ def _four_bar(rng: np.random.Generator) -> _Mechanism:
 
 
 def _parallelogram(rng: np.random.Generator) -> _Mechanism:
-    """Closed by a weld beyond a fourth hinge: six rows, of which the plane leaves three."""
+    """Closed by a weld distal to a fourth hinge: six rows, of which three are redundant in the
+    plane."""
     a, b, _, d = _corners(rng)
     c = b + d - a
     parts = (
@@ -119,7 +120,7 @@ def _mimic_gripper(rng: np.random.Generator) -> _Mechanism:
 
 
 def _tendon(rng: np.random.Generator) -> _Mechanism:
-    """A third joint that follows the sum of two others, as in cable-driven parallelograms."""
+    """A third joint that follows a sum of two others, as in cable-driven parallelograms."""
     parts = (
         _Part("first", None, rng.normal(size=3) * 0.1),
         _Part("second", "first", rng.normal(size=3) * 0.2),
@@ -146,7 +147,7 @@ MECHANISMS: Final[dict[str, Callable[[np.random.Generator], _Mechanism]]] = {
 
 
 def _corners(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """Ground, crank, rocker and ground pin of a quadrangle that is far from flat."""
+    """Corners of a four-bar linkage far from its singular, flat postures."""
     size, jitter = rng.uniform(0.6, 1.5), rng.uniform(-0.03, 0.03, (4, 2))
     points = np.array([[0.0, 0.0], [0.0, 0.18], [0.3, 0.33], [0.38, 0.0]]) + jitter
     a, b, c, d = (_plane(*(size * point)) for point in points)
@@ -165,11 +166,12 @@ def _direction(rng: np.random.Generator) -> Array:
 def _rotation(rng: np.random.Generator) -> Array:
     Q, R = np.linalg.qr(rng.normal(size=(3, 3)))
     Q = Q * np.sign(np.diag(R))
-    return Q * np.linalg.det(Q)
+    R_proper: Array = Q * np.linalg.det(Q)
+    return R_proper
 
 
 def _arm(rng: np.random.Generator, load: str) -> str:
-    """Up to two turning bodies and the mount on them, with `load` inside."""
+    """Up to two hinged bodies that carry the mount, with `load` inside."""
     text = f'<body name="mount" {_pose(_rotation(rng), rng.normal(size=3) * 0.2)}>'
     text += f"{_inertial(rng)}{load}</body>"
     for k in range(int(rng.integers(3)), 0, -1):

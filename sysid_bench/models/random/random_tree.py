@@ -1,4 +1,4 @@
-"""Random robots: an MJCF text from a seed, so that nothing but the seed has to be kept."""
+"""Random kinematic trees: an MJCF text from a seed, so that only the seed has to be stored."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
@@ -15,27 +15,27 @@ SEVERAL = (
     ("hinge", "slide", "hinge"),
     ("slide", "ball"),
 )
-"""Joints of one body in the mixtures that MuJoCo compiles: a ball comes last, rotations are three
+"""Joints of one body in combinations that MuJoCo compiles: a ball comes last, with three rotations
 at most."""
 
 
 @dataclass(frozen=True)
 class RandomRobot:
-    """What random robots look like. Ranges are [least, most]; shares are probabilities 0 to 1, per
+    """Settings of random robots. Ranges are [least, most]; shares are probabilities 0 to 1, per
     body (`branch` to `unnamed`), per joint (`anchored` to `spring`) or per robot (the last)."""
 
     bodies: tuple[int, int] = (3, 12)
     roots: tuple[int, int] = (1, 2)
-    branch: float = 0.25  # a body hangs on any body before it, not on the last one
+    branch: float = 0.25  # the parent is any earlier body, not the last one
     free_root: float = 0.25
     welded: float = 0.15
     ball: float = 0.08
     slide: float = 0.2
     several: float = 0.15  # joints on one body
     shape: float = 0.15  # inertia from a geom
-    weightless: float = 0.3  # of welded bodies: frames
+    weightless: float = 0.3  # of welded bodies: frames without mass
     unnamed: float = 0.1
-    anchored: float = 0.3  # joint position beside the body's origin
+    anchored: float = 0.3  # joint anchor away from the body's origin
     tilted: float = 0.5  # axis along no principal direction
     reference: float = 0.25
     limited: float = 0.3
@@ -54,13 +54,13 @@ class RandomRobot:
                 if not 1 <= low <= high:
                     raise UsageError(f"{field.name} must be [least, most], 1 or more; got {value}.")
             elif not 0 <= value <= 1:
-                raise UsageError(f"{field.name} is a share from 0 to 1; got {value!r}.")
+                raise UsageError(f"{field.name} must be a share from 0 to 1; got {value!r}.")
 
 
 def random_robot(seed: int, settings: RandomRobot = RandomRobot()) -> str:
-    """The MJCF text of a random tree; the same for the same seed and settings.
+    """Return the MJCF text of a random tree; the same for the same seed and settings.
 
-    Every inertia is that of a cloud of masses, every moving body weighs something, at least one
+    Every inertia is that of a cloud of point masses, every moving body has mass, and at least one
     joint moves. SI units, radians. Raises UsageError for a negative seed.
     """
     if seed < 0:
@@ -135,7 +135,7 @@ class _Draw:
                 continue
             name = "" if self.chance(self.settings.unnamed) else f' name="b{b + 1}"'
             yield f'<body{name} pos="{_words(self.rng.normal(size=3) * 0.3)}"{self.turn()}>'
-            # Different directions: two parallel slides on one body would be one too many.
+            # Different directions: parallel slides on one body would make the mass matrix singular.
             directions = np.eye(3)[self.rng.permutation(3)]
             for k, kind in enumerate(body.joints):
                 name = f"j{b + 1}{'abc'[k] if len(body.joints) > 1 else ''}"
@@ -145,11 +145,11 @@ class _Draw:
             yield "</body>"
 
     def turn(self) -> str:
-        """Unturned, a quarter turn about an axis, or anything."""
-        way = self.rng.integers(3)
-        if way == 0:
+        """No rotation, a quarter turn about an axis, or a random rotation."""
+        choice = self.rng.integers(3)
+        if choice == 0:
             return ""
-        if way == 1:
+        if choice == 1:
             quarter = np.zeros(4)
             quarter[[0, 1 + int(self.rng.integers(3))]] = 1.0
             return f' quat="{_words(quarter)}"'
@@ -192,9 +192,9 @@ class _Draw:
         if self.chance(s.shape):
             kind = ("box", "capsule", "ellipsoid", "sphere")[int(self.rng.integers(4))]
             size = _words(self.rng.uniform(0.03, 0.12, 3))
-            place = f'pos="{_words(self.rng.normal(size=3) * 0.1)}"{self.turn()}'
-            return f'<geom type="{kind}" size="{size}" {place}/>'
-        # Second moments of a cloud: any positive ones exist, thin plates and rods among them.
+            pose = f'pos="{_words(self.rng.normal(size=3) * 0.1)}"{self.turn()}'
+            return f'<geom type="{kind}" size="{size}" {pose}/>'
+        # Second moments of a mass distribution: all positive ones are possible, thin plates too.
         x, y, z = 0.01 * np.exp(self.rng.normal(size=3))
         mass = float(0.2 * 25 ** self.rng.random())
         moments = mass * np.array([y + z, x + z, x + y])

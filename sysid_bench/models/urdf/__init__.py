@@ -1,0 +1,1 @@
+"""Reading of URDF: canonical text, link tree, joint types, inertia repair."""

@@ -1,4 +1,4 @@
-"""Joints of a URDF: kinds that both engines read, and limits that both parsers accept."""
+"""Joints of a URDF: types that both engines read, and limits that both parsers accept."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -10,14 +10,14 @@ KINDS: Final = ("revolute", "continuous", "prismatic", "fixed", "planar", "float
 """Planar becomes two slides and a hinge; spherical, which is MuJoCo's own addition, a ball."""
 
 PLANAR_PARTS: Final = {"_TX": "prismatic", "_TY": "prismatic", "_RZ": "continuous"}
-"""How MuJoCo calls the joints of a planar one, and what they are."""
+"""Suffixes of the joints that MuJoCo makes of a planar one, and their types."""
 
 
 def canonical_joints(robot: ET.Element, root: str, name: str) -> tuple[str, ...]:
-    """Checks the kinds of joints and completes their limits in place; what was done, in words.
+    """Check the types of joints and complete their limits in place; return the changes in words.
 
-    Raises ModelError for a kind that there is not, and for a floating joint that is not at the
-    ground: MuJoCo knows none there.
+    Raises ModelError for an unknown type, and for a floating joint that is not at the ground, where
+    MuJoCo has none.
     """
     names = {joint.get("name") for joint in robot.findall("joint")}
     for joint in robot.findall("joint"):
@@ -36,19 +36,19 @@ def _check_kind(joint: ET.Element, root: str, name: str) -> None:
     if kind is None:
         raise ModelError(f"{name}: joint {joint.get('name')!r} has no type: {', '.join(KINDS)}.")
     if kind not in KINDS:
-        told = unknown_name("kind of joint", kind, KINDS)
-        raise ModelError(f"{name}: joint {joint.get('name')!r}: {told}")
+        reason = unknown_name("kind of joint", kind, KINDS)
+        raise ModelError(f"{name}: joint {joint.get('name')!r}: {reason}")
     above = None if parent is None else parent.get("link")
     if kind == "floating" and not (above == root == "world"):
         raise ModelError(
-            f"{name}: the floating joint {joint.get('name')!r} hangs on the link {above!r}; only a "
-            "root link called 'world' may carry one. Take the joint out and ask for a free base, "
-            "or make it fixed."
+            f"{name}: the floating joint {joint.get('name')!r} is attached to "
+            f"{above!r}; only a root link called 'world' may carry one. Remove the joint and ask "
+            "for a free base, or make it fixed."
         )
 
 
 def _complete_limits(joint: ET.Element) -> Iterator[str]:
-    """Pinocchio refuses what MuJoCo takes for "no limit"; zero means that to both."""
+    """Complete limits: Pinocchio refuses absent ones; zero means "no limit" to both engines."""
     if joint.get("type") not in ("revolute", "prismatic"):
         return
     label = f"joint {joint.get('name')!r}"
@@ -67,4 +67,4 @@ def _reversed(limit: ET.Element) -> bool:
     try:
         return float(limit.get("lower", "0")) > float(limit.get("upper", "0"))
     except ValueError:
-        return False  # refused elsewhere, with the number
+        return False  # refused by finite_number, with the value

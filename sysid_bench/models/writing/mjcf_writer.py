@@ -1,4 +1,4 @@
-"""An MJCF with identified numbers in it: every other byte of its text stays."""
+"""Writing of identified parameters into an MJCF; every other byte of its text stays."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -11,13 +11,13 @@ from sysid_bench.errors import ModelError
 from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.writing.rewrite import rewrite
-from sysid_bench.models.writing.round_trip import written_value
+from sysid_bench.models.writing.round_trip import file_spec
 from sysid_bench.models.writing.update import Bodies, Joints, Update
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
     attribute_edits,
-    insertion_edit,
+    element_edit,
     numbers,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia
@@ -26,15 +26,14 @@ from sysid_bench.types import Array
 
 _POSE: Final = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 _COPIES: Final = ("replicate", "composite", "flexcomp", "attach")
-"""Elements that make bodies which the text does not write one by one."""
+"""Elements that create bodies which are not written one by one in the text."""
 
 LAMINA: Final = 1e-9
-"""Of the trace: below it a principal moment of the density is none, and MuJoCo's own reading of a
-full inertia may round it to the wrong side; principal moments are written instead."""
-
+"""Share of the trace; for a smaller principal moment of the density, principal moments are written,
+since MuJoCo may round a full inertia to the impossible side."""
 
 ROUNDING: Final = 1e-9
-"""Of what actuators add to a joint: how far a term may lie below it and the joint have none."""
+"""Share of the term that actuators add to a joint; a total below it by less counts as rounding."""
 
 
 def updated_mjcf(
@@ -43,36 +42,37 @@ def updated_mjcf(
     joints: Joints | None = None,
     verdicts: Mapping[str, str] | None = None,
 ) -> str:
-    """The text of an MJCF with new inertial parameters and joint terms; nothing else changes.
+    """Return the text of an MJCF with new inertial parameters and joint terms; nothing else
+    changes.
 
     `bodies`: name -> phi (10,) or (m, com, inertia about it); `joints`: name -> damping,
     frictionloss, armature, stiffness, springref in SI units; `verdicts`: parameter -> verdict of
     all that is to be written. The text is read again before it is returned. Raises ModelError for
-    what must not be written (see models/writing/update.py), and for bodies of included files.
+    values that must not be written (see models/writing/update.py), and for included bodies.
     """
     return rewrite(path, bodies, joints, verdicts, "mujoco", _edits)
 
 
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
-    places = _Places(root, update.robot)
+    elements = _Elements(root, update.robot)
     for name, phi in update.phi.items():
-        yield from _body_edits(data, places.body(name), phi)
+        yield from _body_edits(data, elements.body(name), phi)
     for name, terms in update.joints.items():
-        yield from _joint_edits(data, places.joint(name), terms, update, name)
+        yield from _joint_edits(data, elements.joint(name), terms, update, name)
 
 
-class _Places:
-    """Where the bodies and joints of a robot are written in the main file."""
+class _Elements:
+    """Elements of the main file that define the bodies and joints of a robot."""
 
     def __init__(self, root: Element, robot: RobotModel) -> None:
         world = [section for section in root.children if section.tag == "worldbody"]
-        inside = [element for section in world for element in section.descendants()]
+        inside = [element for section in world for element in section.subtree()]
         bodies = [element for element in inside if element.tag == "body"]
         joints = [joint for body in bodies for joint in _joints_of(body)]
         self.elements = {"body": bodies, "joint": joints}
         self.names = {"body": robot.body_names, "joint": [joint.name for joint in robot.joints]}
         self.copied = [e.tag for e in inside if e.tag in _COPIES]
-        self.included = any(e.tag == "include" for e in root.descendants())
+        self.included = any(e.tag == "include" for e in root.subtree())
         self.file = robot.manifest.path.name
 
     def body(self, name: str) -> Element:
@@ -87,16 +87,16 @@ class _Places:
         if len(named) == 1 and not self._copied(named[0]):
             return named[0]
         # Bodies are numbered in the order of the text, joints body by body: an unnamed one is found
-        # by its place, where all that have names are at theirs.
+        # by its index, if all named ones are at theirs.
         if not named and not self.copied and _in_order(elements, names):
             return elements[list(names).index(name)]
         if self.copied:
-            why = f"<{self.copied[0]}> makes it, and a change would change its copies"
+            reason = f"<{self.copied[0]}> creates it, and a change would affect its copies"
         elif self.included:
-            why = "it comes from an included file; write that file's content into this one"
+            reason = "it comes from an included file; write that file's content into this one"
         else:
-            why = "it is not in the text"
-        raise ModelError(f"{self.file}: the {kind} {name!r} cannot be written: {why}.")
+            reason = "it is not in the text"
+        raise ModelError(f"{self.file}: the {kind} {name!r} cannot be written: {reason}.")
 
     def _copied(self, element: Element | None) -> bool:
         while element is not None:
@@ -107,7 +107,7 @@ class _Places:
 
 
 def _joints_of(body: Element) -> Iterator[Element]:
-    """The joints of one body, also within its frames."""
+    """The joint elements of one body, also within its frames."""
     for child in body.children:
         if child.tag in ("joint", "freejoint"):
             yield child
@@ -131,12 +131,12 @@ def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
         yield from attribute_edits(data, inertial, {**dict.fromkeys(_POSE), **values})
     elif phi.any() or body.child("geom") is not None:
         words = " ".join(f'{key}="{value}"' for key, value in values.items() if value is not None)
-        yield insertion_edit(data, body, f"<inertial {words}/>")
+        yield element_edit(data, body, f"<inertial {words}/>")
 
 
 def _inertia(inertia: Array) -> dict[str, str | None]:
-    """Attributes of an inertia (3, 3) about the centre of mass: xx yy zz xy xz yz, or, for what has
-    no thickness, principal moments and their axes."""
+    """Attributes of an inertia (3, 3) about the centre of mass: xx yy zz xy xz yz, or, for a
+    lamina, principal moments and their axes."""
     density = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
     if density[0] > LAMINA * np.trace(inertia):
         full = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
@@ -152,12 +152,12 @@ def _joint_edits(
     data: bytes, joint: Element, terms: Mapping[str, float], update: Update, name: str
 ) -> Iterator[Edit]:
     j = update.robot.mj.joint(name).id
-    spec = written_value(update.robot)
+    spec = file_spec(update.robot)
     source = list(spec.joints)[j]
     values: dict[str, str | None] = {}
     for key, total in terms.items():
-        value = _own(spec, name, key, total)
-        # Damping and stiffness are polynomials: what is beyond the linear number stays.
+        value = _joint_share(spec, name, key, total)
+        # Damping and stiffness are polynomials: coefficients beyond the linear one stay.
         written = getattr(source, key) if key in ("damping", "stiffness") else ()
         higher = np.trim_zeros(np.ravel(written)[1:], "b")
         if key == "springref" and update.robot.joints[j].kind == "hinge":
@@ -166,9 +166,9 @@ def _joint_edits(
     yield from attribute_edits(data, joint, values)
 
 
-def _own(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> float:
-    """What a joint itself has of a term: MuJoCo adds the actuators' armature and damping, times
-    the gear squared, to what is written at the joint. Raises ModelError where they alone have more.
+def _joint_share(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> float:
+    """The value to write at a joint for a total term: MuJoCo adds the armature and damping of
+    actuators, times the gear squared. Raises ModelError where these alone exceed the total.
     """
     if key not in ("armature", "damping"):
         return total
@@ -179,11 +179,11 @@ def _own(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> float:
         if actuator.target == joint and int(actuator.trntype) in AT_JOINT
     }
     added = sum(parts.values())
-    own = total - added
-    if own < -ROUNDING * added:
+    share = total - added
+    if share < -ROUNDING * added:
         raise ModelError(
             f"Not written: {key} of the joint {joint!r} is {total:.4g}, less than the {added:.4g} "
             f"that the actuator {', '.join(name for name, part in parts.items() if part)} adds to "
             "it; change the actuator first."
         )
-    return max(own, 0.0) if added else total
+    return max(share, 0.0) if added else total

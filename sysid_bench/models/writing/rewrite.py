@@ -1,4 +1,4 @@
-"""A model file with edits in its text, proved: what both formats share."""
+"""Editing of a model file in place, with the round-trip check that both formats share."""
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -7,10 +7,10 @@ from typing import Final
 from sysid_bench.errors import ModelError
 from sysid_bench.models.writing.round_trip import check_round_trip
 from sysid_bench.models.writing.update import Bodies, Joints, Update, update_of
-from sysid_bench.models.writing.xml_text import Edit, Element, apply_edits, elements_of
+from sysid_bench.models.writing.xml_text import Edit, Element, apply_edits, element_tree
 from sysid_bench.models.xml_file import LARGEST_FILE
 
-FORMATS: Final = {"mujoco": "MJCF", "robot": "URDF"}
+FORMATS: Final = {"mujoco": "an MJCF", "robot": "a URDF"}
 Edits = Callable[[bytes, Element, Update], Iterable[Edit]]
 
 
@@ -22,17 +22,18 @@ def rewrite(
     tag: str,
     edits: Edits,
 ) -> str:
-    """The text of a file whose root is <tag>, changed by `edits(data, root, update)`, read again.
+    """Return the text of a file whose root is <tag>, changed by `edits(data, root, update)` and
+    checked by reading it again.
 
-    Raises ModelError for what must not be written, and for a file of another format.
+    Raises ModelError for values that must not be written, and for a file of another format.
     """
     path = Path(path)
     update = update_of(path, bodies, joints or {}, verdicts)
     data = path.read_bytes()[: LARGEST_FILE + 1]
-    root = elements_of(data, path.name)
+    root = element_tree(data, path.name)
     if root.tag != tag:
         raise ModelError(
-            f"{path.name} is no {FORMATS[tag]}: its root element is <{root.tag}>, not <{tag}>."
+            f"{path.name} is not {FORMATS[tag]}: its root element is <{root.tag}>, not <{tag}>."
         )
     text = apply_edits(data, edits(data, root, update))
     check_round_trip(path, text, update)

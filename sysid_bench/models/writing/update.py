@@ -1,7 +1,6 @@
-"""What may be written into a model.
+"""Checked updates of a model: unidentified parameters and impossible bodies are refused by name.
 
-Values that no motion can tell, or bodies that cannot exist, are refused by name: a file carries no
-verdicts, and whoever reads it would believe them.
+A model file carries no verdicts, so that its readers would rely on every number in it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import ModelError, UsageError, unknown_name
+from sysid_bench.errors import ModelError, UsageError, first_names, unknown_name
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
@@ -22,7 +21,7 @@ JOINT_KEYS: Final = ("damping", "frictionloss", "armature", "stiffness", "spring
 """Joint terms in MuJoCo's words: N m s/rad, N m, kg m^2, N m/rad, rad (or N s/m, N, kg, N/m, m)."""
 
 POSSIBLE: Final = 1e-12
-"""Of a body's largest number: how far rounding may take a pseudo-inertia below zero."""
+"""Share of the largest number of a body; rounding may take a pseudo-inertia this far below zero."""
 
 BodyValue = Array | Sequence[Any]
 Bodies = Mapping[str, BodyValue]
@@ -31,7 +30,7 @@ Joints = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """A model as it is, and what it shall become: `phi` by body name (10,), `joints` by name."""
+    """A model and its new values: `phi` (10,) by body name, terms by joint name."""
 
     robot: RobotModel
     phi: dict[str, Array]
@@ -41,8 +40,8 @@ class Update:
 def update_of(
     path: Path, bodies: Bodies, joints: Joints, verdicts: Mapping[str, str] | None
 ) -> Update:
-    """The update of a model file, checked: raises UsageError for names and numbers that make no
-    sense, ModelError for bodies that cannot exist and parameters that were not identified.
+    """Return the checked update of a model file; raises UsageError for unknown names and invalid
+    numbers, ModelError for impossible bodies and parameters that were not identified.
 
     A body is phi (10,) or (m, com (3,), inertia about it (3, 3) or six numbers).
     """
@@ -63,18 +62,20 @@ def update_of(
 
 
 def _refuse_unidentified(verdicts: Mapping[str, str]) -> None:
-    """Raises ModelError that names every parameter whose verdict is not "identifiable"."""
-    doubtful = [name for name, verdict in verdicts.items() if verdict != "identifiable"]
-    if doubtful:
+    """Raise ModelError, with the first names, for parameters whose verdict is not
+    "identifiable"."""
+    unidentified = [name for name, verdict in verdicts.items() if verdict != "identifiable"]
+    if unidentified:
         raise ModelError(
-            f"Not written: {len(doubtful)} of {len(verdicts)} parameters were not identified: "
-            f"{', '.join(doubtful[:12])}{', ...' if len(doubtful) > 12 else ''}. Use a task that "
-            "tells them (link: all joint torques), or leave the model as it is."
+            f"Not written: {len(unidentified)} of {len(verdicts)} parameters were not identified: "
+            f"{first_names(unidentified)}. Use a task that "
+            "identifies them (link: all joint torques), or leave the model as it is."
         )
 
 
 def _refuse_infeasible(phi: Mapping[str, Array]) -> None:
-    """Raises ModelError that names every body whose pseudo-inertia is not positive semidefinite."""
+    """Raise ModelError, with their names, for bodies whose pseudo-inertia is not positive
+    semidefinite."""
     impossible = []
     for name, values in phi.items():
         smallest = float(smallest_eigenvalue(values))
@@ -83,7 +84,7 @@ def _refuse_infeasible(phi: Mapping[str, Array]) -> None:
     if impossible:
         raise ModelError(
             f"Not written: no body can have the parameters of {', '.join(impossible)}; the "
-            "pseudo-inertia must be positive semidefinite: use a method that keeps to that."
+            "pseudo-inertia must be positive semidefinite: use an estimator with that constraint."
         )
 
 
@@ -102,10 +103,10 @@ def _phi(name: str, value: BodyValue) -> Array:
 
 
 def _phi_of_three(mass: float, com: Sequence[float], inertia: Any) -> Array:
-    moments, place = np.asarray(inertia, dtype=float), np.asarray(com, dtype=float)
-    if place.shape != (3,) or moments.shape not in ((6,), (3, 3)):
+    moments, centre = np.asarray(inertia, dtype=float), np.asarray(com, dtype=float)
+    if centre.shape != (3,) or moments.shape not in ((6,), (3, 3)):
         raise ValueError("other shapes")
-    return phi_of(float(mass), place, matrix_of_six(moments) if moments.ndim == 1 else moments)
+    return phi_of(float(mass), centre, matrix_of_six(moments) if moments.ndim == 1 else moments)
 
 
 def _terms(name: str, values: Mapping[str, float]) -> dict[str, float]:
@@ -116,7 +117,6 @@ def _terms(name: str, values: Mapping[str, float]) -> dict[str, float]:
             raise UsageError(f"{key} of the joint {name!r} is {value!r}; it must be finite.")
         if value < 0 and key != "springref":
             raise ModelError(
-                f"Not written: {key} of the joint {name!r} is {value:.4g}, and no joint has less "
-                "than none of it."
+                f"Not written: {key} of the joint {name!r} is {value:.4g}; it must not be negative."
             )
     return {key: float(value) for key, value in values.items()}

@@ -1,4 +1,4 @@
-"""A URDF with identified numbers in it: every other byte of its text stays."""
+"""Writing of identified parameters into a URDF; every other byte of its text stays."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -11,7 +11,7 @@ from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
     attribute_edits,
-    insertion_edit,
+    element_edit,
     numbers,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia, six_of_matrix
@@ -19,7 +19,7 @@ from sysid_bench.types import Array
 
 _SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _DYNAMICS: Final = {"damping": "damping", "frictionloss": "friction"}
-"""The joint terms that a URDF has, in MuJoCo's words and in its own."""
+"""Joint terms of a URDF, MuJoCo's names to those of the URDF."""
 
 
 def updated_urdf(
@@ -28,12 +28,13 @@ def updated_urdf(
     joints: Joints | None = None,
     verdicts: Mapping[str, str] | None = None,
 ) -> str:
-    """The text of a URDF with new inertial parameters and joint friction; nothing else changes.
+    """Return the text of a URDF with new inertial parameters and joint friction; nothing else
+    changes.
 
     `bodies`: name -> phi (10,) or (m, com, inertia about it); `joints`: name -> damping,
     frictionloss in SI units; `verdicts`: parameter -> verdict of all that is to be written. The
-    text is read again before it is returned. Raises ModelError for what must not be written (see
-    models/writing/update.py), and for joint terms that a URDF cannot hold.
+    text is read again before it is returned. Raises ModelError for values that must not be written
+    (see models/writing/update.py), and for joint terms that a URDF cannot hold.
     """
     return rewrite(path, bodies, joints, verdicts, "robot", _edits)
 
@@ -50,7 +51,7 @@ def _called(root: Element, tag: str, name: str, file: str) -> Element:
     for element in root.children:
         if element.tag == tag and element.attributes.get("name") == name:
             return element
-    raise ModelError(f"{file}: the {tag} {name!r} is not in the text, so it cannot be written.")
+    raise ModelError(f"{file}: the {tag} {name!r} is not in the text and cannot be written.")
 
 
 def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
@@ -64,12 +65,12 @@ def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
     inertial = link.child("inertial")
     if inertial is None:
         if phi.any():
-            yield insertion_edit(data, link, _inertial(parts))
+            yield element_edit(data, link, _inertial(parts))
         return
     for part in parts.items():
         present = inertial.child(part[0])
         if present is None:
-            yield insertion_edit(data, inertial, _element(part))
+            yield element_edit(data, inertial, _element(part))
         else:
             yield from attribute_edits(data, present, part[1])
 
@@ -86,7 +87,7 @@ def _joint_edits(
     values = {_DYNAMICS[key]: numbers(value) for key, value in terms.items()}
     dynamics = joint.child("dynamics")
     if dynamics is None:
-        yield insertion_edit(data, joint, _element(("dynamics", values)))
+        yield element_edit(data, joint, _element(("dynamics", values)))
     else:
         yield from attribute_edits(data, dynamics, values)
 

@@ -1,4 +1,4 @@
-"""XML as bytes: where elements and attributes lie, so that numbers are exchanged in place."""
+"""XML as bytes: the positions of elements and attributes, so that numbers are replaced in place."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,7 +15,7 @@ _ATTRIBUTE: Final = re.compile(rb"\s+([^\s=/>\"']+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 @dataclass(eq=False)
 class Element:
     """One element: bytes start..head_end are its start tag, head_end..tail its content; `tail` is
-    where its end tag begins. `empty`: written as <tag/>. Filled in while the text is read."""
+    where its end tag begins. `empty`: written as <tag/>. Completed while the text is read."""
 
     tag: str
     attributes: dict[str, str]
@@ -27,35 +27,35 @@ class Element:
     children: list["Element"] = field(default_factory=list)
 
     def child(self, tag: str) -> "Element | None":
-        """The first child with this tag."""
+        """Return the first child with this tag, None without one."""
         return next((child for child in self.children if child.tag == tag), None)
 
-    def descendants(self) -> Iterator["Element"]:
-        """The element and all below it, in the order of the text."""
+    def subtree(self) -> Iterator["Element"]:
+        """Yield the element and all below it, in the order of the text."""
         yield self
         for child in self.children:
-            yield from child.descendants()
+            yield from child.subtree()
 
 
 @dataclass(frozen=True)
 class Edit:
-    """Bytes start..end of the source become `text`."""
+    """Replacement of bytes start..end of the source by `text`."""
 
     start: int
     end: int
     text: str
 
 
-def elements_of(data: bytes, name: str) -> Element:
-    """The root element of an XML text in UTF-8; raises ModelError with `name`.
+def element_tree(data: bytes, name: str) -> Element:
+    """Return the root element of an XML text in UTF-8; raises ModelError with `name`.
 
-    Its well-formedness and its lack of a DOCTYPE are the loader's business (`parse_xml`).
+    Entities and a DOCTYPE are refused earlier, by `parse_xml`.
     """
     try:
         data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ModelError(
-            f"{name} is not in UTF-8 ({error.reason} at byte {error.start}); save it so first."
+            f"{name} is not in UTF-8 ({error.reason} at byte {error.start}); convert it first."
         ) from error
     parser = expat.ParserCreate("utf-8")
     stack: list[Element] = []
@@ -77,26 +77,23 @@ def elements_of(data: bytes, name: str) -> Element:
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
-        raise ModelError(f"{name} is no well-formed XML: {error}.") from error
+        raise ModelError(f"{name} is not well-formed XML: {error}.") from error
     return roots[0]
 
 
 def apply_edits(data: bytes, edits: Iterable[Edit]) -> str:
-    """The text with its edits, which must not overlap; every other byte stays."""
-    out, at = [], 0
+    """Return the text with its edits, which must not overlap; every other byte stays."""
+    out, position = [], 0
     for edit in sorted(edits, key=lambda e: (e.start, e.end)):
-        out += [data[at : edit.start], edit.text.encode()]
-        at = edit.end
-    return b"".join([*out, data[at:]]).decode("utf-8")
+        out += [data[position : edit.start], edit.text.encode()]
+        position = edit.end
+    return b"".join([*out, data[position:]]).decode("utf-8")
 
 
 def attribute_edits(
     data: bytes, element: Element, values: Mapping[str, str | None]
 ) -> Iterator[Edit]:
-    """Edits that give attributes of an element these values; None takes one away.
-
-    What is there keeps its place; what is new follows the last attribute.
-    """
+    """Yield edits that set attributes of an element; None removes one. New attributes come last."""
     spans = {}
     last = element.start + 1 + len(element.tag.encode())
     for match in _ATTRIBUTE.finditer(data, last, element.head_end):
@@ -113,8 +110,8 @@ def attribute_edits(
         yield Edit(last, last, new)
 
 
-def insertion_edit(data: bytes, parent: Element, element: str) -> Edit:
-    """Writes `element` as the first child, on a line of its own where the others have theirs."""
+def element_edit(data: bytes, parent: Element, element: str) -> Edit:
+    """Return the edit that adds `element` as the first child, indented like the others."""
     if parent.empty:
         # <tag/> becomes <tag>...</tag>; blanks before its slash are kept within the start tag.
         return Edit(parent.head_end - 2, parent.head_end, f">{element}</{parent.tag}>")
@@ -126,19 +123,19 @@ def insertion_edit(data: bytes, parent: Element, element: str) -> Edit:
 
 
 def numbers(*values: float) -> str:
-    """Numbers with all their digits: what reads back is the same."""
+    """Return numbers with all digits, so that they read back exactly."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def _end_of_tag(data: bytes, start: int) -> int:
-    """Just behind the ">" of the start tag at `start`; one within quotes does not count."""
+    """Position after the ">" of the start tag at `start`; one within quotes does not count."""
     quote = 0
-    for place in range(start, len(data)):
-        byte = data[place]
+    for position in range(start, len(data)):
+        byte = data[position]
         if quote:
             quote = 0 if byte == quote else quote
         elif byte in b"\"'":
             quote = byte
         elif byte == ord(">"):
-            return place + 1
+            return position + 1
     return len(data)
