@@ -41,7 +41,7 @@ def read_table(path: Path, reader: ReaderSpec | None = None) -> LogTable:
     if not path.is_file():
         raise UsageError(f"{str(path)!r} is not a file; name the recorded file itself.")
     spec = reader_spec(path, reader)
-    make = naming.resolve(KIND, str(spec.get("use")))
+    make = naming.resolve(KIND, spec["use"])
     settings = json.dumps(spec, sort_keys=True, default=str)
     return _table(path, (state.st_mtime_ns, state.st_size), make, settings)
 
@@ -73,11 +73,15 @@ def reader_spec(path: Path, reader: ReaderSpec | None = None) -> Mapping[str, An
 
     Raises UsageError with the suffixes that can be read.
     """
+    if isinstance(reader, str):
+        return {"use": reader}
     if reader is not None:
-        return {"use": reader} if isinstance(reader, str) else reader
+        if not isinstance(reader.get("use"), str):
+            raise UsageError(f"A log reader needs a name: {{ use = ... }}; got {dict(reader)}.")
+        return reader
     suffix, found = path.suffix.lower(), dict[str, str]()
     for name in naming.known(KIND):  # built-in readers come first
-        suffixes = naming.resolve(KIND, name).suffixes
+        suffixes = getattr(naming.resolve(KIND, name), "suffixes", ())
         if suffix in suffixes:
             return {"use": name}
         found |= dict.fromkeys(suffixes, name)
@@ -93,7 +97,7 @@ def plugin_file(path: Path, reader: ReaderSpec | None = None) -> Path | None:
 
     What it returns depends on its code, so rows made with it are stale when that changes.
     """
-    use = str(reader_spec(path, reader).get("use"))
+    use = reader_spec(path, reader)["use"]
     if use in naming.BUILTIN[KIND]:
         return None
     try:

@@ -140,6 +140,8 @@ def test_errors_of_a_plug_in_are_one_sentence(raw: Path, log: Recorded) -> None:
         read_table(raw, spec)
     with pytest.raises(UsageError, match="parquet"):
         read_table(raw, "parket")
+    with pytest.raises(UsageError, match="use = "):
+        read_table(raw, {"channels": 13})
 
 
 class _Careless:
