@@ -61,8 +61,13 @@ def problems_for(simulating: bool) -> tuple[TestProblem, ...]:
     return problems_of_kind(simulating)
 
 
+def experiment_spec(changes: Mapping[str, Any]) -> ExperimentSpec:
+    """Specification of a small experiment of one short motion, with some fields changed."""
+    return ExperimentSpec(**{**_DEFAULTS, **changes})
+
+
 def _problem(changes: Mapping[str, Any], robots_dir: Path | None) -> TestProblem:
-    spec = ExperimentSpec(**{**_DEFAULTS, **changes})
+    spec = experiment_spec(changes)
     robots = None if robots_dir is None else str(robots_dir)
     ready = prepare(spec, cached_robot(spec.robot, spec.payload, robots, None))
     name = f"{spec.robot}, task {spec.task}, {'noise of 1 %' if spec.noise else 'exact'}"

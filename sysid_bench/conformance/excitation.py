@@ -22,7 +22,8 @@ from sysid_bench.conformance.findings import (
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.geometry import collision_model
 from sysid_bench.excitation.information import information_model, torque_model
-from sysid_bench.excitation.limit_use import joint_limits, largest_use
+from sysid_bench.excitation.limit_use import largest_use
+from sysid_bench.excitation.robot_limits import joint_limits
 from sysid_bench.experiments.robot_cache import cached_robot
 from sysid_bench.types import Array, Trajectory
 

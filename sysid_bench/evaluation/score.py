@@ -46,7 +46,7 @@ def score(
         return Score(**about_data)
     beta_true = problem.base.K @ truth.theta
     tests = list(held_out.values())
-    train, test = _RowErrors([problem], beta), _RowErrors(tests, beta) if tests else None
+    train, test = RowErrors([problem], beta), RowErrors(tests, beta) if tests else None
     figures = {} if test is None else _held_out_figures(test, held_out, beta_true)
     return Score(
         **about_data,
@@ -60,7 +60,7 @@ def score(
 
 
 def _held_out_figures(
-    test: "_RowErrors", held_out: Mapping[str, Problem], beta_true: Array
+    test: "RowErrors", held_out: Mapping[str, Problem], beta_true: Array
 ) -> dict[str, Any]:
     beta = test.beta
     return {
@@ -69,7 +69,7 @@ def _held_out_figures(
         "torque_error_sample": _sample_error(test.problems, beta),
         "torque_error_worst": test.worst,
         "torque_error_by_motion": {
-            name: _RowErrors([problem], beta).torque_error for name, problem in held_out.items()
+            name: RowErrors([problem], beta).torque_error for name, problem in held_out.items()
         },
         "parameter_error": _parameter_error(test.problems, beta, beta_true),
     }
@@ -141,7 +141,7 @@ def _torque(problem: Problem) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _RowErrors:
+class RowErrors:
     """Torque errors of `beta` on each row (rows,), over the samples of all `problems`."""
 
     problems: list[Problem]
@@ -230,7 +230,7 @@ def _relative(difference: Array, reference: Array) -> float | None:
 
 
 def _joint_figures(
-    names: Sequence[str], train: _RowErrors, test: _RowErrors | None
+    names: Sequence[str], train: RowErrors, test: RowErrors | None
 ) -> Iterator[dict[str, Any]]:
     for i, name in enumerate(names):
         finite = test is not None and np.isfinite(test.relative[i])

@@ -1,4 +1,4 @@
-"""In-situ calibration with known wrenches, and recursions that are no filter."""
+"""In-situ calibration with known wrenches, contact detection, recursive estimation."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def _sensor(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_rich_wrenches_tell_the_whole_matrix(seed: int) -> None:
+def test_rich_wrenches_determine_the_whole_matrix(seed: int) -> None:
     rng = np.random.default_rng(seed)
     G, offset = _sensor(rng)
     known = SIZE * rng.normal(size=(2000, 6))
@@ -30,7 +30,7 @@ def test_rich_wrenches_tell_the_whole_matrix(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_the_wrenches_do_not_tell_stays_ideal(seed: int) -> None:
+def test_unexcited_entries_of_the_matrix_stay_ideal(seed: int) -> None:
     """Wrenches in three directions alone: there the sensor is right, elsewhere not made worse."""
     rng = np.random.default_rng(seed)
     G, offset = _sensor(rng)
@@ -46,7 +46,7 @@ def test_what_the_wrenches_do_not_tell_stays_ideal(seed: int) -> None:
     assert np.sqrt((after**2).mean()) < np.sqrt((before**2).mean())
 
 
-def test_nothing_known_calibrates_nothing() -> None:
+def test_zero_or_too_few_wrenches_are_refused() -> None:
     with pytest.raises(EstimationError, match="with a load that weighs"):
         calibrate(np.ones((100, 6)), np.zeros((100, 6)))
     with pytest.raises(EstimationError, match="10 samples"):
@@ -54,7 +54,7 @@ def test_nothing_known_calibrates_nothing() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_recursion_is_the_batch_for_any_rows(seed: int) -> None:
+def test_the_recursion_equals_the_batch_solution(seed: int) -> None:
     rng = np.random.default_rng(seed)
     W, sigma = rng.normal(size=(200, 3, 7)), rng.uniform(0.1, 10.0, 3)
     f = W @ rng.normal(size=7) + sigma * rng.normal(size=(200, 3))
@@ -64,13 +64,13 @@ def test_a_recursion_is_the_batch_for_any_rows(seed: int) -> None:
     prior = rng.normal(size=7)
     track = RecursiveEstimator().run(W, f, sigma, prior, P, free)
     np.testing.assert_allclose(track.last, batch_estimate(W, f, sigma, prior, P, free), atol=1e-10)
-    assert track.indices[-1] == 199
+    assert track.places[-1] == 199
     np.testing.assert_array_equal(track.used, free)
 
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.4])
-def test_contacts_stand_out_of_the_quietest_half(seed: int, share: float) -> None:
+def test_contacts_are_detected_and_free_samples_kept(seed: int, share: float) -> None:
     """Whatever their shape and place, and rows of any size; without one hardly anything does."""
     rng = np.random.default_rng(seed)
     W, sigma = rng.normal(size=(6000, 6, 12)), np.repeat([0.01, 0.2], 3)
@@ -84,7 +84,7 @@ def test_contacts_stand_out_of_the_quietest_half(seed: int, share: float) -> Non
     assert (~free[touched]).all()
 
 
-def test_too_little_to_find_contacts_in_says_so() -> None:
+def test_too_few_or_unexciting_samples_are_refused() -> None:
     with pytest.raises(EstimationError, match="too few"):
         free_samples(np.ones((20, 6, 3)), np.ones((20, 6)))
     with pytest.raises(EstimationError, match="declare the contact intervals"):
@@ -92,7 +92,7 @@ def test_too_little_to_find_contacts_in_says_so() -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"forgetting": 0.0}, {"forgetting": 1.1}, {"walk": -1.0}])
-def test_settings_that_make_no_filter_are_refused(wrong: dict[str, float]) -> None:
+def test_invalid_filter_settings_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(UsageError):
         RecursiveEstimator(**wrong).run(  # type: ignore[arg-type]
             np.ones((5, 1, 1)), np.ones((5, 1)), np.ones(1), np.zeros(1), np.ones(1)

@@ -1,4 +1,4 @@
-"""Columns chosen by cross-validation: those that made the data, and no noise."""
+"""Forward selection of columns by cross-validation."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def folded(W: Array, b: Array, part: Array) -> FoldedRow:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_what_made_the_data_is_found_and_noise_is_not(seed: int) -> None:
+def test_the_columns_of_the_data_are_selected_and_noise_is_not(seed: int) -> None:
     rng = np.random.default_rng(seed)
     N, k = 500, 12
     W = rng.normal(size=(2, N, k))

@@ -1,4 +1,4 @@
-"""Fits that can exist: their certificates, their optima, and what they leave to the prior."""
+"""Physically consistent fits: certificates, optima, and directions that the prior decides."""
 
 import time
 import warnings
@@ -58,7 +58,7 @@ def objective(of: FeasibleSet, at: Problem, theta: Array) -> float:
 
 @pytest.mark.parametrize("noise", [0.0, 0.001, 0.02, 0.3])
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_every_answer_can_exist_and_says_so(robot: str, noise: float) -> None:
+def test_every_estimate_is_consistent_and_certified(robot: str, noise: float) -> None:
     at = problem(robot, noise)
     of = feasible_set_of(at)
     for method in METHODS:
@@ -75,7 +75,7 @@ def test_every_answer_can_exist_and_says_so(robot: str, noise: float) -> None:
     ("task", "payload"), [("payload", "box-2kg"), ("link", "rod-1kg"), ("terminal", "none")]
 )
 @pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_single_bodies_can_exist_too(task: str, payload: str, noise: float) -> None:
+def test_estimates_of_single_bodies_are_consistent(task: str, payload: str, noise: float) -> None:
     at = problem("ur5", noise, task, payload)
     for method in METHODS:
         theta = theta_of(identify(method, at))
@@ -83,7 +83,7 @@ def test_single_bodies_can_exist_too(task: str, payload: str, noise: float) -> N
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_no_step_towards_anything_that_can_exist_is_better(robot: str) -> None:
+def test_no_feasible_direction_decreases_the_objective(robot: str) -> None:
     """The optimum of a convex fit: every feasible direction goes up."""
     at = problem(robot)
     of = feasible_set_of(at)
@@ -99,7 +99,7 @@ def test_no_step_towards_anything_that_can_exist_is_better(robot: str) -> None:
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_exact_data_are_kept_without_a_prior(robot: str) -> None:
+def test_exact_data_give_the_true_base_parameters(robot: str) -> None:
     made = ready(robot=robot, prior="none")
     truth = made.problem.base.K @ made.truth.theta
     for method in (LMI(), Bounded()):
@@ -147,9 +147,7 @@ def test_the_entropic_fit_is_where_its_gradient_vanishes(robot: str) -> None:
 
 
 @pytest.mark.parametrize(("robot", "noise"), [("icub", 0.0), ("panda", 0.0), ("random:3", 1e-4)])
-def test_the_entropic_fit_comes_to_rest_on_the_edge_of_what_can_exist(
-    robot: str, noise: float
-) -> None:
+def test_the_entropic_fit_converges_at_the_boundary(robot: str, noise: float) -> None:
     """Little noise beside a wrong prior drives bodies to the edge, where Newton's method on the
     divergence alone creeps."""
     estimate = identify(Entropic(), problem(robot, noise))
@@ -158,7 +156,7 @@ def test_the_entropic_fit_comes_to_rest_on_the_edge_of_what_can_exist(
     assert estimate.stats["iterations"] <= 80
 
 
-def test_the_divergence_knows_no_frame_and_no_unit() -> None:
+def test_the_divergence_is_invariant_to_frames_and_units() -> None:
     """-log det J + tr(J0^-1 J) is the same after a change of frame or of the unit of mass."""
     from sysid_bench.spatial.inertia import transport
     from tests.robots import random_rotation
@@ -222,13 +220,13 @@ def test_a_prior_with_the_right_beta_is_its_own_completion(robot: str) -> None:
         np.testing.assert_allclose(theta / of.scale, x, atol=2e-3)
 
 
-def test_what_cannot_exist_is_not_reconstructed() -> None:
+def test_infeasible_base_parameters_are_not_reconstructed() -> None:
     estimate = identify(Reconstruction(), problem("z1", 0.3))
     assert estimate.status == "failed"
     assert "physically consistent bodies" in estimate.reason
 
 
-def test_without_a_prior_methods_that_need_one_say_so() -> None:
+def test_methods_that_need_a_prior_fail_without_one() -> None:
     at = replace(problem("ur5"), prior=None)
     for method in (LMIEuclidean(), LMIPullback(), Entropic(), LogCholesky(), Reconstruction()):
         estimate = identify(method, at)
@@ -237,7 +235,7 @@ def test_without_a_prior_methods_that_need_one_say_so() -> None:
     assert identify(LMI(), at).status == "ok"
 
 
-def test_a_motion_that_tells_little_still_has_a_feasible_fit() -> None:
+def test_a_motion_of_two_samples_has_a_feasible_fit() -> None:
     at = first_samples(problem("ur5"), 2)
     assert identify(WLS(), at).status == "failed"
     for method in METHODS[:4]:  # log-Cholesky creeps along the valley of so few samples

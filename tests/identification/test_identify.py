@@ -1,4 +1,4 @@
-"""`identify` always answers: what a stranger's method does wrong becomes a status and a reason."""
+"""`identify` always returns an estimate: mistakes of a plug-in become a status and a reason."""
 
 import hashlib
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from tests.experiments.experiment_world import ready, ready_once
 
 
 def answered(**given: Any) -> Estimate:
-    """An Estimate as a stranger makes it: outside of tests nothing checks its shapes."""
+    """An Estimate as a plug-in author makes it: outside of tests nothing checks its shapes."""
     estimate = Estimate()
     for name, value in given.items():
         object.__setattr__(estimate, name, value)
@@ -26,7 +26,7 @@ def answered(**given: Any) -> Estimate:
 
 
 class Solve:
-    """A linear method that answers what it is told to."""
+    """A linear method that returns a given result."""
 
     def __init__(self, answer: Callable[[Problem], Any]) -> None:
         self.answer = answer
@@ -85,7 +85,7 @@ BAD: dict[str, tuple[Callable[[Problem], Any], str]] = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_a_wrong_answer_is_a_failure_with_its_reason(what: str) -> None:
+def test_an_invalid_estimate_fails_with_a_reason(what: str) -> None:
     answer, words = BAD[what]
     estimate = identify(Solve(answer), problem())
     assert estimate.status == "failed"
@@ -93,12 +93,12 @@ def test_a_wrong_answer_is_a_failure_with_its_reason(what: str) -> None:
     assert estimate.stats["seconds"] >= 0
 
 
-def test_unsupported_is_no_failure() -> None:
+def test_unsupported_is_a_status_of_its_own() -> None:
     estimate = identify(Solve(raising(UnsupportedError("needs a wrist"))), problem())
     assert (estimate.status, estimate.reason) == ("unsupported", "needs a wrist")
 
 
-def test_a_method_may_say_itself_that_it_failed() -> None:
+def test_a_method_may_return_a_failure() -> None:
     said = Estimate(status="failed", reason="no minimum", stats={"iterations": 7.0})
     estimate = identify(Solve(lambda p: said), problem())
     assert (estimate.status, estimate.reason) == ("failed", "no minimum")
@@ -106,12 +106,12 @@ def test_a_method_may_say_itself_that_it_failed() -> None:
     assert set(said.stats) == {"iterations"}  # the method's own answer is left alone
 
 
-def test_a_strangers_own_exception_is_not_swallowed_here() -> None:
+def test_other_exceptions_of_a_plug_in_pass_through() -> None:
     with pytest.raises(ZeroDivisionError):
         identify(Solve(raising(ZeroDivisionError("1/0"))), problem())
 
 
-def test_what_is_no_estimator_is_said() -> None:
+def test_an_object_without_solve_or_fit_fails() -> None:
     estimate = identify(object(), problem())
     assert estimate.status == "failed"
     assert "neither solve" in estimate.reason
@@ -135,7 +135,7 @@ def test_theta_alone_gives_beta() -> None:
     np.testing.assert_array_equal(estimate.beta, problem().base.K @ theta)
 
 
-def test_theta_rules_where_both_are_given() -> None:
+def test_theta_decides_where_both_are_given() -> None:
     theta = np.ones(len(problem().parameters))
     both = Estimate(beta=np.zeros(problem().base.rank), theta=theta)
     estimate = identify(Solve(lambda p: both), problem())
@@ -150,7 +150,7 @@ def test_lists_of_numbers_are_numbers() -> None:
 
 
 def arrays(value: Any) -> list[np.ndarray]:
-    """Every array of a noun, in order."""
+    """All arrays of a value, in order."""
     if isinstance(value, np.ndarray):
         return [value]
     if isinstance(value, partial):
@@ -163,7 +163,7 @@ def arrays(value: Any) -> list[np.ndarray]:
 
 
 def fingerprint(value: Any) -> str:
-    """A hash of every array of a noun."""
+    """Hash of all arrays of a value."""
     total = hashlib.sha256()
     for array in arrays(value):
         total.update(np.ascontiguousarray(array).tobytes())
@@ -171,7 +171,7 @@ def fingerprint(value: Any) -> str:
 
 
 @pytest.mark.parametrize("estimator", [OLS(), WLS(), WLS(iterations=3)], ids=str)
-def test_the_input_is_untouched_and_the_answer_the_same_twice(estimator: OLS | WLS) -> None:
+def test_the_input_is_unchanged_and_the_estimate_deterministic(estimator: OLS | WLS) -> None:
     experiment = ready(noise={"tau_relative": 0.01, "q": 1e-4}).experiment
     before = fingerprint(experiment)
     assert len(arrays(experiment)) > 30
@@ -183,7 +183,7 @@ def test_the_input_is_untouched_and_the_answer_the_same_twice(estimator: OLS | W
     np.testing.assert_array_equal(first.covariance, second.covariance)
 
 
-def test_no_method_can_change_what_the_next_one_sees() -> None:
+def test_no_method_can_change_the_data_of_the_next() -> None:
     experiment = ready(noise={"tau_relative": 0.01}).experiment
     for array in arrays(experiment.problem.factors) + arrays(experiment.recording):
         with pytest.raises(ValueError, match="read-only"):

@@ -27,7 +27,7 @@ def noisy(robot: str = "ur5", payload: str = "none", task: str = "robot") -> Pro
 
 
 def problem_of(W: Array, b: Array) -> Problem:
-    """A problem of dense rows W (N, rows, r), b (N, rows); columns of zeros do not touch a row."""
+    """A problem of dense rows W (N, rows, r), b (N, rows); zero columns do not act on a row."""
     n, rows, r = W.shape
     factors = []
     for i in range(rows):
@@ -219,7 +219,7 @@ def test_estimates_follow_the_units_of_torque_and_parameters(power: int, seed: i
 
 @given(factor=st.floats(1e-3, 1e3), seed=st.integers(0, 99))
 @settings(max_examples=15)
-def test_wls_does_not_care_in_which_unit_a_joint_is_measured(factor: float, seed: int) -> None:
+def test_wls_is_invariant_to_the_unit_of_a_joint(factor: float, seed: int) -> None:
     """A slide in N or in kN: the weights take the unit out again."""
     rng = np.random.default_rng(seed)
     W = rng.normal(size=(60, 2, 3))
@@ -231,7 +231,7 @@ def test_wls_does_not_care_in_which_unit_a_joint_is_measured(factor: float, seed
 
 
 @pytest.mark.parametrize("estimator", [OLS(), WLS()], ids=str)
-def test_rows_that_feel_nothing_change_nothing(estimator: OLS | WLS) -> None:
+def test_rows_without_columns_change_nothing(estimator: OLS | WLS) -> None:
     rng = np.random.default_rng(5)
     W = rng.normal(size=(40, 2, 3))
     b = W @ np.array([1.0, -2.0, 0.5]) + 0.1 * rng.normal(size=(40, 2))

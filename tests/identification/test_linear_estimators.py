@@ -51,7 +51,7 @@ def scaled(problem: Problem, root: Array | float = 1.0) -> tuple[Array, Array]:
 
 
 def close(problem: Problem, one: Array, other: Array, share: float = 1e-7) -> None:
-    """The torques of two answers differ by no more than a share of them."""
+    """Assert that the torques of two estimates agree within a share of them."""
     R = stacked_factor(problem)[:-1, :-1]
     assert np.linalg.norm(R @ (one - other)) <= share * np.linalg.norm(R @ other)
 
@@ -66,7 +66,7 @@ def small(seed: int, noise: Array, count: int = 300) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("place", PLACES, ids=str)
-def test_recursions_end_where_weighted_least_squares_is(place: tuple[str, str]) -> None:
+def test_recursions_without_forgetting_equal_wls(place: tuple[str, str]) -> None:
     problem = noisy(*place)
     batch = WLS().solve(problem)
     for method in (RLS(forgetting=1.0), Kalman(), Kalman(hold=7)):
@@ -89,9 +89,7 @@ def test_forgetting_is_an_exponential_weight(forgetting: float) -> None:
 
 
 @pytest.mark.parametrize(("drift", "hold"), [(0.3, 20), (5.0, 9)])
-def test_the_kalman_filter_is_the_best_guess_of_where_the_walk_ended(
-    drift: float, hold: int
-) -> None:
+def test_the_kalman_filter_equals_generalised_least_squares(drift: float, hold: int) -> None:
     """Generalised least squares on all samples at once, each missing the steps that came later."""
     problem = noisy("ur5")
     Y, b = dense(problem)
@@ -125,7 +123,7 @@ def test_a_filter_that_may_drift_follows_a_change() -> None:
 
 
 @pytest.mark.parametrize("method", [Huber(), Tukey(), IRLS()], ids=str)
-def test_outliers_hardly_matter(method: Huber | Tukey | IRLS) -> None:
+def test_m_estimates_reject_outliers(method: Huber | Tukey | IRLS) -> None:
     rng = np.random.default_rng(1)
     noise = 0.1 * rng.normal(size=(300, 2))
     noise[rng.uniform(size=noise.shape) < 0.1] += 8.0
@@ -136,7 +134,7 @@ def test_outliers_hardly_matter(method: Huber | Tukey | IRLS) -> None:
 
 
 @pytest.mark.parametrize("method", [Huber(cut=1e6), Tukey(cut=1e6)], ids=str)
-def test_with_a_cut_beyond_all_samples_they_are_least_squares(method: Huber | Tukey) -> None:
+def test_m_estimates_with_a_large_cut_are_least_squares(method: Huber | Tukey) -> None:
     noise = np.random.default_rng(3).normal(size=(300, 2)) * [0.1, 0.5]
     problem = problem_of(*small(4, noise))
     W, b = dense(problem)
@@ -183,7 +181,7 @@ def test_irls_weighs_by_the_covariance_across_joints() -> None:
     assert (deviations(estimate) < 0.5 * deviations(WLS().solve(problem_of(W, b)))).all()
 
 
-def test_ar_gls_knows_how_sure_it_is_where_noise_is_slow() -> None:
+def test_the_covariance_of_ar_gls_holds_for_coloured_noise() -> None:
     """Spread of repeats over the stated deviation: one, while that of WLS is far too small."""
     t = np.arange(400) / 100
     base = np.stack([np.sin(t), np.cos(2 * t), np.sin(5 * t), np.ones_like(t)], axis=-1)
@@ -266,7 +264,7 @@ def test_tls_is_consistent_where_the_regressor_has_errors() -> None:
     assert errors[1] > 4 * errors[0]
 
 
-def test_tls_says_where_it_has_no_answer() -> None:
+def test_tls_fails_where_it_has_no_solution() -> None:
     rng = np.random.default_rng(10)
     W = rng.normal(size=(200, 2, 3))
     W[..., 2] = W[..., 1] + 1e-4 * rng.normal(size=W.shape[:2])
@@ -274,7 +272,7 @@ def test_tls_says_where_it_has_no_answer() -> None:
         TLS().solve(problem_of(W, rng.normal(size=(200, 2))))
 
 
-def test_essential_parameters_leave_out_what_is_not_there() -> None:
+def test_essential_parameters_remove_zeros() -> None:
     truth = np.array([1.0, 0.0, 0.5, 0.0])
     kept = np.zeros(4)
     for seed in range(20):

@@ -1,4 +1,4 @@
-"""White noise is told from a motion."""
+"""Noise level of a smooth signal."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from sysid_bench.identification.linear.noise_level import white_noise
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("sigma", [1e-7, 1e-4, 1e-2])
-def test_the_noise_on_a_motion_is_found_and_the_motion_is_none(sigma: float, seed: int) -> None:
+def test_white_noise_is_separated_from_the_motion(sigma: float, seed: int) -> None:
     t = np.arange(2000) / 200.0
     waves = np.stack([np.sin(2 * t), np.cos(5 * t) + 0.3 * t], axis=1)
     noise = sigma * np.random.default_rng(seed).normal(size=waves.shape)

@@ -1,4 +1,4 @@
-"""What can be simulated: every answer is a robot that exists, and explains beta where one can."""
+"""Simulatable parameters: physically consistent, and with the given beta where that is feasible."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def exists(problem: Problem, theta: Array) -> bool:
 
 @pytest.mark.parametrize("told", [True, False])
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_bodies_that_explain_beta_are_found_where_there_are_some(robot: str, told: bool) -> None:
+def test_a_feasible_beta_is_reproduced(robot: str, told: bool) -> None:
     made = ready_once(robot)
     problem = made.problem if told else replace(made.problem, prior=None)
     K, prior = problem.base.K, made.problem.prior
@@ -44,7 +44,7 @@ def test_bodies_that_explain_beta_are_found_where_there_are_some(robot: str, tol
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_for_any_beta_the_answer_exists_and_can_be_simulated(robot: str, seed: int) -> None:
+def test_any_beta_gives_simulatable_parameters(robot: str, seed: int) -> None:
     made = ready_once(robot)
     problem = made.problem
     rng = np.random.default_rng(seed)
@@ -59,7 +59,7 @@ def test_for_any_beta_the_answer_exists_and_can_be_simulated(robot: str, seed: i
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_what_is_taken_for_an_impossible_beta_is_near_it(robot: str) -> None:
+def test_an_infeasible_beta_is_projected(robot: str) -> None:
     """Nearer than other robots that exist: the prior, the centre of no prior, the truth."""
     made = ready_once(robot)
     problem, R = made.problem, metric(made.problem)
@@ -73,7 +73,7 @@ def test_what_is_taken_for_an_impossible_beta_is_near_it(robot: str) -> None:
         assert found <= np.linalg.norm(R @ (K @ other - wild)) * (1 + 1e-4)
 
 
-def test_a_lift_moves_beta_alone_and_stays_inside_its_reach() -> None:
+def test_the_right_inverse_changes_beta_alone() -> None:
     problem = ready_once(RICH).problem
     room = simulatable_set(problem)
     lift = room.right_inverse(room.centre)
@@ -86,7 +86,7 @@ def test_a_lift_moves_beta_alone_and_stays_inside_its_reach() -> None:
             assert np.isfinite(room.divergence(end))
 
 
-def test_slopes_are_those_of_the_divergence() -> None:
+def test_derivatives_of_the_divergence() -> None:
     problem = ready_once(RICH).problem
     first, prior = simulatable_set(replace(problem, prior=None)), simulatable_set(problem)
     theta = 0.5 * (first.centre + prior.centre)

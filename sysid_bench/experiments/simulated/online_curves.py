@@ -29,7 +29,7 @@ def online_curves(ready: Prepared) -> tuple[Curve, ...]:
         return ()
     track = _track_of(problem)
     motion = ready.experiment.recording.motion
-    kept = Trajectory(*(x[track.indices] for x in (motion.t, motion.q, motion.v, motion.a)))
+    kept = Trajectory(*(x[track.places] for x in (motion.t, motion.q, motion.v, motion.a)))
     return (
         *_torques(ready, track, kept),
         _convergence(problem, track, problem.base.K @ ready.truth.theta, kept.t),

@@ -19,10 +19,10 @@ from sysid_bench.types import Array, Problem
 @dataclass(frozen=True, eq=False)
 class ParameterTrack:
     """Estimates over time: `beta` and its standard deviations `std` (K, r) after the samples
-    `indices` (K,), the last sample included; which samples are `used` (N,), and the normalised
+    `places` (K,), the last sample included; which samples are `used` (N,), and the normalised
     innovation squared `gap` (N,) of each sample, per row."""
 
-    indices: Array
+    places: Array
     beta: Array
     std: Array
     covariance: Array
