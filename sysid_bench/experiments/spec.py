@@ -1,4 +1,4 @@
-"""What an experiment is, in SI numbers; its id, and the seeds that hang on parts of it."""
+"""Specification of an experiment in SI numbers, and its id."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -71,60 +71,8 @@ class ExperimentSpec:
             ) from error
 
 
-def seed_of(suite_seed: int, *parts: Any) -> int:
-    """A 128-bit seed from the suite's and any JSON values."""
-    return int(digest([suite_seed, *parts])[:32], 16)
-
-
-def motion_seed(spec: ExperimentSpec) -> int:
-    """Of the training motion: payloads, tasks, noise and repeats share it."""
-    return seed_of(spec.seed, "motion", spec.robot, spec.excitation)
-
-
-def held_out_seed(spec: ExperimentSpec, place: int) -> int:
-    """Of the held-out motion number `place`: never the training motion, whatever they are."""
-    return seed_of(spec.seed, "held-out", spec.robot, spec.held_out[place], place)
-
-
-def noise_seed(spec: ExperimentSpec) -> int:
-    """Of the sensor noise: the same draw for every payload, level, estimator, prior and plant,
-    so that their comparison is paired."""
-    parts = (spec.robot, spec.task, spec.excitation, spec.simulation, spec.rate, spec.repeat)
-    return seed_of(spec.seed, "noise", *parts)
-
-
-def sensor_seed(spec: ExperimentSpec) -> int:
-    """Of how a force/torque sensor was made: the same one for every payload, motion, task and level
-    of its errors; a repeat is another one."""
-    return seed_of(spec.seed, "sensor", spec.robot, spec.sensor, spec.repeat)
-
-
-def run_seed(spec: ExperimentSpec, run: int) -> int:
-    """Of the noise of a further recording of the same motion."""
-    return seed_of(noise_seed(spec), "run", run)
-
-
-def drift_seed(spec: ExperimentSpec) -> int:
-    """Of how the torques of a robot drift: alike in all recordings of an experiment."""
-    return seed_of(noise_seed(spec), "drift")
-
-
-def known_seed(spec: ExperimentSpec) -> int:
-    """Of what methods are told of the parts that are known, whatever the payload."""
-    return seed_of(spec.seed, "known", spec.robot, spec.task)
-
-
-def prior_seed(spec: ExperimentSpec) -> int:
-    """Of what methods are told beforehand: no new prior with each noise level, and none with each
-    repeat unless it is `redrawn`."""
-    parts: tuple[Any, ...] = (spec.robot, spec.payload, spec.task)
-    if not isinstance(spec.prior, str) and spec.prior.get(REDRAWN):
-        parts += (spec.repeat,)
-    return seed_of(spec.seed, "prior", *parts)
-
-
 REDRAWN: Final = "redrawn"
-"""Key of a prior that is drawn again with each repeat; the others are how far."""
+"""Key of a prior that is drawn again with each repeat; the other keys are spreads."""
 
 
 NOISE_UNITS: Final = {

@@ -58,7 +58,7 @@ def problems_of_kind(
 def _world(changes: Mapping[str, Any], robots_dir: Path | None) -> "TestProblem":
     from sysid_bench.conformance import TestProblem
     from sysid_bench.experiments.robot_cache import cached_robot
-    from sysid_bench.experiments.simulated.prepare import prepare
+    from sysid_bench.experiments.simulated.prepare import prepare_simulated
     from sysid_bench.experiments.spec import ExperimentSpec
 
     base: dict[str, Any] = {
@@ -78,9 +78,11 @@ def _world(changes: Mapping[str, Any], robots_dir: Path | None) -> "TestProblem"
     }
     spec = ExperimentSpec(**{**base, **changes})
     robots = None if robots_dir is None else str(robots_dir)
-    ready = prepare(spec, cached_robot(spec.robot, spec.payload, robots, None))
+    ready = prepare_simulated(spec, cached_robot(spec.robot, spec.payload, robots, None))
     name = f"{spec.robot}, task {spec.task}, {'noise of 1 %' if spec.noise else 'exact'}"
-    return TestProblem(name, ready.problem, ready.truth.theta, not spec.noise, ready.experiment)
+    return TestProblem(
+        name, ready.problem, ready.source.truth.theta, not spec.noise, ready.experiment
+    )
 
 
 def summary(answer: Mapping[str, Any]) -> list[str]:

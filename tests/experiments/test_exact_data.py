@@ -20,12 +20,12 @@ from tests.experiments.experiment_world import (
 
 
 def figures(made: object) -> Score:
-    from sysid_bench.experiments.simulated.prepare import Prepared
+    from sysid_bench.experiments.prepared import Prepared
 
     assert isinstance(made, Prepared)
     estimate = identify(OLS(), made.problem)
     assert estimate.status == "ok", estimate.reason
-    return score(estimate, made.problem, made.held_out, made.truth)
+    return score(estimate, made.problem, made.held_out, made.source.truth)
 
 
 @pytest.mark.parametrize("payload", ["none", "sphere-offset-1kg", "point-1kg", "rod-1kg"])
@@ -73,9 +73,9 @@ def test_closed_loop_data_are_as_exact() -> None:
 def test_what_is_known_and_what_is_asked_make_the_measured_torque(payload: str) -> None:
     for task in ("robot", "payload") if payload != "none" else ("robot", "link"):
         made = ready_once("panda", payload, task)
-        beta = made.problem.base.K @ made.truth.theta
+        beta = made.problem.base.K @ made.source.truth.theta
         blocks = made.experiment.regress(made.experiment.recording.motion)
-        predicted = np.concatenate([block @ beta for block in blocks]) + made.known
+        predicted = np.concatenate([block @ beta for block in blocks]) + made.source.known
         np.testing.assert_allclose(predicted, made.experiment.recording.tau, atol=1e-9)
 
 

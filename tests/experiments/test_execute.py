@@ -11,7 +11,7 @@ import pytest
 from sysid_bench.experiments import robot_cache as robots
 from sysid_bench.experiments.execute import execute
 from sysid_bench.experiments.robot_cache import KEPT, cached_robot
-from sysid_bench.experiments.simulated import prepare
+from sysid_bench.experiments.simulated import noise_free
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.types import Row
 from tests.experiments.experiment_world import (
@@ -58,7 +58,7 @@ def test_the_table_of_parameters_is_the_estimate_beside_the_truth() -> None:
     made = spec(noise={"tau_relative": 0.01}, robot="panda", payload="box-2kg")
     (row,) = checked(executed(made, "ols"), "ok")
     prepared = ready(**{f: getattr(made, f) for f in ("noise", "robot", "payload")})
-    true = prepared.problem.base.K @ prepared.truth.theta
+    true = prepared.problem.base.K @ prepared.source.truth.theta
     names = [f"{p['body']}.{p['name']}" for p in row["parameters_table"]]
     assert tuple(names) == prepared.problem.base.names
     np.testing.assert_allclose([p["true"] for p in row["parameters_table"]], true, rtol=1e-12)
@@ -332,7 +332,7 @@ def test_the_bound_is_one_of_torque_noise(changes: dict[str, Any], bounded: bool
 def test_an_experiment_is_the_same_alone_and_after_others() -> None:
     """What noise does not touch is made once and shared: no repeat may tell of another."""
     made = spec(noise={"tau": 0.1, "q": 1e-5}, robot=RICH, repeat=2)
-    prepare._stage.cache_clear()
+    noise_free._shared_part.cache_clear()
     (alone,) = executed(made, "wls")
     for other in (replace(made, repeat=1), replace(made, noise={"tau": 0.3})):
         executed(other, "wls", f"{STRANGERS}:Vandal")

@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.experiments.simulated import commanded as motions
-from sysid_bench.experiments.simulated import prepare
+from sysid_bench.experiments.simulated import noise_free
 from tests.experiments.experiment_world import ready, robot_of
 
 DESIGN = {"use": "optimised", "harmonics": 2, "period": "4 s", "iterations": 3}
@@ -28,7 +28,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Optimised]:
     monkeypatch.setattr(Optimised, "solve", counted)
     monkeypatch.setattr(motions, "_folder", lambda: tmp_path / "designs")
     monkeypatch.setattr(motions, "_DESIGNS", {})
-    prepare._stage.cache_clear()
+    noise_free._shared_part.cache_clear()
     return made
 
 
@@ -71,6 +71,6 @@ def test_a_damaged_file_is_made_again(solved: list[Optimised], tmp_path: Path) -
     for file in (tmp_path / "designs").iterdir():
         file.write_bytes(file.read_bytes()[:20])
     motions._DESIGNS.clear()
-    prepare._stage.cache_clear()
+    noise_free._shared_part.cache_clear()
     ready(robot="ur10", excitation=DESIGN, terms=())
     assert len(solved) == 2

@@ -7,7 +7,8 @@ import pytest
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
-from sysid_bench.experiments.simulated.prepare import Prepared
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.estimators.difference import Difference
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
@@ -20,7 +21,9 @@ PLAIN = {"filter": "none", "derivatives": "exact"}
 
 
 @cache
-def made(robot: str, runs: str = "AB", known: float = 0.3, **noise: float) -> Prepared:
+def made(
+    robot: str, runs: str = "AB", known: float = 0.3, **noise: float
+) -> Prepared[SimulatedSource]:
     """A payload experiment with recordings in this order; what is known of the arm is wrong."""
     return ready(
         robot=robot, payload="box-2kg", task="payload", prior=TOLD | {"known": known},
@@ -28,14 +31,14 @@ def made(robot: str, runs: str = "AB", known: float = 0.3, **noise: float) -> Pr
     )  # fmt: skip
 
 
-def answer(at: Prepared, estimator: object) -> Estimate:
+def answer(at: Prepared[SimulatedSource], estimator: object) -> Estimate:
     estimate = identify(estimator, at.problem, at.experiment)
     assert estimate.status == "ok", estimate.reason
     return estimate
 
 
-def error(at: Prepared, estimate: Estimate) -> float:
-    truth = at.problem.base.K @ at.truth.theta
+def error(at: Prepared[SimulatedSource], estimate: Estimate) -> float:
+    truth = at.problem.base.K @ at.source.truth.theta
     assert estimate.beta is not None
     return float(np.linalg.norm(estimate.beta - truth) / np.linalg.norm(truth))
 
@@ -58,8 +61,8 @@ def test_a_linear_drift_cancels_in_abba_and_in_no_other_order(robot: str) -> Non
     assert min(errors["AB"], errors["AABB"]) > 1e-4
 
 
-def scored(at: Prepared, estimator: object) -> Score:
-    return score(answer(at, estimator), at.problem, at.held_out, at.truth)
+def scored(at: Prepared[SimulatedSource], estimator: object) -> Score:
+    return score(answer(at, estimator), at.problem, at.held_out, at.source.truth)
 
 
 @pytest.mark.parametrize("robot", ["ur5", "z1"])

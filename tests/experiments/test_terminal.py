@@ -125,25 +125,25 @@ def _link_states(robot: RobotModel, body: int, motion: Trajectory) -> Iterator[t
 def test_rmse_is_at_rounding_level_and_the_mass_is_wrong(name: str, payload: str) -> None:
     made = ready(robot=name, payload=payload, task="terminal", terms=FRICTION)
     estimate = identify(MinNorm(), made.problem)
-    told = score(estimate, made.problem, made.held_out, made.truth)
+    told = score(estimate, made.problem, made.held_out, made.source.truth)
     assert (told.rank, told.parameters) == (9, 12)
     assert told.rmse_train is not None
     assert told.rmse_test is not None
     assert told.mass_error is not None
     scale = np.abs(made.problem.b).max()
     assert max(told.rmse_train, told.rmse_test) < 1e-9 * scale
-    assert told.mass_error > 0.99 * made.truth.theta[0] > 0.9
+    assert told.mass_error > 0.99 * made.source.truth.theta[0] > 0.9
     assert told.condition is not None
 
 
 def test_the_estimate_is_the_pseudoinverse_of_all_columns() -> None:
     made = ready(robot="ur5", payload="box-2kg", task="terminal", terms=FRICTION)
     theta = identify(MinNorm(), made.problem).theta
-    columns = regression(made.robot, made.task.parameters)
+    columns = regression(made.robot, made.source.task.parameters)
     motion = made.experiment.recording.motion
     place = made.robot.rows.index(made.problem.rows[0])
     Y = columns.dense(motion).Y[:, place]
-    tau = made.experiment.recording.tau[:, place] - made.known[:, 0]
+    tau = made.experiment.recording.tau[:, place] - made.source.known[:, 0]
     assert theta is not None
     np.testing.assert_allclose(theta, np.linalg.pinv(Y, rcond=1e-10) @ tau, atol=1e-9)
 

@@ -65,7 +65,7 @@ def test_exact_wrenches_close(sensor: str) -> None:
     made = ready(**{**ARM, "sensor": sensor})
     assert made.problem.rows == tuple(f"{sensor}.{c}" for c in ("nx", "ny", "nz", "fx", "fy", "fz"))
     assert made.problem.kinds == ("wrench N m",) * 3 + ("wrench N",) * 3
-    told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
+    told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.source.truth)
     assert told.rmse_test is not None
     assert told.beta_error is not None
     assert told.rmse_test < 1e-10
@@ -77,11 +77,11 @@ def test_a_robot_with_a_free_base_and_a_closed_loop_serve_too() -> None:
     assert free.problem.base.rank == 17
     loop = ready(**WRIST, simulation=CLOSED_LOOP)
     for made in (free, loop):
-        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
+        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.source.truth)
         assert told.beta_error is not None
         assert told.beta_error < 1e-7
     with pytest.raises(UnsupportedError, match="no whole robot"):
-        loop.experiment.simulate(loop.truth.theta)
+        loop.experiment.simulate(loop.source.truth.theta)
 
 
 WRISTED = [name for name in NAMED if "wrist" in {s.name for s in find_manifest(name).sensors}]
@@ -103,14 +103,14 @@ def test_a_sensors_constants_are_found_or_spoil_the_rest() -> None:
     known = ready(**biased, terms=("offset",))
     assert (known.problem.base.rank, len(known.problem.parameters)) == (44, 96)
     found = identify(WLS(), known.problem)
-    told = score(found, known.problem, known.held_out, known.truth)
+    told = score(found, known.problem, known.held_out, known.source.truth)
     spoiled = ready(**biased)
     worse = score(
-        identify(WLS(), spoiled.problem), spoiled.problem, spoiled.held_out, spoiled.truth
+        identify(WLS(), spoiled.problem), spoiled.problem, spoiled.held_out, spoiled.source.truth
     )
     assert found.beta is not None
-    error = found.beta[-6:] - known.truth.theta[-6:]
-    assert np.abs(known.truth.theta[-3:]).max() > 0.5
+    error = found.beta[-6:] - known.source.truth.theta[-6:]
+    assert np.abs(known.source.truth.theta[-3:]).max() > 0.5
     assert np.abs(error[3:]).max() < 0.03
     assert np.abs(error[:3]).max() < 0.005
     assert told.rmse_test is not None
@@ -126,12 +126,12 @@ def test_constants_of_the_sensor_that_ends_a_sub_tree_are_found_too(sensor: str)
     made = ready(**leg, terms=("offset",))
     foot = sensor.replace("leg", "foot")
     assert made.problem.parameters[-1] == f"{foot}.fz.offset"
-    assert len(made.problem.parameters) == 10 * len(made.task.bodies) + 12
+    assert len(made.problem.parameters) == 10 * len(made.source.task.bodies) + 12
     assert made.problem.base.rank == 50
     found = identify(WLS(), made.problem)
-    told = score(found, made.problem, made.held_out, made.truth)
+    told = score(found, made.problem, made.held_out, made.source.truth)
     assert found.beta is not None
-    true = made.problem.base.K @ made.truth.theta
+    true = made.problem.base.K @ made.source.truth.theta
     places = [name.endswith("offset") for name in made.problem.base.names]
     forces = [".f" in name for name in made.problem.base.names]
     error = np.abs(found.beta - true)
@@ -143,7 +143,7 @@ def test_constants_of_the_sensor_that_ends_a_sub_tree_are_found_too(sensor: str)
     assert told.torque_error < 0.02
     spoiled = ready(**leg)
     worse = score(
-        identify(WLS(), spoiled.problem), spoiled.problem, spoiled.held_out, spoiled.truth
+        identify(WLS(), spoiled.problem), spoiled.problem, spoiled.held_out, spoiled.source.truth
     )
     assert worse.torque_error is not None
     assert worse.torque_error > 10 * told.torque_error
@@ -272,7 +272,7 @@ def test_sensors_combine_with_joint_torques(sensors: str) -> None:
     assert both.problem.base.rank > alone.problem.base.rank
     scores = []
     for made in (alone, both):
-        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
+        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.source.truth)
         scores.append(told)
     elbow = [next(j for j in told.joints if j["name"] == "l_elbow") for told in scores]
     assert elbow[1]["rmse_test"] < elbow[0]["rmse_test"]
@@ -315,8 +315,8 @@ def test_contacts_are_left_out_where_they_are_declared_or_found(repeat: int) -> 
     error: dict[str, float] = {}
     for name, (noise, signals) in settings.items():
         made = ready(**TOUCHED, noise=noise, signals=signals, repeat=repeat)
-        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
-        share[name], error[name] = made.left_out, float(told.torque_error or np.nan)
+        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.source.truth)
+        share[name], error[name] = made.source.left_out, float(told.torque_error or np.nan)
     assert share["clean"] == share["blind"] == 0.0
     assert share["quiet"] < 0.03
     assert share["declared"] == pytest.approx(1 / 3, abs=1e-3)

@@ -30,7 +30,7 @@ def _payload(robot: str, **changes: object):  # type: ignore[no-untyped-def]
 
 
 def _score(made) -> Score:  # type: ignore[no-untyped-def]
-    return score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
+    return score(identify(WLS(), made.problem), made.problem, made.held_out, made.source.truth)
 
 
 @pytest.mark.parametrize("robot", ARMS)
@@ -45,7 +45,7 @@ def test_white_noise_costs_no_more_than_the_bound(robot: str) -> None:
         made = _payload(robot, noise=NOISE, repeat=repeat)
         beta = identify(WLS(iterations=3), made.problem).beta
         assert beta is not None
-        errors.append((beta - made.problem.base.K @ made.truth.theta) / bound)
+        errors.append((beta - made.problem.base.K @ made.source.truth.theta) / bound)
     assert 0.7 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 

@@ -83,7 +83,7 @@ def _folder() -> Path:
 
 def _kept(key: str) -> Array | None:
     try:
-        return np.load(_folder() / f"{key}.npy", allow_pickle=False)
+        return np.asarray(np.load(_folder() / f"{key}.npy", allow_pickle=False))
     except (OSError, ValueError, EOFError):  # absent, or cut off
         return None
 

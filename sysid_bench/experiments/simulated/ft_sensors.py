@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.experiments.spec import ExperimentSpec, noise_seed, seed_of, sensor_seed
+from sysid_bench.experiments.seeds import noise_seed, seed_of, sensor_seed
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.sensor import last_body
 from sysid_bench.simulation.force_torque import (
     Contact,
