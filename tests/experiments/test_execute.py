@@ -168,11 +168,11 @@ def test_a_gap_that_is_not_a_number_is_null_in_the_row(monkeypatch: pytest.Monke
     monkeypatch.setattr(
         robots, "crosscheck", lambda r: replace(honest(r), gap=float("nan"), native_gap=np.inf)
     )
-    robots._subject.cache_clear()
+    robots._load.cache_clear()
     try:
         (row,) = checked(executed(spec(), "ols"), "skipped")
     finally:
-        robots._subject.cache_clear()
+        robots._load.cache_clear()
     assert row["gap"] is None
     assert row["crosscheck"] == "failed"
 
@@ -194,7 +194,7 @@ SAME: dict[str, ExperimentSpec] = {
 @pytest.mark.parametrize("what", SAME)
 def test_the_same_argument_gives_the_same_row(what: str) -> None:
     first = executed(SAME[what], "ols", "wls")
-    robots._subject.cache_clear()  # a worker that never met this robot
+    robots._load.cache_clear()  # a worker that never met this robot
     executed(spec(robot="ur10"), "ols")
     second = executed(SAME[what], "ols", "wls")
     for one, two in zip(first, second, strict=True):
@@ -277,7 +277,7 @@ def test_a_worker_keeps_its_robots() -> None:
     )
     assert cached_robot("ur5", {"mass": 2.0}, None, None) is not one
     assert cached_robot("ur5", {"mass": 2}, None, None).robot.payload.mass == 2.0
-    assert robots._subject.cache_info().maxsize == KEPT
+    assert robots._load.cache_info().maxsize == KEPT
 
 
 PERIODIC = {"use": "fourier", "harmonics": 2, "period": "2 s", "cycles": 6}

@@ -1,5 +1,6 @@
-"""Joints that no log lists, and that follow none of them, are locked: base parameters and rows are
-those of what really moved.
+"""Locking of joints that are neither recorded nor driven by recorded ones.
+
+Base parameters and rows are then those of the joints that moved.
 """
 
 from collections.abc import Sequence
@@ -14,9 +15,10 @@ from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 def locked_manifest(
     manifest: Manifest, robot: RobotModel, logs: Sequence[LogDescription]
 ) -> Manifest:
-    """The manifest with every joint locked that the logs do not list and that follows none of them.
+    """The manifest with those joints locked that the logs do not list and that depend on none of
+    the listed ones.
 
-    Raises UsageError where the logs differ in their joints or in where the others stand.
+    Raises UsageError where the logs differ in their joints or in the positions of locked ones.
     """
     first = logs[0]
     own = {joint.dofs[0] for joint in robot.joints if joint.kind in ("hinge", "slide")}

@@ -73,8 +73,8 @@ def _torques(
     tree = sub_tree(prepared.robot, prepared.source.task.cuts[0], motion)
     problem = prepared.problem
     assert problem.prior is not None
-    places = {name: i for i, name in enumerate(problem.parameters)}
-    own = np.array([places.get(name, -1) for name in tree.columns])
+    index = {name: i for i, name in enumerate(problem.parameters)}
+    own = np.array([index.get(name, -1) for name in tree.columns])
     sets = {
         "true": np.tile(prepared.source.truth.theta, (len(motion), 1)),
         "CAD": np.tile(problem.prior.theta, (len(motion), 1)),
