@@ -10,12 +10,12 @@ from sysid_bench.types import Estimate, Experiment, Problem, Row
 
 
 class Source(Protocol):
-    """Where the data of an experiment come from, and what estimates are compared with: the ground
-    truth of a simulation, or the measured torque of recordings."""
+    """Origin of the data of an experiment, which estimates are compared with: the ground truth of a
+    simulation, or the measured torque of recordings."""
 
     @property
     def warning(self) -> str:
-        """What the data do not excite, for the reason of a failure; empty where unknown."""
+        """Unexcited directions of the data, for the reason of a failure; empty where unknown."""
 
     def figures(self, problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
         """Rank and conditioning of the data, as fields of Score."""

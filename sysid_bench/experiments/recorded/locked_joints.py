@@ -21,11 +21,11 @@ def locked_manifest(
     Raises UsageError where the logs differ in their joints or in the positions of locked ones.
     """
     first = logs[0]
-    own = {joint.dofs[0] for joint in robot.joints if joint.kind in ("hinge", "slide")}
+    scalar = {joint.dofs[0] for joint in robot.joints if joint.kind in ("hinge", "slide")}
     for name in first.joints:
-        if name != NO_JOINT and name not in own:
-            advice = f"Write {NO_JOINT!r} for a coordinate that is no joint of the model."
-            raise UsageError(f"{first.source}: {unknown_name('joint', name, own, advice)}")
+        if name != NO_JOINT and name not in scalar:
+            advice = f"Write {NO_JOINT!r} for a coordinate that is not a joint of the model."
+            raise UsageError(f"{first.source}: {unknown_name('joint', name, scalar, advice)}")
     moving = {joint for joint in first.joints if joint != NO_JOINT}
     for log in logs[1:]:
         if {joint for joint in log.joints if joint != NO_JOINT} != moving:

@@ -70,7 +70,7 @@ def _leave_one_fold_out(
         replace(
             problem,
             factors=tuple(
-                merge_factors([own for f in range(FOLDS) if f != left_out for own in parts[f][k]])
+                merge_factors([R for f in range(FOLDS) if f != left_out for R in parts[f][k]])
                 for k in range(len(problem.rows))
             ),
         )

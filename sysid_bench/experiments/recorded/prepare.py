@@ -24,7 +24,7 @@ from sysid_bench.models.manifest import Manifest
 from sysid_bench.signals.log_checks import refuse_findings
 from sysid_bench.signals.log_description import LogDescription, log_description, name_of
 from sysid_bench.signals.processing import processing_of
-from sysid_bench.types import Experiment
+from sysid_bench.types import Experiment, Problem
 from sysid_bench.units import quantity
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
@@ -32,7 +32,7 @@ FILTER: Final = "butter 4 10 Hz zero-phase"
 7.5 % (measured)."""
 
 SLOW: Final = 30.0
-"""Hz; at lower rates that filter would touch the motion itself, and is left out."""
+"""Hz; at lower rates that filter would distort the motion itself, and is left out."""
 
 TERMS: Final = ("viscous", "coulomb", "offset")
 """Terms of real joints, where the robot's manifest names none."""
@@ -122,15 +122,6 @@ def build_problems(
         unknowns, selection = select_terms(unknowns, options.candidates, training, preprocessing)
     base = unknowns.base()
     builder = LogProblemBuilder(unknowns, base.names, preprocessing)
-    problem = builder.build(training, base)
-    experiment = Experiment(
-        problem=problem,
-        recording=training[0].recording,
-        raw=training[0].log.recording,
-        regress=partial(regressor_blocks, builder),
-        simulate=_refuse_simulation,
-        known=_refuse_simulation,
-    )
     source = RecordedSource(
         builder=builder,
         training=tuple(training),
@@ -139,8 +130,22 @@ def build_problems(
         selection=selection,
         true_mass=options.true_mass,
     )
+    problem = builder.build(training, base)
     held_out = {name: builder.build([test], base) for name, test in tests.items()}
+    experiment = _experiment(problem, builder, training[0])
     return Prepared(unknowns.robot, problem, experiment, held_out, source)
+
+
+def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLog) -> Experiment:
+    """The problem, and the functions that methods may call: the regressor alone."""
+    return Experiment(
+        problem=problem,
+        recording=first.recording,
+        raw=first.log.recording,
+        regress=partial(regressor_blocks, builder),
+        simulate=_refuse_simulation,
+        known=_refuse_simulation,
+    )
 
 
 def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -168,16 +173,16 @@ def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> Prepr
 
 
 def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:
-    """The terms asked for, else the manifest's without those of locked joints, else TERMS."""
+    """The terms of the options, else the manifest's without those of locked joints, else TERMS."""
     if options.terms is not None:
         return options.terms
     rows = log.robot.rows
-    own = tuple(
+    terms = tuple(
         term
         for term in log.robot.manifest.terms
         if "." not in term or any(term.startswith(f"{row}.") for row in rows)
     )
-    return own or TERMS
+    return terms or TERMS
 
 
 def _test_descriptions(written: Any, folder: Path) -> dict[str, LogDescription]:

@@ -23,12 +23,12 @@ class LogProblemBuilder:
     preprocessing: Preprocessing
 
     def build(self, logs: Sequence[ProcessedLog], base: BaseMap) -> Problem:
-        """W beta = b of all rows of some logs."""
+        """The problem W beta = b of all rows of the logs."""
         rows = self.unknowns.rows
         names = self.unknowns.robot.torque_rows
         kinds = tuple(self.unknowns.robot.torque_kinds[names.index(row)] for row in rows)
         parts = [self._factors(log) for log in logs]
-        factors = tuple(merge_factors(own) for own in zip(*parts, strict=True))
+        factors = tuple(merge_factors(of_row) for of_row in zip(*parts, strict=True))
         return Problem(
             parameters=self.unknowns.parameters,
             base=base,
@@ -77,7 +77,7 @@ class LogProblemBuilder:
             np.concatenate([indices[regression.touched[i]], of_extra])
             for i, (_, of_extra) in zip(rows, extra, strict=True)
         ]
-        Rs = [[np.zeros((0, len(own) + 1)) for own in columns] for _ in range(count)]
+        Rs = [[np.zeros((0, len(of_row) + 1)) for of_row in columns] for _ in range(count)]
         tau = self.torque(log)
         for block in regression.blocks(log.recording.motion):
             part = block.samples

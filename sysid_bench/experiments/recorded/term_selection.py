@@ -93,7 +93,7 @@ def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list
     """Training and left-out rows of each part and joint."""
     width = len(builder.columns)
     left_out = [
-        [upper_factor(spread(factor, width) for factor in own) for own in part]
+        [upper_factor(spread(factor, width) for factor in factors) for factors in part]
         for part in fold_factors(builder, training, FOLDS)
     ]
     return [

@@ -57,15 +57,15 @@ class Unknowns:
         return self.loaded.bodies[self.loaded.payload_body].columns
 
     @property
-    def motor_terms(self) -> tuple[str, ...]:
+    def _motor_names(self) -> tuple[str, ...]:
         """Terms of motors: linear in the state like those of joints, they are part of the base."""
         known = () if self.features is None else self.features.motor_terms
         return tuple(name for name in self.extra if name in known)
 
     @property
-    def extra_parameters(self) -> tuple[str, ...]:
+    def _extra_parameters(self) -> tuple[str, ...]:
         """Features, and a mass: each is a base parameter of its own."""
-        return tuple(name for name in self.extra if name not in self.motor_terms)
+        return tuple(name for name in self.extra if name not in self._motor_names)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -73,19 +73,19 @@ class Unknowns:
         return (
             self.robot_parameters
             + self.payload_parameters
-            + self.motor_terms
-            + self.extra_parameters
+            + self._motor_names
+            + self._extra_parameters
         )
 
     def base(self) -> BaseMap:
         """The base parameters."""
         base = base_map(
-            self.structural_factor(),
-            self.robot_parameters + self.payload_parameters + self.motor_terms,
+            self._structural_factor(),
+            self.robot_parameters + self.payload_parameters + self._motor_names,
         )
-        if not self.extra_parameters:
+        if not self._extra_parameters:
             return base
-        r, p, k = base.rank, len(base.parameters), len(self.extra_parameters)
+        r, p, k = base.rank, len(base.parameters), len(self._extra_parameters)
         K = np.zeros((r + k, p + k))
         K[:r, :p], K[r:, p:] = base.K, np.eye(k)
         return replace(
@@ -100,22 +100,22 @@ class Unknowns:
             return unknown_bodies(self.robot)
         return (*unknown_bodies(self.robot), self.loaded.bodies[self.loaded.payload_body])
 
-    def structural_factor(self) -> Array:
+    def _structural_factor(self) -> Array:
         """Triangular factor R (m, p) of the regressor over random states with and, where there is
         one, without the payload."""
-        own, load, m = self.robot_parameters, self.payload_parameters, len(self.robot_parameters)
-        R = structural_factor(self.robot, own, self.rows, beside=self._motor_terms(self.robot))
+        robot, load = self.robot_parameters, self.payload_parameters
+        R = structural_factor(self.robot, robot, self.rows, beside=self._motor_terms(self.robot))
         if self.loaded is None:
             return R
         motors = self._motor_terms(self.loaded)
-        R_loaded = structural_factor(self.loaded, own + load, self.rows, beside=motors)
-        zeros = np.zeros((len(R), len(load)))
+        R_loaded = structural_factor(self.loaded, robot + load, self.rows, beside=motors)
+        m, zeros = len(robot), np.zeros((len(R), len(load)))
         return upper_factor([np.hstack([R[:, :m], zeros, R[:, m:]]), R_loaded])
 
     def _motor_terms(self, robot: RobotModel) -> Callable[[Trajectory], Array] | None:
-        if not self.motor_terms or self.features is None:
+        if not self._motor_names or self.features is None:
             return None
-        return partial(self.features.on_rows, robot, self.rows, self.motor_terms)
+        return partial(self.features.on_rows, robot, self.rows, self._motor_names)
 
 
 def unknowns_of(

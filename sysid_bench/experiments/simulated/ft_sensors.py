@@ -31,8 +31,8 @@ class SensorMeasurement:
     task: Task
     run: int = 0  # other runs of the same sensor have other noise
 
-    def measure(self, raw: Recording, oracle: Oracle, every: int) -> Recording:
-        """The recording `raw` of every `every`-th step, with the readings of the sensors.
+    def measure(self, raw: Recording, oracle: Oracle, decimation: int) -> Recording:
+        """The recording `raw` of every `decimation`-th step, with the readings of the sensors.
 
         Raises UnsupportedError for a contact in a simulation that does not feel it.
         """
@@ -40,7 +40,7 @@ class SensorMeasurement:
             return raw
         white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench", self.run))
         noise = wrench_noise(self.spec.noise)
-        motion = decimated_motion(oracle.motion, every)
+        motion = decimated_motion(oracle.motion, decimation)
         contact = self._contact(motion)
         if contact is not None:
             tau = contact_torque(self.plant, contact, motion)
@@ -49,7 +49,7 @@ class SensorMeasurement:
         parts = [
             error.measure(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
             for error, wrench in zip(
-                sensor_errors(self.spec, len(self.task.cuts)), _by_sensor(exact), strict=True
+                _sensor_errors(self.spec, len(self.task.cuts)), _by_sensor(exact), strict=True
             )
         ]
         rows = tuple(row for cut in self.task.cuts for row in cut.rows)
@@ -86,10 +86,10 @@ class SensorMeasurement:
 
 def true_offset(spec: ExperimentSpec, count: int) -> Array:
     """True offsets (6 count,) [n; f] of the measured sensor and of those that end its sub-tree."""
-    return np.concatenate([error.offset for error in sensor_errors(spec, count)])
+    return np.concatenate([error.offset for error in _sensor_errors(spec, count)])
 
 
-def sensor_errors(spec: ExperimentSpec, count: int) -> list[SensorError]:
+def _sensor_errors(spec: ExperimentSpec, count: int) -> list[SensorError]:
     """Offset, drift, gain, crosstalk and mounting errors of each sensor of an experiment."""
     rng, noise = np.random.default_rng(sensor_seed(spec)), wrench_noise(spec.noise)
     return [sensor_error(noise, rng) for _ in range(count)]
@@ -99,7 +99,7 @@ def _by_sensor(wrenches: Array) -> list[Array]:
     return np.split(wrenches, wrenches.shape[1] // 6, axis=1)
 
 
-def decimated_motion(motion: Trajectory, every: int) -> Trajectory:
-    """Every `every`-th sample of a motion."""
-    part = slice(None, None, every)
+def decimated_motion(motion: Trajectory, decimation: int) -> Trajectory:
+    """Every `decimation`-th sample of a motion."""
+    part = slice(None, None, decimation)
     return replace(motion, t=motion.t[part], q=motion.q[part], v=motion.v[part], a=motion.a[part])

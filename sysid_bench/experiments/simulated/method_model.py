@@ -57,8 +57,8 @@ class SimulateModel:
         oracle = ClosedLoop(rate=controller.rate).track(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
-        every = round(controller.rate / self.raw.rate)
-        kept = slice(None, None, every)
+        decimation = round(controller.rate / self.raw.rate)
+        kept = slice(None, None, decimation)
         motion = oracle.motion
         return replace(
             self.raw,

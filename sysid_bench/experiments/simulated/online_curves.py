@@ -41,9 +41,9 @@ def _track_of(problem: Problem) -> ParameterTrack:
     """Recursive least squares over the samples of a problem, from its prior."""
     assert problem.prior is not None
     W, f = rows_of(problem)
-    K, every = problem.base.K, max(len(f) // HISTORY, 1)
+    K, step = problem.base.K, max(len(f) // HISTORY, 1)
     spread = (K * problem.prior.std**2) @ K.T
-    return RecursiveEstimator(every=every).run(
+    return RecursiveEstimator(every=step).run(
         W, f, _noise(problem), K @ problem.prior.theta, spread
     )
 
@@ -74,7 +74,7 @@ def _torques(
     problem = prepared.problem
     assert problem.prior is not None
     index = {name: i for i, name in enumerate(problem.parameters)}
-    own = np.array([index.get(name, -1) for name in tree.columns])
+    columns = np.array([index.get(name, -1) for name in tree.columns])
     sets = {
         "true": np.tile(prepared.source.truth.theta, (len(motion), 1)),
         "CAD": np.tile(problem.prior.theta, (len(motion), 1)),
@@ -82,7 +82,7 @@ def _torques(
     }
     torques = {}
     for name, theta in sets.items():
-        phi = np.where(own >= 0, theta[:, own], 0.0)
+        phi = np.where(columns >= 0, theta[:, columns], 0.0)
         torques[name] = np.einsum("nkp,np->nk", tree.Y_c, phi)
     return [
         Curve(f"torque of {row}", motion.t, {name: tau[:, i] for name, tau in torques.items()})

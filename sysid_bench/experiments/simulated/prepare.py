@@ -42,7 +42,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     processed = preprocess(spec, loaded, builder, sampled)
     runs = _runs(spec, noise_free, order, Run(True, processed.recording))
     experiment = _experiment(noise_free, processed, runs)
-    make_read_only(experiment)
+    _make_read_only(experiment)
     motion = processed.recording.motion
     source = SimulatedSource(
         spec=spec,
@@ -77,18 +77,18 @@ def _experiment(
     )
 
 
-def make_read_only(value: Any) -> None:
+def _make_read_only(value: Any) -> None:
     """Make the arrays of a frozen type read-only: the estimators of one experiment share them."""
     if isinstance(value, np.ndarray):
         value.flags.writeable = False
     elif isinstance(value, partial):
-        make_read_only(value.args)
+        _make_read_only(value.args)
     elif isinstance(value, tuple):
         for part in value:
-            make_read_only(part)
+            _make_read_only(part)
     elif is_dataclass(value) and type(value).__module__ == Problem.__module__:
         for field in fields(value):
-            make_read_only(getattr(value, field.name))
+            _make_read_only(getattr(value, field.name))
 
 
 def _runs(

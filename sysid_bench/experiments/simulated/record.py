@@ -116,7 +116,7 @@ class SampledRecording:
     raw: Recording
     recording: Recording
     oracle: Oracle
-    every: int  # steps of the simulation per sample
+    decimation: int  # steps of the simulation per sample
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
 
@@ -125,17 +125,23 @@ class SampledRecording:
         a row has no noise of that kind, or the motion does not excite every direction."""
         if builder.task.cuts or not (self.torque_std[list(builder.row_indices)] > 0).all():
             return None
-        return _bound(builder, self.oracle, self.every, tuple(self.torque_std), self.correlation)
+        return _bound(
+            builder, self.oracle, self.decimation, tuple(self.torque_std), self.correlation
+        )
 
 
 @lru_cache(maxsize=2)
 def _bound(
-    builder: ProblemBuilder, oracle: Oracle, every: int, std: tuple[float, ...], correlation: float
+    builder: ProblemBuilder,
+    oracle: Oracle,
+    decimation: int,
+    std: tuple[float, ...],
+    correlation: float,
 ) -> Array | None:
-    motion, rows = decimated_motion(oracle.motion, every), builder.row_indices
+    motion, rows = decimated_motion(oracle.motion, decimation), builder.row_indices
     row_std = np.array(std)[list(rows)]
     if correlation == 0.0:
-        covariance = white_bound(builder.build(motion, oracle.tau[::every]), row_std)
+        covariance = white_bound(builder.build(motion, oracle.tau[::decimation]), row_std)
     else:  # whitening in time mixes samples: the blocks have to be dense
         blocks = regressor_blocks(builder.regression, rows, builder.instruments, motion)
         covariance = torque_bound(blocks, np.diag(row_std**2), correlation)
@@ -152,28 +158,29 @@ def record(
     index, seed = (
         (0, noise_seed(spec)) if repetition is None else (repetition.index, repetition.seed)
     )
-    robot, every, commanded = simulated.plant.robot, simulated.decimation, simulated.commanded
+    robot, commanded = simulated.plant.robot, simulated.commanded
+    decimation = simulated.decimation
     noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
     processing = processing_of(spec.signals)
     rng = np.random.default_rng(seed)
-    samples = len(range(0, len(commanded), every))
+    samples = len(range(0, len(commanded), decimation))
     draws = draw_noise(len(commanded), samples, len(robot.torque_dofs), rng)
     oracle, controller, error = _run_with_encoders(simulated, noise, draws)
-    torque_std = noise.torque_std(oracle.tau[::every])
+    torque_std = noise.torque_std(oracle.tau[::decimation])
     raw = measure(
         robot,
         oracle,
         error,
         torque_std * noise.in_time(draws.torque),
-        every,
+        decimation,
         # Without a controller the robot moves exactly as commanded, which is the ground truth.
         commanded=None if controller is None else commanded,
         controller=controller,
         ideal_rates=not processing.differentiate,
     )
-    raw = sensors.measure(_with_drift(spec, raw, index, noise.tau_drift), oracle, every)
+    raw = sensors.measure(_with_drift(spec, raw, index, noise.tau_drift), oracle, decimation)
     recording = _with_dependent_joints(robot, processing.apply(raw, robot.joints))
-    return SampledRecording(raw, recording, oracle, every, torque_std, noise.tau_correlation)
+    return SampledRecording(raw, recording, oracle, decimation, torque_std, noise.tau_correlation)
 
 
 def _run_with_encoders(

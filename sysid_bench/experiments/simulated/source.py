@@ -32,7 +32,7 @@ class SimulatedSource:
     motion: Trajectory  # as measured, without contact periods
     known: Array  # (N, rows) torque of the parts that the task declares known, along `motion`
     bound: Array | None  # (r,) Cramer-Rao, as standard deviations, where torque alone is noisy
-    left_out: float  # share of the samples that are taken for contacts
+    left_out: float  # share of the samples that were removed as contacts
 
     @property
     def task(self) -> Task:
