@@ -63,14 +63,14 @@ def spec(**changes: Any) -> ExperimentSpec:
 
 
 def ready(**changes: Any) -> Prepared[SimulatedSource]:
-    """The experiment of `spec(**changes)`, made anew."""
+    """The experiment of `spec(**changes)`, prepared again."""
     made = spec(**changes)
     return prepare_simulated(made, subject_of(made.robot, made.payload))
 
 
 @cache
 def ready_once(robot: str, payload: str = "none", task: str = "robot") -> Prepared[SimulatedSource]:
-    """An exact experiment that tests only look at."""
+    """An exact experiment that tests share and must not change."""
     return ready(robot=robot, payload=payload, task=task)
 
 
@@ -96,7 +96,7 @@ def argument(
     tolerance: float = 1e-12,
     on_fail: str = "skip-robot",
 ) -> dict[str, Any]:
-    """What the harness hands to `execute`: one cell per estimator, named by its place."""
+    """The argument of `execute`, as from the harness: one cell per estimator, named by index."""
     specs = [{"use": e} if isinstance(e, str) else dict(e) for e in estimators]
     return {
         "experiment": made.to_json(),

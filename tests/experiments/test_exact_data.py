@@ -31,20 +31,20 @@ def figures(made: object) -> Score:
 @pytest.mark.parametrize("payload", ["none", "sphere-offset-1kg", "point-1kg", "rod-1kg"])
 @pytest.mark.parametrize("name", SHIPPED + OWN)
 def test_every_robot_with_every_load_is_found(name: str, payload: str) -> None:
-    told = figures(ready_once(name, payload))
-    assert told.beta_error is not None
-    assert told.beta_error <= 1e-9
-    assert told.torque_error is not None
-    assert told.torque_error <= 1e-9
+    scores = figures(ready_once(name, payload))
+    assert scores.beta_error is not None
+    assert scores.beta_error <= 1e-9
+    assert scores.torque_error is not None
+    assert scores.torque_error <= 1e-9
 
 
 @pytest.mark.parametrize("task", ["payload", "link"])
 @pytest.mark.parametrize("name", OWN)
 def test_loads_of_robots_with_ball_and_free_joints_are_found(name: str, task: str) -> None:
-    """What ball and free joints do beside moving masses is known, all three directions of it."""
-    told = figures(ready_once(name, "sphere-offset-1kg", task))
-    assert told.beta_error is not None
-    assert told.beta_error <= 1e-8
+    """The terms of ball and free joints are known in all three directions."""
+    scores = figures(ready_once(name, "sphere-offset-1kg", task))
+    assert scores.beta_error is not None
+    assert scores.beta_error <= 1e-8
 
 
 TERMS = ("viscous", "coulomb", "offset", "armature", "spring")
@@ -55,18 +55,18 @@ TERMS = ("viscous", "coulomb", "offset", "armature", "spring")
 def test_any_choice_of_terms_is_found_the_rest_being_known(
     name: str, terms: tuple[str, ...]
 ) -> None:
-    told = figures(ready(robot=name, terms=terms))
-    assert told.beta_error is not None
-    assert told.beta_error <= 1e-9
+    scores = figures(ready(robot=name, terms=terms))
+    assert scores.beta_error is not None
+    assert scores.beta_error <= 1e-9
 
 
 def test_closed_loop_data_are_as_exact() -> None:
     for made in (smooth_loop(), ready(robot=RICH, simulation=CLOSED_LOOP)):
-        told = figures(made)
-        assert told.beta_error is not None
-        assert told.beta_error <= 1e-7  # through the condition number of a motion not designed
-        assert told.torque_error is not None
-        assert told.torque_error <= 1e-9
+        scores = figures(made)
+        assert scores.beta_error is not None
+        assert scores.beta_error <= 1e-7  # through the condition number of a motion not designed
+        assert scores.torque_error is not None
+        assert scores.torque_error <= 1e-9
 
 
 @pytest.mark.parametrize("payload", ["none", "box-2kg"])

@@ -1,4 +1,4 @@
-"""Laws of designs in experiments: shared by content, made once, kept between workers."""
+"""Laws of optimised motions: shared by content, designed once, cached between workers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ DESIGN = {"use": "optimised", "harmonics": 2, "period": "4 s", "iterations": 3}
 
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Optimised]:
-    """The designs that were really searched for, with an empty cache."""
+    """The designs that were optimised, starting with an empty cache."""
     made: list[Optimised] = []
     solve = Optimised.solve
 
@@ -57,11 +57,11 @@ def test_another_seed_task_or_setting_is_another_design(solved: list[Optimised])
 
 
 def test_content_is_what_is_held_and_not_the_rate() -> None:
-    brief = design_problem(robot_of("ur5"), 100.0)
+    problem = design_problem(robot_of("ur5"), 100.0)
     same = design_problem(robot_of("ur5"), 200.0)
-    assert motions.content_hash(brief) == motions.content_hash(same)
-    assert motions.content_hash(brief) != motions.content_hash(replace(same, v=1.01 * same.v))
-    assert motions.content_hash(brief) != motions.content_hash(
+    assert motions.content_hash(problem) == motions.content_hash(same)
+    assert motions.content_hash(problem) != motions.content_hash(replace(same, v=1.01 * same.v))
+    assert motions.content_hash(problem) != motions.content_hash(
         design_problem(robot_of("ur10"), 100.0)
     )
 

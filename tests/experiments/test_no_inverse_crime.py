@@ -1,4 +1,4 @@
-"""Nothing of the truth can be reached from what a method is given."""
+"""The ground truth cannot be reached from the inputs of a method."""
 
 import gc
 import types
@@ -21,7 +21,7 @@ NOISE = {"q": 1e-5, "tau_relative": 0.01}
 
 
 def held_by(thing: Any) -> list[Any]:
-    """What an object holds; of a function only its closure and defaults, not its module."""
+    """Contents of an object; of a function its closure and defaults, not its module."""
     if isinstance(thing, types.FunctionType):
         return [thing.__closure__, thing.__defaults__, thing.__kwdefaults__]
     if isinstance(thing, np.ndarray):
@@ -66,10 +66,10 @@ def numbers(thing: Any) -> list[Array]:
 
 
 def secrets(made: Prepared[SimulatedSource]) -> dict[str, Array]:
-    """What no method may hold, by name: bodies that are unknown, their masses, the unknowns."""
+    """Arrays that no method may hold, by name: unknown bodies, their masses, the unknowns."""
     robot, theta = made.robot, made.source.truth.theta
-    places = {name: i for i, name in enumerate(made.source.truth.parameters)}
-    table = np.array([theta[[places[c] for c in b.columns]] for b in made.problem.bodies])
+    index = {name: i for i, name in enumerate(made.source.truth.parameters)}
+    table = np.array([theta[[index[c] for c in b.columns]] for b in made.problem.bodies])
     out = {"theta": theta, "base parameters": made.problem.base.K @ theta, "table": table}
     for body, phi in zip(made.problem.bodies, table, strict=True):
         if phi.any():
@@ -87,7 +87,7 @@ def secrets(made: Prepared[SimulatedSource]) -> dict[str, Array]:
 
 
 def holds(array: Array, secret: Array) -> bool:
-    """Whether an array has the secret in it: as it is, as a row, or as a run of numbers."""
+    """True where an array contains the secret: as it is, as a row, or as a run of numbers."""
     flat, wanted = array.ravel(), secret.ravel()
     if len(wanted) < 2 or len(flat) < len(wanted):
         return False

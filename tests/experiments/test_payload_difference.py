@@ -1,4 +1,4 @@
-"""The payload from loaded and bare recordings of one motion: what is known of the arm drops out."""
+"""The payload from recordings of one motion with and without it: errors of the arm cancel."""
 
 from functools import cache
 
@@ -24,7 +24,7 @@ PLAIN = {"filter": "none", "derivatives": "exact"}
 def made(
     robot: str, runs: str = "AB", known: float = 0.3, **noise: float
 ) -> Prepared[SimulatedSource]:
-    """A payload experiment with recordings in this order; what is known of the arm is wrong."""
+    """A payload experiment with recordings in this order; with errors in the known arm."""
     return ready(
         robot=robot, payload="box-2kg", task="payload", prior=TOLD | {"known": known},
         signals=PLAIN | {"runs": runs}, noise=noise,
@@ -69,16 +69,16 @@ def scored(at: Prepared[SimulatedSource], estimator: object) -> Score:
 def test_with_noise_it_beats_a_fit_with_a_wrong_arm_and_not_one_with_a_right_arm(
     robot: str,
 ) -> None:
-    """What two noisy recordings cost, and what a tenth of wrong masses costs."""
+    """Costs of two noisy recordings, and of masses that are wrong by a tenth."""
     wrong = made(robot, "AB", known=0.1, tau_relative=0.01)
     right = made(robot, "AB", known=0.0, tau_relative=0.01)
     difference, misled = (scored(wrong, method).payload_error for method in (Difference(), WLS()))
-    told = scored(right, WLS()).payload_error
+    error = scored(right, WLS()).payload_error
     assert difference is not None
     assert misled is not None
-    assert told is not None
+    assert error is not None
     assert difference < 0.5 * misled
-    assert told < 2.0 * difference
+    assert error < 2.0 * difference
 
 
 @pytest.mark.parametrize("robot", ["ur5", "scara"])

@@ -1,4 +1,4 @@
-"""The simulator that methods are given: true parameters reproduce the recording, others do not."""
+"""The simulator of methods: true parameters reproduce the recording, others do not."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ from tests.experiments.experiment_world import (
     spec,
 )
 
-STRANGERS = "tests.experiments.strangers"
+PLUGINS = "tests.experiments.plugins"
 CASES: dict[str, dict[str, Any]] = {
     "UR5": {"robot": SMOOTH, "payload": "box-2kg"},
     "Coulomb friction": {"robot": "ur5"},
@@ -32,7 +32,7 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def gap(one: Recording, other: Recording) -> float:
-    """The largest difference of two recordings, each signal in units of its own size."""
+    """The largest difference of two recordings, each signal relative to its maximum."""
     worst = 0.0
     for field in ("q", "v", "a", "tau"):
         ours, theirs = getattr(one, field), getattr(other, field)
@@ -111,19 +111,19 @@ def test_parameters_that_no_motion_tells_apart_simulate_the_same() -> None:
 
 @pytest.mark.parametrize("noise", [{}, {"q": 1e-4, "tau_relative": 0.01}], ids=str)
 def test_a_method_that_simulates_improves_on_its_start(noise: dict[str, float]) -> None:
-    """DIDIM in twenty lines, from outside the package, through the whole harness."""
+    """DIDIM in twenty lines, as a plug-in, in a whole experiment."""
     made = spec(
         robot=SMOOTH, payload="box-2kg", task="payload", simulation=CLOSED_LOOP, noise=noise
     )
-    told, found = executed(made, f"{STRANGERS}:Told", f"{STRANGERS}:Output")
-    assert told["status"] == found["status"] == "ok", found["reason"]
-    assert told["payload_error"] > 0.05
+    prior, found = executed(made, f"{PLUGINS}:PriorMean", f"{PLUGINS}:Output")
+    assert prior["status"] == found["status"] == "ok", found["reason"]
+    assert prior["payload_error"] > 0.05
     for figure in ("payload_error", "torque_error"):
-        assert found[figure] < (0.5 * told[figure] if noise else 1e-4)
+        assert found[figure] < (0.5 * prior[figure] if noise else 1e-4)
     assert found["stats"] == {"iterations": 8.0}
 
 
 def test_without_a_controller_it_says_so() -> None:
-    (row,) = executed(spec(), f"{STRANGERS}:Output")
+    (row,) = executed(spec(), f"{PLUGINS}:Output")
     assert row["status"] == "unsupported"
     assert "controller" in row["reason"]

@@ -36,8 +36,8 @@ COULOMB = ("friction that is known",)
 
 @cache
 def exact(case: str, prior: bool) -> Prepared[SimulatedSource]:
-    told = {} if prior else {"prior": "none"}
-    return ready(simulation=FAST, excitation=SHORT, rate=100.0, **ROBOTS[case], **told)
+    changes = {} if prior else {"prior": "none"}
+    return ready(simulation=FAST, excitation=SHORT, rate=100.0, **ROBOTS[case], **changes)
 
 
 @cache

@@ -1,4 +1,4 @@
-"""A payload from a wrist sensor: as precise as white noise allows, and calibrated in place."""
+"""A payload from a wrist sensor: as precise as white noise allows, and calibrated in situ."""
 
 import numpy as np
 import pytest
@@ -55,8 +55,8 @@ def test_known_loads_calibrate_a_faulty_sensor(robot: str) -> None:
     better = plain | {"calibration": LOADS}
     errors = []
     for noise, signals in ((NOISE, plain), (NOISE | FAULTS, plain), (NOISE | FAULTS, better)):
-        told = [_score(_payload(robot, noise=noise, signals=signals, repeat=k)) for k in range(2)]
-        errors.append([(one.mass_error, one.com_error, one.inertia_error) for one in told])
+        scores = [_score(_payload(robot, noise=noise, signals=signals, repeat=k)) for k in range(2)]
+        errors.append([(one.mass_error, one.com_error, one.inertia_error) for one in scores])
     clean, faulty, calibrated = (np.median(np.array(e, dtype=float), axis=0) for e in errors)
     assert (faulty > 5 * clean).all()
     assert (calibrated < 0.5 * faulty).all()
