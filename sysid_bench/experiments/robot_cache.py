@@ -1,5 +1,6 @@
-"""What depends on the robot alone, kept by a worker between its experiments."""
+"""Robots, their cross-checks and base parameters, cached by a worker between experiments."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -18,24 +19,24 @@ from sysid_bench.naming import build, resolve_paths
 from sysid_bench.types import BaseMap
 
 KEPT = 16
-"""Robots with payloads that a worker keeps: a few megabytes each."""
+"""Robots with payloads in the cache of a worker: a few megabytes each."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedRobot:
-    """A loaded robot with its payload, cross-checked once; `folder` is where the suite lies, from
-    which the files of its plug-ins are found."""
+    """A robot with its payload, cross-checked once; `folder` is the one of the suite, to which
+    the files of its plug-ins are relative."""
 
     robot: RobotModel
     folder: Path | None = None
 
     def build_plugin(self, kind: str, spec: Mapping[str, Any]) -> Any:
-        """The plug-in that a suite names, made with its settings."""
+        """The plug-in that a suite names, built with its settings."""
         return build(kind, resolve_paths(spec, self.folder))
 
     @cached_property
     def check(self) -> CrossCheck:
-        """The verdict of the two engines."""
+        """Comparison of the two engines."""
         return crosscheck(self.robot)
 
     @cached_property
@@ -48,8 +49,8 @@ class LoadedRobot:
         rows: tuple[str, ...] | None = None,
         cuts: tuple[SensorCut, ...] = (),
     ) -> BaseMap:
-        """The base parameters of a task; `rows`: whose torque is measured (None: all), or those of
-        the sensors `cuts`."""
+        """The base parameters of a task; `rows`: the measured degrees of freedom (None: all), or
+        the components of the sensors `cuts`."""
         key = parameters, rows, tuple(cut.at for cut in cuts)
         if key not in self._bases:
             self._bases[key] = structural_base(self.robot, parameters, rows, cuts)
@@ -63,21 +64,19 @@ def cached_robot(
     folder: str | None,
     free_base: bool | None = None,
 ) -> LoadedRobot:
-    """The robot called `source` with a payload, loaded at most once per worker; `free_base`
-    overrides its manifest."""
-    return _subject(source, canonical(payload), robots_dir, folder, free_base)
+    """The robot `source` with a payload, loaded at most once per worker; `free_base` overrides its
+    manifest. Raises UsageError for unknown names, ModelError for unusable files."""
+    return _load(source, canonical(payload), robots_dir, folder, free_base)
 
 
 @lru_cache(maxsize=KEPT)
-def _subject(
+def _load(
     source: str,
     payload: str,
     robots_dir: str | None,
     folder: str | None,
     free_base: bool | None,
 ) -> LoadedRobot:
-    import json
-
-    extra, place = (None if path is None else Path(path) for path in (robots_dir, folder))
-    manifest = find_manifest(source, extra, place)
-    return LoadedRobot(load_robot(manifest, parse_payload(json.loads(payload)), free_base), place)
+    robots, suite = (None if path is None else Path(path) for path in (robots_dir, folder))
+    manifest = find_manifest(source, robots, suite)
+    return LoadedRobot(load_robot(manifest, parse_payload(json.loads(payload)), free_base), suite)

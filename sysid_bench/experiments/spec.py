@@ -1,4 +1,4 @@
-"""What an experiment is, in SI numbers; its id, and the seeds that hang on parts of it."""
+"""Specification of an experiment in SI numbers, and its id."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -12,7 +12,7 @@ from sysid_bench.units import quantity, split_quantity
 
 @dataclass(frozen=True)
 class ExperimentSpec:
-    """One simulated recording, or some of a real robot (`log`). JSON values only; plug-ins are
+    """A simulated recording, or recordings of a real robot (`log`). JSON values only; plug-ins are
     {use, settings...} as written.
 
     `noise` holds q, quantum (rad, m), tau (N m, N) or tau_relative (share of the joint's RMS
@@ -41,14 +41,14 @@ class ExperimentSpec:
 
     @cached_property
     def id(self) -> str:
-        """12 hex digits of what is specified, and of nothing else."""
+        """12 hex digits: a hash of the specification alone."""
         return digest(self.to_json())[:12]
 
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
         data = {field.name: getattr(self, field.name) for field in fields(self)}
         for key in ("free_base", "sensor", "log"):
-            if data[key] is None:  # not written: ids are older than these fields
+            if data[key] is None:  # ids are older than these fields
                 del data[key]
         return data
 
@@ -66,65 +66,13 @@ class ExperimentSpec:
             )
         except (KeyError, TypeError) as error:
             raise UsageError(
-                f"This is no experiment of this version of sysid_bench ({error}); plan it again "
+                f"Experiment written by another version of sysid_bench ({error}); plan it again "
                 "into another folder (-o)."
             ) from error
 
 
-def seed_of(suite_seed: int, *parts: Any) -> int:
-    """A 128-bit seed from the suite's and any JSON values."""
-    return int(digest([suite_seed, *parts])[:32], 16)
-
-
-def motion_seed(spec: ExperimentSpec) -> int:
-    """Of the training motion: payloads, tasks, noise and repeats share it."""
-    return seed_of(spec.seed, "motion", spec.robot, spec.excitation)
-
-
-def held_out_seed(spec: ExperimentSpec, place: int) -> int:
-    """Of the held-out motion number `place`: never the training motion, whatever they are."""
-    return seed_of(spec.seed, "held-out", spec.robot, spec.held_out[place], place)
-
-
-def noise_seed(spec: ExperimentSpec) -> int:
-    """Of the sensor noise: the same draw for every payload, level, estimator, prior and plant,
-    so that their comparison is paired."""
-    parts = (spec.robot, spec.task, spec.excitation, spec.simulation, spec.rate, spec.repeat)
-    return seed_of(spec.seed, "noise", *parts)
-
-
-def sensor_seed(spec: ExperimentSpec) -> int:
-    """Of how a force/torque sensor was made: the same one for every payload, motion, task and level
-    of its errors; a repeat is another one."""
-    return seed_of(spec.seed, "sensor", spec.robot, spec.sensor, spec.repeat)
-
-
-def run_seed(spec: ExperimentSpec, run: int) -> int:
-    """Of the noise of a further recording of the same motion."""
-    return seed_of(noise_seed(spec), "run", run)
-
-
-def drift_seed(spec: ExperimentSpec) -> int:
-    """Of how the torques of a robot drift: alike in all recordings of an experiment."""
-    return seed_of(noise_seed(spec), "drift")
-
-
-def known_seed(spec: ExperimentSpec) -> int:
-    """Of what methods are told of the parts that are known, whatever the payload."""
-    return seed_of(spec.seed, "known", spec.robot, spec.task)
-
-
-def prior_seed(spec: ExperimentSpec) -> int:
-    """Of what methods are told beforehand: no new prior with each noise level, and none with each
-    repeat unless it is `redrawn`."""
-    parts: tuple[Any, ...] = (spec.robot, spec.payload, spec.task)
-    if not isinstance(spec.prior, str) and spec.prior.get(REDRAWN):
-        parts += (spec.repeat,)
-    return seed_of(spec.seed, "prior", *parts)
-
-
 REDRAWN: Final = "redrawn"
-"""Key of a prior that is drawn again with each repeat; the others are how far."""
+"""Key of a prior that is drawn again with each repeat; the other keys are spreads."""
 
 
 NOISE_UNITS: Final = {
@@ -144,14 +92,14 @@ NOISE_UNITS: Final = {
     "mounting": "rad",
     "touch": "N",
 }
-"""Keys of a [noise] table and their units, but for torque in shares."""
+"""Keys of a [noise] table and their units; torque may also be a share, in %."""
 
 
 def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
     """SI numbers of a [noise] table; "0.5 %" of torque becomes tau_relative = 0.005.
 
-    What is zero is left out, and how alike the samples of no noise are: {} is exact, however it is
-    written.
+    Zeros are left out, and so is the correlation of torque without noise: exact signals are {},
+    however they are written. Raises UsageError for unknown keys and impossible values.
     """
     noise = {}
     for key, value in written.items():
@@ -171,18 +119,19 @@ def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
 
 
 def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, float]:
-    """SI numbers of a prior: shares, and metres for com."""
+    """SI numbers of a prior: standard deviations as shares, in metres for com."""
     if isinstance(written, str):
         return written
-    far = {key: value for key, value in written.items() if key != REDRAWN and value is not None}
-    normal = {key: quantity(value, "mm" if key == "com" else "%") for key, value in far.items()}
-    # What is known exactly is not written: ids are older than the key.
+    spreads = {key: value for key, value in written.items() if key not in (REDRAWN,)}
+    spreads = {key: value for key, value in spreads.items() if value is not None}
+    normal = {key: quantity(value, "mm" if key == "com" else "%") for key, value in spreads.items()}
+    # Exactly known parts are not written: ids are older than the key.
     normal = {key: value for key, value in normal.items() if key != "known" or value}
     return normal | ({REDRAWN: True} if written.get(REDRAWN) else {})
 
 
 def normal_payload(written: str | Mapping[str, Any]) -> str | dict[str, Any]:
-    """A payload's table without its name, numbers as floats: what the payload is."""
+    """The table of a payload without its name, numbers as floats."""
     if isinstance(written, str):
         return written
     return {key: _floats(value) for key, value in written.items() if key != "name"}

@@ -46,7 +46,7 @@ def cell_fingerprint(cell: Cell, robots_dir: Path | None, folder: Path | None) -
     specs = [resolve_paths(plugin, folder) for some in plugins.values() for plugin in some]
     read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
     if spec.log is not None:
-        from sysid_bench.experiments.recorded.rows import log_files
+        from sysid_bench.experiments.recorded.prepare import log_files
 
         own = _target("estimator", cell.estimator, folder)
         return fingerprint([*files, *log_files(spec.log, folder or Path())], [own])

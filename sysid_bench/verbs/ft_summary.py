@@ -4,17 +4,18 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sysid_bench.experiments.simulated.prepare import Prepared
-    from sysid_bench.experiments.spec import ExperimentSpec
+    from sysid_bench.experiments.prepared import Prepared
+    from sysid_bench.experiments.simulated.source import SimulatedSource
     from sysid_bench.types import Estimate
 
 
-def excitation_fields(ready: "Prepared") -> dict[str, Any]:
+def excitation_fields(ready: "Prepared[SimulatedSource]") -> dict[str, Any]:
     """The sensor, its sub-tree, what its data tell of the structure, and the degrees of freedom
     whose torque they cannot foretell."""
-    from sysid_bench.experiments.simulated.ft_evaluation import sensor_excitation as excitation
+    from sysid_bench.experiments.simulated.ft_evaluation import sensor_excitation
 
-    cut, told = ready.task.cuts[0], excitation(ready)
+    cut = ready.source.task.cuts[0]
+    told = sensor_excitation(ready.robot, cut, ready.source.motion)
     return {
         "name": cut.name,
         "at": cut.at,
@@ -28,15 +29,13 @@ def excitation_fields(ready: "Prepared") -> dict[str, Any]:
 
 
 def comparison_fields(
-    spec: "ExperimentSpec", ready: "Prepared", estimate: "Estimate"
+    ready: "Prepared[SimulatedSource]", estimate: "Estimate"
 ) -> dict[str, dict[str, float]] | None:
     """RMS errors of joint torques and of a touch on the last body, with true, CAD and identified
     parameters side by side, on a motion that was not trained on; None where a further sensor ends
     the sub-tree."""
-    from sysid_bench.experiments.simulated.ft_evaluation import contact_test
-
-    trial = contact_test(spec, ready)
-    errors = None if trial is None else trial.errors(ready, estimate)
+    trial, truth = ready.source.contact_test, ready.source.truth
+    errors = None if trial is None else trial.errors(ready.problem, truth, estimate)
     return None if errors is None else {name: asdict(c) for name, c in errors.items()}
 
 

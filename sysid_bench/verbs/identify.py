@@ -58,7 +58,8 @@ def identify(
     from sysid_bench.evaluation.covariance import standard_errors
     from sysid_bench.evaluation.score import score
     from sysid_bench.experiments.robot_cache import cached_robot
-    from sysid_bench.experiments.simulated.prepare import identified_terms, prepare
+    from sysid_bench.experiments.simulated.noise_free import identified_terms
+    from sysid_bench.experiments.simulated.prepare import prepare_simulated
     from sysid_bench.identification.feasibility.completion import completed_estimate
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.naming import build
@@ -86,7 +87,7 @@ def identify(
         check_estimate(robot.robot, Path(json_out), None if model_out is None else Path(model_out))
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
-    ready = prepare(spec, robot)
+    ready = prepare_simulated(spec, robot)
     estimate = solve(method, ready.problem, ready.experiment)
     told = excitation_fields(ready) if task == "wrench" else None
     missing = [told["warning"]] if told and told["warning"] else []
@@ -96,7 +97,8 @@ def identify(
         )
     if complete is not None:
         estimate = completed_estimate(estimate, ready.problem, complete)
-    figures = score(estimate, ready.problem, ready.held_out, ready.truth, ready.extents)
+    source = ready.source
+    figures = score(estimate, ready.problem, ready.held_out, source.truth, source.extents)
     sure = standard_errors(ready.problem, estimate)
     bodies = bodies_of(estimate, ready.problem, sure)
     answer = {
@@ -114,7 +116,7 @@ def identify(
         "rmse_train": figures.rmse_train,
         "rmse_test": figures.rmse_test,
         "torque_error": figures.torque_error,
-        "left_out": ready.left_out,
+        "left_out": source.left_out,
         "gap": robot.check.gap,
         "std_from": std_from(sure),
         "base": base_of(estimate, ready.problem, sure),
@@ -132,7 +134,7 @@ def identify(
         ],
     }
     if told is not None:
-        answer["sensor"] = told | {"estimation": comparison_fields(spec, ready, estimate)}
+        answer["sensor"] = told | {"estimation": comparison_fields(ready, estimate)}
     if model_out is not None:
         whole = complete is not None
         write_model(robot.robot, task, estimate, ready.problem, Path(model_out), whole)

@@ -10,8 +10,9 @@ import numpy as np
 from sysid_bench.errors import EstimationError
 
 if TYPE_CHECKING:
-    from sysid_bench.experiments.recorded.prepared_logs import PreparedLogs
+    from sysid_bench.experiments.prepared import Prepared
     from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog
+    from sysid_bench.experiments.recorded.source import RecordedSource
     from sysid_bench.experiments.recorded.term_selection import TermSelection
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as told, over the same samples"
@@ -70,9 +71,10 @@ def identify_logs(
     )  # fmt: skip
     named = dict(zip(_labels(tests), descriptions[len(logs) :], strict=True))
     posed = prepare_logs(manifest, descriptions[: len(logs)], named, asked)
-    training, testing = posed.training, posed.testing
+    source = posed.source
+    training, testing = source.training, source.tests
     read = (*training, *testing.values())
-    robot, treatment = training[0].robot, posed.builder.preprocessing
+    robot, treatment = training[0].robot, source.builder.preprocessing
     estimate = solve(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
         raise EstimationError(f"{name} on {manifest.name}: {estimate.reason}")
@@ -88,19 +90,19 @@ def identify_logs(
         "model": manifest.name,
         "file": str(manifest.path),
         "task": task,
-        "terms": list(posed.terms),
+        "terms": list(source.terms),
         "rows": list(posed.problem.rows),
         "locked": dict(robot.manifest.locked),
         "estimator": name,
         "signals": _told(treatment),
         "denominator": DENOMINATOR,
-        "selection": None if posed.selection is None else _selection(posed.selection),
+        "selection": None if source.selection is None else _selection(source.selection),
         **_data_figures(posed.problem),
         "rmse_train": pooled_error(posed.problem, beta),
-        "rmse_test": _mean([pooled_error(test, beta) for test in posed.tests.values()]),
-        "torque_error": torque_error(posed.tests, beta),
+        "rmse_test": _mean([pooled_error(test, beta) for test in posed.held_out.values()]),
+        "torque_error": torque_error(posed.held_out, beta),
         "training": told,
-        "tests": {label: _joint_table(test, beta) for label, test in posed.tests.items()},
+        "tests": {label: _joint_table(test, beta) for label, test in posed.held_out.items()},
         "replayed": again,
         "logs": [_segment(one, one in training) for one in read],
         "std_from": std_from(sure),
@@ -109,7 +111,7 @@ def identify_logs(
         "joints": terms_told,
         "payload": None
         if task != "payload"
-        else asdict(payload_mass(method, posed, beta))
+        else asdict(payload_mass(method, posed.problem, source.builder, training, beta))
         if position_given
         else list(bodies.values())[-1],
         "feasible": eigenvalues(estimate, posed.problem).get("feasible"),
@@ -175,14 +177,15 @@ def _selection_lines(told: Mapping[str, Any] | None) -> list[str]:
     ]
 
 
-def _draw(path: Path, posed: "PreparedLogs", beta: Any) -> None:
+def _draw(path: Path, posed: "Prepared[RecordedSource]", beta: Any) -> None:
     """Measured and predicted torque of the first test log, or of the training one."""
-    from sysid_bench.experiments.recorded.rows import predict_test
+    from sysid_bench.experiments.recorded.source import predict_log
     from sysid_bench.reporting.torque_figure import torque_figure
 
-    t, measured, found, problem = predict_test(posed, beta, None)
+    found = predict_log(posed, beta)
+    problem = found.problem
     units = [kind.removeprefix("joint ") for kind in problem.kinds]
-    torque_figure(path, t, problem.rows, measured, found, units)
+    torque_figure(path, found.t, problem.rows, found.measured, found.predicted, units)
 
 
 def _signals_line(answer: Mapping[str, Any]) -> str:

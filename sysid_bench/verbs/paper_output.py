@@ -8,7 +8,8 @@ from sysid_bench.errors import UsageError
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
 
 if TYPE_CHECKING:
-    from sysid_bench.experiments.recorded.prepared_logs import PreparedLogs
+    from sysid_bench.experiments.prepared import Prepared
+    from sysid_bench.experiments.recorded.source import RecordedSource
     from sysid_bench.harness.plan import Cell
     from sysid_bench.harness.store import RunFolder
     from sysid_bench.harness.suite.model import Paper
@@ -35,7 +36,7 @@ def draw_papers(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
     asked = [entry for entry in run.suite.paper if entry.show == "torques"]
     if not asked:
         return []
-    from sysid_bench.experiments.recorded.rows import predict_test
+    from sysid_bench.experiments.recorded.source import predict_log
     from sysid_bench.reporting.torque_figure import torque_figure
 
     files = []
@@ -45,11 +46,12 @@ def draw_papers(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
             continue
         posed, estimate = _again(run, entry, cell)
         beta = _beta(entry, estimate)
-        t, measured, found, problem = predict_test(posed, beta, entry.test)
+        found = predict_log(posed, beta, entry.test)
+        problem = found.problem
         units = [kind.removeprefix("joint ") for kind in problem.kinds]
         for kind in ("pdf", "svg"):
             path = folder / f"{entry.name}.{kind}"
-            torque_figure(path, t, problem.rows, measured, found, units)
+            torque_figure(path, found.t, problem.rows, found.measured, found.predicted, units)
         files.append((f"{entry.title or entry.name}: {_source(cell)}", path))
     return files
 
@@ -75,9 +77,12 @@ def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
     return next((cell for cell in found if rows.get(cell.id, {}).get("status") == "ok"), None)
 
 
-def _again(run: "RunFolder", entry: "Paper", cell: "Cell") -> "tuple[PreparedLogs, Estimate]":
+def _again(
+    run: "RunFolder", entry: "Paper", cell: "Cell"
+) -> "tuple[Prepared[RecordedSource], Estimate]":
     """The cell's problem and estimate."""
-    from sysid_bench.experiments.recorded.rows import prepare_recorded
+    from sysid_bench.experiments.recorded.prepare import prepare_recorded
+    from sysid_bench.experiments.robot_cache import cached_robot
     from sysid_bench.identification.identify import identify
     from sysid_bench.naming import build, resolve_paths
 
@@ -88,7 +93,9 @@ def _again(run: "RunFolder", entry: "Paper", cell: "Cell") -> "tuple[PreparedLog
         )
     suite = run.suite
     robots = None if suite.robots_dir is None else str(suite.robots_dir)
-    posed = prepare_recorded(cell.spec, robots, str(suite.folder))
+    spec = cell.spec
+    robot = cached_robot(spec.robot, spec.payload, robots, str(suite.folder), spec.free_base)
+    posed = prepare_recorded(spec, robot)
     method = build("estimator", resolve_paths(cell.estimator, suite.folder))
     return posed, identify(method, posed.problem, posed.experiment)
 
@@ -108,7 +115,7 @@ def _base_parameters(run: "RunFolder", entry: "Paper", cell: "Cell") -> Listing:
     posed, estimate = _again(run, entry, cell)
     _beta(entry, estimate)
     values = {"base": base_of(estimate, posed.problem, standard_errors(posed.problem, estimate))}
-    ask = posed.builder.unknowns
+    ask = posed.source.builder.unknowns
     table = paper_table(cell.spec.robot, ask.terms, None, values, run.suite.robots_dir)
     rows = tuple(
         (

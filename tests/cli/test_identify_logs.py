@@ -98,7 +98,7 @@ def test_a_known_payload_is_taken_off_an_unknown_one_is_found(folder: Path) -> N
 def test_blocks_are_the_factors(folder: Path) -> None:
     """What methods may read again and again is what was folded, slow rows left out of both."""
     from sysid_bench.experiments.recorded.locked_joints import locked_manifest
-    from sysid_bench.experiments.recorded.prepared_logs import build_problems
+    from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems
     from sysid_bench.experiments.recorded.preprocess import Preprocessing, process_log
     from sysid_bench.identification.linear.normal_qr import stacked_factor
     from sysid_bench.signals.log_description import read_description
@@ -108,7 +108,8 @@ def test_blocks_are_the_factors(folder: Path) -> None:
     manifest = locked_manifest(find_manifest("ur5"), named_robot("ur5"), logs)
     treatment = Preprocessing(processing_of({"derivatives": "from v"}), moving=0.3)
     read = [process_log(log, manifest, treatment) for log in logs]
-    posed = build_problems("payload", ("viscous", "offset"), read, {}, treatment)
+    options = LogOptions(task="payload", terms=("viscous", "offset"))
+    posed = build_problems(read, {}, treatment, options)
     R = stacked_factor(posed.problem)
     both = np.column_stack([posed.problem.W, posed.problem.b])
     np.testing.assert_allclose(R.T @ R, both.T @ both, rtol=0, atol=1e-9 * (both**2).sum())

@@ -122,7 +122,7 @@ def test_identified_from_a_closed_loop_next_to_nothing_is_left(kind: str) -> Non
 def test_a_method_simulates_the_same_closed_robot(kind: str) -> None:
     """With true parameters its own model does what the plant did, and it knows no numbers."""
     made = ready(robot=f"random:{kind}:3", excitation=SHORT, simulation=LOOP, rate=500.0)
-    again, raw = made.experiment.simulate(made.truth.theta), made.experiment.raw
+    again, raw = made.experiment.simulate(made.source.truth.theta), made.experiment.raw
     assert again.tau.shape == raw.tau.shape
     assert relative_gap(again.tau, raw.tau) <= 1e-6
     motion = states(made.robot, 10)

@@ -61,9 +61,9 @@ def test_the_score_says_what_is_feasible_and_what_is_plausible() -> None:
     boxes = body_extents(made.robot)
 
     def figures(factor: float, boxes: Mapping[str, Extent] | None) -> Score:
-        theta = factor * made.truth.theta
+        theta = factor * made.source.truth.theta
         estimate = Estimate(theta=theta, beta=made.problem.base.K @ theta)
-        return score(estimate, made.problem, made.held_out, made.truth, boxes)
+        return score(estimate, made.problem, made.held_out, made.source.truth, boxes)
 
     assert figures(1, None).plausible is None
     assert (figures(1, boxes).feasible, figures(1, boxes).plausible) == (True, True)
@@ -79,7 +79,9 @@ def test_a_feasible_fit_without_a_prior_may_be_implausible() -> None:
         estimate = LMI().solve(problem)
         assert estimate.theta is not None
         estimate = replace(estimate, beta=problem.base.K @ estimate.theta)
-        figures = score(estimate, problem, made.held_out, made.truth, body_extents(made.robot))
+        figures = score(
+            estimate, problem, made.held_out, made.source.truth, body_extents(made.robot)
+        )
         assert figures.feasible
         found.add(figures.plausible)
     assert False in found

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.score import SMALL_JOINT, data_figures, score
-from sysid_bench.experiments.simulated.prepare import Prepared
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
@@ -28,16 +29,18 @@ HELD_OUT = ({"use": "ptp", "moves": 2}, {"use": "fourier-other"}, {"use": "ptp",
 
 
 @cache
-def noisy(robot: str, payload: str, task: str) -> Prepared:
+def noisy(robot: str, payload: str, task: str) -> Prepared[SimulatedSource]:
     noise = {"tau_relative": 0.02}
     return ready(robot=robot, payload=payload, task=task, noise=noise, held_out=HELD_OUT)
 
 
-def scored(made: Prepared, estimate: Estimate | None = None) -> tuple[Score, Array]:
+def scored(
+    made: Prepared[SimulatedSource], estimate: Estimate | None = None
+) -> tuple[Score, Array]:
     """The score of an estimate (default: weighted least squares), and its beta."""
     estimate = estimate or identify(WLS(), made.problem)
     assert estimate.beta is not None
-    return score(estimate, made.problem, made.held_out, made.truth), estimate.beta
+    return score(estimate, made.problem, made.held_out, made.source.truth), estimate.beta
 
 
 def rms(x: Array, axis: int | None = None) -> Array:
@@ -80,7 +83,7 @@ def test_the_torque_that_errors_are_compared_with_is_the_measured_one(
         made.problem.torque, rms(made.experiment.recording.tau[:, rows], axis=0)
     )
     b = np.concatenate([values for _, values in made.problem.blocks()])
-    if not made.known.any():
+    if not made.source.known.any():
         np.testing.assert_allclose(rms(b, axis=0), made.problem.torque, rtol=1e-12)
 
 
@@ -103,7 +106,7 @@ def test_errors_are_what_they_say(place: tuple[str, str, str]) -> None:
         assert figures.torque_error_sample == pytest.approx(lengths.mean(), rel=1e-7)
     else:  # newtons and newton metres have no common length
         assert figures.torque_error_sample is None
-    star = made.problem.base.K @ made.truth.theta
+    star = made.problem.base.K @ made.source.truth.theta
     expected = np.linalg.norm(Yh @ (beta - star)) / np.linalg.norm(Yh @ star)
     assert figures.parameter_error == pytest.approx(expected, rel=1e-7)
     expected = np.linalg.norm(beta - star) / np.linalg.norm(star)
@@ -182,7 +185,7 @@ def test_twice_the_data_is_log_two_per_direction_of_information() -> None:
 @pytest.mark.parametrize("place", PLACES, ids=str)
 def test_the_true_parameters_make_every_error_zero(place: tuple[str, str, str]) -> None:
     made = noisy(*place)
-    figures, _ = scored(made, Estimate(made.problem.base.K @ made.truth.theta))
+    figures, _ = scored(made, Estimate(made.problem.base.K @ made.source.truth.theta))
     assert figures.beta_error == figures.parameter_error == 0.0
     for told in (figures.torque_error, *figures.torque_error_by_motion.values()):
         assert told is not None
@@ -198,8 +201,8 @@ def test_payload_figures_are_mass_com_and_possibility(task: str, load: str) -> N
     figures, beta = scored(made)
     theta = made.problem.base.embed(beta)
     (body,) = made.problem.bodies
-    assert body.columns == made.truth.parameters
-    star = made.truth.theta
+    assert body.columns == made.source.truth.parameters
+    star = made.source.truth.theta
     mass, com, _ = mass_com_inertia(theta)
     mass_star, com_star, _ = mass_com_inertia(star)
     if made.problem.base.rank < 10:
@@ -219,9 +222,9 @@ def test_bodies_are_judged_only_where_all_their_numbers_are_claimed() -> None:
     figures, beta = scored(made)
     assert figures.feasible is None
     assert figures.min_eigenvalue is None
-    claimed, _ = scored(made, Estimate(beta, theta=made.truth.theta))
+    claimed, _ = scored(made, Estimate(beta, theta=made.source.truth.theta))
     assert claimed.feasible is True
-    impossible = made.truth.theta.copy()
+    impossible = made.source.truth.theta.copy()
     impossible[made.problem.parameters.index(made.problem.bodies[2].columns[0])] = -1.0
     refused, _ = scored(made, Estimate(beta, theta=impossible))
     assert refused.feasible is False
@@ -233,7 +236,7 @@ def test_bodies_are_judged_only_where_all_their_numbers_are_claimed() -> None:
 def test_what_failed_still_carries_rank_and_condition(status: str) -> None:
     made = noisy("ur5", "none", "robot")
     failed = Estimate(status=status, reason="why not")  # type: ignore[arg-type]
-    figures = score(failed, made.problem, made.held_out, made.truth)
+    figures = score(failed, made.problem, made.held_out, made.source.truth)
     full, _ = scored(made)
     for name in data_figures(made.problem, made.held_out):
         assert getattr(figures, name) == getattr(full, name) is not None
@@ -276,7 +279,7 @@ def test_a_joint_without_held_out_torque_is_small_and_breaks_nothing() -> None:
         )
         for name, test in made.held_out.items()
     }
-    figures = score(Estimate(np.zeros(10)), made.problem, zero, made.truth)
+    figures = score(Estimate(np.zeros(10)), made.problem, zero, made.source.truth)
     assert figures.torque_error is None
     assert figures.d_optimality is None
     assert figures.condition is not None

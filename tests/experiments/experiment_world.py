@@ -10,8 +10,10 @@ import numpy as np
 
 from sysid_bench import places
 from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.robot_cache import LoadedRobot, cached_robot
-from sysid_bench.experiments.simulated.prepare import Prepared, prepare
+from sysid_bench.experiments.simulated.prepare import prepare_simulated
+from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
@@ -60,20 +62,20 @@ def spec(**changes: Any) -> ExperimentSpec:
     return replace(BASE, **changes)
 
 
-def ready(**changes: Any) -> Prepared:
-    """The experiment of `spec(**changes)`, made anew."""
+def ready(**changes: Any) -> Prepared[SimulatedSource]:
+    """The experiment of `spec(**changes)`, prepared again."""
     made = spec(**changes)
-    return prepare(made, subject_of(made.robot, made.payload))
+    return prepare_simulated(made, subject_of(made.robot, made.payload))
 
 
 @cache
-def ready_once(robot: str, payload: str = "none", task: str = "robot") -> Prepared:
-    """An exact experiment that tests only look at."""
+def ready_once(robot: str, payload: str = "none", task: str = "robot") -> Prepared[SimulatedSource]:
+    """An exact experiment that tests share and must not change."""
     return ready(robot=robot, payload=payload, task=task)
 
 
 @cache
-def smooth_loop() -> Prepared:
+def smooth_loop() -> Prepared[SimulatedSource]:
     """A noise-free closed-loop experiment of the UR5 without Coulomb friction, with a payload."""
     return ready(robot=SMOOTH, payload="box-2kg", simulation=CLOSED_LOOP)
 
@@ -94,7 +96,7 @@ def argument(
     tolerance: float = 1e-12,
     on_fail: str = "skip-robot",
 ) -> dict[str, Any]:
-    """What the harness hands to `execute`: one cell per estimator, named by its place."""
+    """The argument of `execute`, as from the harness: one cell per estimator, named by index."""
     specs = [{"use": e} if isinstance(e, str) else dict(e) for e in estimators]
     return {
         "experiment": made.to_json(),

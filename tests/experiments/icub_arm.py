@@ -1,4 +1,4 @@
-"""Seed 002's experiment in simulation: the iCub's left arm behind its sensor, 60 s of random
+"""An experiment in simulation: the iCub's left arm behind its sensor, 60 s of random
 minimum-jerk motion of arm and torso after 5 s of rest, and a test motion with a touched hand."""
 
 from functools import cache

@@ -21,12 +21,12 @@ from tests.experiments.experiment_world import (
 
 
 def figures(made: object) -> Score:
-    from sysid_bench.experiments.simulated.prepare import Prepared
+    from sysid_bench.experiments.prepared import Prepared
 
     assert isinstance(made, Prepared)
     estimate = identify(OLS(), made.problem)
     assert estimate.status == "ok", estimate.reason
-    return score(estimate, made.problem, made.held_out, made.truth)
+    return score(estimate, made.problem, made.held_out, made.source.truth)
 
 
 @pytest.mark.parametrize("payload", ["none", "sphere-offset-1kg", "point-1kg", "rod-1kg"])
@@ -35,7 +35,7 @@ def test_every_robot_with_every_load_is_found(name: str, payload: str) -> None:
     made = ready_once(name, payload)
     errors = figures(made)
     # Near-degenerate directions are in the data and in no base parameter.
-    bound = dropped_bound(made.problem, made.held_out, made.truth.theta)
+    bound = dropped_bound(made.problem, made.held_out, made.source.truth.theta)
     assert errors.beta_error is not None
     assert errors.beta_error <= 1e-9 + bound.beta_error
     assert errors.torque_error is not None
@@ -45,7 +45,7 @@ def test_every_robot_with_every_load_is_found(name: str, payload: str) -> None:
 def test_only_near_degenerate_directions_widen_the_bound() -> None:
     for name in SHIPPED:
         made = ready_once(name)
-        bound = dropped_bound(made.problem, made.held_out, made.truth.theta)
+        bound = dropped_bound(made.problem, made.held_out, made.source.truth.theta)
         degenerate = made.problem.base.near_degenerate > 0
         assert (bound.beta_error > 0, bound.torque_error > 0) == (degenerate, degenerate)
         assert bound.beta_error < 0.01
@@ -55,10 +55,10 @@ def test_only_near_degenerate_directions_widen_the_bound() -> None:
 @pytest.mark.parametrize("task", ["payload", "link"])
 @pytest.mark.parametrize("name", OWN)
 def test_loads_of_robots_with_ball_and_free_joints_are_found(name: str, task: str) -> None:
-    """What ball and free joints do beside moving masses is known, all three directions of it."""
-    told = figures(ready_once(name, "sphere-offset-1kg", task))
-    assert told.beta_error is not None
-    assert told.beta_error <= 1e-8
+    """The terms of ball and free joints are known in all three directions."""
+    scores = figures(ready_once(name, "sphere-offset-1kg", task))
+    assert scores.beta_error is not None
+    assert scores.beta_error <= 1e-8
 
 
 TERMS = ("viscous", "coulomb", "offset", "armature", "spring")
@@ -69,27 +69,27 @@ TERMS = ("viscous", "coulomb", "offset", "armature", "spring")
 def test_any_choice_of_terms_is_found_the_rest_being_known(
     name: str, terms: tuple[str, ...]
 ) -> None:
-    told = figures(ready(robot=name, terms=terms))
-    assert told.beta_error is not None
-    assert told.beta_error <= 1e-9
+    scores = figures(ready(robot=name, terms=terms))
+    assert scores.beta_error is not None
+    assert scores.beta_error <= 1e-9
 
 
 def test_closed_loop_data_are_as_exact() -> None:
     for made in (smooth_loop(), ready(robot=RICH, simulation=CLOSED_LOOP)):
-        told = figures(made)
-        assert told.beta_error is not None
-        assert told.beta_error <= 1e-7  # through the condition number of a motion not designed
-        assert told.torque_error is not None
-        assert told.torque_error <= 1e-9
+        scores = figures(made)
+        assert scores.beta_error is not None
+        assert scores.beta_error <= 1e-7  # through the condition number of a motion not designed
+        assert scores.torque_error is not None
+        assert scores.torque_error <= 1e-9
 
 
 @pytest.mark.parametrize("payload", ["none", "box-2kg"])
 def test_what_is_known_and_what_is_asked_make_the_measured_torque(payload: str) -> None:
     for task in ("robot", "payload") if payload != "none" else ("robot", "link"):
         made = ready_once("panda", payload, task)
-        beta = made.problem.base.K @ made.truth.theta
+        beta = made.problem.base.K @ made.source.truth.theta
         blocks = made.experiment.regress(made.experiment.recording.motion)
-        predicted = np.concatenate([block @ beta for block in blocks]) + made.known
+        predicted = np.concatenate([block @ beta for block in blocks]) + made.source.known
         np.testing.assert_allclose(predicted, made.experiment.recording.tau, atol=1e-9)
 
 

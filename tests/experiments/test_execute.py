@@ -11,7 +11,7 @@ import pytest
 from sysid_bench.experiments import robot_cache as robots
 from sysid_bench.experiments.execute import execute
 from sysid_bench.experiments.robot_cache import KEPT, cached_robot
-from sysid_bench.experiments.simulated import prepare
+from sysid_bench.experiments.simulated import noise_free
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.types import Row
 from tests.experiments.experiment_world import (
@@ -25,7 +25,7 @@ from tests.experiments.experiment_world import (
     spec,
 )
 
-STRANGERS = "tests.experiments.strangers"
+PLUGINS = "tests.experiments.plugins"
 ONE_JOINT = Path(__file__).parents[1] / "identification" / "one_joint.py"
 
 
@@ -58,7 +58,7 @@ def test_the_table_of_parameters_is_the_estimate_beside_the_truth() -> None:
     made = spec(noise={"tau_relative": 0.01}, robot="panda", payload="box-2kg")
     (row,) = checked(executed(made, "ols"), "ok")
     prepared = ready(**{f: getattr(made, f) for f in ("noise", "robot", "payload")})
-    true = prepared.problem.base.K @ prepared.truth.theta
+    true = prepared.problem.base.K @ prepared.source.truth.theta
     names = [f"{p['body']}.{p['name']}" for p in row["parameters_table"]]
     assert tuple(names) == prepared.problem.base.names
     np.testing.assert_allclose([p["true"] for p in row["parameters_table"]], true, rtol=1e-12)
@@ -110,10 +110,10 @@ BROKEN: dict[str, tuple[str | dict[str, Any], str, bool]] = {
     "unknown": ("olss", "Did you mean 'ols'", False),
     "setting": ({"use": "wls", "iteration": 3}, "iterations", False),
     "no module": ("nowhere.at_all:Thing", "nowhere", False),
-    "no method": (f"{STRANGERS}:ANSWER", "neither solve", False),
-    "raising": (f"{STRANGERS}:Raising", "ZeroDivisionError: a mistake in the method", True),
-    "chatty": (f"{STRANGERS}:Chatty", "Type", True),
-    "vandal": (f"{STRANGERS}:Vandal", "read-only", True),
+    "no method": (f"{PLUGINS}:ANSWER", "neither solve", False),
+    "raising": (f"{PLUGINS}:Raising", "ZeroDivisionError: a mistake in the method", True),
+    "chatty": (f"{PLUGINS}:Chatty", "Type", True),
+    "vandal": (f"{PLUGINS}:Vandal", "read-only", True),
 }
 
 
@@ -131,13 +131,13 @@ def test_one_broken_estimator_costs_the_others_nothing(what: str) -> None:
 
 
 def test_the_traceback_leads_to_the_methods_own_line() -> None:
-    _, row = executed(spec(), "ols", f"{STRANGERS}:Raising")
-    assert "strangers.py" in row["traceback"]
+    _, row = executed(spec(), "ols", f"{PLUGINS}:Raising")
+    assert "plugins.py" in row["traceback"]
     assert 'raise ZeroDivisionError("a mistake in the method")' in row["traceback"]
 
 
 def test_numbers_that_are_not_finite_become_null() -> None:
-    (row,) = checked(executed(spec(), f"{STRANGERS}:Infinite"), "ok")
+    (row,) = checked(executed(spec(), f"{PLUGINS}:Infinite"), "ok")
     assert row["stats"] == {"last_step": None, "condition": None}
 
 
@@ -168,11 +168,11 @@ def test_a_gap_that_is_not_a_number_is_null_in_the_row(monkeypatch: pytest.Monke
     monkeypatch.setattr(
         robots, "crosscheck", lambda r: replace(honest(r), gap=float("nan"), native_gap=np.inf)
     )
-    robots._subject.cache_clear()
+    robots._load.cache_clear()
     try:
         (row,) = checked(executed(spec(), "ols"), "skipped")
     finally:
-        robots._subject.cache_clear()
+        robots._load.cache_clear()
     assert row["gap"] is None
     assert row["crosscheck"] == "failed"
 
@@ -194,7 +194,7 @@ SAME: dict[str, ExperimentSpec] = {
 @pytest.mark.parametrize("what", SAME)
 def test_the_same_argument_gives_the_same_row(what: str) -> None:
     first = executed(SAME[what], "ols", "wls")
-    robots._subject.cache_clear()  # a worker that never met this robot
+    robots._load.cache_clear()  # a worker without this robot
     executed(spec(robot="ur10"), "ols")
     second = executed(SAME[what], "ols", "wls")
     for one, two in zip(first, second, strict=True):
@@ -239,7 +239,7 @@ def test_all_payloads_and_repeats_share_the_motion(simulation: dict[str, str]) -
         made = ready(robot="ur5", simulation=simulation, **changes)
         commanded = made.experiment.raw.commanded
         # In inverse simulation the motion is the commanded one, and noise is all that hides it:
-        # there a method is not told of it.
+        # there methods do not get it.
         assert (commanded is None) == (simulation["use"] == "inverse")
         exact = made.experiment.recording.motion.a if commanded is None else commanded.q
         held = [np.concatenate([b for b, _ in p.blocks()]) for p in made.held_out.values()]
@@ -277,7 +277,7 @@ def test_a_worker_keeps_its_robots() -> None:
     )
     assert cached_robot("ur5", {"mass": 2.0}, None, None) is not one
     assert cached_robot("ur5", {"mass": 2}, None, None).robot.payload.mass == 2.0
-    assert robots._subject.cache_info().maxsize == KEPT
+    assert robots._load.cache_info().maxsize == KEPT
 
 
 PERIODIC = {"use": "fourier", "harmonics": 2, "period": "2 s", "cycles": 6}
@@ -291,18 +291,20 @@ def test_deviations_say_where_they_come_from() -> None:
     )
     for rows, first in ((periodic, "periods"), (short, "residuals")):
         for row, kinds in zip(rows, (first, first, "textbook"), strict=True):
-            for told in row["parameters_table"]:
-                assert told["std_from"] == kinds
-                assert told["std"] == told[f"std_{kinds}"] > 0
-                assert ("std_residuals" in told) == (kinds != "textbook")
-                assert told["bound"] > 0
-                assert abs(told["base_error"] - told["estimate"] + told["true"]) < 1e-9
+            for parameter in row["parameters_table"]:
+                assert parameter["std_from"] == kinds
+                assert parameter["std"] == parameter[f"std_{kinds}"] > 0
+                assert ("std_residuals" in parameter) == (kinds != "textbook")
+                assert parameter["bound"] > 0
+                assert (
+                    abs(parameter["base_error"] - parameter["estimate"] + parameter["true"]) < 1e-9
+                )
             assert first == "residuals" or set(row["coverage"]) >= {kinds, "textbook"}
             assert all(0 <= share <= 1 for share in row["coverage"].values())
 
 
 def test_deviations_and_bound_grow_with_the_noise() -> None:
-    """The same draw twice as loud: errors, deviations and the bound are twice as large."""
+    """The same draw at twice the level: errors, deviations and the bound are twice as large."""
     one, two = (
         executed(
             spec(noise={"tau": tau, "tau_correlation": 0.9}, excitation=PERIODIC, robot=RICH), "ols"
@@ -325,17 +327,17 @@ def test_deviations_and_bound_grow_with_the_noise() -> None:
 )
 def test_the_bound_is_one_of_torque_noise(changes: dict[str, Any], bounded: bool) -> None:
     (row,) = executed(spec(robot=RICH, **changes), "ols")
-    assert all(("bound" in told) == bounded for told in row["parameters_table"])
+    assert all(("bound" in parameter) == bounded for parameter in row["parameters_table"])
     assert bool(row["coverage"]) == bool(changes["noise"])
 
 
 def test_an_experiment_is_the_same_alone_and_after_others() -> None:
-    """What noise does not touch is made once and shared: no repeat may tell of another."""
+    """The noise-free part is shared: no repeat may depend on another one."""
     made = spec(noise={"tau": 0.1, "q": 1e-5}, robot=RICH, repeat=2)
-    prepare._stage.cache_clear()
+    noise_free._shared_part.cache_clear()
     (alone,) = executed(made, "wls")
     for other in (replace(made, repeat=1), replace(made, noise={"tau": 0.3})):
-        executed(other, "wls", f"{STRANGERS}:Vandal")
+        executed(other, "wls", f"{PLUGINS}:Vandal")
     (after,) = executed(made, "wls")
     same = [key for key in alone if not key.startswith("seconds")]
     assert {key: after[key] for key in same} == {key: alone[key] for key in same}

@@ -1,4 +1,4 @@
-"""Seed 002 on the simulated iCub: what a sensor in the upper arm tells of all behind it."""
+"""The simulated iCub: identification of the arm behind a sensor in the upper arm."""
 
 from dataclasses import replace
 from functools import cache
@@ -85,12 +85,12 @@ def test_identified_parameters_serve_as_well_as_the_true_ones() -> None:
     for draw in range(DRAWS):
         beta = solved(rows(), noisy(training()[1], draw))
         sets = {"true": phi, "CAD": cad(draw).theta, "identified": B @ beta}
-        told = wrench_errors(method, sets, noisy(f_b, 1000 + draw), tau, contact)
-        true, found = told["true"], told["identified"]
+        errors = wrench_errors(method, sets, noisy(f_b, 1000 + draw), tau, contact)
+        true, found = errors["true"], errors["identified"]
         worst = max(worst, found.torque / true.torque, found.force / true.force,
                     found.moment / true.moment)  # fmt: skip
-        assert told["CAD"].torque > 1.1 * found.torque
-        alone.append(found.torque_alone / told["CAD"].torque_alone)
+        assert errors["CAD"].torque > 1.1 * found.torque
+        alone.append(found.torque_alone / errors["CAD"].torque_alone)
         error.append(np.linalg.norm(beta - B.T @ phi))
     assert worst < 1.02
     assert np.median(alone) < 0.05
@@ -106,10 +106,10 @@ def test_joints_before_the_sensor_need_the_links_between() -> None:
     assert names[-3:] == ("l_shoulder_pitch", "l_shoulder_roll", "l_shoulder_yaw")
     whole = newton_euler(robot.tree, robot.tree.composite_links(robot.phi), short)
     whole -= contact_torque(plant, touched(short), short)
-    places = [robot.rows.index(name) for name in names[-3:]]
-    np.testing.assert_allclose(tau[:, -3:], whole[:, places], atol=1e-11)
+    columns = [robot.rows.index(name) for name in names[-3:]]
+    np.testing.assert_allclose(tau[:, -3:], whole[:, columns], atol=1e-11)
     _, without = upstream_torque(robot, cut, short, np.zeros_like(robot.phi), f_b)
-    assert np.abs(without[:, -3:] - whole[:, places]).max() > 0.03
+    assert np.abs(without[:, -3:] - whole[:, columns]).max() > 0.03
 
 
 def _prior_in_basis(prior: Prior) -> tuple[Array, Array]:
@@ -194,14 +194,14 @@ def test_contacts_are_left_out_where_they_are_known_and_where_they_stand_out() -
     free = np.asarray(~touch.wrench.any(axis=1))
     true = basis().T @ task().truth.theta
     blind = RecursiveEstimator().run(rows(), f, SIGMA, start, P)
-    told = RecursiveEstimator().run(rows(), f, SIGMA, start, P, free)
+    informed = RecursiveEstimator().run(rows(), f, SIGMA, start, P, free)
     alert = RecursiveEstimator(reject=6.0, settled=900).run(rows(), f, SIGMA, start, P)
     np.testing.assert_allclose(
-        told.last, batch_estimate(rows(), f, SIGMA, start, P, free), atol=1e-10
+        informed.last, batch_estimate(rows(), f, SIGMA, start, P, free), atol=1e-10
     )
     assert alert.used[free].mean() > 0.99
     assert alert.used[~free].mean() < 0.1
-    error = [np.linalg.norm(x.last - true) for x in (blind, told, alert)]
+    error = [np.linalg.norm(x.last - true) for x in (blind, informed, alert)]
     assert error[0] > 10 * error[1]
     assert error[2] < 3 * error[1]
 

@@ -1,4 +1,4 @@
-"""The shipped suite icub-ft, its left arm: what the report has to show of seed 002's experiment."""
+"""The shipped suite icub-ft, left arm: the figures that its report has to show."""
 
 from functools import cache
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from sysid_bench.experiments.execute import execute
-from sysid_bench.experiments.spec import prior_seed
+from sysid_bench.experiments.seeds import prior_seed
 from sysid_bench.harness.plan import Cell, Plan, expand
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.places import suite
@@ -50,25 +50,25 @@ def test_every_draw_has_noise_and_a_cad_model_of_its_own() -> None:
 
 @pytest.mark.parametrize("repeat", [0, 7])
 def test_identified_parameters_serve_as_well_as_true_ones(repeat: int) -> None:
-    told = row("all joints", "wls", "none", WHITE, repeat)
-    assert (told["structural_rank"], told["excited_rank"], told["unpredictable"]) == (38, 38, 0)
-    assert told["sensed_torque_ratio"] < 1.02
-    assert told["sensed_wrench_ratio"] < 1.02
-    assert told["sensed_cad_ratio"] > 1.1
-    assert told["alone_cad_ratio"] < 0.05
-    assert told["beta_error"] < 2e-3
+    arm = row("all joints", "wls", "none", WHITE, repeat)
+    assert (arm["structural_rank"], arm["excited_rank"], arm["unpredictable"]) == (38, 38, 0)
+    assert arm["sensed_torque_ratio"] < 1.02
+    assert arm["sensed_wrench_ratio"] < 1.02
+    assert arm["sensed_cad_ratio"] > 1.1
+    assert arm["alone_cad_ratio"] < 0.05
+    assert arm["beta_error"] < 2e-3
     noisy = row("all joints", "wls", "none", ENCODERS, repeat)
     assert noisy["beta_error"] < 4e-3
 
 
 def test_a_locked_wrist_names_the_torques_that_its_data_cannot_foretell() -> None:
-    told = row("locked wrist", "lmi", "none", WHITE, 0)
-    assert (told["rank"], told["excited_rank"], told["structural_rank"]) == (38, 17, 38)
-    assert told["status"] == "ok"
+    arm = row("locked wrist", "lmi", "none", WHITE, 0)
+    assert (arm["rank"], arm["excited_rank"], arm["structural_rank"]) == (38, 17, 38)
+    assert arm["status"] == "ok"
     wrist = {"l_wrist_prosup", "l_wrist_pitch", "l_wrist_yaw"}
-    assert wrist <= set(told["unpredictable_names"].split(", "))
+    assert wrist <= set(arm["unpredictable_names"].split(", "))
     free = row("all joints", "lmi", "none", WHITE, 0)
-    assert told["alone_cad_ratio"] > 5 * free["alone_cad_ratio"]
+    assert arm["alone_cad_ratio"] > 5 * free["alone_cad_ratio"]
 
 
 def test_a_method_that_cannot_says_which_torques_are_missing() -> None:

@@ -1,4 +1,4 @@
-"""Laws of designs in experiments: shared by content, made once, kept between workers."""
+"""Laws of optimised motions: shared by content, designed once, cached between workers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.experiments.simulated import commanded as motions
-from sysid_bench.experiments.simulated import prepare
+from sysid_bench.experiments.simulated import noise_free
 from tests.experiments.experiment_world import ready, robot_of
 
 DESIGN = {"use": "optimised", "harmonics": 2, "period": "4 s", "iterations": 3}
@@ -17,7 +17,7 @@ DESIGN = {"use": "optimised", "harmonics": 2, "period": "4 s", "iterations": 3}
 
 @pytest.fixture
 def solved(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Optimised]:
-    """The designs that were really searched for, with an empty cache."""
+    """The designs that were optimised, starting with an empty cache."""
     made: list[Optimised] = []
     solve = Optimised.solve
 
@@ -28,7 +28,7 @@ def solved(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Optimised]:
     monkeypatch.setattr(Optimised, "solve", counted)
     monkeypatch.setattr(motions, "_folder", lambda: tmp_path / "designs")
     monkeypatch.setattr(motions, "_DESIGNS", {})
-    prepare._stage.cache_clear()
+    noise_free._shared_part.cache_clear()
     return made
 
 
@@ -57,11 +57,11 @@ def test_another_seed_task_or_setting_is_another_design(solved: list[Optimised])
 
 
 def test_content_is_what_is_held_and_not_the_rate() -> None:
-    brief = design_problem(robot_of("ur5"), 100.0)
+    problem = design_problem(robot_of("ur5"), 100.0)
     same = design_problem(robot_of("ur5"), 200.0)
-    assert motions.content_hash(brief) == motions.content_hash(same)
-    assert motions.content_hash(brief) != motions.content_hash(replace(same, v=1.01 * same.v))
-    assert motions.content_hash(brief) != motions.content_hash(
+    assert motions.content_hash(problem) == motions.content_hash(same)
+    assert motions.content_hash(problem) != motions.content_hash(replace(same, v=1.01 * same.v))
+    assert motions.content_hash(problem) != motions.content_hash(
         design_problem(robot_of("ur10"), 100.0)
     )
 
@@ -71,6 +71,6 @@ def test_a_damaged_file_is_made_again(solved: list[Optimised], tmp_path: Path) -
     for file in (tmp_path / "designs").iterdir():
         file.write_bytes(file.read_bytes()[:20])
     motions._DESIGNS.clear()
-    prepare._stage.cache_clear()
+    noise_free._shared_part.cache_clear()
     ready(robot="ur10", excitation=DESIGN, terms=())
     assert len(solved) == 2

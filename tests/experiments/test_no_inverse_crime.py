@@ -1,4 +1,4 @@
-"""Nothing of the truth can be reached from what a method is given."""
+"""The ground truth cannot be reached from the inputs of a method."""
 
 import gc
 import types
@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from sysid_bench.experiments.simulated.prepare import Prepared
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Oracle, Truth
@@ -20,7 +21,7 @@ NOISE = {"q": 1e-5, "tau_relative": 0.01}
 
 
 def held_by(thing: Any) -> list[Any]:
-    """What an object holds; of a function only its closure and defaults, not its module."""
+    """Contents of an object; of a function its closure and defaults, not its module."""
     if isinstance(thing, types.FunctionType):
         return [thing.__closure__, thing.__defaults__, thing.__kwdefaults__]
     if isinstance(thing, np.ndarray):
@@ -64,16 +65,16 @@ def numbers(thing: Any) -> list[Array]:
     return []
 
 
-def secrets(made: Prepared) -> dict[str, Array]:
-    """What no method may hold, by name: bodies that are unknown, their masses, the unknowns."""
-    robot, theta = made.robot, made.truth.theta
-    places = {name: i for i, name in enumerate(made.truth.parameters)}
-    table = np.array([theta[[places[c] for c in b.columns]] for b in made.problem.bodies])
+def secrets(made: Prepared[SimulatedSource]) -> dict[str, Array]:
+    """Arrays that no method may hold, by name: unknown bodies, their masses, the unknowns."""
+    robot, theta = made.robot, made.source.truth.theta
+    index = {name: i for i, name in enumerate(made.source.truth.parameters)}
+    table = np.array([theta[[index[c] for c in b.columns]] for b in made.problem.bodies])
     out = {"theta": theta, "base parameters": made.problem.base.K @ theta, "table": table}
     for body, phi in zip(made.problem.bodies, table, strict=True):
         if phi.any():
             out[f"phi of {body.name}"] = phi
-    if made.task.name == "robot":
+    if made.source.task.name == "robot":
         mj = robot.mj
         out["phi"] = robot.phi
         out["masses"] = np.array(mj.body_mass[1:])
@@ -86,7 +87,7 @@ def secrets(made: Prepared) -> dict[str, Array]:
 
 
 def holds(array: Array, secret: Array) -> bool:
-    """Whether an array has the secret in it: as it is, as a row, or as a run of numbers."""
+    """True where an array contains the secret: as it is, as a row, or as a run of numbers."""
     flat, wanted = array.ravel(), secret.ravel()
     if len(wanted) < 2 or len(flat) < len(wanted):
         return False
@@ -160,7 +161,7 @@ def test_the_robot_that_methods_simulate_is_bare() -> None:
 def test_the_walk_finds_what_is_there() -> None:
     """The guard itself: a truth in a closure, a bound method, a view or an engine's object."""
     made = ready(robot="ur5")
-    truth, robot = made.truth, made.robot
+    truth, robot = made.source.truth, made.robot
 
     class Holder:
         __slots__ = ("kept",)
@@ -187,7 +188,7 @@ def test_the_walk_finds_what_is_there() -> None:
 
 def test_told_the_truth_a_method_has_it() -> None:
     made = ready(robot="ur5", prior="truth")
-    found = [holds(a, made.truth.theta) for t in reachable(made.problem) for a in numbers(t)]
+    found = [holds(a, made.source.truth.theta) for t in reachable(made.problem) for a in numbers(t)]
     assert any(found)
 
 
@@ -195,7 +196,9 @@ def test_the_prior_is_drawn_around_the_truth_and_no_body_is_the_true_one() -> No
     made = ready(robot="panda")
     prior = made.problem.prior
     assert prior is not None
-    moving = made.truth.theta != 0
-    assert (prior.theta[moving] != made.truth.theta[moving]).all()
-    distance = np.abs(prior.theta - made.truth.theta)[prior.std > 0] / prior.std[prior.std > 0]
+    moving = made.source.truth.theta != 0
+    assert (prior.theta[moving] != made.source.truth.theta[moving]).all()
+    distance = (
+        np.abs(prior.theta - made.source.truth.theta)[prior.std > 0] / prior.std[prior.std > 0]
+    )
     assert np.median(distance) < 2.0

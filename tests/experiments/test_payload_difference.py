@@ -1,4 +1,4 @@
-"""The payload from loaded and bare recordings of one motion: what is known of the arm drops out."""
+"""The payload from recordings of one motion with and without it: errors of the arm cancel."""
 
 from functools import cache
 
@@ -7,7 +7,8 @@ import pytest
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
-from sysid_bench.experiments.simulated.prepare import Prepared
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.estimators.difference import Difference
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
@@ -20,22 +21,24 @@ PLAIN = {"filter": "none", "derivatives": "exact"}
 
 
 @cache
-def made(robot: str, runs: str = "AB", known: float = 0.3, **noise: float) -> Prepared:
-    """A payload experiment with recordings in this order; what is known of the arm is wrong."""
+def made(
+    robot: str, runs: str = "AB", known: float = 0.3, **noise: float
+) -> Prepared[SimulatedSource]:
+    """A payload experiment with recordings in this order; with errors in the known arm."""
     return ready(
         robot=robot, payload="box-2kg", task="payload", prior=TOLD | {"known": known},
         signals=PLAIN | {"runs": runs}, noise=noise,
     )  # fmt: skip
 
 
-def answer(at: Prepared, estimator: object) -> Estimate:
+def answer(at: Prepared[SimulatedSource], estimator: object) -> Estimate:
     estimate = identify(estimator, at.problem, at.experiment)
     assert estimate.status == "ok", estimate.reason
     return estimate
 
 
-def error(at: Prepared, estimate: Estimate) -> float:
-    truth = at.problem.base.K @ at.truth.theta
+def error(at: Prepared[SimulatedSource], estimate: Estimate) -> float:
+    truth = at.problem.base.K @ at.source.truth.theta
     assert estimate.beta is not None
     return float(np.linalg.norm(estimate.beta - truth) / np.linalg.norm(truth))
 
@@ -58,24 +61,24 @@ def test_a_linear_drift_cancels_in_abba_and_in_no_other_order(robot: str) -> Non
     assert min(errors["AB"], errors["AABB"]) > 1e-4
 
 
-def scored(at: Prepared, estimator: object) -> Score:
-    return score(answer(at, estimator), at.problem, at.held_out, at.truth)
+def scored(at: Prepared[SimulatedSource], estimator: object) -> Score:
+    return score(answer(at, estimator), at.problem, at.held_out, at.source.truth)
 
 
 @pytest.mark.parametrize("robot", ["ur5", "z1"])
 def test_with_noise_it_beats_a_fit_with_a_wrong_arm_and_not_one_with_a_right_arm(
     robot: str,
 ) -> None:
-    """What two noisy recordings cost, and what a tenth of wrong masses costs."""
+    """Costs of two noisy recordings, and of masses that are wrong by a tenth."""
     wrong = made(robot, "AB", known=0.1, tau_relative=0.01)
     right = made(robot, "AB", known=0.0, tau_relative=0.01)
     difference, misled = (scored(wrong, method).payload_error for method in (Difference(), WLS()))
-    told = scored(right, WLS()).payload_error
+    error = scored(right, WLS()).payload_error
     assert difference is not None
     assert misled is not None
-    assert told is not None
+    assert error is not None
     assert difference < 0.5 * misled
-    assert told < 2.0 * difference
+    assert error < 2.0 * difference
 
 
 @pytest.mark.parametrize("robot", ["ur5", "scara"])

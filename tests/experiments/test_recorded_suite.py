@@ -100,14 +100,14 @@ def test_a_cell_is_what_the_command_line_gives(ran: RunFolder, folder: Path) -> 
     rows = {(r["excitation"], r["terms"], r["estimator"]): r for r in ran.rows().rows.values()}
     assert len(rows) == 8
     tests = [folder / "other.toml", folder / "again.toml"]
-    told = identify_logs("ur5", [folder / "run.toml"], tests, terms=("viscous", "coulomb"),
+    answer = identify_logs("ur5", [folder / "run.toml"], tests, terms=("viscous", "coulomb"),
                          estimator="wls", filter="none")  # fmt: skip
     row = rows["plain", "viscous coulomb", "wls"]
     for figure in ("rank", "rmse_train", "rmse_test", "torque_error", "condition"):
-        assert row[figure] == pytest.approx(told[figure], rel=1e-9), figure
+        assert row[figure] == pytest.approx(answer[figure], rel=1e-9), figure
     assert row["held_out"] == "another motion, again"
     for joint in row["joints"]:
-        assert joint["relative_train"] == told["training"][joint["name"]]["relative"]
+        assert joint["relative_train"] == answer["training"][joint["name"]]["relative"]
     motions = row["torque_error_by_motion"]
     assert motions["another motion"] < 3e-3
     assert motions["again"] == pytest.approx(0.1 / 1.1, abs=3e-3)
@@ -180,9 +180,9 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("right", MISTAKES)
-def test_mistakes_are_told_before_anything_runs(folder: Path, right: str) -> None:
-    wrong, told = MISTAKES[right]
-    with pytest.raises(UsageError, match=told):
+def test_mistakes_are_reported_before_anything_runs(folder: Path, right: str) -> None:
+    wrong, message = MISTAKES[right]
+    with pytest.raises(UsageError, match=message):
         plan(folder, right, wrong)
 
 

@@ -1,4 +1,4 @@
-"""The simulator that methods are given: true parameters reproduce the recording, others do not."""
+"""The simulator of methods: true parameters reproduce the recording, others do not."""
 
 from typing import Any
 
@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UnsupportedError
-from sysid_bench.experiments.simulated.prepare import Prepared
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.types import Recording
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,
@@ -19,7 +20,7 @@ from tests.experiments.experiment_world import (
     spec,
 )
 
-STRANGERS = "tests.experiments.strangers"
+PLUGINS = "tests.experiments.plugins"
 CASES: dict[str, dict[str, Any]] = {
     "UR5": {"robot": SMOOTH, "payload": "box-2kg"},
     "Coulomb friction": {"robot": "ur5"},
@@ -31,7 +32,7 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def gap(one: Recording, other: Recording) -> float:
-    """The largest difference of two recordings, each signal in units of its own size."""
+    """The largest difference of two recordings, each signal relative to its maximum."""
     worst = 0.0
     for field in ("q", "v", "a", "tau"):
         ours, theirs = getattr(one, field), getattr(other, field)
@@ -42,7 +43,7 @@ def gap(one: Recording, other: Recording) -> float:
 @pytest.mark.parametrize("case", CASES)
 def test_the_true_parameters_reproduce_the_recording(case: str) -> None:
     made = ready(simulation=CLOSED_LOOP, **CASES[case])
-    simulated = made.experiment.simulate(made.truth.theta)
+    simulated = made.experiment.simulate(made.source.truth.theta)
     np.testing.assert_array_equal(simulated.t, made.experiment.raw.t)
     assert gap(simulated, made.experiment.raw) <= 1e-9
 
@@ -61,16 +62,16 @@ def test_a_simulation_knows_no_noise_and_is_the_same_twice() -> None:
     noise = {"q": 1e-4, "tau_relative": 0.01}
     noisy = ready(robot=RICH, simulation=CLOSED_LOOP, noise=noise)
     exact = ready(robot=RICH, simulation=CLOSED_LOOP)
-    one, two = (noisy.experiment.simulate(noisy.truth.theta) for _ in range(2))
+    one, two = (noisy.experiment.simulate(noisy.source.truth.theta) for _ in range(2))
     for field in ("q", "v", "a", "tau"):
         np.testing.assert_array_equal(getattr(one, field), getattr(two, field))
     assert gap(one, exact.experiment.raw) <= 1e-9
     assert gap(noisy.experiment.raw, exact.experiment.raw) > 1e-4
 
 
-def changed(made: Prepared, name: str, value: float) -> np.ndarray:
-    theta = made.truth.theta.copy()
-    theta[made.truth.parameters.index(name)] = value
+def changed(made: Prepared[SimulatedSource], name: str, value: float) -> np.ndarray:
+    theta = made.source.truth.theta.copy()
+    theta[made.source.truth.parameters.index(name)] = value
     return theta
 
 
@@ -93,13 +94,13 @@ def test_theta_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
 def test_without_a_controller_there_is_nothing_to_simulate() -> None:
     made = ready_once("ur5")
     with pytest.raises(UnsupportedError, match="controller"):
-        made.experiment.simulate(made.truth.theta)
+        made.experiment.simulate(made.source.truth.theta)
 
 
 def test_parameters_that_no_motion_tells_apart_simulate_the_same() -> None:
     """Base parameters are all that matters: a null direction of K moves no joint."""
     made = ready(robot=RICH, simulation=CLOSED_LOOP)
-    K, theta = made.problem.base.K, made.truth.theta
+    K, theta = made.problem.base.K, made.source.truth.theta
     step = np.random.default_rng(0).normal(size=len(theta)) * 1e-5
     null = step - np.linalg.lstsq(K, K @ step)[0]
     assert np.abs(null).max() > 1e-6
@@ -110,19 +111,19 @@ def test_parameters_that_no_motion_tells_apart_simulate_the_same() -> None:
 
 @pytest.mark.parametrize("noise", [{}, {"q": 1e-4, "tau_relative": 0.01}], ids=str)
 def test_a_method_that_simulates_improves_on_its_start(noise: dict[str, float]) -> None:
-    """DIDIM in twenty lines, from outside the package, through the whole harness."""
+    """DIDIM in twenty lines, as a plug-in, in a whole experiment."""
     made = spec(
         robot=SMOOTH, payload="box-2kg", task="payload", simulation=CLOSED_LOOP, noise=noise
     )
-    told, found = executed(made, f"{STRANGERS}:Told", f"{STRANGERS}:Output")
-    assert told["status"] == found["status"] == "ok", found["reason"]
-    assert told["payload_error"] > 0.05
+    prior, found = executed(made, f"{PLUGINS}:PriorMean", f"{PLUGINS}:Output")
+    assert prior["status"] == found["status"] == "ok", found["reason"]
+    assert prior["payload_error"] > 0.05
     for figure in ("payload_error", "torque_error"):
-        assert found[figure] < (0.5 * told[figure] if noise else 1e-4)
+        assert found[figure] < (0.5 * prior[figure] if noise else 1e-4)
     assert found["stats"] == {"iterations": 8.0}
 
 
 def test_without_a_controller_it_says_so() -> None:
-    (row,) = executed(spec(), f"{STRANGERS}:Output")
+    (row,) = executed(spec(), f"{PLUGINS}:Output")
     assert row["status"] == "unsupported"
     assert "controller" in row["reason"]

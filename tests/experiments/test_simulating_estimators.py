@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.score import score
-from sysid_bench.experiments.simulated.prepare import Prepared
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
 from sysid_bench.types import Array, Estimate, Recording
@@ -34,13 +35,13 @@ COULOMB = ("friction that is known",)
 
 
 @cache
-def exact(case: str, prior: bool) -> Prepared:
-    told = {} if prior else {"prior": "none"}
-    return ready(simulation=FAST, excitation=SHORT, rate=100.0, **ROBOTS[case], **told)
+def exact(case: str, prior: bool) -> Prepared[SimulatedSource]:
+    changes = {} if prior else {"prior": "none"}
+    return ready(simulation=FAST, excitation=SHORT, rate=100.0, **ROBOTS[case], **changes)
 
 
 @cache
-def noisy(repeat: int = 0) -> Prepared:
+def noisy(repeat: int = 0) -> Prepared[SimulatedSource]:
     loop = {"use": "closed-loop", "rate": "2 kHz"}  # fast enough to hold the torque
     return ready(
         simulation=loop, excitation=SHORT, rate=100.0, noise=NOISE, signals=SIGNALS,
@@ -48,13 +49,13 @@ def noisy(repeat: int = 0) -> Prepared:
     )  # fmt: skip
 
 
-def fit(name: Any, made: Prepared) -> Estimate:
+def fit(name: Any, made: Prepared[SimulatedSource]) -> Estimate:
     return identify(build("estimator", name), made.problem, made.experiment)
 
 
-def error(made: Prepared, beta: Array) -> float:
+def error(made: Prepared[SimulatedSource], beta: Array) -> float:
     """Held-out torque error."""
-    found = score(Estimate(beta), made.problem, made.held_out, made.truth).torque_error
+    found = score(Estimate(beta), made.problem, made.held_out, made.source.truth).torque_error
     assert found is not None
     return found
 
@@ -70,7 +71,7 @@ def test_exact_data_give_the_truth(name: str, case: str, prior: bool) -> None:
     made = exact(case, prior)
     found = fit(name, made)
     assert found.status == "ok", found.reason
-    true = made.problem.base.K @ made.truth.theta
+    true = made.problem.base.K @ made.source.truth.theta
     assert found.beta is not None
     assert np.linalg.norm(found.beta - true) <= 1e-8 * np.linalg.norm(true)
 
@@ -110,7 +111,7 @@ def test_the_covariance_is_of_the_size_of_the_spread() -> None:
         if found.beta is None:
             continue
         assert found.covariance is not None
-        miss = found.beta - made.problem.base.K @ made.truth.theta
+        miss = found.beta - made.problem.base.K @ made.source.truth.theta
         squares.append(miss**2 / np.diag(found.covariance))
     assert len(squares) >= 3
     assert 1 / 3 < np.mean(squares) < 3

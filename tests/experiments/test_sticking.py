@@ -23,7 +23,7 @@ def test_moving_joints_obey_the_model(robot: str) -> None:
     problem = made.problem
     W, b = problem.stacked
     assert problem.torque is not None
-    beta = problem.base.K @ made.truth.theta
+    beta = problem.base.K @ made.source.truth.theta
     left = (b - W @ beta).reshape(-1, len(problem.rows)) / problem.torque
     v = made.experiment.recording.v
     assert v is not None

@@ -1,4 +1,4 @@
-"""The last joint's torque alone: what it can tell, and that its RMSE hides the rest."""
+"""The torque of the last joint alone: what it identifies, and that its RMSE hides the rest."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -46,12 +46,12 @@ def arm(name: str) -> RobotModel:
 
 
 def base_of(robot: RobotModel, task: str, terms: tuple[str, ...] = ()) -> tuple[Task, BaseMap]:
-    asked = task_of(robot, task, terms)
-    return asked, structural_base(robot, asked.parameters, asked.rows)
+    question = task_of(robot, task, terms)
+    return question, structural_base(robot, question.parameters, question.rows)
 
 
 def ranks(robot: RobotModel) -> tuple[int, int, int, int]:
-    """Of terminal, terminal with friction, link and payload."""
+    """Ranks of terminal, terminal with friction, link and payload."""
     wanted = (("terminal", ()), ("terminal", FRICTION), ("link", ()), ("payload", ()))
     a, b, c, d = (base_of(robot, task, terms)[1].rank for task, terms in wanted)
     return a, b, c, d
@@ -62,12 +62,12 @@ def test_a_revolute_last_joint_tells_seven_and_never_the_mass(name: str) -> None
     robot = arm(name)
     assert ranks(robot) == (7, 9, 10, 10)
     task, base = base_of(robot, "terminal", FRICTION)
-    told = dict(zip(task.parameters, verdicts(base), strict=True))
+    verdict = dict(zip(task.parameters, verdicts(base), strict=True))
     (body,) = task.bodies
     (joint,) = task.rows or ()
-    assert len(told) == 12
-    assert told[f"{body.name}.m"] == "none"
-    assert told[f"{joint}.fv"] == told[f"{joint}.fc"] == "identifiable"
+    assert len(verdict) == 12
+    assert verdict[f"{body.name}.m"] == "none"
+    assert verdict[f"{joint}.fv"] == verdict[f"{joint}.fc"] == "identifiable"
     assert base.gap > 1e6
     for whole in ("link", "payload"):
         assert set(verdicts(base_of(robot, whole)[1])) == {"identifiable"}
@@ -94,8 +94,8 @@ def test_the_row_is_the_axis_times_the_moment_rows_of_the_body_regressor(name: s
     task, _ = base_of(robot, "terminal")
     motion = states(robot, 20)
     (row,) = task.rows or ()
-    place = robot.rows.index(row)
-    Y = regression(robot, task.parameters).dense(motion).Y[:, place]
+    row_index = robot.rows.index(row)
+    Y = regression(robot, task.parameters).dense(motion).Y[:, row_index]
     link = robot.tree.links[int(robot.tree.carrier[robot.tool_body])]
     joint = link.joints[-1]
     assert not joint.anchor.any()
@@ -125,25 +125,25 @@ def _link_states(robot: RobotModel, body: int, motion: Trajectory) -> Iterator[t
 def test_rmse_is_at_rounding_level_and_the_mass_is_wrong(name: str, payload: str) -> None:
     made = ready(robot=name, payload=payload, task="terminal", terms=FRICTION)
     estimate = identify(MinNorm(), made.problem)
-    told = score(estimate, made.problem, made.held_out, made.truth)
-    assert (told.rank, told.parameters) == (9, 12)
-    assert told.rmse_train is not None
-    assert told.rmse_test is not None
-    assert told.mass_error is not None
+    scores = score(estimate, made.problem, made.held_out, made.source.truth)
+    assert (scores.rank, scores.parameters) == (9, 12)
+    assert scores.rmse_train is not None
+    assert scores.rmse_test is not None
+    assert scores.mass_error is not None
     scale = np.abs(made.problem.b).max()
-    assert max(told.rmse_train, told.rmse_test) < 1e-9 * scale
-    assert told.mass_error > 0.99 * made.truth.theta[0] > 0.9
-    assert told.condition is not None
+    assert max(scores.rmse_train, scores.rmse_test) < 1e-9 * scale
+    assert scores.mass_error > 0.99 * made.source.truth.theta[0] > 0.9
+    assert scores.condition is not None
 
 
 def test_the_estimate_is_the_pseudoinverse_of_all_columns() -> None:
     made = ready(robot="ur5", payload="box-2kg", task="terminal", terms=FRICTION)
     theta = identify(MinNorm(), made.problem).theta
-    columns = regression(made.robot, made.task.parameters)
+    columns = regression(made.robot, made.source.task.parameters)
     motion = made.experiment.recording.motion
-    place = made.robot.rows.index(made.problem.rows[0])
-    Y = columns.dense(motion).Y[:, place]
-    tau = made.experiment.recording.tau[:, place] - made.known[:, 0]
+    row_index = made.robot.rows.index(made.problem.rows[0])
+    Y = columns.dense(motion).Y[:, row_index]
+    tau = made.experiment.recording.tau[:, row_index] - made.source.known[:, 0]
     assert theta is not None
     np.testing.assert_allclose(theta, np.linalg.pinv(Y, rcond=1e-10) @ tau, atol=1e-9)
 
@@ -180,17 +180,17 @@ def test_all_of_a_problem_is_the_rows_that_are_measured() -> None:
     np.testing.assert_allclose(made.problem.b, every[:, row], atol=1e-12)
 
 
-def test_friction_is_asked_of_the_terminal_joint_alone_and_known_elsewhere() -> None:
+def test_friction_is_unknown_for_the_terminal_joint_alone_and_known_elsewhere() -> None:
     robot = robot_of("ur5", "box-2kg")
     task = task_of(robot, "terminal", ("viscous",))
-    place = robot.rows.index("wrist_3_joint")
-    assert task.known_terms["viscous"][place] == 0.0
-    others = np.arange(robot.nv) != place
+    row_index = robot.rows.index("wrist_3_joint")
+    assert task.known_terms["viscous"][row_index] == 0.0
+    others = np.arange(robot.nv) != row_index
     np.testing.assert_array_equal(
         task.known_terms["viscous"][others], robot.joint_terms.viscous[others]
     )
     np.testing.assert_array_equal(task.known_terms["coulomb"], robot.joint_terms.coulomb)
-    assert task.truth.theta[-1] == robot.joint_terms.viscous[place]
+    assert task.truth.theta[-1] == robot.joint_terms.viscous[row_index]
 
 
 def test_a_tool_that_stands_still_has_no_terminal_joint() -> None:

@@ -1,4 +1,4 @@
-"""The tasks `wrench` and `wrench-payload`: what is behind a force/torque sensor, from it alone."""
+"""The tasks `wrench` and `wrench-payload`: bodies behind a force/torque sensor, from it alone."""
 
 from dataclasses import replace
 
@@ -65,11 +65,13 @@ def test_exact_wrenches_close(sensor: str) -> None:
     made = ready(**{**ARM, "sensor": sensor})
     assert made.problem.rows == tuple(f"{sensor}.{c}" for c in ("nx", "ny", "nz", "fx", "fy", "fz"))
     assert made.problem.kinds == ("wrench N m",) * 3 + ("wrench N",) * 3
-    told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
-    assert told.rmse_test is not None
-    assert told.beta_error is not None
-    assert told.rmse_test < 1e-10
-    assert told.beta_error < 1e-8
+    found_scores = score(
+        identify(WLS(), made.problem), made.problem, made.held_out, made.source.truth
+    )
+    assert found_scores.rmse_test is not None
+    assert found_scores.beta_error is not None
+    assert found_scores.rmse_test < 1e-10
+    assert found_scores.beta_error < 1e-8
 
 
 def test_a_robot_with_a_free_base_and_a_closed_loop_serve_too() -> None:
@@ -77,11 +79,13 @@ def test_a_robot_with_a_free_base_and_a_closed_loop_serve_too() -> None:
     assert free.problem.base.rank == 17
     loop = ready(**WRIST, simulation=CLOSED_LOOP)
     for made in (free, loop):
-        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
-        assert told.beta_error is not None
-        assert told.beta_error < 1e-7
+        found_scores = score(
+            identify(WLS(), made.problem), made.problem, made.held_out, made.source.truth
+        )
+        assert found_scores.beta_error is not None
+        assert found_scores.beta_error < 1e-7
     with pytest.raises(UnsupportedError, match="no whole robot"):
-        loop.experiment.simulate(loop.truth.theta)
+        loop.experiment.simulate(loop.source.truth.theta)
 
 
 WRISTED = [name for name in NAMED if "wrist" in {s.name for s in find_manifest(name).sensors}]
@@ -103,19 +107,19 @@ def test_a_sensors_constants_are_found_or_spoil_the_rest() -> None:
     known = ready(**biased, terms=("offset",))
     assert (known.problem.base.rank, len(known.problem.parameters)) == (44, 96)
     found = identify(WLS(), known.problem)
-    told = score(found, known.problem, known.held_out, known.truth)
+    found_scores = score(found, known.problem, known.held_out, known.source.truth)
     spoiled = ready(**biased)
     worse = score(
-        identify(WLS(), spoiled.problem), spoiled.problem, spoiled.held_out, spoiled.truth
+        identify(WLS(), spoiled.problem), spoiled.problem, spoiled.held_out, spoiled.source.truth
     )
     assert found.beta is not None
-    error = found.beta[-6:] - known.truth.theta[-6:]
-    assert np.abs(known.truth.theta[-3:]).max() > 0.5
+    error = found.beta[-6:] - known.source.truth.theta[-6:]
+    assert np.abs(known.source.truth.theta[-3:]).max() > 0.5
     assert np.abs(error[3:]).max() < 0.03
     assert np.abs(error[:3]).max() < 0.005
-    assert told.rmse_test is not None
+    assert found_scores.rmse_test is not None
     assert worse.rmse_test is not None
-    assert worse.rmse_test > 10 * told.rmse_test
+    assert worse.rmse_test > 10 * found_scores.rmse_test
 
 
 @pytest.mark.parametrize("sensor", ["l_leg", "r_leg"])
@@ -126,12 +130,12 @@ def test_constants_of_the_sensor_that_ends_a_sub_tree_are_found_too(sensor: str)
     made = ready(**leg, terms=("offset",))
     foot = sensor.replace("leg", "foot")
     assert made.problem.parameters[-1] == f"{foot}.fz.offset"
-    assert len(made.problem.parameters) == 10 * len(made.task.bodies) + 12
+    assert len(made.problem.parameters) == 10 * len(made.source.task.bodies) + 12
     assert made.problem.base.rank == 50
     found = identify(WLS(), made.problem)
-    told = score(found, made.problem, made.held_out, made.truth)
+    found_scores = score(found, made.problem, made.held_out, made.source.truth)
     assert found.beta is not None
-    true = made.problem.base.K @ made.truth.theta
+    true = made.problem.base.K @ made.source.truth.theta
     places = [name.endswith("offset") for name in made.problem.base.names]
     forces = [".f" in name for name in made.problem.base.names]
     error = np.abs(found.beta - true)
@@ -139,14 +143,14 @@ def test_constants_of_the_sensor_that_ends_a_sub_tree_are_found_too(sensor: str)
     assert error[np.array(places) & np.array(forces)].max() < 0.2
     assert error[np.array(places) & ~np.array(forces)].max() < 0.1
     assert np.abs(true[places]).max() > 0.5
-    assert told.torque_error is not None
-    assert told.torque_error < 0.02
+    assert found_scores.torque_error is not None
+    assert found_scores.torque_error < 0.02
     spoiled = ready(**leg)
     worse = score(
-        identify(WLS(), spoiled.problem), spoiled.problem, spoiled.held_out, spoiled.truth
+        identify(WLS(), spoiled.problem), spoiled.problem, spoiled.held_out, spoiled.source.truth
     )
     assert worse.torque_error is not None
-    assert worse.torque_error > 10 * told.torque_error
+    assert worse.torque_error > 10 * found_scores.torque_error
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -183,15 +187,15 @@ def test_rls_is_the_on_line_recursion_from_a_prior_that_says_nothing(forgetting:
     start = np.zeros(16), np.full(16, 1e5)
     recursion = RecursiveEstimator(forgetting=forgetting, gate=False, every=10**6)
     track = recursion.run(W, f, row_sigmas(problem), *start)
-    told = RLS(forgetting).solve(problem)
-    assert told.beta is not None
-    assert told.covariance is not None
-    np.testing.assert_allclose(track.last, told.beta, rtol=1e-6, atol=1e-8)
+    estimate = RLS(forgetting).solve(problem)
+    assert estimate.beta is not None
+    assert estimate.covariance is not None
+    np.testing.assert_allclose(track.last, estimate.beta, rtol=1e-6, atol=1e-8)
     if forgetting == 1.0:
-        np.testing.assert_allclose(track.covariance, told.covariance, rtol=1e-5, atol=1e-14)
+        np.testing.assert_allclose(track.covariance, estimate.covariance, rtol=1e-5, atol=1e-14)
 
 
-def test_noise_is_drawn_alike_for_all_levels_and_only_where_it_is_asked_for() -> None:
+def test_noise_draws_are_shared_by_all_levels_and_only_where_there_is_noise() -> None:
     exact, small, large = (
         ready(**WRIST, noise=noise).experiment.raw.wrench
         for noise in ({}, {"force": 0.1}, {"force": 0.2})
@@ -263,7 +267,7 @@ def test_the_specification_is_written_only_where_it_says_something() -> None:
 
 @pytest.mark.parametrize("sensors", ["l_arm", "l_arm, r_arm, l_leg, r_leg, l_foot, r_foot"])
 def test_sensors_combine_with_joint_torques(sensors: str) -> None:
-    """They add rows, and what the torques of a held robot do not tell."""
+    """They add rows, and identify what the torques of a held robot do not."""
     alone = ready(robot="icub", noise={"tau": 0.05})
     both = ready(robot="icub", sensor=sensors, noise={"tau": 0.05, **WHITE})
     count = 6 * len(sensors.split(","))
@@ -272,9 +276,10 @@ def test_sensors_combine_with_joint_torques(sensors: str) -> None:
     assert both.problem.base.rank > alone.problem.base.rank
     scores = []
     for made in (alone, both):
-        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
-        scores.append(told)
-    elbow = [next(j for j in told.joints if j["name"] == "l_elbow") for told in scores]
+        scores.append(
+            score(identify(WLS(), made.problem), made.problem, made.held_out, made.source.truth)
+        )
+    elbow = [next(j for j in one.joints if j["name"] == "l_elbow") for one in scores]
     assert elbow[1]["rmse_test"] < elbow[0]["rmse_test"]
 
 
@@ -315,8 +320,10 @@ def test_contacts_are_left_out_where_they_are_declared_or_found(repeat: int) -> 
     error: dict[str, float] = {}
     for name, (noise, signals) in settings.items():
         made = ready(**TOUCHED, noise=noise, signals=signals, repeat=repeat)
-        told = score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
-        share[name], error[name] = made.left_out, float(told.torque_error or np.nan)
+        found_scores = score(
+            identify(WLS(), made.problem), made.problem, made.held_out, made.source.truth
+        )
+        share[name], error[name] = made.source.left_out, float(found_scores.torque_error or np.nan)
     assert share["clean"] == share["blind"] == 0.0
     assert share["quiet"] < 0.03
     assert share["declared"] == pytest.approx(1 / 3, abs=1e-3)

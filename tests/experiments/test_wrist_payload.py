@@ -1,4 +1,4 @@
-"""A payload from a wrist sensor: as precise as white noise allows, and calibrated in place."""
+"""A payload from a wrist sensor: as precise as white noise allows, and calibrated in situ."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def _payload(robot: str, **changes: object):  # type: ignore[no-untyped-def]
 
 
 def _score(made) -> Score:  # type: ignore[no-untyped-def]
-    return score(identify(WLS(), made.problem), made.problem, made.held_out, made.truth)
+    return score(identify(WLS(), made.problem), made.problem, made.held_out, made.source.truth)
 
 
 @pytest.mark.parametrize("robot", ARMS)
@@ -45,7 +45,7 @@ def test_white_noise_costs_no_more_than_the_bound(robot: str) -> None:
         made = _payload(robot, noise=NOISE, repeat=repeat)
         beta = identify(WLS(iterations=3), made.problem).beta
         assert beta is not None
-        errors.append((beta - made.problem.base.K @ made.truth.theta) / bound)
+        errors.append((beta - made.problem.base.K @ made.source.truth.theta) / bound)
     assert 0.7 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
@@ -55,8 +55,8 @@ def test_known_loads_calibrate_a_faulty_sensor(robot: str) -> None:
     better = plain | {"calibration": LOADS}
     errors = []
     for noise, signals in ((NOISE, plain), (NOISE | FAULTS, plain), (NOISE | FAULTS, better)):
-        told = [_score(_payload(robot, noise=noise, signals=signals, repeat=k)) for k in range(2)]
-        errors.append([(one.mass_error, one.com_error, one.inertia_error) for one in told])
+        scores = [_score(_payload(robot, noise=noise, signals=signals, repeat=k)) for k in range(2)]
+        errors.append([(one.mass_error, one.com_error, one.inertia_error) for one in scores])
     clean, faulty, calibrated = (np.median(np.array(e, dtype=float), axis=0) for e in errors)
     assert (faulty > 5 * clean).all()
     assert (calibrated < 0.5 * faulty).all()

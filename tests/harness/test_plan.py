@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.spec import (
-    ExperimentSpec,
+from sysid_bench.experiments.seeds import (
     held_out_seed,
     motion_seed,
     noise_seed,
@@ -20,6 +19,7 @@ from sysid_bench.experiments.spec import (
     seed_of,
     sensor_seed,
 )
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.plan import Plan, expand, fields
 from sysid_bench.vocabulary import LABELS
 

@@ -101,7 +101,7 @@ def test_no_feasible_direction_decreases_the_objective(robot: str) -> None:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_exact_data_give_the_true_base_parameters(robot: str) -> None:
     made = ready(robot=robot, prior="none")
-    truth = made.problem.base.K @ made.truth.theta
+    truth = made.problem.base.K @ made.source.truth.theta
     for method in (LMI(), Bounded()):
         beta = identify(method, made.problem).beta
         assert beta is not None
@@ -196,7 +196,7 @@ def test_log_cholesky_coordinates_and_their_derivatives() -> None:
 def test_completion_keeps_beta_and_lies_nearest(robot: str, distance: str) -> None:
     made = ready(robot=robot)
     at, of = made.problem, feasible_set_of(made.problem)
-    beta = at.base.K @ made.truth.theta
+    beta = at.base.K @ made.source.truth.theta
     assert at.prior is not None
     theta = complete(of, at.base, beta, at.prior, distance)
     assert np.linalg.norm(at.base.K @ theta - beta) <= 1e-8 * np.linalg.norm(beta)
@@ -204,7 +204,7 @@ def test_completion_keeps_beta_and_lies_nearest(robot: str, distance: str) -> No
     x0 = feasible_point(of, at.prior.theta / of.scale, spread_of(of, at.prior))
     near = divergence(of, x0, spread_of(of, at.prior))
     if distance == "entropic":
-        solid = 0.999 * theta + 0.001 * made.truth.theta  # has beta too, and can exist
+        solid = 0.999 * theta + 0.001 * made.source.truth.theta  # has beta too, and can exist
         assert near.value(theta / of.scale) <= near.value(solid / of.scale) + 1e-9
 
 

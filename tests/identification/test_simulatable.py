@@ -48,12 +48,14 @@ def test_any_beta_gives_simulatable_parameters(robot: str, seed: int) -> None:
     made = ready_once(robot)
     problem = made.problem
     rng = np.random.default_rng(seed)
-    beta = problem.base.K @ made.truth.theta
+    beta = problem.base.K @ made.source.truth.theta
     wild = beta * rng.normal(size=len(beta)) * 3
     theta = simulatable_set(problem).nearest(wild, metric(problem))
     assert exists(problem, theta)
     assert (
-        parametrised_plant(known_model(made.robot, made.task), theta).fixed_contact_free_model.nv
+        parametrised_plant(
+            known_model(made.robot, made.source.task), theta
+        ).fixed_contact_free_model.nv
         == made.robot.nv
     )
 
@@ -63,7 +65,7 @@ def test_an_infeasible_beta_is_projected(robot: str) -> None:
     """Nearer than other robots that exist: the prior, the centre of no prior, the truth."""
     made = ready_once(robot)
     problem, R = made.problem, metric(made.problem)
-    K, truth = problem.base.K, made.truth.theta
+    K, truth = problem.base.K, made.source.truth.theta
     beta = K @ truth
     step = np.random.default_rng(1).normal(size=len(beta))
     wild = beta + 0.5 * np.linalg.norm(R @ beta) / np.linalg.norm(R @ step) * step

@@ -1,5 +1,6 @@
-"""Joints that no log lists, and that follow none of them, are locked: base parameters and rows are
-those of what really moved.
+"""Locking of joints that are neither recorded nor driven by recorded ones.
+
+Base parameters and rows are then those of the joints that moved.
 """
 
 from collections.abc import Sequence
@@ -14,16 +15,17 @@ from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 def locked_manifest(
     manifest: Manifest, robot: RobotModel, logs: Sequence[LogDescription]
 ) -> Manifest:
-    """The manifest with every joint locked that the logs do not list and that follows none of them.
+    """The manifest with those joints locked that the logs do not list and that depend on none of
+    the listed ones.
 
-    Raises UsageError where the logs differ in their joints or in where the others stand.
+    Raises UsageError where the logs differ in their joints or in the positions of locked ones.
     """
     first = logs[0]
-    own = {joint.dofs[0] for joint in robot.joints if joint.kind in ("hinge", "slide")}
+    scalar = {joint.dofs[0] for joint in robot.joints if joint.kind in ("hinge", "slide")}
     for name in first.joints:
-        if name != NO_JOINT and name not in own:
-            advice = f"Write {NO_JOINT!r} for a coordinate that is no joint of the model."
-            raise UsageError(f"{first.source}: {unknown_name('joint', name, own, advice)}")
+        if name != NO_JOINT and name not in scalar:
+            advice = f"Write {NO_JOINT!r} for a coordinate that is not a joint of the model."
+            raise UsageError(f"{first.source}: {unknown_name('joint', name, scalar, advice)}")
     moving = {joint for joint in first.joints if joint != NO_JOINT}
     for log in logs[1:]:
         if {joint for joint in log.joints if joint != NO_JOINT} != moving:

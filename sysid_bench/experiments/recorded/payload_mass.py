@@ -1,15 +1,22 @@
-"""The mass of a load whose position is given, with an interval."""
+"""Mass of a payload whose position is given, with a confidence interval."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.experiments.recorded.prepared_logs import PreparedLogs, leave_one_fold_out
+from sysid_bench.experiments.recorded.preprocess import ProcessedLog
+from sysid_bench.experiments.recorded.problem import (
+    LogProblemBuilder,
+    fold_factors,
+    merge_factors,
+)
+from sysid_bench.experiments.recorded.term_selection import FOLDS
 from sysid_bench.experiments.recorded.unknowns import MASS
 from sysid_bench.identification.identify import identify
-from sysid_bench.types import Array
+from sysid_bench.types import Array, Problem
 
 CONFIDENCE: Final = 0.95
 
@@ -25,20 +32,47 @@ class PayloadMass:
     confidence: float = CONFIDENCE
 
 
-def payload_mass(method: Any, posed: PreparedLogs, beta: Array) -> PayloadMass:
-    """What the mass varies by when parts of the motion are left out (jackknife; Tukey 1958):
-    residuals are no white noise, and a formal deviation would be too small by an order."""
+def payload_mass(
+    method: Any,
+    problem: Problem,
+    builder: LogProblemBuilder,
+    training: Sequence[ProcessedLog],
+    beta: Array,
+) -> PayloadMass:
+    """The mass in `beta` (r,), its deviation by the jackknife over parts of the motion (Tukey
+    1958), and the interval of Student's t.
+
+    Residuals are not white: a formal deviation would be too small by an order of magnitude. Raises
+    EstimationError where the method fails without one of the parts.
+    """
     from scipy.stats import t
 
-    place = posed.problem.base.names.index(MASS)
-    found = []
-    for problem in leave_one_fold_out(posed):
-        estimate = identify(method, problem)
+    index = problem.base.names.index(MASS)
+    masses = []
+    for part in _leave_one_fold_out(problem, builder, training):
+        estimate = identify(method, part)
         if estimate.status != "ok" or estimate.beta is None:
             raise EstimationError(f"With a part of the motion left out: {estimate.reason}")
-        found.append(float(estimate.beta[place]))
-    n = len(found)
-    std = float(np.sqrt((n - 1) / n * np.sum((np.array(found) - np.mean(found)) ** 2)))
-    mass = float(beta[place])
-    reach = float(t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * std
-    return PayloadMass(mass, std, (mass - reach, mass + reach), tuple(found))
+        masses.append(float(estimate.beta[index]))
+    n = len(masses)
+    std = float(np.sqrt((n - 1) / n * np.sum((np.array(masses) - np.mean(masses)) ** 2)))
+    mass = float(beta[index])
+    half_width = float(t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * std
+    return PayloadMass(mass, std, (mass - half_width, mass + half_width), tuple(masses))
+
+
+def _leave_one_fold_out(
+    problem: Problem, builder: LogProblemBuilder, training: Sequence[ProcessedLog]
+) -> list[Problem]:
+    """The training problem without each part of every motion in turn."""
+    parts = fold_factors(builder, training, FOLDS)
+    return [
+        replace(
+            problem,
+            factors=tuple(
+                merge_factors([R for f in range(FOLDS) if f != left_out for R in parts[f][k]])
+                for k in range(len(problem.rows))
+            ),
+        )
+        for left_out in range(FOLDS)
+    ]

@@ -1,37 +1,49 @@
-"""Recordings and what is asked of them: from descriptions to problems, for the command line and for
-suites alike."""
+"""Recorded experiments: read logs, preprocess them, build the problems; for `identify --log` and
+for suites."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
-from sysid_bench.experiments.recorded.prepared_logs import PreparedLogs, build_problems
-from sysid_bench.experiments.recorded.preprocess import Preprocessing, process_log
+from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog, process_log
+from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
+from sysid_bench.experiments.recorded.source import RecordedSource
+from sysid_bench.experiments.recorded.term_selection import select_terms
+from sysid_bench.experiments.recorded.unknowns import unknowns_of
+from sysid_bench.experiments.robot_cache import LoadedRobot
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.signals.log_checks import refuse_findings
-from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_description import LogDescription, log_description, name_of
 from sysid_bench.signals.processing import processing_of
+from sysid_bench.types import Experiment, Problem
+from sysid_bench.units import quantity
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
 """Robots move below it: on a UR10e, cut-offs of 3 to 20 Hz changed the error by less than 0.3 of
 7.5 % (measured)."""
 
 SLOW: Final = 30.0
-"""Hz; at lower rates that filter would touch the motion itself, and is left out."""
+"""Hz; at lower rates that filter would distort the motion itself, and is left out."""
 
 TERMS: Final = ("viscous", "coulomb", "offset")
-"""What real joints have, where the robot's manifest says nothing."""
+"""Terms of real joints, where the robot's manifest names none."""
 
 
 @dataclass(frozen=True)
 class LogOptions:
     """`terms` None: the robot's own. `filter` None: FILTER, or none at low rates. `derivatives`
     None: from v where every log has v. `moving`: rows slower than this (rad/s, m/s) are left out.
-    `candidates`, `position_given`: see `pose_logs`. `accept`: contradictions that may pass."""
+    `candidates`, `position_given`: see `build_problems`. `accept`: contradictions that may pass.
+    `true_mass`: kg, of the payload on a scale."""
 
     task: str = "robot"
     terms: tuple[str, ...] | None = None
@@ -41,47 +53,146 @@ class LogOptions:
     candidates: tuple[str, ...] = ()
     position_given: bool = False
     accept: tuple[str, ...] = ()
+    true_mass: float | None = None
+
+
+def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[RecordedSource]:
+    """The recorded experiment of a specification; files are found from the suite's folder.
+
+    Raises UnsupportedError or UsageError where there is none, with the reason.
+    """
+    assert spec.log is not None
+    folder, mass = loaded.folder or Path(), spec.log.get("true_mass")
+    options = LogOptions(
+        task=spec.task,
+        terms=spec.terms,
+        filter=spec.signals.get("filter"),
+        derivatives=spec.signals.get("derivatives"),
+        moving=float(spec.log["moving"]),
+        candidates=tuple(spec.log["choose"]),
+        position_given=bool(spec.log["position_given"]),
+        accept=tuple(spec.log["accept"]),
+        true_mass=None if mass is None else quantity(mass, "kg"),
+    )
+    training = [log_description(written, folder) for written in spec.log["train"]]
+    tests = _test_descriptions(spec.log["test"], folder)
+    return prepare_logs(loaded.robot.manifest, training, tests, options)
 
 
 def prepare_logs(
     manifest: Manifest,
     training: Sequence[LogDescription],
     tests: Mapping[str, LogDescription],
-    asked: LogOptions,
-) -> PreparedLogs:
-    """The problems of training and test logs, joints locked that no log lists.
+    options: LogOptions,
+) -> Prepared[RecordedSource]:
+    """The problems of training and test logs, with those joints locked that no log lists.
 
-    Raises UsageError for files or words that cannot be, and for contradictions in the data that
-    `asked.accept` does not name.
+    Raises UsageError for invalid files or names, and for contradictions in the data that
+    `options.accept` does not name.
     """
-    every = [*training, *tests.values()]
-    manifest = locked_manifest(manifest, load_robot(manifest), every)
-    treatment = _treatment(every, asked)
-    read = [process_log(description, manifest, treatment) for description in every]
-    for one in read:
-        refuse_findings(one.log.findings, asked.accept, str(one.log.description.source))
-    robot = read[0].robot
-    terms = _own_terms(robot.manifest.terms, robot.rows) if asked.terms is None else asked.terms
-    testing = dict(zip(tests, read[len(training) :], strict=True))
-    return build_problems(
-        asked.task, terms, read[: len(training)], testing, treatment, asked.candidates,
-        asked.position_given,
-    )  # fmt: skip
+    descriptions = [*training, *tests.values()]
+    manifest = locked_manifest(manifest, load_robot(manifest), descriptions)
+    preprocessing = _preprocessing(descriptions, options)
+    logs = [process_log(description, manifest, preprocessing) for description in descriptions]
+    for log in logs:
+        refuse_findings(log.log.findings, options.accept, str(log.log.description.source))
+    test_logs = dict(zip(tests, logs[len(training) :], strict=True))
+    return build_problems(logs[: len(training)], test_logs, preprocessing, options)
 
 
-def _treatment(logs: Sequence[LogDescription], asked: LogOptions) -> Preprocessing:
+def build_problems(
+    training: Sequence[ProcessedLog],
+    tests: Mapping[str, ProcessedLog],
+    preprocessing: Preprocessing,
+    options: LogOptions,
+) -> Prepared[RecordedSource]:
+    """The problem of all training logs together, and one of each test log.
+
+    Task `robot`: links and terms, with the payloads that the logs state taken as known. `payload`:
+    the same and ten more of the payload that some logs state and others do not carry. `terms`:
+    joint terms, and those of motors ("motor.armature"). `candidates`: more of them, and features by
+    name ("play", "motor.play"), of which cross-validation within the training logs selects.
+    `position_given`: of the payload the mass alone is unknown; its centre of mass and its inertia
+    per mass are known from the logs.
+    """
+    terms = _terms(training[0], options)
+    unknowns = unknowns_of(options.task, terms, training, options.position_given)
+    selection = None
+    if options.candidates:
+        unknowns, selection = select_terms(unknowns, options.candidates, training, preprocessing)
+    base = unknowns.base()
+    builder = LogProblemBuilder(unknowns, base.names, preprocessing)
+    source = RecordedSource(
+        builder=builder,
+        training=tuple(training),
+        tests=dict(tests),
+        terms=terms,
+        selection=selection,
+        true_mass=options.true_mass,
+    )
+    problem = builder.build(training, base)
+    held_out = {name: builder.build([test], base) for name, test in tests.items()}
+    experiment = _experiment(problem, builder, training[0])
+    return Prepared(unknowns.robot, problem, experiment, held_out, source)
+
+
+def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLog) -> Experiment:
+    """The problem, and the functions that methods may call: the regressor alone."""
+    return Experiment(
+        problem=problem,
+        recording=first.recording,
+        raw=first.log.recording,
+        regress=partial(regressor_blocks, builder),
+        simulate=_refuse_simulation,
+        known=_refuse_simulation,
+    )
+
+
+def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Descriptions and recordings that an experiment reads, as far as they can be found."""
+    found: list[Path] = []
+    for written in (*log["train"], *log["test"]):
+        try:
+            description = log_description(written, folder)
+            found += [description.source, *description.files]
+        except UsageError:  # reported when the cell runs; it has no row that could be stale
+            continue
+    return found
+
+
+def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> Preprocessing:
     slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
-    spec: dict[str, Any] = {
-        "filter": asked.filter or (FILTER if slowest > SLOW else "none"),
-        "derivatives": asked.derivatives
+    signals: dict[str, Any] = {
+        "filter": options.filter or (FILTER if slowest > SLOW else "none"),
+        "derivatives": options.derivatives
         or ("from v" if all(log.v is not None for log in logs) else "from q"),
     }
-    return Preprocessing(processing_of(spec), asked.moving, spec["filter"], spec["derivatives"])
-
-
-def _own_terms(own: tuple[str, ...], rows: tuple[str, ...]) -> tuple[str, ...]:
-    """The manifest's terms, those of joints that stand still left out."""
-    kept = tuple(
-        term for term in own if "." not in term or any(term.startswith(f"{row}.") for row in rows)
+    return Preprocessing(
+        processing_of(signals), options.moving, signals["filter"], signals["derivatives"]
     )
-    return kept or TERMS
+
+
+def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:
+    """The terms of the options, else the manifest's without those of locked joints, else TERMS."""
+    if options.terms is not None:
+        return options.terms
+    rows = log.robot.rows
+    terms = tuple(
+        term
+        for term in log.robot.manifest.terms
+        if "." not in term or any(term.startswith(f"{row}.") for row in rows)
+    )
+    return terms or TERMS
+
+
+def _test_descriptions(written: Any, folder: Path) -> dict[str, LogDescription]:
+    """Test logs by name; names that occur more than once are numbered."""
+    names = [name_of(one) for one in written]
+    return {
+        name if names.count(name) == 1 else f"{name} {k + 1}": log_description(one, folder)
+        for k, (name, one) in enumerate(zip(names, written, strict=True))
+    }
+
+
+def _refuse_simulation(_: Any) -> Any:
+    raise UnsupportedError("This recording declares no controller: nothing to simulate with.")

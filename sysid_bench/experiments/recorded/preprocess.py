@@ -1,4 +1,4 @@
-"""A log, treated: its motion and torque, with the robot that carried what it carried."""
+"""Preprocessing of logs: filtered motion and torque, with the robot and its payload."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -19,8 +19,8 @@ from sysid_bench.types import Recording, Trajectory
 
 @dataclass(frozen=True)
 class Preprocessing:
-    """What is done to every log alike: `processing` makes motion and torque; rows whose joint moves
-    slower than `moving` (rad/s, m/s) are left out, as static friction is no model's business."""
+    """Settings for all logs: `processing` gives motion and torque. Rows whose joint moves slower
+    than `moving` (rad/s, m/s) are left out: no model has static friction."""
 
     processing: Processing
     moving: float = 0.0
@@ -30,26 +30,31 @@ class Preprocessing:
 
 @dataclass(frozen=True, eq=False)
 class ProcessedLog:
-    """A log after its treatment, with the robot that carried what it carried."""
+    """A log after preprocessing, with the robot and its payload."""
 
     log: Log
     robot: RobotModel
     recording: Recording
-    motors: Trajectory | None = None  # (N, k) each, where a transmission is told
+    motors: Trajectory | None = None  # (N, k) each, where the log states a transmission
 
     @property
     def payload(self) -> Payload:
-        """What was mounted."""
+        """The payload that was mounted."""
         return self.robot.payload
 
 
-def process_log(log: LogDescription, manifest: Manifest, treatment: Preprocessing) -> ProcessedLog:
-    """A log read and treated; its contradictions are still to be refused."""
+def process_log(
+    log: LogDescription, manifest: Manifest, preprocessing: Preprocessing
+) -> ProcessedLog:
+    """Read and preprocess a log; its contradictions are still to be refused.
+
+    Raises UsageError for a file or a filter that cannot be used.
+    """
     payload = PAYLOADS["none"] if log.payload is None else parse_payload(_payload_of(log))
     robot = load_robot(manifest, payload)
     read = read_log(log, robot)
     try:
-        recording = treatment.processing.apply(read.recording, robot.joints)
+        recording = preprocessing.processing.apply(read.recording, robot.joints)
     except UsageError as error:
         raise UsageError(f"{log.source}: {error}") from error
     motion = robot.completed(recording.motion)
@@ -57,18 +62,18 @@ def process_log(log: LogDescription, manifest: Manifest, treatment: Preprocessin
         read,
         robot,
         replace(recording, q=motion.q, v=motion.v, a=motion.a),
-        _motors(read, treatment),
+        _motors(read, preprocessing),
     )
 
 
-def _motors(log: Log, treatment: Preprocessing) -> Trajectory | None:
-    """Where the motors were, treated like the joints."""
+def _motors(log: Log, preprocessing: Preprocessing) -> Trajectory | None:
+    """Motion of the motors, filtered like that of the joints."""
     if log.coordinates is None or log.description.transmission is None:
         return None
     joints = tuple(
         Joint(name, "hinge", k, k, (name,)) for k, name in enumerate(log.description.joints)
     )
-    motion = treatment.processing.apply(log.coordinates, joints).motion
+    motion = preprocessing.processing.apply(log.coordinates, joints).motion
     q, v, a = (
         np.linalg.solve(log.description.transmission, x.T).T for x in (motion.q, motion.v, motion.a)
     )
@@ -76,7 +81,7 @@ def _motors(log: Log, treatment: Preprocessing) -> Trajectory | None:
 
 
 def _payload_of(log: LogDescription) -> Any:
-    """A payload as parse_payload reads it; { use = "box-2kg" } is its name."""
+    """The payload for parse_payload; { use = "box-2kg" } becomes its name."""
     written = log.payload
     if isinstance(written, Mapping) and set(written) == {"use"}:
         return written["use"]

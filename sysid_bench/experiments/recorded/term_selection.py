@@ -1,4 +1,4 @@
-"""Terms and features that predict parts of the training motion which were left out."""
+"""Selection of terms and features by cross-validation within the training motion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +20,8 @@ FOLDS: Final = 5
 
 @dataclass(frozen=True)
 class TermSelection:
-    """What cross-validation added: the error (mean relative, on left-out parts) before, and after
-    each column; how the parts were made."""
+    """Columns that cross-validation added, each with the error after it (mean relative, on left-out
+    parts), the error before and after all, and the kind of parts."""
 
     added: tuple[tuple[str, float], ...]
     error_before: float
@@ -30,27 +30,27 @@ class TermSelection:
 
 
 def select_terms(
-    ask: Unknowns,
+    unknowns: Unknowns,
     candidates: tuple[str, ...],
     training: Sequence[ProcessedLog],
-    treatment: Preprocessing,
+    preprocessing: Preprocessing,
 ) -> tuple[Unknowns, TermSelection]:
-    """The question with the candidates that predict parts of the training motion left out of it.
+    """The unknowns with those candidates that improve the prediction of left-out parts.
 
-    Parts are stretches of the period where the motion repeats itself, of time otherwise: what is
-    left out is never seen at another time.
+    Parts are stretches of the period where the motion is periodic, of time otherwise, so that no
+    other period shows a left-out part.
     """
-    wide = _widened(ask, candidates, training)
+    wide = _with_candidates(unknowns, candidates, training)
     names = wide.base().names
-    folds = _folds(LogProblemBuilder(wide, names, treatment), training)
-    known = {*ask.inertial, *ask.terms, *ask.payload_parameters, *ask.extra}
+    folds = _folds(LogProblemBuilder(wide, names, preprocessing), training)
+    known = {*unknowns.inertial, *unknowns.terms, *unknowns.payload_parameters, *unknowns.extra}
     start = [i for i, name in enumerate(names) if name in known]
-    found = [
-        (tuple(ask.rows.index(row) for row in wide.rows_of(name) if row in ask.rows), i)
+    optional = [
+        (tuple(unknowns.rows.index(row) for row in wide.rows_of(name) if row in unknowns.rows), i)
         for i, name in enumerate(names)
         if name not in known
     ]
-    choice = select_columns(folds, start, [(rows, i) for rows, i in found if rows])
+    choice = select_columns(folds, start, [(rows, i) for rows, i in optional if rows])
     added = {names[i] for i in choice.columns} - known
     selection = TermSelection(
         tuple((names[i], error) for i, error in choice.steps),
@@ -58,39 +58,43 @@ def select_terms(
         choice.error_after,
         time_folds(training[0].recording.motion, FOLDS)[1],
     )
-    own, more = set(ask.terms), set(ask.extra)
-    chosen = replace(
+    terms, extra = set(unknowns.terms), set(unknowns.extra)
+    selected = replace(
         wide,
-        terms=tuple(name for name in wide.terms if name in own | added),
-        extra=tuple(name for name in wide.extra if name in more | added),
+        terms=tuple(name for name in wide.terms if name in terms | added),
+        extra=tuple(name for name in wide.extra if name in extra | added),
     )
-    return chosen, selection
+    return selected, selection
 
 
-def _widened(
-    ask: Unknowns, candidates: tuple[str, ...], training: Sequence[ProcessedLog]
+def _with_candidates(
+    unknowns: Unknowns, candidates: tuple[str, ...], training: Sequence[ProcessedLog]
 ) -> Unknowns:
-    """The question with every candidate; of motors those that share joints, since what one drives
-    alone its joint has columns of."""
+    """The unknowns with all candidates; of motors those that share joints, since the columns of a
+    motor that drives one joint alone are those of that joint."""
     terms = tuple(name for name in candidates if is_term(name) and not is_motor(name))
-    more = [c for c in ask.robot.term_columns(terms) if c.split(".")[0] in ask.rows]
+    more = [
+        column
+        for column in unknowns.robot.term_columns(terms)
+        if column.split(".")[0] in unknowns.rows
+    ]
     words = [name for name in candidates if name not in terms]
-    table = extra_columns(ask.robot, ask.rows, (*ask.motor_words, *words), training)
+    table = extra_columns(unknowns.robot, unknowns.rows, (*unknowns.motor_words, *words), training)
     coupled = () if table.motors is None else table.motors.coupled
     return replace(
-        ask,
-        terms=tuple(dict.fromkeys([*ask.terms, *more])),
+        unknowns,
+        terms=tuple(dict.fromkeys([*unknowns.terms, *more])),
         features=table,
-        extra=tuple(dict.fromkeys([*ask.extra, *table.joints.columns, *coupled])),
+        extra=tuple(dict.fromkeys([*unknowns.extra, *table.joints.columns, *coupled])),
     )
 
 
-def _folds(posing: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list[list[FoldedRow]]:
-    """Of each part left out and each joint, what is trained on and what is left out."""
-    width = len(posing.columns)
+def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list[list[FoldedRow]]:
+    """Training and left-out rows of each part and joint."""
+    width = len(builder.columns)
     left_out = [
-        [upper_factor(spread(factor, width) for factor in own) for own in part]
-        for part in fold_factors(posing, training, FOLDS)
+        [upper_factor(spread(factor, width) for factor in factors) for factors in part]
+        for part in fold_factors(builder, training, FOLDS)
     ]
     return [
         [
@@ -98,7 +102,7 @@ def _folds(posing: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list[
                 upper_factor(left_out[other][k] for other in range(FOLDS) if other != f),
                 left_out[f][k],
             )
-            for k in range(len(posing.unknowns.rows))
+            for k in range(len(builder.unknowns.rows))
         ]
         for f in range(FOLDS)
     ]

@@ -1,29 +1,32 @@
-"""What is asked of some logs: which parameters are unknown, and which rows were measured."""
+"""Unknown parameters of recorded experiments, and the rows that were measured."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
 import numpy as np
 
-from sysid_bench.experiments.recorded.extra_columns import ExtraColumns
+from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.experiments.recorded.extra_columns import ExtraColumns, extra_columns, is_motor
+from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_factor
+from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.tasks.task import unknown_bodies
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
 
 MASS: Final = "payload.m"
-"""The load's mass where it is its only unknown."""
+"""Mass of the payload where that is its only unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """What is unknown: `inertial` parameters of the robot and its joint `terms`, those of the load
-    where `loaded` carries an unknown one, and `extra` columns of `features`; `rows`: the joints
-    that were recorded."""
+    """`inertial` parameters of the robot and its joint `terms`, those of the payload where
+    `loaded` carries an unknown one, and `extra` columns of `features`; `rows`: the recorded
+    joints."""
 
     robot: RobotModel
     loaded: RobotModel | None
@@ -31,12 +34,12 @@ class Unknowns:
     terms: tuple[str, ...]
     rows: tuple[str, ...]
     features: ExtraColumns | None = None
-    motor_words: tuple[str, ...] = ()  # terms of motors that were asked for, not chosen
+    motor_words: tuple[str, ...] = ()  # terms of motors that were named, not selected
     extra: tuple[str, ...] = ()
-    given: bool = False  # the load's shape is, and its mass one of the extra columns
+    given: bool = False  # the payload's position, so that its mass is one of the extra columns
 
     def rows_of(self, name: str) -> tuple[str, ...]:
-        """The recorded joints that a term or feature is chosen for."""
+        """The recorded joints that have a column of a term or feature."""
         if self.features is not None and name in self.extra:
             return self.features.rows_of(name)
         return (name.partition(".")[0],)
@@ -48,21 +51,21 @@ class Unknowns:
 
     @property
     def payload_parameters(self) -> tuple[str, ...]:
-        """Names of the load's ten parameters, or none."""
+        """Names of the payload's ten parameters, or none."""
         if self.loaded is None or self.loaded.payload_body is None or self.given:
             return ()
         return self.loaded.bodies[self.loaded.payload_body].columns
 
     @property
-    def motor_terms(self) -> tuple[str, ...]:
-        """Terms of motors, linear in the state as those of joints are: they join the base."""
+    def _motor_names(self) -> tuple[str, ...]:
+        """Terms of motors: linear in the state like those of joints, they are part of the base."""
         known = () if self.features is None else self.features.motor_terms
         return tuple(name for name in self.extra if name in known)
 
     @property
-    def extra_parameters(self) -> tuple[str, ...]:
-        """Features, and a mass: they stand for themselves."""
-        return tuple(name for name in self.extra if name not in self.motor_terms)
+    def _extra_parameters(self) -> tuple[str, ...]:
+        """Features, and a mass: each is a base parameter of its own."""
+        return tuple(name for name in self.extra if name not in self._motor_names)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -70,19 +73,19 @@ class Unknowns:
         return (
             self.robot_parameters
             + self.payload_parameters
-            + self.motor_terms
-            + self.extra_parameters
+            + self._motor_names
+            + self._extra_parameters
         )
 
     def base(self) -> BaseMap:
         """The base parameters."""
         base = base_map(
-            self.structural_factor(),
-            self.robot_parameters + self.payload_parameters + self.motor_terms,
+            self._structural_factor(),
+            self.robot_parameters + self.payload_parameters + self._motor_names,
         )
-        if not self.extra_parameters:
+        if not self._extra_parameters:
             return base
-        r, p, k = base.rank, len(base.parameters), len(self.extra_parameters)
+        r, p, k = base.rank, len(base.parameters), len(self._extra_parameters)
         K = np.zeros((r + k, p + k))
         K[:r, :p], K[r:, p:] = base.K, np.eye(k)
         return replace(
@@ -97,18 +100,68 @@ class Unknowns:
             return unknown_bodies(self.robot)
         return (*unknown_bodies(self.robot), self.loaded.bodies[self.loaded.payload_body])
 
-    def structural_factor(self) -> Array:
-        """R (m, p) over random states with and, where there is one, without the load."""
-        own, load, m = self.robot_parameters, self.payload_parameters, len(self.robot_parameters)
-        bare = structural_factor(self.robot, own, self.rows, beside=self._motor_terms(self.robot))
+    def _structural_factor(self) -> Array:
+        """Triangular factor R (m, p) of the regressor over random states with and, where there is
+        one, without the payload."""
+        robot, load = self.robot_parameters, self.payload_parameters
+        R = structural_factor(self.robot, robot, self.rows, beside=self._motor_terms(self.robot))
         if self.loaded is None:
-            return bare
-        beside = self._motor_terms(self.loaded)
-        carried = structural_factor(self.loaded, own + load, self.rows, beside=beside)
-        nothing = np.zeros((len(bare), len(load)))
-        return upper_factor([np.hstack([bare[:, :m], nothing, bare[:, m:]]), carried])
+            return R
+        motors = self._motor_terms(self.loaded)
+        R_loaded = structural_factor(self.loaded, robot + load, self.rows, beside=motors)
+        m, zeros = len(robot), np.zeros((len(R), len(load)))
+        return upper_factor([np.hstack([R[:, :m], zeros, R[:, m:]]), R_loaded])
 
     def _motor_terms(self, robot: RobotModel) -> Callable[[Trajectory], Array] | None:
-        if not self.motor_terms or self.features is None:
+        if not self._motor_names or self.features is None:
             return None
-        return partial(self.features.on_rows, robot, self.rows, self.motor_terms)
+        return partial(self.features.on_rows, robot, self.rows, self._motor_names)
+
+
+def unknowns_of(
+    task: str, terms: tuple[str, ...], training: Sequence[ProcessedLog], position_given: bool
+) -> Unknowns:
+    """The unknowns of a task on training logs, before any term is selected.
+
+    Raises UnsupportedError for another task than `robot` and `payload`, UsageError where the logs
+    do not fit the task.
+    """
+    unloaded, loaded = _robots(task, training, position_given)
+    robot = load_robot(training[0].robot.manifest) if unloaded is None else unloaded
+    bodies = tuple(column for body in unknown_bodies(robot) for column in body.columns)
+    rows = training[0].log.joints
+    words = tuple(term for term in terms if is_motor(term))
+    features = extra_columns(robot, rows, words, training) if words else None
+    motors = () if features is None or features.motors is None else features.motors.columns
+    return Unknowns(
+        robot,
+        loaded if task == "payload" else None,
+        bodies,
+        robot.term_columns(tuple(term for term in terms if not is_motor(term))),
+        rows,
+        features=features,
+        motor_words=words,
+        extra=(*((MASS,) if position_given else ()), *motors),
+        given=position_given,
+    )
+
+
+def _robots(
+    task: str, training: Sequence[ProcessedLog], position_given: bool
+) -> tuple[RobotModel | None, RobotModel | None]:
+    """The robots of the first logs without and with a payload, where a task can use them."""
+    if task not in ("robot", "payload"):
+        raise UnsupportedError(
+            f"The task {task!r} needs a robot with known parameters; with recordings there are "
+            "'robot' and 'payload'."
+        )
+    if position_given and task != "payload":
+        raise UsageError("A given position needs the task 'payload'.")
+    unloaded = next((log.robot for log in training if not log.payload), None)
+    loaded = next((log.robot for log in training if log.payload), None)
+    if task == "payload" and (unloaded is None or loaded is None):
+        raise UsageError(
+            "The task 'payload' compares recordings with and without the payload: give one --log "
+            "of each, and the loaded one a payload."
+        )
+    return unloaded, loaded

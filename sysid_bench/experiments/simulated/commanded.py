@@ -1,8 +1,8 @@
-"""Commanded motions of experiments; what is costly to design is designed once, by content.
+"""Commanded motions of experiments; optimised ones are cached by the content of their inputs.
 
-A design hangs on the robot, the task, the limits, what is known of torques, its settings, its seed
-and the code, and on nothing else: cells that agree in these share it, within a worker and through a
-folder (`SYSID_BENCH_CACHE`, else the user's cache) between workers and runs.
+An optimised motion depends on the robot, the task, the limits, the known torques, its settings, its
+seed and the code alone. Cells that agree in these share it, within a worker and, through a folder
+(`SYSID_BENCH_CACHE`, else the user's cache), between workers and runs.
 """
 
 import hashlib
@@ -26,26 +26,30 @@ _DESIGNS: dict[str, Array] = {}
 
 
 def design_motion(
-    excitation: Mapping[str, Any], subject: LoadedRobot, brief: DesignProblem, seed: int
+    excitation: Mapping[str, Any], loaded: LoadedRobot, problem: DesignProblem, seed: int
 ) -> Trajectory:
     """The motion of an excitation as a suite names it."""
-    made = subject.build_plugin("excitation", excitation)
+    plugin = loaded.build_plugin("excitation", excitation)
     rng = np.random.default_rng(seed)
-    if not hasattr(made, "solve"):
-        motion: Trajectory = made.design(brief, rng)
+    motion: Trajectory
+    if not hasattr(plugin, "solve"):
+        motion = plugin.design(problem, rng)
         return motion
     key = content_hash(
-        [code_and_libraries(), canonical(excitation), seed, subject.robot.text, brief]
+        [code_and_libraries(), canonical(excitation), seed, loaded.robot.text, problem]
     )
     if key not in _DESIGNS:
-        kept = _kept(key)
-        _DESIGNS[key] = _keep(key, made.solve(brief, rng).C) if kept is None else kept
-    again: Trajectory = made.motion(_DESIGNS[key], brief)
-    return again
+        stored = _read_design(key)
+        _DESIGNS[key] = (
+            _write_design(key, plugin.solve(problem, rng).C) if stored is None else stored
+        )
+    motion = plugin.motion(_DESIGNS[key], problem)
+    return motion
 
 
 def content_hash(value: Any) -> str:
-    """A hash of nested values by what they hold; functions, and a brief's rate, are left out."""
+    """SHA-256 of nested values by their content. Functions are left out, and so is the rate of a
+    design problem: coefficients do not depend on the sampling."""
     digest = hashlib.sha256()
     _feed(digest, value)
     return digest.hexdigest()
@@ -81,18 +85,18 @@ def _folder() -> Path:
     return Path(named) if named else Path(home) / "sysid_bench"
 
 
-def _kept(key: str) -> Array | None:
+def _read_design(key: str) -> Array | None:
     try:
-        return np.load(_folder() / f"{key}.npy", allow_pickle=False)
-    except (OSError, ValueError, EOFError):  # absent, or cut off
+        return np.asarray(np.load(_folder() / f"{key}.npy", allow_pickle=False))
+    except (OSError, ValueError, EOFError):  # absent or truncated
         return None
 
 
-def _keep(key: str, C: Array) -> Array:
-    """Writes beside and renames, so that no worker reads half a file; where nothing can be written
-    the design is made again by the next worker."""
+def _write_design(key: str, C: Array) -> Array:
+    """Store coefficients and return them. An unwritable folder costs the next worker a design."""
     try:
         _folder().mkdir(parents=True, exist_ok=True)
+        # Renaming is atomic: no worker reads half a file.
         with tempfile.NamedTemporaryFile(dir=_folder(), suffix=".part", delete=False) as part:
             np.save(part, C)
         Path(part.name).replace(_folder() / f"{key}.npy")

@@ -1,7 +1,7 @@
-"""What a task behind a force/torque sensor is good for: torques, contacts, and what is missing."""
+"""Evaluation of a task behind a force/torque sensor: torques, contacts, unexcited directions."""
 
 from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -13,10 +13,11 @@ from sysid_bench.evaluation.wrench_estimation import (
 )
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.point_to_point import PointToPoint
-from sysid_bench.experiments.simulated.prepare import Prepared
-from sysid_bench.experiments.spec import ExperimentSpec, noise_seed, seed_of
+from sysid_bench.experiments.seeds import noise_seed, seed_of
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation, excitation_of, structural_subspaces
-from sysid_bench.models.sensor import last_body
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import SensorCut, last_body
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import sub_tree
 from sysid_bench.simulation.force_torque import (
@@ -27,53 +28,56 @@ from sysid_bench.simulation.force_torque import (
     wrench_noise,
 )
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.tasks.task import Task
+from sysid_bench.types import Array, Estimate, Problem, Row, Trajectory, Truth
 
 TOUCH: Final = 5.0
-"""N of the touch that is to be found, and a tenth of it in N m."""
+"""N of the contact force that is estimated; its moment is a tenth of it in N m."""
 
 RATE: Final = 50.0
-"""Hz of the motion with the touch."""
+"""Hz of the motion with the contact."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContactTest:
-    """A motion that was not trained on, its last half with a touch on the last body: what the
-    sensor measures (N, 6), and the torques (N, k) and wrenches (N, 6) that methods have to find."""
+    """A motion that was not trained on, with a contact on the last body during its second half:
+    the measured wrench (N, 6), and the joint torques (N, k) and contact wrench (N, 6) to estimate.
+    """
 
     method: SensorNewtonEuler
     wrench: Array
     tau: Array
     touch: Array
 
-    def errors(self, ready: Prepared, estimate: Estimate) -> dict[str, WrenchErrors] | None:
+    def errors(
+        self, problem: Problem, truth: Truth, estimate: Estimate
+    ) -> dict[str, WrenchErrors] | None:
         """RMS errors with true, CAD and identified parameters side by side; None without them."""
-        prior, theta = ready.problem.prior, _theta(estimate, ready.problem)
+        prior, theta = problem.prior, _theta(estimate, problem)
         if prior is None or theta is None:
             return None
-        sets = {"true": ready.truth.theta, "CAD": prior.theta, "identified": theta}
-        places = {name: i for i, name in enumerate(ready.problem.parameters)}
+        sets = {"true": truth.theta, "CAD": prior.theta, "identified": theta}
+        index = {name: i for i, name in enumerate(problem.parameters)}
         phis = {
-            name: np.array([told[places[c]] if c in places else 0.0 for c in self.method.columns])
-            for name, told in sets.items()
+            name: np.array([values[index[c]] if c in index else 0.0 for c in self.method.columns])
+            for name, values in sets.items()
         }
         return wrench_errors(self.method, phis, self.wrench, self.tau, self.touch)
 
 
-def sensor_excitation(ready: Prepared) -> Excitation:
-    """What the data of an experiment tell of all that any motion could of its sub-tree."""
-    cut, robot = ready.task.cuts[0], ready.robot
+def sensor_excitation(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> Excitation:
+    """The part of a sub-tree's identifiable subspace that a motion excites."""
     return excitation_of(
-        sub_tree(robot, cut, ready.experiment.recording.motion),
+        sub_tree(robot, cut, motion),
         structural_subspaces(robot, cut, (robot.body_names[cut.body],)),
     )
 
 
-def contact_test(spec: ExperimentSpec, ready: Prepared) -> ContactTest | None:
-    """The trial of an experiment; None where a further sensor ends the sub-tree."""
-    if ready.task.end_sensors:
+def contact_test(spec: ExperimentSpec, robot: RobotModel, task: Task) -> ContactTest | None:
+    """The contact test of an experiment; None where a further sensor ends the sub-tree."""
+    if task.end_sensors:
         return None
-    robot, cut = ready.robot, ready.task.cuts[0]
+    cut = task.cuts[0]
     rng = np.random.default_rng(seed_of(spec.seed, "touch", spec.robot))
     motion = PointToPoint().design(design_problem(robot, RATE), rng)
     wrench = random_wrench(motion, TOUCH, rng)
@@ -88,19 +92,23 @@ def contact_test(spec: ExperimentSpec, ready: Prepared) -> ContactTest | None:
     return ContactTest(method, f_b, tau[:, list(method.tree.dofs)], wrench)
 
 
-def sensor_scores(told: Excitation, errors: dict[str, WrenchErrors] | None) -> dict[str, Any]:
-    """The part of a row that is about the sub-tree behind a sensor."""
-    row: dict[str, Any] = {
-        "structural_rank": told.structural,
-        "excited_rank": told.rank,
-        "unpredictable": len(told.unpredictable),
-        "unpredictable_names": ", ".join(told.unpredictable),
+def rank_fields(excitation: Excitation) -> Row:
+    """Row fields of the sub-tree behind a sensor: ranks, and unpredictable degrees of freedom."""
+    return {
+        "structural_rank": excitation.structural,
+        "excited_rank": excitation.rank,
+        "unpredictable": len(excitation.unpredictable),
+        "unpredictable_names": ", ".join(excitation.unpredictable),
     }
+
+
+def contact_fields(errors: dict[str, WrenchErrors] | None) -> Row:
+    """Row fields of a contact test: ratios of RMS errors; none without errors."""
     if errors is None:
-        return row
+        return {}
     true, cad, found = (asdict(errors[name]) for name in ("true", "CAD", "identified"))
     wrench = [_ratio(found[key], true[key]) for key in ("force", "moment")]
-    return row | {
+    return {
         "sensed_torque_ratio": _ratio(found["torque"], true["torque"]),
         "sensed_wrench_ratio": max(wrench, key=lambda x: -1.0 if x is None else x),
         "sensed_cad_ratio": _ratio(cad["torque"], found["torque"]),

@@ -1,11 +1,12 @@
-"""The force/torque sensors of an experiment: what they feel, ideally and as they were made."""
+"""Force/torque sensors of a simulated experiment: their readings, exact and with errors."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.experiments.spec import ExperimentSpec, noise_seed, seed_of, sensor_seed
+from sysid_bench.experiments.seeds import noise_seed, seed_of, sensor_seed
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.sensor import last_body
 from sysid_bench.simulation.force_torque import (
     Contact,
@@ -23,37 +24,40 @@ from sysid_bench.types import Array, Oracle, Recording, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class SensorMeasurement:
-    """The sensors that a task looks at, on the plant that moves; without any it changes nothing."""
+    """The sensors of a task on the moving plant. Without any, recordings are left as they are."""
 
     spec: ExperimentSpec
     plant: Plant
     task: Task
-    run: int = 0  # further runs of the same sensor have noise of their own
+    run: int = 0  # other runs of the same sensor have other noise
 
-    def measure(self, raw: Recording, oracle: Oracle, every: int) -> Recording:
-        """A recording of every `every`-th step with the reading of the sensors."""
+    def measure(self, raw: Recording, oracle: Oracle, decimation: int) -> Recording:
+        """The recording `raw` of every `decimation`-th step, with the readings of the sensors.
+
+        Raises UnsupportedError for a contact in a simulation that does not feel it.
+        """
         if not self.task.cuts:
             return raw
         white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench", self.run))
         noise = wrench_noise(self.spec.noise)
-        motion = decimated_motion(oracle.motion, every)
-        touch = self._touch(motion)
-        if touch is not None:
-            taken = contact_torque(self.plant, touch, motion)
-            raw = replace(raw, tau=raw.tau - self.plant.robot.reduced(motion.q, taken))
-        exact = self._wrench(motion, touch)
+        motion = decimated_motion(oracle.motion, decimation)
+        contact = self._contact(motion)
+        if contact is not None:
+            tau = contact_torque(self.plant, contact, motion)
+            raw = replace(raw, tau=raw.tau - self.plant.robot.reduced(motion.q, tau))
+        exact = self._wrench(motion, contact)
         parts = [
-            fault.measure(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
-            for fault, wrench in zip(
-                sensor_errors(self.spec, len(self.task.cuts)), _by_sensor(exact), strict=True
+            error.measure(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
+            for error, wrench in zip(
+                _sensor_errors(self.spec, len(self.task.cuts)), _by_sensor(exact), strict=True
             )
         ]
         rows = tuple(row for cut in self.task.cuts for row in cut.rows)
         return replace(raw, wrench=np.hstack(parts), wrench_rows=rows)
 
     def exact(self, oracle: Oracle) -> Array:
-        """All that would be measured without noise (N, nv + 6 sensors); with the constants of the
-        sensor where those are among the unknowns."""
+        """Noise-free torques and wrenches (N, nv + 6 sensors), with the constant offsets of the
+        sensors where those are among the unknowns."""
         if not self.task.cuts:
             return oracle.tau
         wrench = self._wrench(oracle.motion)
@@ -62,17 +66,17 @@ class SensorMeasurement:
             wrench += self.task.truth.theta[10 * len(self.task.bodies) :]
         return np.hstack([oracle.tau, wrench])
 
-    def _wrench(self, motion: Trajectory, touch: Contact | None = None) -> Array:
-        return sensor_wrench(self.plant, self.task.cuts, motion, touch)
+    def _wrench(self, motion: Trajectory, contact: Contact | None = None) -> Array:
+        return sensor_wrench(self.plant, self.task.cuts, motion, contact)
 
-    def _touch(self, motion: Trajectory) -> Contact | None:
-        """What touches the last body during the middle third of a motion."""
+    def _contact(self, motion: Trajectory) -> Contact | None:
+        """A contact on the last body during the middle third of a motion."""
         force = wrench_noise(self.spec.noise).touch
         if force == 0.0:
             return None
         if self.spec.simulation["use"] != "inverse":
             raise UnsupportedError(
-                "A touch (noise.touch) moves no robot: take the simulation 'inverse'."
+                "A contact (noise.touch) needs the simulation 'inverse': it moves no robot."
             )
         rng = np.random.default_rng(seed_of(noise_seed(self.spec), "touched", self.run))
         wrench, part = random_wrench(motion, force, rng), len(motion) // 3
@@ -81,13 +85,12 @@ class SensorMeasurement:
 
 
 def true_offset(spec: ExperimentSpec, count: int) -> Array:
-    """The constants (6 count,) of the sensor that is measured, and of those that end its
-    sub-tree."""
-    return np.concatenate([fault.offset for fault in sensor_errors(spec, count)])
+    """True offsets (6 count,) [n; f] of the measured sensor and of those that end its sub-tree."""
+    return np.concatenate([error.offset for error in _sensor_errors(spec, count)])
 
 
-def sensor_errors(spec: ExperimentSpec, count: int) -> list[SensorError]:
-    """How the sensors of an experiment were made."""
+def _sensor_errors(spec: ExperimentSpec, count: int) -> list[SensorError]:
+    """Offset, drift, gain, crosstalk and mounting errors of each sensor of an experiment."""
     rng, noise = np.random.default_rng(sensor_seed(spec)), wrench_noise(spec.noise)
     return [sensor_error(noise, rng) for _ in range(count)]
 
@@ -96,7 +99,7 @@ def _by_sensor(wrenches: Array) -> list[Array]:
     return np.split(wrenches, wrenches.shape[1] // 6, axis=1)
 
 
-def decimated_motion(motion: Trajectory, every: int) -> Trajectory:
-    """Every `every`-th sample of a motion."""
-    part = slice(None, None, every)
+def decimated_motion(motion: Trajectory, decimation: int) -> Trajectory:
+    """Every `decimation`-th sample of a motion."""
+    part = slice(None, None, decimation)
     return replace(motion, t=motion.t[part], q=motion.q[part], v=motion.v[part], a=motion.a[part])

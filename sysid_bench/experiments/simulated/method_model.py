@@ -1,4 +1,4 @@
-"""What methods that simulate are told beside their problem: functions that keep their secrets."""
+"""Simulation callables for methods, without access to the ground truth."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,32 +13,32 @@ from sysid_bench.simulation.closed_loop import ClosedLoop
 from sysid_bench.simulation.kinematics_only import kinematics_only
 from sysid_bench.simulation.parametrised_plant import KnownModel, parametrised_plant
 from sysid_bench.tasks.task import Task
-from sysid_bench.types import (
-    Array,
-    Recording,
-    Trajectory,
-)
+from sysid_bench.types import Array, Recording, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class KnownTorque:
-    """What methods are told of the torque along any motion."""
+    """Torque (N, rows) of the known parts of a task along any motion."""
 
-    told: KnownModel
-    places: tuple[int, ...]
+    model: KnownModel
+    rows: tuple[int, ...]
 
     def __call__(self, motion: Trajectory) -> Array:
-        told = self.told
-        tau = newton_euler(told.robot.tree, told.known_links, motion)
-        tau += term_torque(told.robot, told.known_terms, told.known_coupling, motion)
-        return told.robot.reduced(motion.q, tau)[:, list(self.places)]
+        model = self.model
+        tau = newton_euler(model.robot.tree, model.known_links, motion)
+        tau += term_torque(model.robot, model.known_terms, model.known_coupling, motion)
+        return model.robot.reduced(motion.q, tau)[:, list(self.rows)]
 
 
 @dataclass(frozen=True, eq=False)
 class SimulateModel:
-    """The method's own model along the commanded motion, under the declared controller."""
+    """The method's own model along the commanded motion, under the declared controller.
 
-    told: KnownModel
+    Raises UnsupportedError without a controller, EstimationError for `theta` (p,) that cannot be
+    simulated.
+    """
+
+    model: KnownModel
     raw: Recording
 
     def __call__(self, theta: Array) -> Recording:
@@ -47,18 +47,18 @@ class SimulateModel:
             raise UnsupportedError(
                 "This recording declares no controller: nothing to simulate with."
             )
-        theta, size = np.asarray(theta, dtype=float), len(self.told.parameters)
+        theta, size = np.asarray(theta, dtype=float), len(self.model.parameters)
         if theta.shape != (size,):
             raise EstimationError(f"theta has the shape {theta.shape}; expected ({size},).")
         if not np.isfinite(theta).all():
-            bad = self.told.parameters[int(np.flatnonzero(~np.isfinite(theta))[0])]
+            bad = self.model.parameters[int(np.flatnonzero(~np.isfinite(theta))[0])]
             raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
-        plant = parametrised_plant(self.told, theta)
+        plant = parametrised_plant(self.model, theta)
         oracle = ClosedLoop(rate=controller.rate).track(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
-        every = round(controller.rate / self.raw.rate)
-        kept = slice(None, None, every)
+        decimation = round(controller.rate / self.raw.rate)
+        kept = slice(None, None, decimation)
         motion = oracle.motion
         return replace(
             self.raw,
@@ -71,17 +71,16 @@ class SimulateModel:
 
 
 def known_model(robot: RobotModel, task: Task) -> KnownModel:
-    """What the task tells of the robot."""
-    bare = kinematics_only(robot)
+    """The robot without its unknown parameters: kinematics, and the parts that the task knows."""
     coupling = task.known_coupling
     return KnownModel(
-        bare, task.parameters, task.bodies, task.known_links, task.known_terms,
+        kinematics_only(robot), task.parameters, task.bodies, task.known_links, task.known_terms,
         np.zeros((robot.nv, robot.nv)) if coupling is None else coupling,
     )  # fmt: skip
 
 
-def refuse_simulation(asked: Any) -> Any:
-    """What a loop needs beside the sensors is not declared."""
+def refuse_simulation(_: Any) -> Any:
+    """Raise UnsupportedError: a closed loop needs more of the robot than the sensors see."""
     raise UnsupportedError(
         "A task with force/torque sensors declares no whole robot: nothing to simulate with."
     )

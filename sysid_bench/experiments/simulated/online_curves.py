@@ -1,14 +1,15 @@
-"""On-line curves of a task behind a force/torque sensor: torques and parameters as they come in.
+"""On-line curves of a task behind a force/torque sensor: torques and parameters over time.
 
-Figures 3 and 4 of Traversaro et al. (2015): joint torques from the parameters told beforehand (CAD)
-and from those found so far, and how the parameters converge.
+Figures 3 and 4 of Traversaro et al. (2015): joint torques by the prior parameters (CAD) and by the
+current estimate, and the convergence of the parameters.
 """
 
 from typing import Final
 
 import numpy as np
 
-from sysid_bench.experiments.simulated.prepare import Prepared
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.linear.normal_qr import residual_norms
 from sysid_bench.identification.linear.online_estimation import (
     ParameterTrack,
@@ -22,17 +23,17 @@ HISTORY: Final = 400
 """Points of a curve, about."""
 
 
-def online_curves(ready: Prepared) -> tuple[Curve, ...]:
+def online_curves(prepared: Prepared[SimulatedSource]) -> tuple[Curve, ...]:
     """The curves of an experiment with the task `wrench` and a prior; of any other, none."""
-    problem = ready.problem
-    if ready.task.name != "wrench" or problem.prior is None or problem.samples == 0:
+    problem = prepared.problem
+    if prepared.source.task.name != "wrench" or problem.prior is None or problem.samples == 0:
         return ()
     track = _track_of(problem)
-    motion = ready.experiment.recording.motion
+    motion = prepared.experiment.recording.motion
     kept = Trajectory(*(x[track.places] for x in (motion.t, motion.q, motion.v, motion.a)))
     return (
-        *_torques(ready, track, kept),
-        _convergence(problem, track, problem.base.K @ ready.truth.theta, kept.t),
+        *_torques(prepared, track, kept),
+        _convergence(problem, track, problem.base.K @ prepared.source.truth.theta, kept.t),
     )
 
 
@@ -40,20 +41,20 @@ def _track_of(problem: Problem) -> ParameterTrack:
     """Recursive least squares over the samples of a problem, from its prior."""
     assert problem.prior is not None
     W, f = rows_of(problem)
-    K, every = problem.base.K, max(len(f) // HISTORY, 1)
+    K, step = problem.base.K, max(len(f) // HISTORY, 1)
     spread = (K * problem.prior.std**2) @ K.T
-    return RecursiveEstimator(every=every).run(
+    return RecursiveEstimator(every=step).run(
         W, f, _noise(problem), K @ problem.prior.theta, spread
     )
 
 
 def _noise(problem: Problem) -> Array:
-    """Standard deviation (m,) of each row, as the best fit leaves it."""
+    """Standard deviation (m,) of each row: RMS residual of the best fit."""
     R = np.vstack([np.zeros((1, problem.base.rank + 1)), *_spread(problem)])
     beta = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0]
     size = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
     left = residual_norms(problem, beta)
-    # Exact data leave rounding errors, which say nothing of a row's worth.
+    # Exact data leave rounding errors, whose size is not a weight.
     return np.asarray(np.maximum(left, 1e-6 * max(size.max(), 1e-12)) / np.sqrt(problem.samples))
 
 
@@ -66,20 +67,22 @@ def _spread(problem: Problem) -> list[Array]:
     return wide
 
 
-def _torques(ready: Prepared, track: ParameterTrack, motion: Trajectory) -> list[Curve]:
-    tree = sub_tree(ready.robot, ready.task.cuts[0], motion)
-    problem = ready.problem
+def _torques(
+    prepared: Prepared[SimulatedSource], track: ParameterTrack, motion: Trajectory
+) -> list[Curve]:
+    tree = sub_tree(prepared.robot, prepared.source.task.cuts[0], motion)
+    problem = prepared.problem
     assert problem.prior is not None
-    places = {name: i for i, name in enumerate(problem.parameters)}
-    own = np.array([places.get(name, -1) for name in tree.columns])
+    index = {name: i for i, name in enumerate(problem.parameters)}
+    columns = np.array([index.get(name, -1) for name in tree.columns])
     sets = {
-        "true": np.tile(ready.truth.theta, (len(motion), 1)),
+        "true": np.tile(prepared.source.truth.theta, (len(motion), 1)),
         "CAD": np.tile(problem.prior.theta, (len(motion), 1)),
         "on-line": np.array([problem.base.embed(beta) for beta in track.beta]),
     }
     torques = {}
     for name, theta in sets.items():
-        phi = np.where(own >= 0, theta[:, own], 0.0)
+        phi = np.where(columns >= 0, theta[:, columns], 0.0)
         torques[name] = np.einsum("nkp,np->nk", tree.Y_c, phi)
     return [
         Curve(f"torque of {row}", motion.t, {name: tau[:, i] for name, tau in torques.items()})
@@ -88,7 +91,7 @@ def _torques(ready: Prepared, track: ParameterTrack, motion: Trajectory) -> list
 
 
 def _convergence(problem: Problem, track: ParameterTrack, true: Array, t: Array) -> Curve:
-    """Sizes of the error and of its declared deviation, relative to the parameters'."""
+    """Norms of the error and of its declared deviation, relative to that of the parameters."""
     assert problem.prior is not None
     size = float(np.linalg.norm(true)) or 1.0
     cad = np.linalg.norm(problem.base.K @ problem.prior.theta - true) / size

@@ -1,6 +1,6 @@
-"""Recordings made fit for their task: sensors calibrated in place, contact periods left out."""
+"""Preprocessing of simulated recordings: in-situ calibration of sensors, removal of contacts."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -11,10 +11,8 @@ from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.experiments.robot_cache import LoadedRobot
 from sysid_bench.experiments.simulated.ft_sensors import SensorMeasurement
 from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_signals
-from sysid_bench.experiments.simulated.record import SimulatedRobot, record
-from sysid_bench.experiments.spec import (
-    ExperimentSpec,
-)
+from sysid_bench.experiments.simulated.record import SampledRecording, SimulatedRobot, record
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identification.contact_detection import free_samples
 from sysid_bench.identification.linear.online_estimation import rows_of
 from sysid_bench.identification.sensor_calibration import Calibration, calibrate
@@ -24,24 +22,47 @@ from sysid_bench.models.sensor import cut_at, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.task import Task
-from sysid_bench.types import (
-    Recording,
-)
+from sysid_bench.types import Array, Recording
 from sysid_bench.units import interval
 
 
-def estimate_calibration(spec: ExperimentSpec, subject: LoadedRobot, task: Task) -> Calibration:
-    """What the measured sensor tells of itself with known payloads, on the same motion."""
+@dataclass(frozen=True, eq=False)
+class ProcessedRecording:
+    """A recording with its sensors calibrated: `raw` unfiltered, `recording` filtered and without
+    contact periods, which were the share `left_out` of its samples."""
+
+    raw: Recording
+    recording: Recording
+    left_out: float
+
+
+def preprocess(
+    spec: ExperimentSpec, loaded: LoadedRobot, builder: ProblemBuilder, sampled: SampledRecording
+) -> ProcessedRecording:
+    """The recording as the task needs it.
+
+    Raises UsageError where the contact periods leave nothing.
+    """
+    raw, recording = sampled.raw, sampled.recording
+    if "calibration" in spec.signals and builder.task.cuts:
+        calibration = _estimate_calibration(spec, loaded, builder.task)
+        raw, recording = (_calibrated(one, calibration) for one in (raw, recording))
+    recording, left_out = _without_contact(spec.signals.get("contacts"), recording, builder)
+    return ProcessedRecording(raw, recording, left_out)
+
+
+def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task) -> Calibration:
+    """In-situ calibration of the measured sensor, with known payloads on the same motion."""
     readings, known = [], []
-    for run, load in enumerate(spec.signals["calibration"], 1):
-        robot = load_robot(subject.robot.manifest, parse_payload(load), spec.free_base)
+    for run, payload in enumerate(spec.signals["calibration"], 1):
+        robot = load_robot(loaded.robot.manifest, parse_payload(payload), spec.free_base)
         cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
-        plant = plant_of(robot, [subject.build_plugin("plant", spec.plant)])
-        sensing = SensorMeasurement(spec, plant, replace(task, cuts=cuts), run)
-        take = SimulatedRobot(
-            spec, replace(subject, robot=robot), plant, partial(design_problem, robot)
+        plant = plant_of(robot, [loaded.build_plugin("plant", spec.plant)])
+        sensors = SensorMeasurement(spec, plant, replace(task, cuts=cuts), run)
+        simulated = SimulatedRobot(
+            spec, replace(loaded, robot=robot), plant, partial(design_problem, robot)
         )
-        recording = record(spec, take, sensing).recording
+        recording = record(spec, simulated, sensors).recording
         instruments = instruments_of(robot, cuts)
         motion = instruments.motion(recording.motion)
         model = newton_euler(instruments.tree, instruments.tree.composite_links(robot.phi), motion)
@@ -51,31 +72,25 @@ def estimate_calibration(spec: ExperimentSpec, subject: LoadedRobot, task: Task)
     return calibrate(np.concatenate(readings), np.concatenate(known))
 
 
-def apply_calibration(recording: Recording, calibration: Calibration) -> Recording:
-    """The recording with the first sensor's reading corrected."""
+def _calibrated(recording: Recording, calibration: Calibration) -> Recording:
+    """The recording with the reading of the first sensor corrected."""
     assert recording.wrench is not None
     wrench = recording.wrench.copy()
     wrench[:, :6] = calibration.apply(wrench[:, :6])
     return replace(recording, wrench=wrench)
 
 
-def remove_contact(
-    contacts: Any, recording: Recording, posing: ProblemBuilder
+def _without_contact(
+    contacts: Any, recording: Recording, builder: ProblemBuilder
 ) -> tuple[Recording, float]:
-    """The recording without contact periods, declared or found, and the share that is left out."""
+    """The recording without contact periods, declared or detected, and the share left out."""
     if not contacts:
         return recording, 0.0
     if contacts == "detect":
-        free = free_samples(*rows_of(posing.build(recording.motion, measured_signals(recording))))
+        measured = measured_signals(recording)
+        free = free_samples(*rows_of(builder.build(recording.motion, measured)))
     else:
-        t, free = recording.t, np.ones(len(recording), dtype=bool)
-        for start, end in map(interval, contacts):
-            free &= ~((t >= start) & (t < end))
-        if not free.any():
-            raise UsageError(
-                f"The contact periods {', '.join(contacts)} leave nothing of a recording from "
-                f"{t[0]:g} s to {t[-1]:g} s."
-            )
+        free = _outside(contacts, recording.t)
     motion = recording.motion
     kept = replace(
         recording, t=motion.t[free], q=motion.q[free], v=motion.v[free], a=motion.a[free],
@@ -83,3 +98,16 @@ def remove_contact(
         wrench=None if recording.wrench is None else recording.wrench[free],
     )  # fmt: skip
     return kept, 1.0 - float(free.mean())
+
+
+def _outside(periods: Any, t: Array) -> Array:
+    """Mask (N,) of the times outside of all periods ("10 s to 25 s")."""
+    free = np.ones(len(t), dtype=bool)
+    for start, end in map(interval, periods):
+        free &= ~((t >= start) & (t < end))
+    if not free.any():
+        raise UsageError(
+            f"The contact periods {', '.join(periods)} leave nothing of a recording from "
+            f"{t[0]:g} s to {t[-1]:g} s."
+        )
+    return free

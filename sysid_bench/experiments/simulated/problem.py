@@ -1,4 +1,4 @@
-"""A robot and a task as problems: motions and measurements become W beta = b."""
+"""Problems W beta = b of a robot and a task, from motions and measured signals."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,21 +14,14 @@ from sysid_bench.regressors.qr_accumulation import accumulate, dense_blocks
 from sysid_bench.regressors.regression import TERM
 from sysid_bench.regressors.wrench import transferred_wrench
 from sysid_bench.tasks.task import Task
-from sysid_bench.types import (
-    Array,
-    BaseMap,
-    Prior,
-    Problem,
-    Recording,
-    Trajectory,
-)
+from sysid_bench.types import Array, BaseMap, Prior, Problem, Recording, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class ProblemBuilder:
-    """Turns motions and torques of one robot and task into problems.
+    """Builder of problems of one robot and task.
 
-    A problem goes to methods, so it never holds this: the task knows the answer.
+    A problem goes to methods and never holds its builder, whose task contains the truth.
     """
 
     robot: RobotModel
@@ -38,22 +31,24 @@ class ProblemBuilder:
 
     @cached_property
     def instruments(self) -> Instruments:
-        """What is measured: joint torques, and the sensors of the task."""
+        """The measured signals: joint torques, and the sensors of the task."""
         return instruments_of(self.robot, self.task.cuts)
 
     @property
     def row_indices(self) -> tuple[int, ...]:
-        """The rows that the task measures, as places among all that is measured."""
-        own = self.instruments.measured
-        return tuple(own.index(row) for row in (own if self.task.rows is None else self.task.rows))
+        """Indices of the task's rows among all measured signals."""
+        measured = self.instruments.measured
+        rows = measured if self.task.rows is None else self.task.rows
+        return tuple(measured.index(row) for row in rows)
 
     def build(self, motion: Trajectory, measured: Array, prior: Prior | None = None) -> Problem:
-        """W beta = b along a motion, what is known taken from what is measured (N, n + 6 sensors):
-        known torque, and the wrenches of the sensors that end the sub-tree."""
+        """W beta = b along a motion, with b the measured signals (N, n + 6 sensors) minus the known
+        torque and the wrenches of the sensors that end the sub-tree."""
         b = measured - self.known(motion)
+        # A sub-tree between two sensors feels the difference of their wrenches at one point.
         for stop in self.task.end_sensors:
             cut, names = self.task.cuts[0], self.instruments.measured
-            root, end = ([names.index(row) for row in at.rows] for at in (cut, stop))
+            root, end = ([names.index(row) for row in sensor.rows] for sensor in (cut, stop))
             b[:, root] -= transferred_wrench(self.instruments, motion, cut, stop, measured[:, end])
         motion = self.instruments.motion(motion)
         return Problem(
@@ -83,7 +78,7 @@ class ProblemBuilder:
 
 
 def measured_signals(recording: Recording) -> Array:
-    """All that is measured (N, n + 6 sensors): torque, then wrenches."""
+    """Measured signals (N, n + 6 sensors): torques, then wrenches."""
     parts = [recording.tau] if recording.wrench is None else [recording.tau, recording.wrench]
     return np.hstack(parts)
 
@@ -104,6 +99,7 @@ def term_torque(
 ) -> Array:
     """Torque (N, nv) of joint terms, by name (nv,), and of a viscous coupling (nv, nv)."""
     tau = np.zeros_like(motion.v)
+    # Springs alone depend on positions, relative to their reference.
     deflection = scalar_positions(robot, motion) - robot.joint_terms.spring_reference
     if coupling is not None:
         tau += motion.v @ coupling.T
@@ -115,7 +111,7 @@ def term_torque(
 
 
 def scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
-    """Positions (N, nv) of hinges and slides; zero elsewhere."""
+    """Positions (N, nv) of hinges and slides (rad, m); zero for other joints."""
     out = np.zeros_like(motion.v)
     for joint in robot.joints:
         if joint.kind in ("hinge", "slide"):

@@ -1,4 +1,4 @@
-"""Recordings of a plant that moves as an excitation says, as sensed and as filtered."""
+"""Simulated recordings: a plant moves along an excitation, its sensors are read and filtered."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,6 +11,13 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.experiments.robot_cache import LoadedRobot
+from sysid_bench.experiments.seeds import (
+    drift_seed,
+    held_out_seed,
+    motion_seed,
+    noise_seed,
+    run_seed,
+)
 from sysid_bench.experiments.simulated.commanded import design_motion
 from sysid_bench.experiments.simulated.ft_sensors import SensorMeasurement, decimated_motion
 from sysid_bench.experiments.simulated.problem import (
@@ -18,75 +25,61 @@ from sysid_bench.experiments.simulated.problem import (
     regressor_blocks,
     scalar_positions,
 )
-from sysid_bench.experiments.spec import (
-    ExperimentSpec,
-    drift_seed,
-    held_out_seed,
-    motion_seed,
-    noise_seed,
-    run_seed,
-)
+from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.simulation.force_torque import WRENCH_NOISE
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import Plant
-from sysid_bench.simulation.sensors import Noise, draw_noise, encoder_error, measure
+from sysid_bench.simulation.sensors import Noise, NoiseDraws, draw_noise, encoder_error, measure
 from sysid_bench.tasks.task import Task
-from sysid_bench.types import (
-    Array,
-    Controller,
-    Oracle,
-    Recording,
-    Trajectory,
-)
-
-Briefed = Callable[[float], DesignProblem]
-"""The brief of an experiment at a rate (Hz)."""
+from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedRobot:
-    """A plant that moves as an excitation says."""
+    """A plant that moves along an excitation."""
 
     spec: ExperimentSpec
     loaded: LoadedRobot
     plant: Plant
-    design_problem: Briefed
+    design_problem: Callable[[float], DesignProblem]  # at a rate (Hz)
 
     @cached_property
     def simulation(self) -> Any:
-        """What moves it."""
+        """The simulation plug-in."""
         return self.loaded.build_plugin("simulation", self.spec.simulation)
 
     @property
     def decimation(self) -> int:
         """Steps of the simulation per sample of the recording."""
-        return round(self.simulation.design_rate(self.spec.rate) / self.spec.rate)
+        rate: float = self.simulation.design_rate(self.spec.rate)
+        return round(rate / self.spec.rate)
 
     @cached_property
     def commanded(self) -> Trajectory:
-        """The motion that is asked for."""
-        brief = self.design_problem(self.simulation.design_rate(self.spec.rate))
-        return design_motion(self.spec.excitation, self.loaded, brief, motion_seed(self.spec))
+        """The commanded motion, at the rate of the simulation."""
+        problem = self.design_problem(self.simulation.design_rate(self.spec.rate))
+        return design_motion(self.spec.excitation, self.loaded, problem, motion_seed(self.spec))
 
     def run(self, error: Array) -> tuple[Oracle, Controller | None]:
-        """What happens where encoders err so much (N, n)."""
-        if type(self.simulation) is Inverse:  # which no encoder disturbs
+        """Ground truth of the motion with encoder errors (N, n), and the controller."""
+        # Inverse dynamics reads no encoder: one run serves all errors.
+        if type(self.simulation) is Inverse:
             return self._undisturbed, None
         oracle, controller = self.simulation.run(self.plant, self.commanded, error)
         return oracle, controller
 
     @cached_property
     def _undisturbed(self) -> Oracle:
-        still = np.zeros((len(self.commanded), len(self.plant.robot.torque_dofs)))
-        oracle: Oracle = self.simulation.run(self.plant, self.commanded, still)[0]
+        no_error = np.zeros((len(self.commanded), len(self.plant.robot.torque_dofs)))
+        oracle: Oracle = self.simulation.run(self.plant, self.commanded, no_error)[0]
         return oracle
 
 
 @dataclass(frozen=True)
 class Repetition:
-    """One recording of the commanded motion: the how manieth, and whether the payload is on."""
+    """One recording of the commanded motion: its index, and whether the payload is mounted."""
 
     index: int
     loaded: bool
@@ -94,17 +87,20 @@ class Repetition:
 
 
 def repetitions(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
-    """The recordings that an experiment makes, in order. The first loaded one has the noise that it
-    has without the others: comparisons are paired."""
+    """The recordings of an experiment in order, "A" without and "B" with the payload.
+
+    The first loaded one has the noise that it has without the others, so that comparisons are
+    paired. Raises UnsupportedError for tasks and signals that allow one recording alone.
+    """
     order = spec.signals.get("runs", "B")
     if "A" in order and (task.name != "payload" or task.cuts):
         raise UnsupportedError(
-            "Runs without the payload tell of the payload, from joint torques alone; the task is "
+            "Runs without the payload identify the payload, from joint torques alone; the task is "
             f"{task.name!r}{' with sensors' if task.cuts else ''}."
         )
     if len(order) > 1 and spec.signals.get("contacts"):
         raise UnsupportedError(
-            "Contact periods leave different samples of each run: take runs or contacts."
+            "Contact periods leave different samples of each run: choose runs or contacts."
         )
     first = order.index("B")
     return tuple(
@@ -115,105 +111,125 @@ def repetitions(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
 
 @dataclass(frozen=True, eq=False)
 class SampledRecording:
-    """The recording as sensed and as filtered, and what only scoring may know of it."""
+    """A recording before (`raw`) and after filters, and what scoring alone may know of it."""
 
     raw: Recording
     recording: Recording
     oracle: Oracle
-    every: int
+    decimation: int  # steps of the simulation per sample
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
 
-    def cramer_rao_bound(self, posing: "ProblemBuilder") -> Array | None:
+    def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
         """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
         a row has no noise of that kind, or the motion does not excite every direction."""
-        if posing.task.cuts or not (self.torque_std[list(posing.row_indices)] > 0).all():
+        if builder.task.cuts or not (self.torque_std[list(builder.row_indices)] > 0).all():
             return None
-        return _bound(posing, self.oracle, self.every, tuple(self.torque_std), self.correlation)
+        return _bound(
+            builder, self.oracle, self.decimation, tuple(self.torque_std), self.correlation
+        )
 
 
 @lru_cache(maxsize=2)
 def _bound(
-    posing: "ProblemBuilder", oracle: Oracle, every: int, std: tuple[float, ...], correlation: float
+    builder: ProblemBuilder,
+    oracle: Oracle,
+    decimation: int,
+    std: tuple[float, ...],
+    correlation: float,
 ) -> Array | None:
-    motion, places = decimated_motion(oracle.motion, every), posing.row_indices
-    of_rows = np.array(std)[list(places)]
+    motion, rows = decimated_motion(oracle.motion, decimation), builder.row_indices
+    row_std = np.array(std)[list(rows)]
     if correlation == 0.0:
-        found = white_bound(posing.build(motion, oracle.tau[::every]), of_rows)
-    else:  # rows that are whitened in time are dense
-        rows = regressor_blocks(posing.regression, places, posing.instruments, motion)
-        found = torque_bound(rows, np.diag(of_rows**2), correlation)
-    return None if found is None else np.sqrt(np.diag(found))
+        covariance = white_bound(builder.build(motion, oracle.tau[::decimation]), row_std)
+    else:  # whitening in time mixes samples: the blocks have to be dense
+        blocks = regressor_blocks(builder.regression, rows, builder.instruments, motion)
+        covariance = torque_bound(blocks, np.diag(row_std**2), correlation)
+    return None if covariance is None else np.sqrt(np.diag(covariance))
 
 
 def record(
     spec: ExperimentSpec,
-    take: SimulatedRobot,
-    sensing: SensorMeasurement,
-    turn: Repetition | None = None,
+    simulated: SimulatedRobot,
+    sensors: SensorMeasurement,
+    repetition: Repetition | None = None,
 ) -> SampledRecording:
     """The recording of one repeat, and of one of its runs where there are several."""
-    place, seed = (0, noise_seed(spec)) if turn is None else (turn.index, turn.seed)
-    robot, every, commanded = take.plant.robot, take.decimation, take.commanded
-    noise = Noise(**{k: x for k, x in spec.noise.items() if k not in WRENCH_NOISE})
+    index, seed = (
+        (0, noise_seed(spec)) if repetition is None else (repetition.index, repetition.seed)
+    )
+    robot, commanded = simulated.plant.robot, simulated.commanded
+    decimation = simulated.decimation
+    noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
     processing = processing_of(spec.signals)
     rng = np.random.default_rng(seed)
-    moving = robot.torque_dofs
-    draws = draw_noise(len(commanded), len(range(0, len(commanded), every)), len(moving), rng)
-    error = encoder_error(noise, draws)
-    oracle, controller = take.run(error)
-    if noise.quantum > 0:
-        # Rounding depends on where the robot is: the positions of a first run tell, the second runs
-        # with the loop seeing it.
-        scalar = np.flatnonzero(np.isin(moving, robot.scalar_dofs))
-        there = scalar_positions(robot, oracle.motion)[:, moving]
-        error = encoder_error(noise, draws, there, scalar)
-        oracle, controller = take.run(error)
-        # Recorded is what is read where the robot was then: it lies on the encoder's grid.
-        there = scalar_positions(robot, oracle.motion)[:, moving]
-        error = encoder_error(noise, draws, there, scalar)
-    torque_std = noise.torque_std(oracle.tau[::every])
+    samples = len(range(0, len(commanded), decimation))
+    draws = draw_noise(len(commanded), samples, len(robot.torque_dofs), rng)
+    oracle, controller, error = _run_with_encoders(simulated, noise, draws)
+    torque_std = noise.torque_std(oracle.tau[::decimation])
     raw = measure(
         robot,
         oracle,
         error,
         torque_std * noise.in_time(draws.torque),
-        every,
-        # Without a controller the robot moves exactly as commanded: to tell would be the truth.
-        None if controller is None else commanded,
-        controller,
+        decimation,
+        # Without a controller the robot moves exactly as commanded, which is the ground truth.
+        commanded=None if controller is None else commanded,
+        controller=controller,
         ideal_rates=not processing.differentiate,
     )
-    raw = sensing.measure(_drifted(spec, raw, place, noise.tau_drift), oracle, every)
-    recording = _completed(robot, processing.apply(raw, robot.joints))
-    return SampledRecording(raw, recording, oracle, every, torque_std, noise.tau_correlation)
+    raw = sensors.measure(_with_drift(spec, raw, index, noise.tau_drift), oracle, decimation)
+    recording = _with_dependent_joints(robot, processing.apply(raw, robot.joints))
+    return SampledRecording(raw, recording, oracle, decimation, torque_std, noise.tau_correlation)
 
 
-def _drifted(spec: ExperimentSpec, recording: Recording, place: int, level: float) -> Recording:
-    """The recording with torques that drift from the first run on; runs follow at once."""
+def _run_with_encoders(
+    simulated: SimulatedRobot, noise: Noise, draws: NoiseDraws
+) -> tuple[Oracle, Controller | None, Array]:
+    """Ground truth, controller, and encoder errors (N, n) of a run whose loop sees these errors."""
+    error = encoder_error(noise, draws)
+    oracle, controller = simulated.run(error)
+    if noise.quantum == 0:
+        return oracle, controller, error
+    robot = simulated.plant.robot
+    dofs = robot.torque_dofs
+    scalar = np.flatnonzero(np.isin(dofs, robot.scalar_dofs))
+    # Rounding depends on the position: the first run gives positions, the second one runs with the
+    # loop seeing their rounding errors. The recorded errors are those of its own positions, so that
+    # readings lie on the grid of the encoder.
+    error = encoder_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
+    oracle, controller = simulated.run(error)
+    error = encoder_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
+    return oracle, controller, error
+
+
+def _with_drift(spec: ExperimentSpec, recording: Recording, index: int, level: float) -> Recording:
+    """The recording with linear torque drift (N m/s, N/s) since the first run; runs follow each
+    other without a pause."""
     if level == 0.0:
         return recording
     slope = level * np.random.default_rng(drift_seed(spec)).normal(size=recording.tau.shape[1])
-    start = place * len(recording) / recording.rate
+    start = index * len(recording) / recording.rate
     return replace(recording, tau=recording.tau + (recording.t + start)[:, None] * slope)
 
 
-def _completed(robot: RobotModel, recording: Recording) -> Recording:
-    """The recording with the joints that follow where filtered signals put the others."""
+def _with_dependent_joints(robot: RobotModel, recording: Recording) -> Recording:
+    """The recording with dependent joints solved from the filtered independent ones."""
     if robot.coupling is None:
         return recording
     motion = robot.completed(recording.motion)
     return replace(recording, q=motion.q, v=motion.v, a=motion.a)
 
 
-def held_out_motions(spec: ExperimentSpec, take: SimulatedRobot) -> dict[str, Oracle]:
-    """Other motions of the same plant, exact: what scoring compares with."""
+def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[str, Oracle]:
+    """Ground truth of other motions of the same plant, by excitation, for scoring."""
     motions: dict[str, Oracle] = {}
-    for place, excitation in enumerate(spec.held_out):
-        seed = held_out_seed(spec, place)
-        motion = design_motion(excitation, take.loaded, take.design_problem(spec.rate), seed)
-        still = np.zeros((len(motion), len(take.plant.robot.torque_dofs)))
-        oracle, _ = Inverse().run(take.plant, motion, still)
+    for index, excitation in enumerate(spec.held_out):
+        seed = held_out_seed(spec, index)
+        problem = simulated.design_problem(spec.rate)
+        motion = design_motion(excitation, simulated.loaded, problem, seed)
+        no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
+        oracle, _ = Inverse().run(simulated.plant, motion, no_error)
         name = excitation["use"]
-        motions[name if name not in motions else f"{name}-{place}"] = oracle
+        motions[name if name not in motions else f"{name}-{index}"] = oracle
     return motions

@@ -1,4 +1,4 @@
-"""A stranger's effect, excitation and estimator, named in two ways, through the whole harness."""
+"""A user's effect, excitation and estimator, named in two ways, in whole experiments."""
 
 from pathlib import Path
 from typing import Any
@@ -8,13 +8,13 @@ import pytest
 from sysid_bench.types import Row
 from tests.experiments.experiment_world import CLOSED_LOOP, RICH, executed, spec
 
-FILE = Path(__file__).parent / "strangers.py"
-WAYS = {"module": "tests.experiments.strangers", "file": f"file:{FILE}"}
+FILE = Path(__file__).parent / "plugins.py"
+WAYS = {"module": "tests.experiments.plugins", "file": f"file:{FILE}"}
 
 
 @pytest.fixture(params=WAYS)
-def strangers(request: pytest.FixtureRequest) -> str:
-    """How the module of plug-ins is named."""
+def plugins(request: pytest.FixtureRequest) -> str:
+    """Name of the module of plug-ins: dotted, or of a file."""
     return WAYS[request.param]
 
 
@@ -23,8 +23,8 @@ def only(rows: list[Row]) -> Row:
     return row
 
 
-def test_an_estimator(strangers: str) -> None:
-    ols, ridge = executed(spec(), "ols", {"use": f"{strangers}:Ridge", "weight": 1e-10})
+def test_an_estimator(plugins: str) -> None:
+    ols, ridge = executed(spec(), "ols", {"use": f"{plugins}:Ridge", "weight": 1e-10})
     assert ridge["status"] == "ok", ridge["reason"]
     assert ridge["stats"] == {"weight": 1e-10}
     assert ridge["torque_error"] < 1e-5
@@ -32,10 +32,10 @@ def test_an_estimator(strangers: str) -> None:
 
 
 @pytest.mark.parametrize("simulation", [{"use": "inverse"}, CLOSED_LOOP], ids=str)
-def test_an_effect(strangers: str, simulation: dict[str, str]) -> None:
+def test_an_effect(plugins: str, simulation: dict[str, str]) -> None:
     errors = []
     for size in ("0 N m", "0.5 N m", "5 N m"):
-        plant = {"use": f"{strangers}:Drag", "size": size}
+        plant = {"use": f"{plugins}:Drag", "size": size}
         row = only(executed(spec(robot=RICH, plant=plant, simulation=simulation), "ols"))
         assert row["status"] == "ok", row["reason"]
         errors.append(row["torque_error"])
@@ -43,16 +43,16 @@ def test_an_effect(strangers: str, simulation: dict[str, str]) -> None:
     assert errors[0] < errors[1] < errors[2]
 
 
-def test_an_excitation(strangers: str) -> None:
-    hops: dict[str, Any] = {"use": f"{strangers}:Hops", "duration": "6 s"}
+def test_an_excitation(plugins: str) -> None:
+    hops: dict[str, Any] = {"use": f"{plugins}:Hops", "duration": "6 s"}
     row = only(executed(spec(excitation=hops, held_out=(hops, {"use": "ptp"})), "ols"))
     assert row["status"] == "ok", row["reason"]
     assert row["torque_error"] < 1e-7
     assert list(row["torque_error_by_motion"]) == [hops["use"], "ptp"]
 
 
-def test_a_wrong_setting_is_a_failed_row(strangers: str) -> None:
-    plant = {"use": f"{strangers}:Drag", "size": "0.5 kg"}
+def test_a_wrong_setting_is_a_failed_row(plugins: str) -> None:
+    plant = {"use": f"{plugins}:Drag", "size": "0.5 kg"}
     row = only(executed(spec(plant=plant), "ols"))
     assert row["status"] == "failed"
     assert "kg" in row["reason"]

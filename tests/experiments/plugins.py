@@ -1,4 +1,4 @@
-"""Plug-ins as strangers write them: an effect, an excitation, and estimators of both kinds."""
+"""Plug-ins of users: an effect, an excitation, and estimators of both kinds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -38,21 +38,21 @@ class Hops:
 
     duration: float = field(default=4.0, metadata={"unit": "s"})
 
-    def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        t = brief.times(self.duration)
-        w = 2.0 + np.sqrt(np.arange(brief.nv)) + 0.1 * rng.uniform(size=brief.nv)
-        room = 0.5 * (brief.high - brief.low)
-        size = MARGIN * np.minimum.reduce([room, brief.v / w, brief.a / w**2])
+    def design(self, problem: DesignProblem, rng: np.random.Generator) -> Trajectory:
+        t = problem.times(self.duration)
+        w = 2.0 + np.sqrt(np.arange(problem.nv)) + 0.1 * rng.uniform(size=problem.nv)
+        half_range = 0.5 * (problem.high - problem.low)
+        size = MARGIN * np.minimum.reduce([half_range, problem.v / w, problem.a / w**2])
         size, angle = 0.5 * size, np.outer(t, w)
-        x = 0.5 * (brief.low + brief.high) + size * (np.sin(angle) + np.cos(1.7 * angle) / 3)
+        x = 0.5 * (problem.low + problem.high) + size * (np.sin(angle) + np.cos(1.7 * angle) / 3)
         dx = size * w * (np.cos(angle) - 1.7 / 3 * np.sin(1.7 * angle))
         ddx = -size * w**2 * (np.sin(angle) + 1.7**2 / 3 * np.cos(1.7 * angle))
-        return brief.trajectory(t, x, dx, ddx, "hops")
+        return problem.trajectory(t, x, dx, ddx, "hops")
 
 
 @dataclass(frozen=True)
 class Ridge:
-    """Least squares drawn a little towards zero."""
+    """Least squares with a small ridge."""
 
     weight: float = 1e-12
 
@@ -62,8 +62,8 @@ class Ridge:
         return Estimate(np.linalg.solve(normal, W.T @ b), stats={"weight": self.weight})
 
 
-class Told:
-    """Answers what it was told beforehand."""
+class PriorMean:
+    """Return the prior."""
 
     def solve(self, problem: Problem) -> Estimate:
         if problem.prior is None:
@@ -114,24 +114,24 @@ class Output:
 
 
 class Raising:
-    """A method with a mistake of its own."""
+    """An estimator with a mistake."""
 
     def solve(self, problem: Problem) -> Estimate:
         raise ZeroDivisionError("a mistake in the method")
 
 
 class Chatty:
-    """Answers with statistics that no JSON can hold."""
+    """Return statistics that JSON cannot store."""
 
     def solve(self, problem: Problem) -> Estimate:
         estimate = Estimate(np.zeros(problem.base.rank))
-        # Past the checks of shapes that tests switch on: strangers run without them.
+        # Past the checks of shapes that tests switch on: plug-ins run without them.
         object.__setattr__(estimate, "stats", {"model": object()})
         return estimate
 
 
 class Infinite:
-    """Answers with statistics that are not finite."""
+    """Return statistics that are not finite."""
 
     def solve(self, problem: Problem) -> Estimate:
         stats = {"last_step": float("nan"), "condition": float("inf")}
@@ -139,7 +139,7 @@ class Infinite:
 
 
 class Vandal:
-    """Writes into what it was given."""
+    """Write into its input."""
 
     def solve(self, problem: Problem) -> Estimate:
         problem.factors[0].R[...] = 0.0

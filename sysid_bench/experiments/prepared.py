@@ -1,0 +1,59 @@
+"""Outcome of the pipeline, simulated or recorded: the data of methods, and how they are scored."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Generic, Protocol, TypeVar
+
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.types import Estimate, Experiment, Problem, Row
+
+
+class Source(Protocol):
+    """Origin of the data of an experiment, which estimates are compared with: the ground truth of a
+    simulation, or the measured torque of recordings."""
+
+    @property
+    def warning(self) -> str:
+        """Unexcited directions of the data, for the reason of a failure; empty where unknown."""
+
+    def figures(self, problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
+        """Rank and conditioning of the data, as fields of Score."""
+
+    def fields(self) -> Row:
+        """Further fields of a row that depend on the data alone."""
+
+    def score(self, prepared: "Prepared[Any]", method: Any, estimate: Estimate) -> Row:
+        """Scores of an estimate of `method`, and its `parameters_table`."""
+
+
+S_co = TypeVar("S_co", bound=Source, covariant=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared(Generic[S_co]):
+    """One experiment, ready for its estimators.
+
+    Methods get `problem` and `experiment`. `held_out` (other motions with exact signals, or test
+    logs) and `source` are for scoring alone.
+    """
+
+    robot: RobotModel
+    problem: Problem
+    experiment: Experiment
+    held_out: Mapping[str, Problem]
+    source: S_co
+
+    @cached_property
+    def figures(self) -> dict[str, Any]:
+        """Rank and conditioning of the data: the same for all estimators."""
+        return self.source.figures(self.problem, self.held_out)
+
+    @cached_property
+    def fields(self) -> Row:
+        """Fields of a row that all estimators share, failed ones included."""
+        return {**self.figures, **self.source.fields()}
+
+    def score(self, method: Any, estimate: Estimate) -> Row:
+        """Fields of a row that depend on the estimate, and its `parameters_table`."""
+        return self.source.score(self, method, estimate)

@@ -1,0 +1,154 @@
+"""Recordings as a source: training and test logs, and scores against the measured torque."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.evaluation.recorded_score import score_recorded
+from sysid_bench.evaluation.score import data_figures
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.recorded.payload_mass import payload_mass
+from sysid_bench.experiments.recorded.preprocess import ProcessedLog
+from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_torque
+from sysid_bench.experiments.recorded.repeatability import repeatability_error
+from sysid_bench.experiments.recorded.term_selection import TermSelection
+from sysid_bench.identifiability.base_expressions import base_expressions, expression
+from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.types import Array, Estimate, Problem, Row
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedSource:
+    """The logs of a recorded experiment. No ground truth but the payload's mass on a scale."""
+
+    builder: LogProblemBuilder
+    training: tuple[ProcessedLog, ...]
+    tests: Mapping[str, ProcessedLog]
+    terms: tuple[str, ...]
+    selection: TermSelection | None = None
+    true_mass: float | None = None  # kg
+
+    @property
+    def warning(self) -> str:
+        """Empty: recordings have no structure to compare their excitation with."""
+        return ""
+
+    def figures(self, problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
+        """Rank and conditioning of the training data."""
+        return data_figures(problem, {})
+
+    def fields(self) -> Row:
+        """Preprocessing, findings and selected terms, as the field `log`."""
+        logs = [*self.training, *self.tests.values()]
+        findings = [
+            f"{log.log.description.source.name}: {finding.text}"
+            for log in logs
+            for finding in log.log.findings
+        ]
+        selection, preprocessing = self.selection, self.builder.preprocessing
+        return {
+            "log": {
+                "filter": preprocessing.filter,
+                "derivatives": preprocessing.derivatives,
+                "seconds": sum(float(np.ptp(log.recording.t)) for log in self.training),
+                "findings": "; ".join(dict.fromkeys(findings)),
+                "chosen": ""
+                if selection is None
+                else " ".join(name for name, _ in selection.added),
+                "error_before": None if selection is None else selection.error_before,
+                "error_after": None if selection is None else selection.error_after,
+            }
+        }
+
+    def score(self, prepared: Prepared["RecordedSource"], method: Any, estimate: Estimate) -> Row:
+        """Scores of an estimate against the measured torque, with the mass of an unknown payload,
+        and the table of its parameters."""
+        problem = prepared.problem
+        scores = score_recorded(estimate, problem, prepared.held_out, prepared.figures)
+        scores = replace(scores, joints=tuple(self._with_repeatability(scores.joints, problem)))
+        if estimate.status == "ok" and estimate.beta is not None:
+            scores = replace(scores, **self._payload_mass(method, estimate.beta, problem))
+        return vars(scores) | {"parameters_table": _parameter_table(estimate, problem)}
+
+    def _with_repeatability(
+        self, joints: tuple[Mapping[str, Any], ...], problem: Problem
+    ) -> Iterator[Row]:
+        """Errors of joints, with those of the training torque itself on the first test log."""
+        errors: Mapping[str, float] = {}
+        for test in list(self.tests.values())[:1]:
+            errors = repeatability_error(self.training, test, problem.rows) or {}
+        for joint in joints:
+            yield {**joint, "replayed": errors.get(joint["name"])}
+
+    def _payload_mass(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:
+        """Mass of the payload (kg) as fields of Score: with its interval where the position is
+        given; alone where all ten parameters are unknown and the mass is identifiable."""
+        unknowns = self.builder.unknowns
+        fields: dict[str, Any] = {}
+        if unknowns.given:
+            found = payload_mass(method, problem, self.builder, self.training, beta)
+            low, high = found.interval
+            fields = {"mass": found.mass, "mass_low": low, "mass_high": high}
+        elif unknowns.payload_parameters:
+            index = problem.base.parameters.index(unknowns.payload_parameters[0])
+            if verdicts(problem.base)[index] == "identifiable":
+                fields = {"mass": float(problem.base.embed(beta)[index])}
+        if fields and self.true_mass is not None:
+            fields["mass_error"] = abs(fields["mass"] - self.true_mass)
+        return fields
+
+
+@dataclass(frozen=True, eq=False)
+class TorquePrediction:
+    """Times (N,), measured and predicted torque (N, rows) of a log, and its problem."""
+
+    t: Array
+    measured: Array
+    predicted: Array
+    problem: Problem
+
+
+def predict_log(
+    prepared: Prepared[RecordedSource], beta: Array, test: str | None = None
+) -> TorquePrediction:
+    """Predicted torque of a test log; None: of the first one, else of the first training log.
+
+    Raises UsageError for the name of another log.
+    """
+    if test is not None and test not in prepared.held_out:
+        known = ", ".join(prepared.held_out) or "none"
+        raise UsageError(f"Unknown test log {test!r} in this cell; there are: {known}.")
+    label = test or next(iter(prepared.held_out), None)
+    problem = prepared.problem if label is None else prepared.held_out[label]
+    source = prepared.source
+    log = source.training[0] if label is None else source.tests[label]
+    measured, predicted = predict_torque(problem, beta)
+    N = len(log.recording)
+    return TorquePrediction(log.recording.t, measured[:N], predicted[:N], problem)
+
+
+def _parameter_table(estimate: Estimate, problem: Problem) -> list[Row]:
+    """The estimated base parameters, each with the sum of parameters that it stands for."""
+    if estimate.status != "ok" or estimate.beta is None:
+        return []
+    verdict = verdicts(problem.base)
+    rows = []
+    for j, value, terms in zip(
+        problem.base.pivots.tolist(), estimate.beta, base_expressions(problem.base), strict=True
+    ):
+        body, _, name = problem.parameters[j].rpartition(".")
+        rows.append(
+            {
+                "body": body,
+                "name": name,
+                "true": None,
+                "estimate": float(value),
+                "std": None,
+                "identifiable": verdict[j],
+                "expression": expression(terms),
+            }
+        )
+    return rows

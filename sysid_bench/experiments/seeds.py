@@ -1,0 +1,58 @@
+"""Seeds of an experiment: each depends on those parts of the specification that it is named for."""
+
+from typing import Any
+
+from sysid_bench.canonical_json import digest
+from sysid_bench.experiments.spec import REDRAWN, ExperimentSpec
+
+
+def seed_of(suite_seed: int, *parts: Any) -> int:
+    """A 128-bit seed from the suite's and any JSON values."""
+    return int(digest([suite_seed, *parts])[:32], 16)
+
+
+def motion_seed(spec: ExperimentSpec) -> int:
+    """Seed of the training motion: payloads, tasks, noise and repeats share it."""
+    return seed_of(spec.seed, "motion", spec.robot, spec.excitation)
+
+
+def held_out_seed(spec: ExperimentSpec, index: int) -> int:
+    """Seed of the held-out motion number `index`: never the training motion, whatever they are."""
+    return seed_of(spec.seed, "held-out", spec.robot, spec.held_out[index], index)
+
+
+def noise_seed(spec: ExperimentSpec) -> int:
+    """Seed of the sensor noise: the same draw for every payload, level, estimator, prior and plant,
+    so that their comparison is paired."""
+    parts = (spec.robot, spec.task, spec.excitation, spec.simulation, spec.rate, spec.repeat)
+    return seed_of(spec.seed, "noise", *parts)
+
+
+def sensor_seed(spec: ExperimentSpec) -> int:
+    """Seed of the errors of a force/torque sensor: the same sensor for every payload, motion, task
+    and level of its errors; another one for each repeat."""
+    return seed_of(spec.seed, "sensor", spec.robot, spec.sensor, spec.repeat)
+
+
+def run_seed(spec: ExperimentSpec, run: int) -> int:
+    """Seed of the noise of a further recording of the same motion."""
+    return seed_of(noise_seed(spec), "run", run)
+
+
+def drift_seed(spec: ExperimentSpec) -> int:
+    """Seed of the torque drift: the same in all recordings of an experiment."""
+    return seed_of(noise_seed(spec), "drift")
+
+
+def known_seed(spec: ExperimentSpec) -> int:
+    """Seed of the errors of the known parts of a task, the same for every payload."""
+    return seed_of(spec.seed, "known", spec.robot, spec.task)
+
+
+def prior_seed(spec: ExperimentSpec) -> int:
+    """Seed of the prior: the same for all noise levels, and for all repeats unless the prior is
+    `redrawn`."""
+    parts: tuple[Any, ...] = (spec.robot, spec.payload, spec.task)
+    if not isinstance(spec.prior, str) and spec.prior.get(REDRAWN):
+        parts += (spec.repeat,)
+    return seed_of(spec.seed, "prior", *parts)

@@ -1,0 +1,143 @@
+"""The part of a simulated experiment that noise does not touch, shared by levels and repeats."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
+
+import numpy as np
+
+from sysid_bench.canonical_json import canonical
+from sysid_bench.excitation.design_problem import DesignProblem, design_problem
+from sysid_bench.excitation.geometry import collision_model
+from sysid_bench.excitation.information import TorqueModel, information_model
+from sysid_bench.experiments.robot_cache import LoadedRobot
+from sysid_bench.experiments.seeds import known_seed, prior_seed
+from sysid_bench.experiments.simulated.ft_sensors import SensorMeasurement, true_offset
+from sysid_bench.experiments.simulated.method_model import known_model
+from sysid_bench.experiments.simulated.problem import ProblemBuilder
+from sysid_bench.experiments.simulated.record import SimulatedRobot, held_out_motions
+from sysid_bench.experiments.spec import REDRAWN, ExperimentSpec
+from sysid_bench.models.bounding_boxes import body_extents
+from sysid_bench.models.robot import SUFFIX, RobotModel
+from sysid_bench.models.sensor import instruments_of
+from sysid_bench.regressors.coupled import torque_regression
+from sysid_bench.regressors.nested_sensors import measured_regression
+from sysid_bench.simulation.parametrised_plant import KnownModel
+from sysid_bench.simulation.plant import plant_of
+from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
+from sysid_bench.tasks.task import SENSOR_TASKS, Task, task_of
+from sysid_bench.types import BaseMap, Extent, Prior, Problem
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFreePart:
+    """Task, plant, prior and held-out motions of an experiment."""
+
+    spec: ExperimentSpec
+    task: Task
+    builder: ProblemBuilder
+    simulated: SimulatedRobot
+    prior: Prior | None
+
+    @cached_property
+    def known_model(self) -> KnownModel:
+        """The robot without its unknown parameters."""
+        return known_model(self.builder.robot, self.task)
+
+    @cached_property
+    def extents(self) -> Mapping[str, Extent]:
+        """Extent of each body, by name."""
+        return body_extents(self.builder.robot)
+
+    @cached_property
+    def held_out(self) -> dict[str, Problem]:
+        """Problems of other motions, with exact signals."""
+        sensors = SensorMeasurement(self.spec, self.simulated.plant, self.task)
+        return {
+            name: self.builder.build(oracle.motion, sensors.exact(oracle))
+            for name, oracle in held_out_motions(self.spec, self.simulated).items()
+        }
+
+
+def noise_free_part(spec: ExperimentSpec, loaded: LoadedRobot) -> NoiseFreePart:
+    """The noise-free part of a specification, made once for all specifications that share it."""
+    return _shared_part(canonical(_without_noise(spec).to_json()), loaded)
+
+
+def _without_noise(spec: ExperimentSpec) -> ExperimentSpec:
+    """The fields of a specification that its noise-free part depends on.
+
+    The constants of a force/torque sensor are among its errors, and are unknowns of a sensor task:
+    there nothing can be left out.
+    """
+    if spec.task in SENSOR_TASKS:
+        return spec
+    redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
+    return replace(spec, noise={}, signals={}, repeat=spec.repeat if redrawn else 0)
+
+
+@lru_cache(maxsize=2)
+def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
+    """The noise-free part of a specification given as canonical JSON, which hashes."""
+    spec, robot = ExperimentSpec.from_json(json.loads(text)), loaded.robot
+    terms = identified_terms(spec, robot)
+    exact_task = task_of(robot, spec.task, terms, spec.sensor, partial(true_offset, spec))
+    task = _task_with_known_errors(spec, exact_task)
+    base = loaded.base_map(task.parameters, task.rows, task.cuts)
+    instruments = instruments_of(robot, task.cuts)
+    regression = measured_regression(robot, base.names, instruments, task.rows)
+    builder = ProblemBuilder(robot, task, base, regression)
+    plant = plant_of(robot, [loaded.build_plugin("plant", spec.plant)])
+    prior = _prior(spec, task)
+    design = partial(_design_problem, robot, task, base, prior)
+    return NoiseFreePart(spec, task, builder, SimulatedRobot(spec, loaded, plant, design), prior)
+
+
+def identified_terms(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
+    """The joint terms that are identified; without any in `spec`, the task `robot` identifies those
+    of the manifest."""
+    if spec.terms is not None:
+        return spec.terms
+    return robot.manifest.terms if spec.task == "robot" else ()
+
+
+def _task_with_known_errors(spec: ExperimentSpec, task: Task) -> Task:
+    """The task whose known parts have the relative errors that the prior states."""
+    share = 0.0 if isinstance(spec.prior, str) else spec.prior.get("known", 0.0)
+    if share == 0.0:
+        return task
+    return with_known_errors(task, share, np.random.default_rng(known_seed(spec)))
+
+
+def _design_problem(
+    robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float
+) -> DesignProblem:
+    """Inputs of excitation design at `rate` (Hz): limits, regressor, and torques by the prior."""
+    problem = design_problem(robot, rate)
+    # Designs hold ball and free joints, whose terms have no columns.
+    terms = {
+        f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
+        for term, values in task.known_terms.items()
+        for dof in robot.scalar_dofs
+        if values[dof]
+    }
+    torque = None
+    # A task with sensors has no prior of the bodies before them: torques cannot be predicted.
+    if prior is not None and not task.cuts:
+        regression = torque_regression(robot, (*task.parameters, *terms))
+        theta = np.array([*prior.theta, *terms.values()])
+        torque = TorqueModel(regression, theta, task.known_links, robot.tree, robot.coupling)
+    information = information_model(robot, base.names, task.rows, task.cuts)
+    scene = partial(collision_model, robot)
+    return replace(problem, regress=information, torque=torque, scene=scene)
+
+
+def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
+    if spec.prior == "none":
+        return None
+    spread = None
+    if not isinstance(spec.prior, str):
+        spreads = {key: x for key, x in spec.prior.items() if key not in (REDRAWN, "known")}
+        spread = PriorSpread(**spreads)
+    return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))

@@ -1,0 +1,154 @@
+"""Simulated data as a source: the ground truth, and scores of estimates against it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from sysid_bench.evaluation.covariance import StandardError, standard_errors
+from sysid_bench.evaluation.score import data_figures, score
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.simulated.ft_evaluation import (
+    ContactTest,
+    contact_fields,
+    contact_test,
+    rank_fields,
+    sensor_excitation,
+)
+from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
+from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.identifiability.subspaces import Excitation
+from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.tasks.task import Task
+from sysid_bench.types import Array, Estimate, Extent, Problem, Row, Trajectory, Truth
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedSource:
+    """Ground truth of a simulated experiment."""
+
+    spec: ExperimentSpec
+    noise_free: NoiseFreePart
+    motion: Trajectory  # as measured, without contact periods
+    known: Array  # (N, rows) torque of the parts that the task declares known, along `motion`
+    bound: Array | None  # (r,) Cramer-Rao, as standard deviations, where torque alone is noisy
+    left_out: float  # share of the samples that were removed as contacts
+
+    @property
+    def task(self) -> Task:
+        """The unknowns, with their true values."""
+        return self.noise_free.task
+
+    @property
+    def truth(self) -> Truth:
+        """True values of the unknowns."""
+        return self.task.truth
+
+    @property
+    def extents(self) -> Mapping[str, Extent]:
+        """Extent of each body, by name."""
+        return self.noise_free.extents
+
+    @cached_property
+    def excitation(self) -> Excitation | None:
+        """Excited part of the sub-tree behind the sensor; None but for the task `wrench`."""
+        if self.task.name != "wrench":
+            return None
+        return sensor_excitation(self.noise_free.builder.robot, self.task.cuts[0], self.motion)
+
+    @cached_property
+    def contact_test(self) -> ContactTest | None:
+        """Wrench estimation on a motion of its own; None but for the task `wrench`."""
+        if self.task.name != "wrench":
+            return None
+        return contact_test(self.spec, self.noise_free.builder.robot, self.task)
+
+    @property
+    def warning(self) -> str:
+        """Degrees of freedom whose torque the data of a sensor cannot predict."""
+        return "" if self.excitation is None else self.excitation.warning
+
+    def figures(self, problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
+        """Rank, conditioning and information of the data, and the share of contacts."""
+        return data_figures(problem, held_out) | {"left_out": self.left_out}
+
+    def fields(self) -> Row:
+        """Ranks of the sub-tree behind a sensor."""
+        return {} if self.excitation is None else rank_fields(self.excitation)
+
+    def score(self, prepared: Prepared["SimulatedSource"], method: Any, estimate: Estimate) -> Row:
+        """Scores of an estimate against the truth, and the table of its parameters."""
+        problem, deviations = prepared.problem, standard_errors(prepared.problem, estimate)
+        scores = score(
+            estimate,
+            problem,
+            prepared.held_out,
+            self.truth,
+            self.extents,
+            about_data=prepared.figures,
+            # Without noise an interval has no width, and its coverage no meaning.
+            told=deviations if self.spec.noise else None,
+        )
+        contact = {}
+        if self.contact_test is not None:
+            contact = contact_fields(self.contact_test.errors(problem, self.truth, estimate))
+        table = _parameter_table(estimate, problem, self.truth, self.bound, deviations)
+        return vars(scores) | contact | {"parameters_table": table}
+
+
+def _parameter_table(
+    estimate: Estimate,
+    problem: Problem,
+    truth: Truth,
+    bound: Array | None,
+    deviations: Mapping[str, StandardError],
+) -> list[Row]:
+    """True and estimated base parameters, named by their pivots; all parameters where the method
+    claims all of them, each with its verdict, so that no claim passes for knowledge.
+
+    `std` is the first of the deviations that exist, `std_from` its kind. The pivot of a base
+    parameter has the error of that one as `base_error`, and its deviation by Cramer and Rao as
+    `bound`.
+    """
+    if estimate.status != "ok" or estimate.beta is None:
+        return []
+    base, verdict = problem.base, verdicts(problem.base)
+    beta_true = base.K @ truth.theta
+    errors = {"base_error": estimate.beta - beta_true}
+    if bound is not None:
+        errors["bound"] = bound
+    whole = estimate.theta is not None
+    true = truth.theta if whole else base.embed(beta_true)
+    found = base.embed(estimate.beta) if estimate.theta is None else estimate.theta
+    spreads, kind = _spreads(deviations), next(iter(deviations), None)
+    base_index = {int(column): i for i, column in enumerate(base.pivots)}
+    rows: list[Row] = []
+    for j in range(len(verdict)) if whole else base.pivots.tolist():
+        # A deviation of a base parameter is that of its pivot only where the pivot stands alone.
+        single = not whole or verdict[j] == "identifiable"
+        numbers = (errors if j in base_index else {}) | (spreads if single else {})
+        row = _parameter_row(problem.parameters[j], float(true[j]), float(found[j]), verdict[j])
+        row["std_from"] = kind if single else None
+        rows.append(row | {key: float(x[base_index[j]]) for key, x in numbers.items()})
+    return rows
+
+
+def _parameter_row(name: str, true: float, estimate: float, verdict: str) -> Row:
+    body, _, parameter = name.rpartition(".")
+    return {
+        "body": body,
+        "name": parameter,
+        "true": true,
+        "estimate": estimate,
+        "std": None,
+        "std_from": None,
+        "identifiable": verdict,
+    }
+
+
+def _spreads(deviations: Mapping[str, StandardError]) -> dict[str, Array]:
+    """Standard deviations (r,) by row field; the first kind also as `std`."""
+    spreads = {f"std_{kind}": deviation.std for kind, deviation in deviations.items()}
+    for deviation in list(deviations.values())[:1]:
+        spreads["std"] = deviation.std
+    return spreads
