@@ -1,4 +1,4 @@
-"""The simulated plant: a robot with its joint terms, and effects that its model does not
+"""Simulated plant: a robot with its joint terms, and effects that its model does not
 contain."""
 
 from collections.abc import Sequence
@@ -26,7 +26,9 @@ class Effect(Protocol):
     runs compiled.
     """
 
-    def prepare(self, robot: RobotModel) -> Any: ...
+    def prepare(self, robot: RobotModel) -> Any:
+        """Return the force law of the effect on this robot, or None."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
