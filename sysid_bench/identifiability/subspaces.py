@@ -144,7 +144,7 @@ def row_space(Y: Array) -> tuple[Array, Array]:
     return Vt[:rank].T, values
 
 
-def projection_residual(basis: Array, other: Array) -> float:
+def subspace_residual(basis: Array, other: Array) -> float:
     """Return the norm of (I - B B^T) `other`, B = `basis` (p, r): the sine of the largest angle of
     a vector in span(`other`) (p, k) to span(`basis`); both bases are orthonormal."""
     if other.shape[1] == 0:
@@ -158,7 +158,7 @@ def subspace_sine(left: Array, right: Array) -> float:
     (p, r); 1 if their dimensions differ."""
     if left.shape != right.shape:
         return 1.0
-    return max(projection_residual(left, right), projection_residual(right, left))
+    return max(subspace_residual(left, right), subspace_residual(right, left))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +210,6 @@ def excitation_of(data: SubtreeRegressors | Array, subspaces: Subspaces) -> Exci
         )
     excited, _ = row_space(rows)
     missing = {
-        joint: projection_residual(excited, basis) for joint, basis in subspaces.joints.items()
+        joint: subspace_residual(excited, basis) for joint, basis in subspaces.joints.items()
     }
     return Excitation(excited.shape[1], subspaces.rank, missing)

@@ -42,7 +42,7 @@ class CoupledRegression:
         return self.tree.columns
 
     @cached_property
-    def dependent_rows(self) -> tuple[tuple[int, ...], ...]:
+    def _dependent_rows(self) -> tuple[tuple[int, ...], ...]:
         """For each row, the indices among the dependent joints of those that act on it."""
         return tuple(
             tuple(int(d) for d in np.flatnonzero(column)) for column in self.coupling.depends_on.T
@@ -52,7 +52,7 @@ class CoupledRegression:
     def touched(self) -> tuple[Array, ...]:
         """Indices (k,) of the columns in which each row can be non-zero, as `row` orders them."""
         touched = []
-        for dof, sources in zip(self.tree_rows, self.dependent_rows, strict=True):
+        for dof, sources in zip(self.tree_rows, self._dependent_rows, strict=True):
             direct = self.tree.touched[dof]
             others = [self.tree.touched[self.coupling.dependent[d]] for d in sources]
             new = np.setdiff1d(np.concatenate(others), direct) if others else direct[:0]
@@ -107,7 +107,7 @@ class CoupledBlock:
         out[size:] = 0.0
         index = np.empty(len(regression.columns), dtype=int)
         index[touched] = np.arange(len(touched))
-        for d in regression.dependent_rows[i]:
+        for d in regression._dependent_rows[i]:
             dof = int(coupling.dependent[d])
             out[index[regression.tree.touched[dof]]] += self.F[:, d, i] * self.tree.row(dof)
         return out

@@ -18,9 +18,13 @@ class Feature(Protocol):
     """Regressor columns of one joint along a whole motion; see the module's docstring."""
 
     @property
-    def suffixes(self) -> tuple[str, ...]: ...
+    def suffixes(self) -> tuple[str, ...]:
+        """Names (k,) of the columns, after the joint's."""
+        ...
 
-    def values(self, q: Array, v: Array, reach: tuple[float, float]) -> Array: ...
+    def values(self, q: Array, v: Array, reach: tuple[float, float]) -> Array:
+        """Return the columns (N, k) at q and v (N,), rad or m and their rates."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,10 @@ def accumulate(
     b (N, n) is the right-hand side, whose column i belongs to row i; `rows` selects rows (None:
     all).
     """
-    return accumulate_all(regression, [(motion, b)], rows)
+    return accumulate_motions(regression, [(motion, b)], rows)
 
 
-def accumulate_all(
+def accumulate_motions(
     regression: MeasuredRegressor,
     parts: Iterable[tuple[Trajectory, Array]],
     rows: Sequence[int] | None = None,

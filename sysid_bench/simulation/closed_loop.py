@@ -107,7 +107,7 @@ class ClosedLoop:
         robot = plant.robot
         # MuJoCo replaces an input of NaN by zero, with only a warning.
         check_finite(robot.name, encoder, "encoder error")
-        mj = controlled_model(plant, controller)
+        mj = closed_loop_model(plant, controller)
         lead = 0 if robot.coupling is None else LEAD_IN
         whole = _with_lead_in(robot, commanded, lead)
         encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
@@ -223,7 +223,7 @@ def _typical_load(plant: Plant) -> Array:
     return load
 
 
-def controlled_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
+def closed_loop_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
     """Return the plant's model with one motor per independent joint, whose affine bias is the PD
     feedback: tau = kp (u - q) - kd v, limited to the joint's torque limit."""
     spec = plant.robot.spec.copy()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid_bench.models.robot import SUFFIX, JointTerms, RobotModel
-from sysid_bench.simulation.plant import Plant, coupling_laws
+from sysid_bench.simulation.plant import Plant, viscous_coupling
 from sysid_bench.types import Array, Body
 
 
@@ -39,7 +39,7 @@ def parametrised_plant(model: KnownModel, theta: Array) -> Plant:
         b = robot.body_names.index(body.name)
         phi[b] += theta[[index[column] for column in body.columns]]
     terms = _terms(model, theta, index)
-    return Plant(robot, terms, coupling_laws(terms), phi)
+    return Plant(robot, terms, viscous_coupling(terms), phi)
 
 
 def _terms(model: KnownModel, theta: Array, index: dict[str, int]) -> JointTerms:

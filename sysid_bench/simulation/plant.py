@@ -1,4 +1,4 @@
-"""The simulated plant: a robot with its joint terms, and effects that its model does not
+"""Simulated plant: a robot with its joint terms, and effects that its model does not
 contain."""
 
 from collections.abc import Sequence
@@ -26,7 +26,9 @@ class Effect(Protocol):
     runs compiled.
     """
 
-    def prepare(self, robot: RobotModel) -> Any: ...
+    def prepare(self, robot: RobotModel) -> Any:
+        """Return the force law of the effect on this robot, or None."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +72,10 @@ def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
     """Return the plant of a robot with the given effects and its own joint terms."""
     prepared = [effect.prepare(robot) for effect in effects]
     laws = tuple(law for law in prepared if law is not None)
-    return Plant(robot, robot.joint_terms, laws + coupling_laws(robot.joint_terms))
+    return Plant(robot, robot.joint_terms, laws + viscous_coupling(robot.joint_terms))
 
 
-def coupling_laws(terms: JointTerms) -> tuple[Any, ...]:
+def viscous_coupling(terms: JointTerms) -> tuple[Any, ...]:
     """Return the force law of viscous friction between joints, if there is any; MuJoCo has no
     passive element with an unsymmetric damping matrix."""
     return (ViscousCoupling(terms.viscous_coupling),) if terms.viscous_coupling.any() else ()

@@ -10,7 +10,7 @@ from scipy.linalg import lapack, solve_triangular
 
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.regressors.kernel_c import selected_kernel
-from sysid_bench.regressors.qr_accumulation import accumulate, accumulate_all, upper_factor
+from sysid_bench.regressors.qr_accumulation import accumulate, accumulate_motions, upper_factor
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Factor, Trajectory
 from tests.robots import named_robot, states
@@ -77,9 +77,9 @@ def test_ten_million_samples(benchmark: Any, line: Line) -> None:
         for _ in range(passes):
             yield arm.motion, tau
 
-    accumulate_all(arm.columns, [(arm.motion, tau)])
+    accumulate_motions(arm.columns, [(arm.motion, tau)])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    factors = benchmark.pedantic(lambda: accumulate_all(arm.columns, stream()), rounds=1)
+    factors = benchmark.pedantic(lambda: accumulate_motions(arm.columns, stream()), rounds=1)
     growth = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
     error = np.linalg.norm(solution(factors, arm.base.rank) - beta) / np.linalg.norm(beta)
     assert factors[0].samples == passes * 65_536
@@ -99,7 +99,7 @@ def test_time_per_sample_is_flat(compare: Compare, line: Line) -> None:
         times = max(samples // part, 1)
         repeats = max(100_000 // samples, 1)
         return lambda: [
-            accumulate_all(arm.columns, [(cut, arm.b[:part])] * times) for _ in range(repeats)
+            accumulate_motions(arm.columns, [(cut, arm.b[:part])] * times) for _ in range(repeats)
         ]
 
     counts = [10**k for k in range(3, 8 if selected_kernel().library else 7)]

@@ -9,9 +9,9 @@ from sysid_bench.errors import UsageError
 from sysid_bench.identifiability.subspaces import (
     Subspaces,
     excitation_of,
-    projection_residual,
     row_space,
     structural_subspaces,
+    subspace_residual,
     subspace_sine,
 )
 from sysid_bench.models.random.random_tree import random_robot
@@ -39,7 +39,7 @@ def assert_lemma_and_proposition(found: Subspaces) -> None:
     for wrench in found.wrenches.values():
         assert subspace_sine(found.wrench, wrench) < ANGLE
     for torque in found.torques.values():
-        assert projection_residual(found.wrench, torque) < ANGLE
+        assert subspace_residual(found.wrench, torque) < ANGLE
 
 
 @pytest.mark.parametrize("at", CUTS)
@@ -74,7 +74,7 @@ def test_lemma_and_proposition_hold_for_every_link_of_any_tree(seed: int) -> Non
     assert_lemma_and_proposition(found)
     assert found.rank >= 10
     for basis in found.joints.values():
-        assert projection_residual(found.wrench, basis) < ANGLE
+        assert subspace_residual(found.wrench, basis) < ANGLE
 
 
 def _moving(robot: RobotModel, names: tuple[str, ...], seed: int = 0) -> Trajectory:
@@ -140,11 +140,11 @@ def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
 def test_apart_and_outside_are_sines() -> None:
     x, y, z = np.eye(3)[:, :, None]
     tilted = np.cos(0.1) * x + np.sin(0.1) * y
-    assert projection_residual(x, tilted) == pytest.approx(np.sin(0.1))
+    assert subspace_residual(x, tilted) == pytest.approx(np.sin(0.1))
     assert subspace_sine(x, tilted) == pytest.approx(np.sin(0.1))
     assert subspace_sine(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
     assert subspace_sine(x, np.hstack([x, y])) == 1.0
-    assert projection_residual(np.hstack([x, y]), tilted) == pytest.approx(0.0, abs=1e-15)
+    assert subspace_residual(np.hstack([x, y]), tilted) == pytest.approx(0.0, abs=1e-15)
 
 
 def test_data_of_another_sub_tree_are_refused() -> None:

@@ -19,7 +19,7 @@ from sysid_bench.regressors.derive import c_source
 from sysid_bench.regressors.kernel_c import SOURCE, VARIABLE, SelectedKernel, selected_kernel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
-from sysid_bench.regressors.qr_accumulation import accumulate, accumulate_all
+from sysid_bench.regressors.qr_accumulation import accumulate, accumulate_motions
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Trajectory
 from tests.random_trees import random_texts
@@ -208,8 +208,8 @@ def pieces(ours: Regression, count: int, cuts: list[int]) -> list[tuple[Trajecto
 def test_many_motions_are_folded_as_one(cuts: list[int], kernel_name: str) -> None:
     robot = named_robot("ur5")
     ours = regression(robot, robot.inertial_columns)
-    whole = accumulate_all(ours, pieces(ours, 1000, []))
-    parts = accumulate_all(ours, iter(pieces(ours, 1000, cuts)))
+    whole = accumulate_motions(ours, pieces(ours, 1000, []))
+    parts = accumulate_motions(ours, iter(pieces(ours, 1000, cuts)))
     for one, other in zip(parts, whole, strict=True):
         assert one.samples == other.samples == 1000
         assert relative_gap(one.R.T @ one.R, other.R.T @ other.R) <= SAME
@@ -218,7 +218,7 @@ def test_many_motions_are_folded_as_one(cuts: list[int], kernel_name: str) -> No
 def test_no_motion_at_all_has_factors_without_rows(kernel_name: str) -> None:
     robot = named_robot("ur5")
     ours = regression(robot, robot.inertial_columns)
-    for factor in accumulate_all(ours, []):
+    for factor in accumulate_motions(ours, []):
         assert factor.samples == 0
         assert factor.R.shape == (0, len(factor.columns) + 1)
 
