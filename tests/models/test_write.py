@@ -265,7 +265,7 @@ def test_wrong_words_are_usage(mjcf: Path) -> None:
 def test_the_other_format_is_refused(mjcf: Path, urdf: Path) -> None:
     with pytest.raises(ModelError, match="not an MJCF"):
         updated_mjcf(urdf, {})
-    with pytest.raises(ModelError, match="no URDF"):
+    with pytest.raises(ModelError, match="not a URDF"):
         updated_urdf(mjcf, {})
 
 
