@@ -1,13 +1,18 @@
-"""An estimator of one's own, run through its laws before anybody believes it."""
+"""Check of an estimator against the laws that every estimator keeps."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-if TYPE_CHECKING:
-    from sysid_bench.conformance import TestProblem
+from sysid_bench.conformance import TestProblem, check
+from sysid_bench.experiments.robot_cache import cached_robot
+from sysid_bench.experiments.simulated.prepare import prepare
+from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.naming import build
+from sysid_bench.verbs.result import Result
 
-WORLDS: Final[tuple[Mapping[str, Any], ...]] = (
+PROBLEMS: Final[tuple[Mapping[str, Any], ...]] = (
     {"robot": "random:7"},
     {"robot": "random:12", "noise": {"tau_relative": 0.01}},
     {"robot": "ur5"},
@@ -17,50 +22,61 @@ WORLDS: Final[tuple[Mapping[str, Any], ...]] = (
 )
 """Small experiments, exact and noisy, whole robots and single bodies, with and without a prior."""
 
-LOOP: Final = {
+CLOSED_LOOP: Final = {
     "robot": "random:94",
     "simulation": {"use": "closed-loop", "rate": 500.0},
     "rate": 100.0,
 }
-"""What a method that simulates is given: a declared controller, and joints without Coulomb friction
-(they would stick, and exact data would tell no method the truth)."""
+"""Experiment for a method that simulates: known controller, joints without Coulomb friction (they
+would stick, and exact data would not determine the parameters)."""
 
 
-def check_plugin(name: str | Mapping[str, Any], robots_dir: Path | None = None) -> dict[str, Any]:
-    """The laws of an estimator, built in, "module:object" or "file:path.py:object": {estimator, ok,
-    checks, bias, broken: [{law, world, said}]}. Raises UsageError where nothing has that name."""
-    from sysid_bench.conformance import check
-    from sysid_bench.naming import build
+@dataclass(frozen=True, eq=False, repr=False)
+class CheckPluginResult(Result):
+    """Verdict on an estimator; `bias`: what it is biased towards by design; `broken`: failed checks
+    as {law, world, said}."""
 
+    estimator: str
+    ok: bool
+    checks: int
+    bias: str
+    broken: list[dict[str, str]]
+
+    def summary(self) -> str:
+        """Verdict, then one line for each failed check."""
+        if not self.ok:
+            lines = [f"{self.estimator}: {len(self.broken)} of {self.checks} checks fail"]
+            lines += [f"  {b['law']} ({b['world']}): {b['said']}" for b in self.broken]
+            return "\n".join(lines)
+        bias = f"\n  biased by design: {self.bias}" if self.bias else ""
+        return f"{self.estimator}: keeps its laws ({self.checks} checks){bias}"
+
+
+def check_plugin(
+    name: str | Mapping[str, Any], robots_dir: Path | None = None
+) -> CheckPluginResult:
+    """Check an estimator: built in, "module:object", "file:path.py:object", or {use = ...} with
+    settings. Raises UsageError for an unknown name."""
     estimator = build("estimator", name)
     findings = check(estimator, problems_of_kind(not hasattr(estimator, "solve"), robots_dir))
-    return {
-        "estimator": name if isinstance(name, str) else name["use"],
-        "ok": all(finding.kept for finding in findings),
-        "checks": len(findings),
-        "bias": getattr(estimator, "bias", ""),
-        "broken": [
-            {"law": f.law, "world": f.world, "said": f.said} for f in findings if not f.kept
-        ],
-    }
+    return CheckPluginResult(
+        estimator=name if isinstance(name, str) else name["use"],
+        ok=all(finding.kept for finding in findings),
+        checks=len(findings),
+        bias=getattr(estimator, "bias", ""),
+        broken=[{"law": f.law, "world": f.world, "said": f.said} for f in findings if not f.kept],
+    )
 
 
-def problems_of_kind(
-    simulating: bool = False, robots_dir: Path | None = None
-) -> list["TestProblem"]:
-    """The worlds of a method; `simulating`: those with a controller alone."""
+def problems_of_kind(simulating: bool = False, robots_dir: Path | None = None) -> list[TestProblem]:
+    """Return the test problems of an estimator; `simulating`: those with a known controller."""
     if simulating:
-        noisy = {**LOOP, "noise": {"tau_relative": 0.01}}
-        return [_world(places, robots_dir) for places in (LOOP, noisy)]
-    return [_world(places, robots_dir) for places in WORLDS]
+        noisy = {**CLOSED_LOOP, "noise": {"tau_relative": 0.01}}
+        return [_test_problem(changes, robots_dir) for changes in (CLOSED_LOOP, noisy)]
+    return [_test_problem(changes, robots_dir) for changes in PROBLEMS]
 
 
-def _world(changes: Mapping[str, Any], robots_dir: Path | None) -> "TestProblem":
-    from sysid_bench.conformance import TestProblem
-    from sysid_bench.experiments.robot_cache import cached_robot
-    from sysid_bench.experiments.simulated.prepare import prepare
-    from sysid_bench.experiments.spec import ExperimentSpec
-
+def _test_problem(changes: Mapping[str, Any], robots_dir: Path | None) -> TestProblem:
     base: dict[str, Any] = {
         "seed": 1,
         "payload": "none",
@@ -81,12 +97,3 @@ def _world(changes: Mapping[str, Any], robots_dir: Path | None) -> "TestProblem"
     ready = prepare(spec, cached_robot(spec.robot, spec.payload, robots, None))
     name = f"{spec.robot}, task {spec.task}, {'noise of 1 %' if spec.noise else 'exact'}"
     return TestProblem(name, ready.problem, ready.truth.theta, not spec.noise, ready.experiment)
-
-
-def summary(answer: Mapping[str, Any]) -> list[str]:
-    """What `check-plugin` tells."""
-    if answer["ok"]:
-        lines = [f"{answer['estimator']}: keeps its laws ({answer['checks']} checks)"]
-        return lines + ([f"  biased by design: {answer['bias']}"] if answer["bias"] else [])
-    lines = [f"{answer['estimator']}: {len(answer['broken'])} of {answer['checks']} checks fail"]
-    return lines + [f"  {b['law']} ({b['world']}): {b['said']}" for b in answer["broken"]]
