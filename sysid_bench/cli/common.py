@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import wraps
 from pathlib import Path
@@ -45,7 +45,7 @@ terms_option = click.option(
 
 
 def option_group(
-    name: str, record: type, *options: Callable[[Command], Command]
+    name: str, record: type, options: Sequence[Callable[[Command], Command]]
 ) -> Callable[[Command], Command]:
     """Decorator that passes the values of several options as one record, the argument `name`."""
 

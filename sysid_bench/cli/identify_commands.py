@@ -73,110 +73,124 @@ class _Output:
 _source_options = option_group(
     "source",
     _Source,
-    click.option("--simulate", is_flag=True, help="Data from the robot's own simulation."),
-    click.option(
-        "--log",
-        "logs",
-        multiple=True,
-        type=click.Path(path_type=Path),
-        metavar="LOG.toml",
-        help="Data from a recording; several are used together.",
-    ),
-    click.option(
-        "--test",
-        "tests",
-        multiple=True,
-        type=click.Path(path_type=Path),
-        metavar="LOG.toml",
-        help="Recording to judge on.",
-    ),
+    [
+        click.option("--simulate", is_flag=True, help="Data from the robot's own simulation."),
+        click.option(
+            "--log",
+            "logs",
+            multiple=True,
+            type=click.Path(path_type=Path),
+            metavar="LOG.toml",
+            help="Data from a recording; several are used together.",
+        ),
+        click.option(
+            "--test",
+            "tests",
+            multiple=True,
+            type=click.Path(path_type=Path),
+            metavar="LOG.toml",
+            help="Recording to judge on.",
+        ),
+    ],
 )
 
 _log_options = option_group(
     "of_logs",
     _LogOptions,
-    click.option(
-        "--choose",
-        "candidates",
-        metavar="play,offset,motor.play,...",
-        help="Logs: joint terms and features (play, playq, tanh, poly), also of motors "
-        "(motor.play, motor.coulomb), that cross-validation in the training data may add.",
-    ),
-    click.option(
-        "--position-given",
-        is_flag=True,
-        help="Logs, task payload: only its mass is unknown, centre of mass as the log states.",
-    ),
-    click.option(
-        "--figure",
-        type=click.Path(path_type=Path),
-        metavar="FILE.pdf|svg",
-        help="Logs: measured and predicted torque and their difference, joint by joint.",
-    ),
-    click.option("--accept", metavar="rate,units", help="Contradictions in logs that may pass."),
-    click.option("--filter", "filter_text", metavar="TEXT", help="Logs: 'butter 4 10 Hz', ..."),
-    click.option(
-        "--derivatives",
-        type=click.Choice(["from q", "from v"]),
-        help="Logs: signal that rates and accelerations come from.",
-    ),
-    click.option(
-        "--moving",
-        default=0.0,
-        show_default=True,
-        type=click.FloatRange(min=0.0),
-        help="Logs: leave out samples of a joint slower than this (rad/s, m/s).",
-    ),
+    [
+        click.option(
+            "--choose",
+            "candidates",
+            metavar="play,offset,motor.play,...",
+            help="Logs: joint terms and features (play, playq, tanh, poly), also of motors "
+            "(motor.play, motor.coulomb), that cross-validation in the training data may add.",
+        ),
+        click.option(
+            "--position-given",
+            is_flag=True,
+            help="Logs, task payload: only its mass is unknown, centre of mass as the log states.",
+        ),
+        click.option(
+            "--figure",
+            type=click.Path(path_type=Path),
+            metavar="FILE.pdf|svg",
+            help="Logs: measured and predicted torque and their difference, joint by joint.",
+        ),
+        click.option(
+            "--accept", metavar="rate,units", help="Contradictions in logs that may pass."
+        ),
+        click.option("--filter", "filter_text", metavar="TEXT", help="Logs: 'butter 4 10 Hz', ..."),
+        click.option(
+            "--derivatives",
+            type=click.Choice(["from q", "from v"]),
+            help="Logs: signal that rates and accelerations come from.",
+        ),
+        click.option(
+            "--moving",
+            default=0.0,
+            show_default=True,
+            type=click.FloatRange(min=0.0),
+            help="Logs: leave out samples of a joint slower than this (rad/s, m/s).",
+        ),
+    ],
 )
 
 _unknown_options = option_group(
     "unknowns",
     _Unknowns,
-    task_option,
-    sensor_option,
-    click.option(
-        "--payload",
-        default="none",
-        show_default=True,
-        help="Load mounted at the tool: a name, or a table '{ mass = 1.2, com = [0, 0, 0.05], "
-        'inertia = "sphere 0.05 m" }\'.',
-    ),
-    terms_option,
-    free_base_option,
+    [
+        task_option,
+        sensor_option,
+        click.option(
+            "--payload",
+            default="none",
+            show_default=True,
+            help="Load mounted at the tool: a name, or a table '{ mass = 1.2, com = [0, 0, 0.05], "
+            'inertia = "sphere 0.05 m" }\'.',
+        ),
+        terms_option,
+        free_base_option,
+    ],
 )
 
 _method_options = option_group(
     "method",
     _Method,
-    click.option(
-        "--estimator",
-        metavar="NAME",
-        help="Default: ols; wls with logs and for wrench; min-norm for terminal.",
-    ),
-    click.option("--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none."),
-    click.option(
-        "--contacts",
-        metavar="detect|'10 s to 25 s'",
-        help="Samples left out: detected behind a sensor, or in these periods.",
-    ),
-    click.option(
-        "--complete",
-        type=click.Choice(["entropic", "euclidean", "pullback"]),
-        help="Whole, feasible bodies nearest to the prior in this distance.",
-    ),
-    click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0)),
+    [
+        click.option(
+            "--estimator",
+            metavar="NAME",
+            help="Default: ols; wls with logs and for wrench; min-norm for terminal.",
+        ),
+        click.option(
+            "--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none."
+        ),
+        click.option(
+            "--contacts",
+            metavar="detect|'10 s to 25 s'",
+            help="Samples left out: detected behind a sensor, or in these periods.",
+        ),
+        click.option(
+            "--complete",
+            type=click.Choice(["entropic", "euclidean", "pullback"]),
+            help="Whole, feasible bodies nearest to the prior in this distance.",
+        ),
+        click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0)),
+    ],
 )
 
 _output_options = option_group(
     "output",
     _Output,
-    click.option(
-        "--model-out",
-        type=click.Path(path_type=Path),
-        help="The model file again, with identified values.",
-    ),
-    click.option("--json-out", type=click.Path(path_type=Path), help="The result as a file."),
-    json_option,
+    [
+        click.option(
+            "--model-out",
+            type=click.Path(path_type=Path),
+            help="The model file again, with identified values.",
+        ),
+        click.option("--json-out", type=click.Path(path_type=Path), help="The result as a file."),
+        json_option,
+    ],
 )
 
 

@@ -38,17 +38,25 @@ def init() -> None:
 @option_group(
     "conventions",
     _Conventions,
-    click.option("--modified", is_flag=True, help="Craig's convention; default: the standard one."),
-    click.option(
-        "--frames",
-        default="joint",
-        show_default=True,
-        type=click.Choice(["joint", "link"]),
-        help="Where parameters are taken: at the joint before the link, or in its DH frame.",
-    ),
-    click.option("--base", default="0 0 0", show_default=True, help="Roll pitch yaw of frame 0."),
-    click.option("--gravity", default="0 0 -9.81", show_default=True, help="In the world frame."),
-    click.option("--massless", default="", metavar="4,5,6", help="Links without mass."),
+    [
+        click.option(
+            "--modified", is_flag=True, help="Craig's convention; default: the standard one."
+        ),
+        click.option(
+            "--frames",
+            default="joint",
+            show_default=True,
+            type=click.Choice(["joint", "link"]),
+            help="Where parameters are taken: at the joint before the link, or in its DH frame.",
+        ),
+        click.option(
+            "--base", default="0 0 0", show_default=True, help="Roll pitch yaw of frame 0."
+        ),
+        click.option(
+            "--gravity", default="0 0 -9.81", show_default=True, help="In the world frame."
+        ),
+        click.option("--massless", default="", metavar="4,5,6", help="Links without mass."),
+    ],
 )
 @json_option
 @verb

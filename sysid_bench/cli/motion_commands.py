@@ -73,59 +73,77 @@ class _Output:
 _setting_options = option_group(
     "settings",
     _Settings,
-    click.option("--period", metavar="S", help="Default: 10 s."),
-    click.option("--harmonics", type=click.IntRange(min=1), help="Default: 5."),
-    click.option("--cycles", type=click.IntRange(min=1), help="Periods to play. Default: 1."),
-    click.option(
-        "--family",
-        help="fourier, fourier-polynomial or b-spline; the last two start and end at rest. "
-        "Default: fourier, and fourier-polynomial for ros2, damiao and can.",
-    ),
-    click.option("--joints", metavar="A,B,...", help="Joints that move; default: all."),
-    click.option("--torque-share", metavar="SHARE", help="Of the torque limits. Default: 90 %."),
-    click.option("--clearance", metavar="M", help="Between links. Default: 0.01 m."),
-    click.option("--floor", metavar="M", help="Height of a floor that nothing may touch."),
-    click.option("--iterations", type=click.IntRange(min=1), help="Of the search. Default: 150."),
-    click.option("--starts", type=click.IntRange(min=1), help="Of the search. Default: 1."),
+    [
+        click.option("--period", metavar="S", help="Default: 10 s."),
+        click.option("--harmonics", type=click.IntRange(min=1), help="Default: 5."),
+        click.option("--cycles", type=click.IntRange(min=1), help="Periods to play. Default: 1."),
+        click.option(
+            "--family",
+            help="fourier, fourier-polynomial or b-spline; the last two start and end at rest. "
+            "Default: fourier, and fourier-polynomial for ros2, damiao and can.",
+        ),
+        click.option("--joints", metavar="A,B,...", help="Joints that move; default: all."),
+        click.option(
+            "--torque-share", metavar="SHARE", help="Of the torque limits. Default: 90 %."
+        ),
+        click.option("--clearance", metavar="M", help="Between links. Default: 0.01 m."),
+        click.option("--floor", metavar="M", help="Height of a floor that nothing may touch."),
+        click.option(
+            "--iterations", type=click.IntRange(min=1), help="Of the search. Default: 150."
+        ),
+        click.option("--starts", type=click.IntRange(min=1), help="Of the search. Default: 1."),
+    ],
 )
 
 _unknown_options = option_group(
     "unknowns",
     _Unknowns,
-    task_option,
-    sensor_option,
-    click.option("--payload", default="none", show_default=True, help="Load mounted at the tool."),
-    terms_option,
+    [
+        task_option,
+        sensor_option,
+        click.option(
+            "--payload", default="none", show_default=True, help="Load mounted at the tool."
+        ),
+        terms_option,
+    ],
 )
 
 _bound_options = option_group(
     "bounds",
     _Bounds,
-    click.option(
-        "--limit",
-        "limits",
-        multiple=True,
-        metavar="v|a|tau=X[,X...]",
-        help="Instead of the robot's limits: one number for all joints, or one each.",
-    ),
-    click.option(
-        "--box", "boxes", multiple=True, metavar="BODY=X:X,Y:Y,Z:Z", help="Where a body may go, m."
-    ),
+    [
+        click.option(
+            "--limit",
+            "limits",
+            multiple=True,
+            metavar="v|a|tau=X[,X...]",
+            help="Instead of the robot's limits: one number for all joints, or one each.",
+        ),
+        click.option(
+            "--box",
+            "boxes",
+            multiple=True,
+            metavar="BODY=X:X,Y:Y,Z:Z",
+            help="Where a body may go, m.",
+        ),
+    ],
 )
 
 _output_options = option_group(
     "output",
     _Output,
-    click.option("--export", help="csv (default), ros2, damiao or can."),
-    click.option(
-        "--motors", metavar="TYPE,TYPE,...|FILE.toml", help="Damiao motors of the joints."
-    ),
-    click.option(
-        "--clamp", default="1 %", show_default=True, help="Samples that motors may clamp."
-    ),
-    click.option("--rate", default="200 Hz", show_default=True, help="Of the written samples."),
-    click.option("-o", "out", type=click.Path(path_type=Path), help="File of the motion."),
-    json_option,
+    [
+        click.option("--export", help="csv (default), ros2, damiao or can."),
+        click.option(
+            "--motors", metavar="TYPE,TYPE,...|FILE.toml", help="Damiao motors of the joints."
+        ),
+        click.option(
+            "--clamp", default="1 %", show_default=True, help="Samples that motors may clamp."
+        ),
+        click.option("--rate", default="200 Hz", show_default=True, help="Of the written samples."),
+        click.option("-o", "out", type=click.Path(path_type=Path), help="File of the motion."),
+        json_option,
+    ],
 )
 
 

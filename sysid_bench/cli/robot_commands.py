@@ -89,17 +89,21 @@ class _Paper:
 @option_group(
     "printing",
     _Paper,
-    click.option("--paper", is_flag=True, help="Combinations alone, one per line, singles first."),
-    click.option(
-        "--zero", metavar="NAMES", help="With --paper: parameters taken for zero; or none."
-    ),
-    click.option(
-        "--values",
-        type=click.Path(path_type=Path),
-        metavar="FILE.json",
-        help="With --paper: values of the combinations, from identify --json-out; impossible ones "
-        "are marked.",
-    ),
+    [
+        click.option(
+            "--paper", is_flag=True, help="Combinations alone, one per line, singles first."
+        ),
+        click.option(
+            "--zero", metavar="NAMES", help="With --paper: parameters taken for zero; or none."
+        ),
+        click.option(
+            "--values",
+            type=click.Path(path_type=Path),
+            metavar="FILE.json",
+            help="With --paper: values of the combinations, from identify --json-out; impossible ones "
+            "are marked.",
+        ),
+    ],
 )
 @robots_option
 @json_option

@@ -76,22 +76,31 @@ class _Selection:
 @option_group(
     "execution",
     _Execution,
-    click.option(
-        "-o", "--out", type=click.Path(path_type=Path), help="Run folder; default reports/<suite>."
-    ),
-    click.option("-j", "--jobs", type=click.IntRange(min=1), help="Workers; default one per core."),
-    click.option("--timeout", metavar="60s", help="Hard limit per experiment."),
-    click.option(
-        "--rerun", type=click.Choice(["failed", "stale", "all"]), help="Run these cells again."
-    ),
-    click.option("--fail-fast", is_flag=True, help="Stop at the first failure."),
+    [
+        click.option(
+            "-o",
+            "--out",
+            type=click.Path(path_type=Path),
+            help="Run folder; default reports/<suite>.",
+        ),
+        click.option(
+            "-j", "--jobs", type=click.IntRange(min=1), help="Workers; default one per core."
+        ),
+        click.option("--timeout", metavar="60s", help="Hard limit per experiment."),
+        click.option(
+            "--rerun", type=click.Choice(["failed", "stale", "all"]), help="Run these cells again."
+        ),
+        click.option("--fail-fast", is_flag=True, help="Stop at the first failure."),
+    ],
 )
 @option_group(
     "selection",
     _Selection,
-    _select_option,
-    click.option("--limit", type=click.IntRange(min=1), help="Only the first N cells."),
-    click.option("--record", metavar="SPEC", help="Record cells that meet this expression."),
+    [
+        _select_option,
+        click.option("--limit", type=click.IntRange(min=1), help="Only the first N cells."),
+        click.option("--record", metavar="SPEC", help="Record cells that meet this expression."),
+    ],
 )
 @_set_option
 @robots_option

@@ -91,18 +91,19 @@ def _joint_and_term(name: str) -> tuple[str, str]:
 
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
-    """Warn about parameters that are not identifiable on their own."""
-    unsure = [
-        name
-        for name, verdict in zip(problem.parameters, verdicts(problem.base), strict=True)
-        if verdict != "identifiable"
-    ]
-    if not unsure:
+    """Warn about parameters that are not identifiable on their own, combinations first."""
+    by_verdict: dict[str, list[str]] = {"combination": [], "none": []}
+    for name, verdict in zip(problem.parameters, verdicts(problem.base), strict=True):
+        if verdict != "identifiable":
+            by_verdict[verdict].append(name)
+    # Parameters without effect, as those of a fixed base, come last: nobody misses them.
+    names, without_effect = [*by_verdict["combination"], *by_verdict["none"]], by_verdict["none"]
+    if not names:
         return []
-    names = f"{', '.join(unsure[:8])}{', ...' if len(unsure) > 8 else ''}"
+    effect = f" ({len(without_effect)} have no effect)" if without_effect else ""
     text = (
-        f"{len(unsure)} of {len(problem.parameters)} parameters are not identifiable on their own: "
-        f"{names}"
+        f"{len(names)} of {len(problem.parameters)} parameters are not identifiable on their own"
+        f"{effect}: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}"
     )
     if estimate.theta is not None:
         text += "; their values are the method's choice, which no residual can confirm"

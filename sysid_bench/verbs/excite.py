@@ -226,7 +226,15 @@ def _question(request: ExciteRequest, kind: str) -> _Question:
         settings.setdefault("family", RESTING)
     method = Optimised(objective=request.objective, **settings)
     joints = _joint_names(problem, method.space(problem).dofs)
-    return _Question(robot, terms, base, problem, information, method, joints)
+    return _Question(
+        robot=robot,
+        terms=terms,
+        base=base,
+        problem=problem,
+        information=information,
+        method=method,
+        joints=joints,
+    )
 
 
 def _figures(question: _Question, C: Array, seed: int) -> dict[str, Any]:
