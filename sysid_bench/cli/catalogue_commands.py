@@ -12,7 +12,7 @@ from sysid_bench.cli.common import (
     print_json,
     print_result,
     robots_option,
-    verb,
+    run_command,
 )
 
 
@@ -20,7 +20,7 @@ from sysid_bench.cli.common import (
 @click.argument("kind", metavar="robots|payloads|excitations|estimators|suites|simulations|plants")
 @robots_option
 @json_option
-@verb
+@run_command
 def list_(kind: str, robots_dir: Path | None, as_json: bool) -> int:
     """List the names of a kind."""
     entries = sysid_bench.list_(kind, robots_dir)
@@ -37,7 +37,7 @@ def list_(kind: str, robots_dir: Path | None, as_json: bool) -> int:
 @click.argument("name")
 @robots_option
 @json_option
-@verb
+@run_command
 def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
     """Show one robot, payload, plug-in or suite."""
     print_result(sysid_bench.show(name, robots_dir), as_json)
@@ -48,7 +48,7 @@ def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
 @click.argument("name", metavar="PKG:OBJ")
 @robots_option
 @json_option
-@verb
+@run_command
 def check_plugin(name: str, robots_dir: Path | None, as_json: bool) -> int:
     """Check an estimator against the laws that every estimator keeps.
 
@@ -61,7 +61,7 @@ def check_plugin(name: str, robots_dir: Path | None, as_json: bool) -> int:
 
 @click.command()
 @json_option
-@verb
+@run_command
 def doctor(as_json: bool) -> int:
     """Check this machine."""
     result = sysid_bench.doctor()

@@ -1,7 +1,7 @@
 """Command that identifies one robot: identify."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 
@@ -13,29 +13,27 @@ from sysid_bench.cli.common import (
     option_group,
     print_result,
     robots_option,
+    run_command,
     sensor_option,
     task_option,
     terms_option,
-    verb,
 )
 from sysid_bench.cli.option_parsing import (
     parse_contacts,
+    parse_names,
     parse_noise,
     parse_payload,
     parse_terms,
-    parse_words,
 )
 
 
-@dataclass(frozen=True)
-class _Source:
+class _Source(NamedTuple):
     simulate: bool
     logs: tuple[Path, ...]
     tests: tuple[Path, ...]
 
 
-@dataclass(frozen=True)
-class _LogOptions:
+class _LogOptions(NamedTuple):
     candidates: str | None
     position_given: bool
     figure: Path | None
@@ -45,8 +43,7 @@ class _LogOptions:
     moving: float
 
 
-@dataclass(frozen=True)
-class _Unknowns:
+class _Unknowns(NamedTuple):
     task: str
     sensor: str | None
     payload: str
@@ -54,8 +51,7 @@ class _Unknowns:
     free_base: bool | None
 
 
-@dataclass(frozen=True)
-class _Method:
+class _Method(NamedTuple):
     estimator: str | None
     noise: str | None
     contacts: str | None
@@ -63,8 +59,7 @@ class _Method:
     seed: int
 
 
-@dataclass(frozen=True)
-class _Output:
+class _Output(NamedTuple):
     model_out: Path | None
     json_out: Path | None
     as_json: bool
@@ -202,7 +197,7 @@ _output_options = option_group(
 @_method_options
 @_output_options
 @robots_option
-@verb
+@run_command
 def identify(
     model: str,
     source: _Source,
@@ -234,9 +229,9 @@ def identify(
         filter=of_logs.filter_text,
         derivatives=of_logs.derivatives,
         moving=of_logs.moving,
-        choose=parse_words(of_logs.candidates),
+        choose=parse_names(of_logs.candidates),
         position_given=of_logs.position_given,
-        accept=parse_words(of_logs.accept),
+        accept=parse_names(of_logs.accept),
         figure=of_logs.figure,
     )
     print_result(result, output.as_json)

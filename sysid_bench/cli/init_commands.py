@@ -1,17 +1,16 @@
 """Commands that write a first file: init."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 
 import sysid_bench
-from sysid_bench.cli.common import OK, json_option, option_group, print_result, verb
-from sysid_bench.cli.option_parsing import parse_words
+from sysid_bench.cli.common import OK, json_option, option_group, print_result, run_command
+from sysid_bench.cli.option_parsing import parse_names
 
 
-@dataclass(frozen=True)
-class _Conventions:
+class _Conventions(NamedTuple):
     modified: bool
     frames: str
     base: str
@@ -59,7 +58,7 @@ def init() -> None:
     ],
 )
 @json_option
-@verb
+@run_command
 def robot(
     table: Path, out: Path | None, name: str | None, conventions: _Conventions, as_json: bool
 ) -> int:
@@ -72,7 +71,7 @@ def robot(
         frames=conventions.frames,
         base=conventions.base,
         gravity=conventions.gravity,
-        massless=parse_words(conventions.massless),
+        massless=parse_names(conventions.massless),
     )
     print_result(result, as_json)
     return OK

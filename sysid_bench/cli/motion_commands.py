@@ -1,7 +1,7 @@
 """Command that designs motions: excite."""
 
-from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 
@@ -14,10 +14,10 @@ from sysid_bench.cli.common import (
     option_group,
     print_result,
     robots_option,
+    run_command,
     sensor_option,
     task_option,
     terms_option,
-    verb,
 )
 from sysid_bench.cli.option_parsing import (
     parse_limits,
@@ -30,8 +30,7 @@ from sysid_bench.cli.progress import search_progress
 from sysid_bench.units import quantity
 
 
-@dataclass(frozen=True)
-class _Settings:
+class _Settings(NamedTuple):
     """Settings of the excitation `optimised`, as typed."""
 
     period: str | None
@@ -46,22 +45,19 @@ class _Settings:
     starts: int | None
 
 
-@dataclass(frozen=True)
-class _Unknowns:
+class _Unknowns(NamedTuple):
     task: str
     sensor: str | None
     payload: str
     terms: str | None
 
 
-@dataclass(frozen=True)
-class _Bounds:
+class _Bounds(NamedTuple):
     limits: tuple[str, ...]
     boxes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Output:
+class _Output(NamedTuple):
     export: str | None
     motors: str | None
     clamp: str
@@ -167,7 +163,7 @@ _output_options = option_group(
 @_output_options
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
 @robots_option
-@verb
+@run_command
 def excite(
     robot: str,
     objective: str,
@@ -193,7 +189,7 @@ def excite(
         payload=unknowns.payload,
         sensor=unknowns.sensor,
         terms=parse_terms(unknowns.terms),
-        settings=parse_settings(asdict(settings), bounds.boxes),
+        settings=parse_settings(settings._asdict(), bounds.boxes),
         limits=parse_limits(bounds.limits),
         motors=None if output.motors is None else parse_motors(output.motors),
         clamp=quantity(output.clamp, "1"),

@@ -1,6 +1,5 @@
 """Values of options that hold several words; names are checked by the commands themselves."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,14 +10,14 @@ from sysid_bench.units import interval, quantity
 _UNITS = {"period": "s", "clearance": "m", "floor": "m", "torque_share": "1"}
 
 
-def parse_words(text: str | None) -> tuple[str, ...]:
+def parse_names(text: str | None) -> tuple[str, ...]:
     """Split words at commas, each once; () for None."""
     return tuple(dict.fromkeys(word.strip() for word in (text or "").split(",") if word.strip()))
 
 
 def parse_terms(text: str | None) -> tuple[str, ...] | None:
     """Joint terms of "viscous,coulomb,j1.k"; () for "none"; None leaves the choice to the robot."""
-    words = parse_words(text)
+    words = parse_names(text)
     if text is None:
         return None
     return () if words == ("none",) else words
@@ -29,8 +28,8 @@ def parse_payload(text: str) -> str | dict[str, Any]:
     if not text.lstrip().startswith("{"):
         return text
     try:
-        return dict(tomllib.loads(f"payload = {text}")["payload"])
-    except tomllib.TOMLDecodeError as error:
+        return dict(_toml(f"payload = {text}")["payload"])
+    except ValueError as error:
         raise UsageError(
             f"The payload {text!r} is not a TOML table ({error}); write --payload "
             "'{ mass = 1.2, com = [0, 0, 0.05], inertia = \"sphere 0.05 m\" }'."
@@ -54,7 +53,7 @@ def parse_contacts(text: str | None) -> list[str] | str | None:
     """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raise UsageError for others."""
     if text is None or text == "detect":
         return text
-    periods = list(parse_words(text))
+    periods = list(parse_names(text))
     for period in periods or [text]:
         interval(period)
     return periods
@@ -92,10 +91,10 @@ def parse_motors(text: str) -> dict[str, dict[str, Any]]:
     if not text.endswith(".toml"):
         return {str(k): {"motor": name.strip()} for k, name in enumerate(text.split(","), 1)}
     try:
-        table = tomllib.loads(Path(text).read_text(encoding="utf-8"))
+        table = _toml(Path(text).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise UsageError(f"There is no file {text!r} of motors.") from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise UsageError(f"{text}: {error}.") from error
     if not all(isinstance(value, dict) for value in table.values()):
         raise UsageError(f"{text}: write a table for each joint: [joint1] motor = 'DM4340'.")
@@ -109,6 +108,13 @@ def parse_pairs(words: Sequence[str]) -> list[tuple[str, str]]:
         if not (key.strip() and sign and value):
             raise UsageError(f"{key + sign + value!r} is not a pair; write NAME=VALUE.")
     return [(key.strip(), value) for key, _, value in pairs]
+
+
+def _toml(text: str) -> dict[str, Any]:
+    """Tables of a TOML text; raise ValueError (TOMLDecodeError) for another text."""
+    import tomllib
+
+    return tomllib.loads(text)
 
 
 def _box(body: str, text: str) -> list[list[float]]:

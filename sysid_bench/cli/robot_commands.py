@@ -1,8 +1,7 @@
 """Commands on a robot model: crosscheck, basis."""
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -16,12 +15,12 @@ from sysid_bench.cli.common import (
     print_json,
     print_result,
     robots_option,
+    run_command,
     sensor_option,
     task_option,
     terms_option,
-    verb,
 )
-from sysid_bench.cli.option_parsing import parse_terms, parse_words
+from sysid_bench.cli.option_parsing import parse_names, parse_terms
 from sysid_bench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
 )
 @robots_option
 @json_option
-@verb
+@run_command
 def crosscheck(
     robots: tuple[str, ...],
     samples: int,
@@ -73,8 +72,7 @@ def _print_verdict(verdict: "CrosscheckResult") -> None:
         click.echo(f"sysid-bench: {verdict.robot}: {verdict.reason}", err=True)
 
 
-@dataclass(frozen=True)
-class _Paper:
+class _Paper(NamedTuple):
     paper: bool
     zero: str | None
     values: Path | None
@@ -100,14 +98,14 @@ class _Paper:
             "--values",
             type=click.Path(path_type=Path),
             metavar="FILE.json",
-            help="With --paper: values of the combinations, from identify --json-out; impossible ones "
-            "are marked.",
+            help="With --paper: values of the combinations, from identify --json-out; impossible "
+            "ones are marked.",
         ),
     ],
 )
 @robots_option
 @json_option
-@verb
+@run_command
 def basis(
     robot: str,
     task: str,
@@ -141,7 +139,7 @@ def _print_paper(
 ) -> None:
     from sysid_bench.verbs.base_table import lines
 
-    zero = None if printing.zero is None else parse_words(printing.zero)
+    zero = None if printing.zero is None else parse_names(printing.zero)
     zero = () if zero == ("none",) else zero
     table = sysid_bench.paper_table(robot, terms, zero, printing.values, robots_dir)
     if as_json:

@@ -1,8 +1,7 @@
 """Commands on a suite: plan, run."""
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import click
 
@@ -16,7 +15,7 @@ from sysid_bench.cli.common import (
     print_json,
     print_result,
     robots_option,
-    verb,
+    run_command,
 )
 from sysid_bench.cli.option_parsing import parse_pairs
 from sysid_bench.cli.progress import run_progress
@@ -34,7 +33,7 @@ _select_option = click.option("--select", help="Only cells that meet this expres
 @_set_option
 @robots_option
 @json_option
-@verb
+@run_command
 def plan(
     suite: str,
     select: str | None,
@@ -55,8 +54,7 @@ def plan(
     return OK
 
 
-@dataclass(frozen=True)
-class _Execution:
+class _Execution(NamedTuple):
     out: Path | None
     jobs: int | None
     timeout: str | None
@@ -64,8 +62,7 @@ class _Execution:
     fail_fast: bool
 
 
-@dataclass(frozen=True)
-class _Selection:
+class _Selection(NamedTuple):
     select: str | None
     limit: int | None
     record: str | None
@@ -104,7 +101,7 @@ class _Selection:
 )
 @_set_option
 @robots_option
-@verb
+@run_command
 def run(
     suite: str,
     execution: _Execution,

@@ -54,7 +54,7 @@ def bodies_of(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str,
 def base_of(estimate: Estimate, problem: Problem, errors: Errors) -> list[dict[str, Any]]:
     """Return [{expression, terms, value, std}] of the base parameters, in order of their pivots."""
     assert estimate.beta is not None
-    std = standard_deviations(errors, problem.base.rank)
+    std = _base_std(errors, problem.base.rank)
     return [
         {"expression": expression(terms), "terms": terms, "value": float(value), "std": float(s)}
         for terms, value, s in zip(base_expressions(problem.base), estimate.beta, std, strict=True)
@@ -116,12 +116,12 @@ def std_from(errors: Errors) -> str | None:
     return next(iter(errors), None)
 
 
-def standard_deviations(errors: Errors, rank: int) -> Array:
+def _base_std(errors: Errors, rank: int) -> Array:
     """Standard deviations (r,) of the base parameters; NaN where none are known."""
     return next((error.std for error in errors.values()), np.full(rank, np.nan))
 
 
-def changed_parameters(estimate: Estimate, problem: Problem) -> list[str]:
+def completion_warnings(estimate: Estimate, problem: Problem) -> list[str]:
     """Warn about base parameters that a completion had to change to find feasible bodies."""
     if "moved" not in estimate.stats:
         return []
@@ -135,7 +135,7 @@ def changed_parameters(estimate: Estimate, problem: Problem) -> list[str]:
 def _std(problem: Problem, errors: Errors) -> Array:
     """Standard deviations (p,) of the parameters that are identifiable, NaN elsewhere."""
     std = np.full(len(problem.parameters), np.nan)
-    std[problem.base.pivots] = standard_deviations(errors, problem.base.rank)
+    std[problem.base.pivots] = _base_std(errors, problem.base.rank)
     single = np.array(verdicts(problem.base)) == "identifiable"
     known: Array = np.where(single, std, np.nan)
     return known

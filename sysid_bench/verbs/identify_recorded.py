@@ -39,9 +39,9 @@ from sysid_bench.verbs.estimate_fields import (
 )
 from sysid_bench.verbs.identify_result import IdentifyResult
 from sysid_bench.verbs.log_warnings import log_warnings
-from sysid_bench.verbs.result import OMIT_NONE, number
+from sysid_bench.verbs.result import OMIT_NONE, value_text
 from sysid_bench.verbs.task_terms import check_term_names
-from sysid_bench.verbs.write_model import check_targets, write_model
+from sysid_bench.verbs.write_model import check_files, write_model
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
 ESTIMATOR: Final = "wls"
@@ -124,7 +124,7 @@ class RecordedResult(IdentifyResult):
         test = next(iter(self.tests.values()), None)
         lines = [
             f"{self.model}, task {self.task}, {self.estimator}: rank {self.rank} "
-            f"of {self.parameters}, condition {number(self.condition)}",
+            f"of {self.parameters}, condition {value_text(self.condition)}",
             f"  {self._signals_line()}",
             *_selection_lines(self.selection),
             "  joint                  RMS     train" + ("          test" if test else ""),
@@ -160,7 +160,7 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     manifest = find_manifest(request.model, request.robots_dir)
     if request.model_out is not None or request.json_out is not None:
         robot = load_robot(manifest)
-        check_targets(robot, request.task, request.model_out, request.json_out)
+        check_files(robot, request.task, request.model_out, request.json_out)
     training = descriptions[: len(request.logs)]
     testing = dict(zip(_labels(request.tests), descriptions[len(training) :], strict=True))
     posed = prepare_logs(manifest, training, testing, _options(request))
@@ -299,7 +299,7 @@ def _payload_line(payload: Mapping[str, Any]) -> str:
         )
     single = [key for key, verdict in payload["identifiable"].items() if verdict == "identifiable"]
     units = {"m": "kg", "h": "kg m", "I": "kg m^2"}
-    values = [f"{key} {number(payload['parameters'][key])} {units[key[0]]}" for key in single]
+    values = [f"{key} {value_text(payload['parameters'][key])} {units[key[0]]}" for key in single]
     return ", ".join(values) or "nothing of it is identifiable on its own"
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from sysid_bench.verbs.result import Result, uncertain
+from sysid_bench.verbs.result import Result, estimate_text
 
 STD_FROM: Final = {
     "periods": "from the spread over repeated periods",
@@ -55,12 +55,12 @@ class IdentifyResult(Result):
 def body_lines(name: str, body: Mapping[str, Any]) -> list[str]:
     """Mass of a body, then the parameters that are identifiable on their own."""
     single = [
-        f"{key} {uncertain(body['parameters'][key], body['std'][key])}"
+        f"{key} {estimate_text(body['parameters'][key], body['std'][key])}"
         for key, verdict in body["identifiable"].items()
         if verdict == "identifiable"
     ]
     return [
-        f"  {name}: mass {uncertain(body['mass'], body['std']['m'], 'not identifiable')}",
+        f"  {name}: mass {estimate_text(body['mass'], body['std']['m'], 'not identifiable')}",
         f"    {', '.join(single) or 'nothing is identifiable on its own'}",
     ]
 
@@ -68,7 +68,7 @@ def body_lines(name: str, body: Mapping[str, Any]) -> list[str]:
 def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
     """Terms of a joint, each with its standard deviation or `not identifiable`."""
     parts = [
-        f"{term} {uncertain(value['value'], value['std'])}"
+        f"{term} {estimate_text(value['value'], value['std'])}"
         if value["identifiable"] == "identifiable"
         else f"{term} not identifiable"
         for term, value in terms.items()

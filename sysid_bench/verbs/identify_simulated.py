@@ -18,16 +18,16 @@ from sysid_bench.types import Estimate
 from sysid_bench.verbs.estimate_fields import (
     base_of,
     bodies_of,
-    changed_parameters,
+    completion_warnings,
     joints_of,
     std_from,
     warnings_of,
 )
 from sysid_bench.verbs.ft_summary import comparison_fields, excitation_fields, sensor_lines
 from sysid_bench.verbs.identify_result import STD_FROM, IdentifyResult, body_lines, joint_line
-from sysid_bench.verbs.result import OMIT_NONE, number
+from sysid_bench.verbs.result import OMIT_NONE, value_text
 from sysid_bench.verbs.task_terms import check_terms
-from sysid_bench.verbs.write_model import check_targets, write_model
+from sysid_bench.verbs.write_model import check_files, write_model
 
 ESTIMATOR: Final = {"terminal": "min-norm", "wrench": "wls", "wrench-payload": "wls"}
 """Default estimator of a task: that of its source; weighted least squares where forces and moments
@@ -105,9 +105,9 @@ class SimulatedResult(IdentifyResult):
         """Errors, then bodies and joints with standard deviations, then warnings."""
         lines = [
             f"{self.model}, task {self.task}, {self.estimator}: "
-            f"rank {self.rank} of {self.parameters}, condition {number(self.condition)}",
-            f"  RMSE {number(self.rmse_train)} in training, {number(self.rmse_test)} on "
-            f"other motions, torque error {number(self.torque_error)}",
+            f"rank {self.rank} of {self.parameters}, condition {value_text(self.condition)}",
+            f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
+            f"other motions, torque error {value_text(self.torque_error)}",
         ]
         if self.left_out:
             lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
@@ -133,7 +133,7 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     spec = _spec(request)
     folder = None if request.robots_dir is None else str(request.robots_dir)
     robot = cached_robot(spec.robot, spec.payload, folder, None, request.free_base)
-    check_targets(robot.robot, request.task, request.model_out, request.json_out)
+    check_files(robot.robot, request.task, request.model_out, request.json_out)
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
     ready = prepare(spec, robot)
@@ -193,7 +193,7 @@ def _result(
         warnings=[
             *loaded.robot.repairs,
             *warnings_of(estimate, problem),
-            *changed_parameters(estimate, problem),
+            *completion_warnings(estimate, problem),
             *missing,
         ],
         sensor=sensor,

@@ -24,7 +24,7 @@ Drives = tuple[damiao.DamiaoDrive, ...]
 
 
 @dataclass(frozen=True)
-class Exported:
+class MotionExport:
     """Warnings about a written motion; `drives`: scaling and clamping of each Damiao motor."""
 
     warnings: list[str]
@@ -110,7 +110,7 @@ def write_motion(
     commands: Commands,
     drives: Drives,
     clamp: float,
-) -> Exported:
+) -> MotionExport:
     """Write commands in the format of an export; at most the share `clamp` of a motor's samples may
     be clamped to its range."""
     warnings = []
@@ -133,7 +133,7 @@ def write_motion(
             text = damiao.table_text(commands, drives, report)
         report = [drive.to_json() | entry for drive, entry in zip(drives, report, strict=True)]
     file.write_text(text, encoding="utf-8")
-    return Exported(warnings, report)
+    return MotionExport(warnings, report)
 
 
 def _hot_motor(entry: Mapping[str, Any]) -> str:

@@ -63,14 +63,14 @@ class Result(Mapping[str, Any]):
         )
 
 
-def number(value: float | None, absent: str = "-") -> str:
+def value_text(value: float | None, absent: str = "-") -> str:
     """Four significant digits; `absent` for None."""
     return absent if value is None else f"{value:.4g}"
 
 
-def uncertain(value: float | None, std: float | None, absent: str = "-") -> str:
+def estimate_text(value: float | None, std: float | None, absent: str = "-") -> str:
     """Value and one standard deviation, as far as they are known."""
-    return number(value, absent) + ("" if value is None or std is None else f" ± {std:.2g}")
+    return value_text(value, absent) + ("" if value is None or std is None else f" ± {std:.2g}")
 
 
 def _inline(value: Any) -> str:

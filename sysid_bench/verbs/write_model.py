@@ -26,7 +26,7 @@ COMPOSITES: Final = ("link", "terminal")
 """Tasks whose unknown body is the composite of a link and all that is welded to it."""
 
 
-def check_targets(robot: RobotModel, task: str, model: Path | None, answer: Path | None) -> None:
+def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path | None) -> None:
     """Raise UsageError or UnsupportedError, before anything runs, for files that the identified
     model or the JSON result cannot be written to."""
     if model is not None:
