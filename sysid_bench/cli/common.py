@@ -53,8 +53,8 @@ def option_group(
     def decorate(command: Command) -> Command:
         @wraps(command)
         def gathered(*args: Any, **values: Any) -> Any:
-            parts = {field: values.pop(field) for field in record._fields}
-            return command(*args, **values, **{name: record(**parts)})
+            parts = record._make(values.pop(field) for field in record._fields)
+            return command(*args, **values, **{name: parts})
 
         decorated: Command = gathered
         for option in reversed(options):
