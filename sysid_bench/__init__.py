@@ -1,47 +1,84 @@
 """sysid_bench: a Pinocchio-cross-validated benchmark of robot dynamic identification.
 
-The verbs of the command line as functions; each imports what it needs when it is called.
+Everything that the command line does is a function of this package, listed by `dir(sysid_bench)`;
+each returns a frozen result that also reads as a mapping:
+
+    verdict, = sysid_bench.crosscheck("ur5")
+    sysid_bench.identify("ur5", "link", "box-2kg").bodies
+    sysid_bench.identify("ur5", log="run.toml", test="other.toml").torque_error
+    sysid_bench.excite(sysid_bench.ExciteRequest("ur5", objective="D", out="motion.csv"))
+
+Public import paths are `sysid_bench`, `sysid_bench.types` (arrays, problems, estimates), and the
+groups of plug-ins, entry points such as `sysid_bench.estimators`; all else may move. Functions are
+imported when they are first used, so that `import sysid_bench` is quick.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from sysid_bench.models.load import load_robot
-    from sysid_bench.verbs.basis import basis
-    from sysid_bench.verbs.catalogue import list_, show
-    from sysid_bench.verbs.check_plugin import check_plugin
-    from sysid_bench.verbs.crosscheck import crosscheck
-    from sysid_bench.verbs.doctor import doctor
+    from sysid_bench.verbs.base_table import paper_table
+    from sysid_bench.verbs.basis import BasisResult, basis
+    from sysid_bench.verbs.catalogue import ShowResult, list_, show
+    from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
+    from sysid_bench.verbs.crosscheck import CrosscheckResult, crosscheck
+    from sysid_bench.verbs.doctor import DoctorResult, doctor
+    from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.verbs.folders import open_run
     from sysid_bench.verbs.identify import identify
+    from sysid_bench.verbs.identify_recorded import RecordedRequest
+    from sysid_bench.verbs.identify_result import IdentifyResult
+    from sysid_bench.verbs.identify_simulated import SimulatedRequest
+    from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
     from sysid_bench.verbs.recordings import record, view
     from sysid_bench.verbs.reports import report, table
-    from sysid_bench.verbs.runs import cell, plan, run, status
+    from sysid_bench.verbs.result import Result
+    from sysid_bench.verbs.runs import (
+        CellResult,
+        PlanResult,
+        RunResult,
+        StatusResult,
+        cell,
+        plan,
+        run,
+        status,
+    )
 
-_PLACES = {
-    "load_robot": "sysid_bench.models.load",
-    "crosscheck": "sysid_bench.verbs.crosscheck",
-    "basis": "sysid_bench.verbs.basis",
-    "check_plugin": "sysid_bench.verbs.check_plugin",
-    "identify": "sysid_bench.verbs.identify",
-    "list_": "sysid_bench.verbs.catalogue",
-    "show": "sysid_bench.verbs.catalogue",
-    "plan": "sysid_bench.verbs.runs",
-    "run": "sysid_bench.verbs.runs",
-    "open_run": "sysid_bench.verbs.folders",
-    "status": "sysid_bench.verbs.runs",
-    "cell": "sysid_bench.verbs.runs",
-    "table": "sysid_bench.verbs.reports",
-    "report": "sysid_bench.verbs.reports",
-    "record": "sysid_bench.verbs.recordings",
-    "view": "sysid_bench.verbs.recordings",
-    "doctor": "sysid_bench.verbs.doctor",
+_PUBLIC: Final = {
+    "models.load": ("load_robot",),
+    "verbs.base_table": ("paper_table",),
+    "verbs.basis": ("BasisResult", "basis"),
+    "verbs.catalogue": ("ShowResult", "list_", "show"),
+    "verbs.check_plugin": ("CheckPluginResult", "check_plugin"),
+    "verbs.crosscheck": ("CrosscheckResult", "crosscheck"),
+    "verbs.doctor": ("DoctorResult", "doctor"),
+    "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
+    "verbs.folders": ("open_run",),
+    "verbs.identify": ("identify",),
+    "verbs.identify_recorded": ("RecordedRequest",),
+    "verbs.identify_result": ("IdentifyResult",),
+    "verbs.identify_simulated": ("SimulatedRequest",),
+    "verbs.init_robot": ("InitRobotResult", "init_robot"),
+    "verbs.recordings": ("record", "view"),
+    "verbs.reports": ("report", "table"),
+    "verbs.result": ("Result",),
+    "verbs.runs": (
+        *("CellResult", "PlanResult", "RunResult", "StatusResult"),
+        *("cell", "plan", "run", "status"),
+    ),
 }
+"""Module of each public name."""
+
+_MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
-    "basis", "cell", "check_plugin", "crosscheck", "doctor", "identify", "list_", "load_robot",
-    "open_run", "plan", "record", "report", "run", "show", "status", "table", "view",
+    "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult", "DoctorResult",
+    "ExciteRequest", "ExciteResult", "IdentifyResult", "InitRobotResult", "PlanResult",
+    "RecordedRequest", "Result", "RunResult", "ShowResult", "SimulatedRequest", "StatusResult",
+    "basis", "cell", "check_plugin", "crosscheck", "doctor", "excite", "identify", "init_robot",
+    "list_", "load_robot", "open_run", "paper_table", "plan", "record", "report", "run", "show",
+    "status", "table", "view",
 ]  # fmt: skip
 
 
@@ -50,6 +87,10 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("sysid-bench")
-    if name in _PLACES:
-        return getattr(import_module(_PLACES[name]), name)
+    if name in _MODULE:
+        return getattr(import_module(f"sysid_bench.{_MODULE[name]}"), name)
     raise AttributeError(f"module 'sysid_bench' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

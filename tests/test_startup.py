@@ -21,7 +21,7 @@ except SystemExit as end:
 """
 VERBS = {
     *("crosscheck", "list", "show", "plan", "run", "status", "cell", "table", "report"),
-    *("record", "view", "doctor", "excite"),
+    *("record", "view", "doctor", "excite", "basis", "identify", "init", "check-plugin"),
 }
 
 

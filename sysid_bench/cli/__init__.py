@@ -1,7 +1,7 @@
-"""The command `sysid-bench`: words in, sysid_bench.verbs called, results printed.
+"""Command line `sysid-bench`: parse options, call the functions of `sysid_bench`, print results.
 
 Data goes to stdout, errors to stderr in one readable paragraph (a traceback only under --debug).
-Only click is imported here; each verb imports what it needs when it is called.
+Functions of `sysid_bench` are imported when a command calls them, so that --help is quick.
 """
 
 import os
@@ -11,6 +11,7 @@ from typing import Final
 import click
 
 from sysid_bench.cli import catalogue_commands as catalogue
+from sysid_bench.cli import identify_commands as identification
 from sysid_bench.cli import init_commands as start
 from sysid_bench.cli import motion_commands as motions
 from sysid_bench.cli import robot_commands as robots
@@ -18,12 +19,13 @@ from sysid_bench.cli import run_commands as results
 from sysid_bench.cli import suite_commands as suites
 
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What a user may set; else one. The matrices of a verb are small, and on a busy machine a second
-BLAS thread waits longer than it works: crosscheck ur5 took 4.3 s with two and 2.7 s with one."""
+"""Numbers of threads that a user may set; one by default. The matrices of a command are small, and
+on a busy machine a second BLAS thread waits longer than it works: crosscheck ur5 took 4.3 s with
+two and 2.7 s with one, and a search of excite a hundred times longer."""
 
 
 class _Group(click.Group):
-    """Verbs in the order of a user's day."""
+    """Commands in the order in which a user needs them."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -38,15 +40,15 @@ def main(ctx: click.Context, debug: bool) -> None:
     ctx.obj = debug
     for variable in THREADS:  # read once, when numpy is imported
         os.environ.setdefault(variable, "1")
-    if "" not in sys.path:  # "my_lab:Thing" means the folder one stands in, as with python -m
+    if "" not in sys.path:  # "my_lab:Thing" is found in the working folder, as with python -m
         sys.path.insert(0, "")
 
 
-for _verb in (
-    robots.crosscheck, robots.basis, robots.identify, motions.excite, start.init,
+for _command in (
+    robots.crosscheck, robots.basis, identification.identify, motions.excite, start.init,
     catalogue.list_, catalogue.show,
     suites.plan, suites.run,
     results.status, results.cell, results.table, results.report, results.record, results.view,
     catalogue.check_plugin, catalogue.doctor,
 ):  # fmt: skip
-    main.add_command(_verb)
+    main.add_command(_command)

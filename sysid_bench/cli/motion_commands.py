@@ -1,21 +1,146 @@
-"""Verbs on motions: excite."""
+"""Command that designs motions: excite."""
 
-import os
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import click
 
+import sysid_bench
 from sysid_bench.cli.common import (
     FAILED,
     INTERRUPTED,
     OK,
     json_option,
-    print_json,
+    option_group,
+    print_result,
     robots_option,
-    verb,
+    run_command,
+    sensor_option,
+    task_option,
+    terms_option,
 )
-from sysid_bench.cli.robot_commands import SENSOR
+from sysid_bench.cli.option_parsing import (
+    parse_limits,
+    parse_motors,
+    parse_objective,
+    parse_settings,
+    parse_terms,
+)
+from sysid_bench.cli.progress import search_progress
+from sysid_bench.units import quantity
+
+
+class _Settings(NamedTuple):
+    """Settings of the excitation `optimised`, as typed."""
+
+    period: str | None
+    harmonics: int | None
+    cycles: int | None
+    family: str | None
+    joints: str | None
+    torque_share: str | None
+    clearance: str | None
+    floor: str | None
+    iterations: int | None
+    starts: int | None
+
+
+class _Unknowns(NamedTuple):
+    task: str
+    sensor: str | None
+    payload: str
+    terms: str | None
+
+
+class _Bounds(NamedTuple):
+    limits: tuple[str, ...]
+    boxes: tuple[str, ...]
+
+
+class _Output(NamedTuple):
+    export: str | None
+    motors: str | None
+    clamp: str
+    rate: str
+    out: Path | None
+    as_json: bool
+
+
+_setting_options = option_group(
+    "settings",
+    _Settings,
+    [
+        click.option("--period", metavar="S", help="Default: 10 s."),
+        click.option("--harmonics", type=click.IntRange(min=1), help="Default: 5."),
+        click.option("--cycles", type=click.IntRange(min=1), help="Periods to play. Default: 1."),
+        click.option(
+            "--family",
+            help="fourier, fourier-polynomial or b-spline; the last two start and end at rest. "
+            "Default: fourier, and fourier-polynomial for ros2, damiao and can.",
+        ),
+        click.option("--joints", metavar="A,B,...", help="Joints that move; default: all."),
+        click.option(
+            "--torque-share", metavar="SHARE", help="Of the torque limits. Default: 90 %."
+        ),
+        click.option("--clearance", metavar="M", help="Between links. Default: 0.01 m."),
+        click.option("--floor", metavar="M", help="Height of a floor that nothing may touch."),
+        click.option(
+            "--iterations", type=click.IntRange(min=1), help="Of the search. Default: 150."
+        ),
+        click.option("--starts", type=click.IntRange(min=1), help="Of the search. Default: 1."),
+    ],
+)
+
+_unknown_options = option_group(
+    "unknowns",
+    _Unknowns,
+    [
+        task_option,
+        sensor_option,
+        click.option(
+            "--payload", default="none", show_default=True, help="Load mounted at the tool."
+        ),
+        terms_option,
+    ],
+)
+
+_bound_options = option_group(
+    "bounds",
+    _Bounds,
+    [
+        click.option(
+            "--limit",
+            "limits",
+            multiple=True,
+            metavar="v|a|tau=X[,X...]",
+            help="Instead of the robot's limits: one number for all joints, or one each.",
+        ),
+        click.option(
+            "--box",
+            "boxes",
+            multiple=True,
+            metavar="BODY=X:X,Y:Y,Z:Z",
+            help="Where a body may go, m.",
+        ),
+    ],
+)
+
+_output_options = option_group(
+    "output",
+    _Output,
+    [
+        click.option("--export", help="csv (default), ros2, damiao or can."),
+        click.option(
+            "--motors", metavar="TYPE,TYPE,...|FILE.toml", help="Damiao motors of the joints."
+        ),
+        click.option(
+            "--clamp", default="1 %", show_default=True, help="Samples that motors may clamp."
+        ),
+        click.option("--rate", default="200 Hz", show_default=True, help="Of the written samples."),
+        click.option("-o", "out", type=click.Path(path_type=Path), help="File of the motion."),
+        json_option,
+    ],
+)
 
 
 @click.command()
@@ -26,112 +151,56 @@ from sysid_bench.cli.robot_commands import SENSOR
     show_default=True,
     help="cond, cond-unit, D, A, E or predict; or weights: D=1,cond=0.2.",
 )
-@click.option("--period", metavar="S", help="Default: 10 s.")
-@click.option("--harmonics", type=click.IntRange(min=1), help="Default: 5.")
-@click.option("--cycles", type=click.IntRange(min=1), help="Periods to play. Default: 1.")
-@click.option(
-    "--family", help="fourier, fourier-polynomial or b-spline; the last two start and end at rest. "
-    "Default: fourier, and fourier-polynomial for ros2, damiao and can.",
-)  # fmt: skip
-@click.option("--joints", metavar="A,B,...", help="Joints that move; default: all.")
-@click.option(
-    "--task",
-    default="robot",
-    show_default=True,
-    help="robot, payload, link, terminal, wrench, wrench-payload.",
-)
-@click.option("--sensor", metavar="NAME|PLACE", help=SENSOR)
-@click.option("--payload", default="none", show_default=True, help="What is mounted at the tool.")
-@click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
-@click.option(
-    "--limit",
-    "limits",
-    multiple=True,
-    metavar="v|a|tau=X[,X...]",
-    help="Instead of the robot's limits: one number for all joints, or one each.",
-)
-@click.option("--torque-share", metavar="SHARE", help="Of the torque limits. Default: 90 %.")
-@click.option("--clearance", metavar="M", help="Between links. Default: 0.01 m.")
-@click.option("--floor", metavar="M", help="Height of a floor that nothing may touch.")
-@click.option(
-    "--box", "boxes", multiple=True, metavar="BODY=X:X,Y:Y,Z:Z", help="Where a body may go, m."
-)
+@_setting_options
+@_unknown_options
+@_bound_options
 @click.option(
     "--after",
     multiple=True,
     type=click.Path(path_type=Path),
-    help="A CSV motion that was recorded before: design what to run next.",
+    help="CSV of a motion already recorded: design the next one.",
 )
-@click.option("--iterations", type=click.IntRange(min=1), help="Of the search. Default: 150.")
-@click.option("--starts", type=click.IntRange(min=1), help="Of the search. Default: 1.")
-@click.option("--export", help="csv (default), ros2, damiao or can.")
-@click.option("--motors", metavar="TYPE,TYPE,...|FILE.toml", help="Damiao motors of the joints.")
-@click.option("--clamp", default="1 %", show_default=True, help="Samples that motors may clamp.")
-@click.option("--rate", default="200 Hz", show_default=True, help="Of the written samples.")
+@_output_options
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
-@click.option("-o", "out", type=click.Path(path_type=Path), help="The file of the motion.")
 @robots_option
-@json_option
-@verb
+@run_command
 def excite(
     robot: str,
     objective: str,
-    limits: tuple[str, ...],
-    boxes: tuple[str, ...],
-    task: str,
-    payload: str,
-    sensor: str | None,
-    terms: str | None,
+    settings: _Settings,
+    unknowns: _Unknowns,
+    bounds: _Bounds,
     after: tuple[Path, ...],
-    export: str | None,
-    motors: str | None,
-    clamp: str,
-    rate: str,
+    output: _Output,
     seed: int,
-    out: Path | None,
     robots_dir: Path | None,
-    as_json: bool,
-    **settings: Any,
 ) -> int:
     """Design the best motion within a robot's limits, and write it for its controller.
 
     Exit code 1 where a limit is violated, 130 after an interrupt (the best motion so far is
     written).
     """
-    # Before NumPy is loaded: a search solves many small problems, and on a busy machine the threads
-    # of BLAS wait for each other a hundred times longer than one alone works.
-    for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    from sysid_bench.units import quantity
-    from sysid_bench.verbs import excite as designing
-    from sysid_bench.verbs.option_parsing import parse_terms
-    from sysid_bench.verbs.progress import values
-
-    with values() as tell:
-        answer = designing.excite(
-            robot,
-            designing.parse_objective(objective),
-            out=out,
-            export=export,
-            task=task,
-            payload=payload,
-            sensor=sensor,
-            terms=parse_terms(terms),
-            settings=designing.parse_settings(settings, boxes),
-            limits=designing.parse_limits(limits),
-            motors=None if motors is None else designing.motors_of(motors),
-            clamp=quantity(clamp, "1"),
-            after=after,
-            rate=quantity(rate, "Hz"),
-            seed=seed,
-            robots_dir=robots_dir,
-            tell=tell,
-        )
-    if as_json:
-        print_json(answer)
-    else:
-        for line in designing.summary(answer):
-            click.echo(line)
-    if answer["interrupted"]:
+    request = sysid_bench.ExciteRequest(
+        robot,
+        parse_objective(objective),
+        out=output.out,
+        export=output.export,
+        task=unknowns.task,
+        payload=unknowns.payload,
+        sensor=unknowns.sensor,
+        terms=parse_terms(unknowns.terms),
+        settings=parse_settings(settings._asdict(), bounds.boxes),
+        limits=parse_limits(bounds.limits),
+        motors=None if output.motors is None else parse_motors(output.motors),
+        clamp=quantity(output.clamp, "1"),
+        after=after,
+        rate=quantity(output.rate, "Hz"),
+        seed=seed,
+        robots_dir=robots_dir,
+    )
+    with search_progress() as on_value:
+        result = sysid_bench.excite(request, on_value)
+    print_result(result, output.as_json)
+    if result.interrupted:
         return INTERRUPTED
-    return FAILED if answer["violations"] else OK
+    return FAILED if result.violations else OK

@@ -1,1 +1,1 @@
-"""What the command line does, as Python functions: values in, values out, nothing printed."""
+"""Commands as functions: each takes a request or a few arguments and returns a frozen result."""

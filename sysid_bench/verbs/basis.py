@@ -1,11 +1,81 @@
-"""Base parameters of any robot: how many, which sums, and what each single parameter is worth."""
+"""Base parameters of a task: number, combinations, and identifiability of each parameter."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-LOAD = "point-1kg"
-"""What is mounted for the task `payload`: which numbers can be told does not depend on the load."""
+from sysid_bench.identifiability.base_expressions import (
+    base_expressions,
+    expression,
+    near_degenerate,
+)
+from sysid_bench.identifiability.base_map import base_map, dropped_torque
+from sysid_bench.identifiability.structural import structural_factor
+from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.tasks.task import task_of
+from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.task_terms import check_terms
+
+LOAD: Final = "point-1kg"
+"""Payload mounted for payload tasks. Identifiability depends on its position in the tree alone."""
+
+_WORDS: Final = {
+    "identifiable": "identifiable",
+    "combination": "in combinations alone",
+    "none": "without any effect",
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BasisResult(Result):
+    """Base parameters beta = K theta of the unknowns theta (p,) of a task.
+
+    `base_parameters`: rank r of the regressor over random states, SI columns; `gap`: ratio of the
+    smallest singular value above the threshold to the largest below it. `verdicts`: {parameter:
+    "identifiable", "combination" or "none"}.
+    """
+
+    robot: str
+    task: str
+    terms: list[str]
+    rows: list[str]
+    parameters: int
+    base_parameters: int
+    inertial: int
+    gap: float
+    near_degenerate: int
+    dropped_torque: float  # share of the torque that the dropped directions carry
+    near_degenerate_directions: list[dict[str, Any]]
+    combinations: list[dict[str, Any]]
+    verdicts: Mapping[str, str]
+
+    def expressions(self) -> list[str]:
+        """Combinations as text, single parameters first."""
+        entries = sorted(self.combinations, key=lambda entry: len(entry["terms"]) > 1)
+        return [str(entry["expression"]) for entry in entries]
+
+    def summary(self) -> str:
+        """Rank, gap, near-degenerate directions, and parameters by verdict."""
+        lines = [
+            f"{self.robot}, task {self.task}: {self.base_parameters} base parameters of "
+            f"{self.parameters} unknowns, {self.inertial} of them inertial (gap {self.gap:.1e})"
+        ]
+        lines += [
+            f"  near-degenerate ({entry['singular_value']:.1e} of the largest): "
+            f"{entry['expression']}"
+            for entry in self.near_degenerate_directions
+        ]
+        if self.near_degenerate:
+            share = self.dropped_torque
+            lines.append(f"  these carry {share:.1e} of the torque, which no estimate predicts")
+        for verdict, words in _WORDS.items():
+            names = [name for name, value in self.verdicts.items() if value == verdict]
+            if names:
+                lines.append(f"  {len(names)} {words}: {', '.join(names)}")
+        return "\n".join(lines)
 
 
 def basis(
@@ -15,88 +85,41 @@ def basis(
     free_base: bool | None = None,
     robots_dir: Path | None = None,
     sensor: str | None = None,
-) -> dict[str, Any]:
-    """The base parameters of a task, as `basis --json` prints them.
+) -> BasisResult:
+    """Return the base parameters of a task on a robot (a name, a URDF or an MJCF file).
 
-    `terms`: joint terms that are unknown as well (None: the robot's own with the task `robot`).
-    `sensor`: for the tasks `wrench` and `wrench-payload`, one of the manifest or a place to cut.
-    Raises UsageError for unknown words, ModelError for a file that cannot be used, and
-    UnsupportedError where the robot has no such task.
+    `terms`: joint terms that are also unknown (None: the robot's own with the task `robot`).
+    `sensor`: for the tasks `wrench` and `wrench-payload`, a sensor of the manifest or a fixed
+    joint, site or body. Raises UsageError for unknown names, ModelError for a file that cannot be
+    used, and UnsupportedError where the robot has no such task.
     """
-    from sysid_bench.identifiability.base_expressions import (
-        base_expressions,
-        expression,
-        near_degenerate,
-    )
-    from sysid_bench.identifiability.base_map import base_map, dropped_torque
-    from sysid_bench.identifiability.structural import structural_factor
-    from sysid_bench.identifiability.verdicts import verdicts
-    from sysid_bench.models.load import load_robot
-    from sysid_bench.models.payload import PAYLOADS
-    from sysid_bench.tasks.task import task_of
-    from sysid_bench.verbs.option_parsing import refuse_ignored_terms
-
-    refuse_ignored_terms(task, terms)
+    check_terms(task, terms)
     load = PAYLOADS[LOAD if task.endswith("payload") else "none"]
     robot = load_robot(source, load, free_base, robots_dir)
-    own = robot.manifest.terms if task == "robot" else ()
-    chosen = own if terms is None else tuple(terms)
-    asked = task_of(robot, task, chosen, sensor)
-    R = structural_factor(robot, asked.parameters, asked.rows, asked.cuts)
-    base = base_map(R, asked.parameters)
-    inertial = {column for body in asked.bodies for column in body.columns}
-    return {
-        "robot": robot.name,
-        "task": task,
-        "terms": list(chosen),
-        "rows": list(robot.torque_rows if asked.rows is None else asked.rows),
-        "parameters": len(asked.parameters),
-        "base_parameters": base.rank,
-        # Joint terms come last, so that no pivot among the inertial parameters owes them anything.
-        "inertial": sum(name in inertial for name in base.names),
-        "gap": base.gap,
-        "near_degenerate": base.near_degenerate,
-        "dropped_torque": dropped_torque(base, asked.truth.theta),
-        "near_degenerate_directions": [
+    defaults = robot.manifest.terms if task == "robot" else ()
+    chosen = defaults if terms is None else tuple(terms)
+    posed = task_of(robot, task, chosen, sensor)
+    R = structural_factor(robot, posed.parameters, posed.rows, posed.cuts)
+    base = base_map(R, posed.parameters)
+    inertial = {column for body in posed.bodies for column in body.columns}
+    return BasisResult(
+        robot=robot.name,
+        task=task,
+        terms=list(chosen),
+        rows=list(robot.torque_rows if posed.rows is None else posed.rows),
+        parameters=len(posed.parameters),
+        base_parameters=base.rank,
+        # Joint terms come last, so that no pivot among the inertial parameters depends on them.
+        inertial=sum(name in inertial for name in base.names),
+        gap=base.gap,
+        near_degenerate=base.near_degenerate,
+        dropped_torque=dropped_torque(base, posed.truth.theta),
+        near_degenerate_directions=[
             {"singular_value": value, "expression": expression(parts, 2), "terms": parts}
             for value, parts in near_degenerate(R, base)
         ],
-        "combinations": [
+        combinations=[
             {"expression": expression(parts), "terms": parts} for parts in base_expressions(base)
         ],
-        "verdicts": dict(zip(base.parameters, verdicts(base), strict=True)),
-    }
-
-
-def paper(answer: dict[str, Any]) -> list[str]:
-    """The sums of `basis` one per line, single parameters first."""
-    sums = sorted(answer["combinations"], key=lambda entry: len(entry["terms"]) > 1)
-    return [entry["expression"] for entry in sums]
-
-
-def summary(answer: dict[str, Any]) -> list[str]:
-    """What `basis` tells, in a few lines."""
-    gap = answer["gap"]
-    lines = [
-        f"{answer['robot']}, task {answer['task']}: {answer['base_parameters']} base parameters of "
-        f"{answer['parameters']} unknowns, {answer['inertial']} of them inertial (gap {gap:.1e})"
-    ]
-    lines += [
-        f"  near-degenerate ({entry['singular_value']:.1e} of the largest): {entry['expression']}"
-        for entry in answer["near_degenerate_directions"]
-    ]
-    if answer["near_degenerate"]:
-        share = answer["dropped_torque"]
-        lines.append(f"  these carry {share:.1e} of the torque, which no estimate predicts")
-    for verdict, words in _WORDS.items():
-        names = [name for name, own in answer["verdicts"].items() if own == verdict]
-        if names:
-            lines.append(f"  {len(names)} {words}: {', '.join(names)}")
-    return lines
-
-
-_WORDS = {
-    "identifiable": "identifiable",
-    "combination": "in combinations alone",
-    "none": "without any effect",
-}
+        verdicts=dict(zip(base.parameters, verdicts(base), strict=True)),
+    )

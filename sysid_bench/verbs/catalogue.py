@@ -1,6 +1,7 @@
-"""What there is: robots, payloads, excitations, estimators, suites."""
+"""Catalogue of names: robots, payloads, excitations, estimators, suites, simulations, plants."""
 
 import dataclasses
+import json
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -8,39 +9,57 @@ from typing import Any, Final
 
 from sysid_bench import naming, places
 from sysid_bench.errors import SysidBenchError, unknown_name
+from sysid_bench.models.manifest import find_manifest, is_model
+from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.verbs.result import Result
 
 Entry = dict[str, Any]
 
 
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class ShowResult(Result):
+    """Entry of the catalogue; its keys depend on its kind."""
+
+    kind: str
+    entry: Entry
+
+    def summary(self) -> str:
+        """One line per key."""
+        return "\n".join(
+            f"{key:<12} {value if isinstance(value, str) else json.dumps(value, default=str)}"
+            for key, value in self.items()
+        )
+
+    def _fields(self) -> Entry:
+        return {"kind": self.kind, **self.entry}
+
+
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
-    """Everything of a kind (robots, payloads, excitations, estimators, suites, simulations,
-    plants), each with name and title; an entry that cannot be read says so in its title."""
+    """Return everything of a kind (robots, payloads, excitations, estimators, suites, simulations,
+    plants) with name and title; the title of an entry that cannot be read states why."""
     if kind not in _LISTS:
-        raise unknown_name("kind of thing", kind, _LISTS)
+        raise unknown_name("kind", kind, _LISTS)
     return _LISTS[kind](robots_dir)
 
 
-def show(name: str, robots_dir: Path | None = None) -> Entry:
-    """One thing by its name: a robot's manifest as read, a payload, a plug-in's settings, or a
-    suite. Raises UsageError with the nearest name of any kind."""
-    from sysid_bench.models.manifest import is_model
+def show(name: str, robots_dir: Path | None = None) -> ShowResult:
+    """Return a robot's manifest as read, a payload, the settings of a plug-in, or a suite.
 
+    Raises UsageError with the nearest name of any kind.
+    """
     path = "/" in name or name.endswith((".urdf", ".xml"))
     if path or is_model(name) or name in places.robots(robots_dir):
-        return _robot(name, robots_dir)
+        return ShowResult("robot", _robot(name, robots_dir))
     found = {kind: {entry["name"] for entry in list_(kind, robots_dir)} for kind in _LISTS}
     for kind, make in _SHOWS.items():
         if name in found[kind]:
-            return {"kind": kind.removesuffix("s"), **make(name)}
-    raise unknown_name("thing", name, {n for names in found.values() for n in names})
+            return ShowResult(kind.removesuffix("s"), make(name))
+    raise unknown_name("name", name, {n for names in found.values() for n in names})
 
 
 def _robot(name: str, robots_dir: Path | None) -> Entry:
-    from sysid_bench.models.manifest import find_manifest
-
     manifest = find_manifest(name, robots_dir)
     return {
-        "kind": "robot",
         "name": manifest.name,
         "title": manifest.title,
         "file": str(manifest.path),
@@ -60,8 +79,6 @@ def _robot(name: str, robots_dir: Path | None) -> Entry:
 
 
 def _robots(robots_dir: Path | None) -> list[Entry]:
-    from sysid_bench.models.manifest import find_manifest
-
     entries = []
     for name in places.robots(robots_dir):
         try:
@@ -73,14 +90,10 @@ def _robots(robots_dir: Path | None) -> list[Entry]:
 
 
 def _payloads(robots_dir: Path | None) -> list[Entry]:
-    from sysid_bench.models.payload import PAYLOADS
-
     return [{"name": name, "title": _payload_title(name)} for name in PAYLOADS]
 
 
 def _payload_title(name: str) -> str:
-    from sysid_bench.models.payload import PAYLOADS
-
     payload = PAYLOADS[name]
     if not payload:
         return "nothing mounted"
@@ -88,8 +101,6 @@ def _payload_title(name: str) -> str:
 
 
 def _payload(name: str) -> Entry:
-    from sysid_bench.models.payload import PAYLOADS
-
     return dataclasses.asdict(PAYLOADS[name])
 
 
@@ -105,19 +116,19 @@ def _plugins(kind: str) -> Callable[[Path | None], list[Entry]]:
 def _plugin(kind: str) -> Callable[[str], Entry]:
     def entry(name: str) -> Entry:
         try:
-            thing = naming.resolve(kind, name)
-        except Exception as error:  # a stranger's entry point that does not import
+            plugin = naming.resolve(kind, name)
+        except Exception as error:  # an entry point of another package that does not import
             return {"name": name, "title": f"cannot be imported: {error}", "settings": {}}
         settings = {}
-        if dataclasses.is_dataclass(thing):
-            settings = {field.name: _default(field) for field in dataclasses.fields(thing)}
-        title = (thing.__doc__ or "").strip().split("\n")[0]
+        if dataclasses.is_dataclass(plugin):
+            settings = {field.name: _default(field) for field in dataclasses.fields(plugin)}
+        title = (plugin.__doc__ or "").strip().split("\n")[0]
         return {"name": name, "title": title, "at": naming.known(kind)[name], "settings": settings}
 
     return entry
 
 
-def _default(field: "dataclasses.Field[Any]") -> Any:
+def _default(field: dataclasses.Field[Any]) -> Any:
     if field.default is dataclasses.MISSING:
         return None
     unit = field.metadata.get("unit")

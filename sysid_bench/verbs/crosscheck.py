@@ -1,12 +1,78 @@
-"""Any robot in both engines, without a suite."""
+"""Cross-check of any robot model between MuJoCo and Pinocchio, without a suite."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.types import BaseMap
+from sysid_bench.evaluation.crosscheck import CrossCheck
+from sysid_bench.evaluation.crosscheck import crosscheck as compare_engines
+from sysid_bench.identifiability.structural import structural_base
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.verbs.result import Result
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class CrosscheckResult(Result):
+    """Verdict on one robot; the figures are None for a model that could not be used.
+
+    `gap`: max |Y - Y_pin| / max |Y_pin|, same parameter order and frames. `closure`: max |Y theta +
+    armature a - tau_MuJoCo| / max |tau_MuJoCo|. `native_gap`: gap against Pinocchio's own parser,
+    None with `native_reason` where it does not apply.
+    """
+
+    robot: str
+    file: str
+    ok: bool
+    reason: str
+    nq: int | None = None
+    nv: int | None = None
+    bodies: int | None = None
+    joints: list[dict[str, str]] | None = None
+    gap: float | None = None
+    closure: float | None = None
+    native_gap: float | None = None
+    native_reason: str | None = None
+    base_parameters: int | None = None
+    near_degenerate: int | None = None
+    coupling: dict[str, Any] | None = None
+    repairs: list[str]
+
+    def figures(self) -> list[str]:
+        """Lines of what was measured; none for a model that could not be used."""
+        if self.nv is None:
+            return []
+        native = (
+            f"native: {self.native_reason}"
+            if self.native_gap is None
+            else f"native gap {self.native_gap:.1e}"
+        )
+        weak = f" ({self.near_degenerate} near-degenerate)" if self.near_degenerate else ""
+        return [
+            f"{self.robot}: {'agrees' if self.ok else 'DIFFERS'}  gap {self.gap:.1e}  "
+            f"closure {self.closure:.1e}  {native}",
+            f"  {self.nv} degrees of freedom, {self.bodies} bodies, "
+            f"{self.base_parameters} base parameters{weak}",
+            *self._coupling_lines(),
+            *(f"  {_kind(repair)}: {repair}" for repair in self.repairs),
+        ]
+
+    def summary(self) -> str:
+        """What was measured, and the reason of a failure."""
+        return "\n".join(self.figures() + ([f"{self.robot}: {self.reason}"] if self.reason else []))
+
+    def _coupling_lines(self) -> list[str]:
+        if self.coupling is None:
+            return []
+        dependent = self.coupling["dependent"]
+        names = ", ".join(dependent[:6]) + (", ..." if len(dependent) > 6 else "")
+        return [
+            f"  coupled, {len(dependent)} followers ({names}): gap {self.coupling['gap']:.1e}  "
+            f"closure {self.coupling['closure']:.1e}, "
+            f"{self.coupling['coupled_base_parameters']} base parameters"
+        ]
 
 
 def crosscheck(
@@ -15,34 +81,36 @@ def crosscheck(
     free_base: bool | None = None,
     robots_dir: Path | None = None,
     assets: Path | None = None,
-) -> list[dict[str, Any]]:
-    """The verdict on each robot name or model file, as `crosscheck --json` prints it.
+) -> list[CrosscheckResult]:
+    """Return the verdict on each robot name or model file, compared at `samples` random states.
 
-    A file that cannot be used is a verdict (ok false, with its reason); an unknown name is a
-    UsageError before anything is loaded. `assets`: the folder that MJCF files may read below,
-    instead of their own.
+    A file that cannot be used is a verdict (`ok` false, with its reason); an unknown name is a
+    UsageError before anything is loaded. `assets`: folder that MJCF files may read from, instead
+    of their own.
     """
-    from sysid_bench.models.manifest import Manifest, find_manifest
-
     if samples < 1:
         raise UsageError(f"--samples {samples}: at least one state is needed to compare.")
-    manifests: list[tuple[str, Manifest | Exception]] = []
-    for source in sources:
-        try:
-            manifests.append((str(source), find_manifest(str(source), robots_dir)))
-        except UsageError:
-            raise
-        except Exception as error:
-            manifests.append((str(source), error))
+    manifests = [(str(source), _manifest(str(source), robots_dir)) for source in sources]
     if assets is not None:
         manifests = [
-            (source, m if isinstance(m, Exception) else replace(m, assets=assets))
-            for source, m in manifests
+            (source, replace(found, assets=assets) if isinstance(found, Manifest) else found)
+            for source, found in manifests
         ]
-    return [_verdict(source, manifest, samples, free_base) for source, manifest in manifests]
+    return [_verdict(source, found, samples, free_base) for source, found in manifests]
 
 
-def _verdict(source: str, manifest: Any, samples: int, free_base: bool | None) -> dict[str, Any]:
+def _manifest(source: str, robots_dir: Path | None) -> Manifest | Exception:
+    try:
+        return find_manifest(source, robots_dir)
+    except UsageError:
+        raise
+    except Exception as error:
+        return error
+
+
+def _verdict(
+    source: str, manifest: Manifest | Exception, samples: int, free_base: bool | None
+) -> CrosscheckResult:
     if isinstance(manifest, Exception):
         return _refused(Path(source).stem, source, manifest)
     try:
@@ -51,45 +119,38 @@ def _verdict(source: str, manifest: Any, samples: int, free_base: bool | None) -
         return _refused(manifest.name, str(manifest.path), error)
 
 
-def _measured(manifest: Any, samples: int, free_base: bool | None) -> dict[str, Any]:
-    from sysid_bench.evaluation.crosscheck import crosscheck as check
-    from sysid_bench.identifiability.structural import structural_base
-    from sysid_bench.models.load import load_robot
-
+def _measured(manifest: Manifest, samples: int, free_base: bool | None) -> CrosscheckResult:
     robot = load_robot(manifest, free_base=free_base)
-    verdict = check(robot, samples)
-    base: BaseMap = structural_base(robot.uncoupled, robot.inertial_columns)
-    return {
-        "robot": robot.name,
-        "file": str(manifest.path),
-        "ok": verdict.ok(),
-        "reason": verdict.reason(),
-        "nq": robot.tree.nq,
-        "nv": robot.nv,
-        "bodies": len(robot.body_names),
-        "joints": [{"name": joint.name, "type": joint.kind} for joint in robot.joints],
-        "gap": verdict.gap,
-        "closure": verdict.closure,
-        "native_gap": verdict.native_gap,
-        "native_reason": verdict.native_reason,
-        "base_parameters": base.rank,
-        "near_degenerate": base.near_degenerate,
-        "coupling": _coupling(robot, verdict),
-        "repairs": list(robot.repairs),
-    }
+    verdict = compare_engines(robot, samples)
+    base = structural_base(robot.uncoupled, robot.inertial_columns)
+    return CrosscheckResult(
+        robot=robot.name,
+        file=str(manifest.path),
+        ok=verdict.ok(),
+        reason=verdict.reason(),
+        nq=robot.tree.nq,
+        nv=robot.nv,
+        bodies=len(robot.body_names),
+        joints=[{"name": joint.name, "type": joint.kind} for joint in robot.joints],
+        gap=verdict.gap,
+        closure=verdict.closure,
+        native_gap=verdict.native_gap,
+        native_reason=verdict.native_reason,
+        base_parameters=base.rank,
+        near_degenerate=base.near_degenerate,
+        coupling=_coupling(robot, verdict),
+        repairs=list(robot.repairs),
+    )
 
 
-def _coupling(robot: Any, verdict: Any) -> dict[str, Any] | None:
-    """Names of the joints that move and that follow, the figures, and the base parameters that
-    their torques tell."""
-    from sysid_bench.identifiability.structural import structural_base
-
-    if robot.coupling is None:
+def _coupling(robot: RobotModel, verdict: CrossCheck) -> dict[str, Any] | None:
+    """Independent and dependent joints, figures, and base parameters of the coupled torques."""
+    check = verdict.coupling
+    if robot.coupling is None or check is None:
         return None
-    check, names = verdict.coupling, robot.rows
     return {
         "independent": list(robot.torque_rows),
-        "dependent": [names[dof] for dof in robot.coupling.dependent],
+        "dependent": [robot.rows[dof] for dof in robot.coupling.dependent],
         "gap": check.gap,
         "closure": check.closure,
         "jacobian": check.jacobian,
@@ -98,19 +159,9 @@ def _coupling(robot: Any, verdict: Any) -> dict[str, Any] | None:
     }
 
 
-def _refused(name: str, file: str, error: Exception) -> dict[str, Any]:
-    nothing: dict[str, Any] = dict.fromkeys(_MEASURED)
-    return {
-        "robot": name,
-        "file": file,
-        "ok": False,
-        "reason": reason_of(error),
-        **nothing,
-        "repairs": [],
-    }
+def _refused(name: str, file: str, error: Exception) -> CrosscheckResult:
+    return CrosscheckResult(robot=name, file=file, ok=False, reason=reason_of(error), repairs=[])
 
 
-_MEASURED: Sequence[str] = (
-    "nq", "nv", "bodies", "joints", "gap", "closure", "native_gap", "native_reason",
-    "base_parameters", "near_degenerate", "coupling",
-)  # fmt: skip
+def _kind(repair: str) -> str:
+    return "doubtful" if repair.endswith("?") else "repaired"

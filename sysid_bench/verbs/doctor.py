@@ -1,92 +1,104 @@
-"""Is this machine fit: packages, data, tools."""
+"""Check of this machine: packages, data, tools."""
 
 import shutil
-from typing import Any
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from typing import Any, Final
 
 from sysid_bench import places
 from sysid_bench.errors import SysidBenchError
+from sysid_bench.regressors.kernel_c import selected_kernel
+from sysid_bench.reporting.recording import viewer
+from sysid_bench.simulation.compiled_steps import steps_library
+from sysid_bench.verbs.catalogue import list_
+from sysid_bench.verbs.result import Result
+from sysid_bench.versions import environment
+
+PACKAGES: Final = (
+    "numpy", "scipy", "pandas", "mujoco", "pinocchio", "sympy", "rerun", "clarabel",
+)  # fmt: skip
 
 
-def doctor() -> dict[str, Any]:
-    """`ok`, the environment, and a list of checks {name, ok, needed, detail}."""
-    from sysid_bench.versions import environment
+@dataclass(frozen=True)
+class _Check:
+    name: str
+    ok: bool
+    detail: str
+    needed: bool = True
 
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DoctorResult(Result):
+    """`ok`: every needed check passes; `checks`: [{name, ok, needed, detail}]."""
+
+    ok: bool
+    environment: dict[str, Any]
+    checks: list[dict[str, Any]]
+
+    def summary(self) -> str:
+        """One line per check."""
+        words = {True: "MISSING", False: "absent (optional)"}
+        return "\n".join(
+            f"{check['name']:<20} {'ok' if check['ok'] else words[check['needed']]:<18} "
+            f"{check['detail']}"
+            for check in self.checks
+        )
+
+
+def doctor() -> DoctorResult:
+    """Check the packages, data and tools of this machine."""
     checks = [_packages(), _example_robots(), _robots(), _viewer(), _latex(), _kernel(), _steps()]
-    return {
-        "ok": all(check["ok"] for check in checks if check["needed"]),
-        "environment": environment(),
-        "checks": checks,
-    }
+    return DoctorResult(
+        ok=all(check.ok for check in checks if check.needed),
+        environment=environment(),
+        checks=[asdict(check) for check in checks],
+    )
 
 
-def _check(name: str, ok: bool, detail: str, needed: bool = True) -> dict[str, Any]:
-    return {"name": name, "ok": ok, "needed": needed, "detail": detail}
-
-
-def _packages() -> dict[str, Any]:
-    from importlib import import_module
-
+def _packages() -> _Check:
     absent = []
-    for package in (
-        "numpy",
-        "scipy",
-        "pandas",
-        "mujoco",
-        "pinocchio",
-        "sympy",
-        "rerun",
-        "clarabel",
-    ):
+    for package in PACKAGES:
         try:
             import_module(package)
         except ImportError as error:
             absent.append(f"{package} ({error})")
-    return _check(
-        "packages", not absent, "all import" if not absent else f"absent: {', '.join(absent)}"
-    )
+    detail = f"absent: {', '.join(absent)}" if absent else "all import"
+    return _Check("packages", not absent, detail)
 
 
-def _example_robots() -> dict[str, Any]:
+def _example_robots() -> _Check:
     try:
-        return _check("example-robot-data", True, str(places.example_robot_data()))
+        return _Check("example-robot-data", True, str(places.example_robot_data()))
     except SysidBenchError as error:
-        return _check("example-robot-data", False, str(error))
+        return _Check("example-robot-data", False, str(error))
 
 
-def _robots() -> dict[str, Any]:
-    from sysid_bench.verbs.catalogue import list_
-
+def _robots() -> _Check:
     robots = list_("robots")
     broken = [robot["name"] for robot in robots if robot["title"].startswith("cannot be read")]
     detail = f"{len(robots)} robots" + (f"; cannot be read: {', '.join(broken)}" if broken else "")
-    return _check("robots", not broken and bool(robots), detail)
+    return _Check("robots", not broken and bool(robots), detail)
 
 
-def _viewer() -> dict[str, Any]:
-    from sysid_bench.reporting.recording import viewer
-
+def _viewer() -> _Check:
     try:
-        return _check("rerun viewer", True, str(viewer()), needed=False)
+        return _Check("rerun viewer", True, str(viewer()), needed=False)
     except SysidBenchError as error:
-        return _check("rerun viewer", False, str(error), needed=False)
+        return _Check("rerun viewer", False, str(error), needed=False)
 
 
-def _latex() -> dict[str, Any]:
+def _latex() -> _Check:
     found = shutil.which("pdflatex")
-    detail = found or "absent: tables are written all the same, and compiled by no test here"
-    return _check("pdflatex", found is not None, detail, needed=False)
+    detail = found or "absent: LaTeX tables are still written, but no test compiles them here"
+    return _Check("pdflatex", found is not None, detail, needed=False)
 
 
-def _kernel() -> dict[str, Any]:
-    from sysid_bench.regressors.kernel_c import selected_kernel
-
+def _kernel() -> _Check:
     choice = selected_kernel()
-    return _check("regressor kernel", choice.library is not None, str(choice), needed=False)
+    return _Check("regressor kernel", choice.library is not None, str(choice), needed=False)
 
 
-def _steps() -> dict[str, Any]:
-    from sysid_bench.simulation.compiled_steps import steps_library
-
+def _steps() -> _Check:
     found = steps_library()
-    told = f"Python: {found}" if isinstance(found, str) else "compiled"
-    return _check("simulation steps", not isinstance(found, str), told, needed=False)
+    detail = f"Python: {found}" if isinstance(found, str) else "compiled"
+    return _Check("simulation steps", not isinstance(found, str), detail, needed=False)

@@ -1,104 +1,132 @@
-"""A new robot folder from a Denavit-Hartenberg table."""
+"""New robot folder from a Denavit-Hartenberg table."""
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from sysid_bench.errors import UsageError
+from sysid_bench.models.dh.dh_expression import read_expression
+from sysid_bench.models.dh.dh_robot import mjcf_of
+from sysid_bench.models.dh.dh_table import read_table
+from sysid_bench.models.load import load_robot
+from sysid_bench.verbs.result import Result
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InitRobotResult(Result):
+    """Written robot: its folder and files, its actuated joints and those that follow them."""
+
+    robot: str
+    folder: str
+    files: list[str]
+    joints: list[str]
+    following: list[str]
+    warnings: list[str]
+
+    def summary(self) -> str:
+        """Joints, warnings, and the command to run next."""
+        follows = f"; {', '.join(self.following)} follow" if self.following else ""
+        lines = [
+            f"{self.robot} in {self.folder}: joints {', '.join(self.joints)}{follows}",
+            *(f"  warning: {warning}" for warning in self.warnings),
+            f"  next: sysid-bench crosscheck {self.folder}/robot.toml",
+        ]
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class _Conventions:
+    """[dh] of a manifest: convention, frames of the parameters, base frame, massless links."""
+
+    convention: Literal["standard", "modified"]
+    frames: Literal["joint", "link"]
+    base: tuple[float, ...]
+    massless: tuple[str, ...]
 
 
 def init_robot(
     table: str | Path,
     out: str | Path | None = None,
     name: str | None = None,
+    *,
     modified: bool = False,
     frames: str = "joint",
-    base: Sequence[float] = (0.0, 0.0, 0.0),
-    gravity: Sequence[float] = (0.0, 0.0, -9.81),
+    base: Sequence[float] | str = (0.0, 0.0, 0.0),
+    gravity: Sequence[float] | str = (0.0, 0.0, -9.81),
     massless: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Writes robot.toml, the MJCF and a copy of the table to the folder `out` (default: named after
-    the table); returns {robot, folder, files, joints, following, warnings}.
+) -> InitRobotResult:
+    """Write robot.toml, the MJCF and a copy of the table to the folder `out` (default: the name).
 
-    Masses that the table leaves out are made up: bars of water from joint to joint. Raises
-    UsageError for a table that cannot be read or a folder that holds a robot already, ModelError
-    for a robot that cannot be.
+    `modified`: Craig's convention. `frames`: parameters are about the "joint" before the link or
+    in its DH frame ("link"). `base`: roll, pitch, yaw (rad) of frame 0; `gravity` in the world
+    (m/s^2); both also as text ("0 pi/2 0"). Masses that the table leaves
+    out are those of bars of water from joint to joint. Raises UsageError for a table that
+    cannot be read or a folder that already holds a robot, ModelError for an impossible robot.
     """
-    from sysid_bench.models.dh.dh_robot import mjcf_of
-    from sysid_bench.models.dh.dh_table import read_table
-    from sysid_bench.models.load import load_robot
-
     source = Path(table)
-    read = read_table(source)
-    called = name or source.stem
-    convention = "modified" if modified else "standard"
+    rows = read_table(source)
+    robot_name = name or source.stem
     if frames not in ("joint", "link"):
         raise UsageError(f"frames must be 'joint' or 'link'; got {frames!r}.")
-    text = mjcf_of(read, called, convention, frames, base, gravity, massless)  # type: ignore[arg-type]
-    folder = Path(out) if out is not None else Path(called)
+    conventions = _Conventions(
+        "modified" if modified else "standard",
+        "joint" if frames == "joint" else "link",
+        _three_numbers(base, "base"),
+        tuple(massless),
+    )
+    text = mjcf_of(
+        rows,
+        robot_name,
+        conventions.convention,
+        conventions.frames,
+        base=conventions.base,
+        gravity=_three_numbers(gravity, "gravity"),
+        massless=massless,
+    )
+    folder = Path(out) if out is not None else Path(robot_name)
     if (folder / "robot.toml").exists():
-        raise UsageError(f"{str(folder)!r} holds a robot already; name another folder with -o.")
+        raise UsageError(f"{str(folder)!r} already holds a robot; name another folder with -o.")
     folder.mkdir(parents=True, exist_ok=True)
-    model = folder / f"{called}.xml"
+    model, manifest = folder / f"{robot_name}.xml", folder / "robot.toml"
     model.write_text(text, encoding="utf-8")
     if source.resolve() != (folder / "dh.csv").resolve():
         shutil.copyfile(source, folder / "dh.csv")
-    manifest = folder / "robot.toml"
-    manifest.write_text(
-        _manifest(called, convention, frames, base, massless, [row.link for row in read.rows
-                                                               if row.kind != "F"]),
-        encoding="utf-8",
-    )  # fmt: skip
+    links = [row.link for row in rows.rows if row.kind != "F"]
+    manifest.write_text(_manifest(robot_name, conventions, links), encoding="utf-8")
     robot = load_robot(manifest)
-    made_up = [f"link{row.link}" for row in read.rows if row.kind != "F" and row.mass is None]
-    invented = [body for body in made_up if body.removeprefix("link") not in massless]
-    return {
-        "robot": called,
-        "folder": str(folder),
-        "files": [str(file) for file in (manifest, model, folder / "dh.csv")],
-        "joints": list(robot.torque_rows),
-        "following": [row for row in robot.rows if row not in robot.torque_rows],
-        "warnings": [f"masses made up: {', '.join(invented)}"] if invented else [],
-    }
-
-
-def parse_numbers(text: str, what: str) -> tuple[float, float, float]:
-    """Three numbers of "0 pi/2 0"; raises UsageError."""
-    from sysid_bench.models.dh.dh_expression import read_expression
-
-    words = text.replace(",", " ").split()
-    if len(words) != 3:
-        raise UsageError(f"{what}: write three numbers, as '0 pi/2 0'; got {text!r}.")
-    x, y, z = (read_expression(word, {}, frozenset(), what).constant for word in words)
-    return x, y, z
-
-
-def _manifest(
-    name: str,
-    convention: str,
-    frames: str,
-    base: Sequence[float],
-    massless: Sequence[str],
-    links: Sequence[str],
-) -> str:
-    bodies = ", ".join(f'"link{link}"' for link in links)
-    light = ", ".join(f'"link{link}"' for link in massless)
-    numbers = ", ".join(f"{x:.17g}" for x in base)
-    return (
-        f'name  = "{name}"\nfile  = "{name}.xml"\nterms = ["viscous", "coulomb"]\n'
-        + (f"massless = [{light}]  # not asked for\n" if light else "")
-        + f'[dh]\ntable      = "dh.csv"\nconvention = "{convention}"\nframes     = "{frames}"\n'
-        + (f"base       = [{numbers}]\n" if any(base) else "")
-        + f"[paper]\norder = [{bodies}]\n[limits.all]\nv = {2.0}\na = {5.0}\n"
+    without_mass = [row.link for row in rows.rows if row.kind != "F" and row.mass is None]
+    invented = [f"link{link}" for link in without_mass if link not in massless]
+    return InitRobotResult(
+        robot=robot_name,
+        folder=str(folder),
+        files=[str(file) for file in (manifest, model, folder / "dh.csv")],
+        joints=list(robot.torque_rows),
+        following=[row for row in robot.rows if row not in robot.torque_rows],
+        warnings=[f"masses made up: {', '.join(invented)}"] if invented else [],
     )
 
 
-def summary(answer: dict[str, Any]) -> list[str]:
-    """What was written."""
-    follows = f"; {', '.join(answer['following'])} follow" if answer["following"] else ""
-    return [
-        f"{answer['robot']} in {answer['folder']}: joints {', '.join(answer['joints'])}{follows}",
-        *(f"  warning: {warning}" for warning in answer["warnings"]),
-        f"  next: sysid-bench crosscheck {answer['folder']}/robot.toml",
-    ]
+def _three_numbers(given: Sequence[float] | str, option: str) -> tuple[float, ...]:
+    """Numbers of a text like "0 pi/2 0"; raise UsageError for another count."""
+    if not isinstance(given, str):
+        return tuple(given)
+    words = given.replace(",", " ").split()
+    if len(words) != 3:
+        raise UsageError(f"--{option}: write three numbers, as '0 pi/2 0'; got {given!r}.")
+    return tuple(read_expression(word, {}, frozenset(), f"--{option}").constant for word in words)
+
+
+def _manifest(name: str, conventions: _Conventions, links: Sequence[str]) -> str:
+    bodies = ", ".join(f'"link{link}"' for link in links)
+    massless = ", ".join(f'"link{link}"' for link in conventions.massless)
+    base = ", ".join(f"{x:.17g}" for x in conventions.base)
+    return (
+        f'name  = "{name}"\nfile  = "{name}.xml"\nterms = ["viscous", "coulomb"]\n'
+        + (f"massless = [{massless}]  # not asked for\n" if massless else "")
+        + f'[dh]\ntable      = "dh.csv"\nconvention = "{conventions.convention}"\n'
+        + f'frames     = "{conventions.frames}"\n'
+        + (f"base       = [{base}]\n" if any(conventions.base) else "")
+        + f"[paper]\norder = [{bodies}]\n[limits.all]\nv = {2.0}\na = {5.0}\n"
+    )

@@ -1,30 +1,30 @@
-"""What an answer from recordings itself says against them: torques that cannot be a robot's."""
+"""Warnings about implausible torques in recordings, from the identified model itself."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 UNEXPLAINED: Final = 0.9
-"""Relative training error of a joint of whose torque the model explains nothing."""
+"""Relative training error of a joint above which the model explains nothing of its torque."""
 
-SURE: Final = 3.0
-"""Standard deviations that make a negative friction one."""
+DEVIATIONS: Final = 3.0
+"""Standard deviations below zero from which a friction coefficient counts as negative."""
 
 
 def log_warnings(
     training: Mapping[str, Mapping[str, Any]], joints: Mapping[str, Mapping[str, Any]]
 ) -> Iterator[str]:
-    """Sentences on torques that are nothing, that no model explains, or that push with the motion;
-    `training` and `joints` as in the answer of `identify --log`."""
-    silent = [name for name, told in training.items() if not told["rms"]]
+    """Yield a sentence for torques that are zero, that no model explains, or that push with the
+    motion; `training` and `joints` as in the result of `identify` on logs."""
+    silent = [name for name, error in training.items() if not error["rms"]]
     if silent:
         yield f"the torque of {', '.join(silent)} is zero throughout: is its column the right one?"
-    lost = {
-        name: told["relative"]
-        for name, told in training.items()
-        if told["relative"] is not None and told["relative"] > UNEXPLAINED
+    unexplained = {
+        name: error["relative"]
+        for name, error in training.items()
+        if error["relative"] is not None and error["relative"] > UNEXPLAINED
     }
-    if lost:
-        shares = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in lost.items())
+    if unexplained:
+        shares = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in unexplained.items())
         yield (
             f"the model explains next to nothing of the torque of {shares}: are columns exchanged, "
             "constant, or those of other joints?"
@@ -38,11 +38,11 @@ def log_warnings(
 
 
 def _pushes(terms: Mapping[str, Mapping[str, Any]]) -> bool:
-    """Whether a joint's viscous and Coulomb friction, as far as they are told, are all negative."""
-    asked = [terms[term] for term in ("viscous", "coulomb") if term in terms]
-    return bool(asked) and all(
-        told["value"] is not None
-        and told["value"] < 0
-        and (told["std"] is None or told["value"] < -SURE * told["std"])
-        for told in asked
+    """Test whether the viscous and Coulomb friction of a joint, where identified, are negative."""
+    friction = [terms[term] for term in ("viscous", "coulomb") if term in terms]
+    return bool(friction) and all(
+        term["value"] is not None
+        and term["value"] < 0
+        and (term["std"] is None or term["value"] < -DEVIATIONS * term["std"])
+        for term in friction
     )

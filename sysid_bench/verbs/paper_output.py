@@ -110,7 +110,7 @@ def _base_parameters(run: "RunFolder", entry: "Paper", cell: "Cell") -> Listing:
     """The sums as the robot's manifest orders them, with the values of a cell."""
     from sysid_bench.evaluation.covariance import standard_errors
     from sysid_bench.verbs.base_table import paper_table
-    from sysid_bench.verbs.result import base_of
+    from sysid_bench.verbs.estimate_fields import base_of
 
     posed, estimate = _again(run, entry, cell)
     _beta(entry, estimate)

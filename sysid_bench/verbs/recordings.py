@@ -1,23 +1,33 @@
-"""Recordings: a cell is executed again and written for the Rerun viewer."""
+"""Recordings: execute a cell again and write it for the Rerun viewer."""
 
+import subprocess
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Final
 
 from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.experiments.cell_data import cell_data
+from sysid_bench.harness.job import job_of
+from sysid_bench.harness.plan import fields
+from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.reporting.recording import record as write_recording
+from sysid_bench.reporting.recording import view as open_viewer
+from sysid_bench.units import quantity
 from sysid_bench.verbs.folders import find_cell, open_run
+from sysid_bench.vocabulary import ROW_FIELDS
 
-if TYPE_CHECKING:
-    import subprocess
+MOST: Final = 20
+"""Recordings that a run writes by itself; `record` writes more."""
 
-    from sysid_bench.harness.store import RunFolder
-
-MOST = 20
-"""Recordings that a run writes of its own accord; ask for more with `record`."""
+MAX_HZ: Final = 50.0
+"""Default sampling rate of recordings."""
 
 
 def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> list[Path]:
-    """Recordings of the cell with the id `what`, or of all that meet the expression `what`."""
+    """Write recordings of the cell with the id `what`, or of all that meet the expression `what`;
+    return their paths. Raises UsageError for cells that have not run or that ended their process.
+    """
     run_folder = open_run(folder)
     stored = run_folder.rows().rows
     if all(c in "0123456789abcdef" for c in what):
@@ -26,7 +36,7 @@ def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> lis
         chosen = _matching(run_folder, what)
     if not chosen:
         raise UsageError(f"No finished cell of {str(folder)!r} meets {what!r}; nothing to record.")
-    max_hz = run_folder.suite.record.max_hz if run_folder.suite.record else 50.0
+    max_hz = run_folder.suite.record.max_hz if run_folder.suite.record else MAX_HZ
     for cell in chosen:
         if cell not in stored:
             raise UsageError(f"The cell {cell} has not run yet; run it first, then record it.")
@@ -38,11 +48,11 @@ def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> lis
     return [_write(run_folder, cell, stored[cell], max_hz, robots_dir) for cell in chosen]
 
 
-def record_chosen(
-    run_folder: "RunFolder", expression: str | None = None, robots_dir: Path | None = None
+def record_selected(
+    run_folder: RunFolder, expression: str | None = None, robots_dir: Path | None = None
 ) -> list[Path]:
-    """The recordings that a suite's [record] (or `expression`) asks for, at most `MOST`, unless
-    they are there already. Cells that never came to data (skipped, crash, timeout) show nothing."""
+    """Write the recordings that a suite's [record] (or `expression`) selects, at most `MOST`, where
+    they are absent or old. Cells without data (skipped, crash, timeout) are left out."""
     rule = run_folder.suite.record
     chosen = list(_matching(run_folder, expression)) if expression else list(_by_rule(run_folder))
     stored = run_folder.rows().rows
@@ -55,17 +65,15 @@ def record_chosen(
         if path.is_file() and path.stat().st_mtime > newest:
             continue
         try:
-            max_hz = rule.max_hz if rule else 50.0
+            max_hz = rule.max_hz if rule else MAX_HZ
             written.append(_write(run_folder, cell, stored[cell], max_hz, robots_dir))
         except SysidBenchError:
-            continue  # the row tells why already; a picture less is no reason to fail a run
+            continue  # the row states why; a missing recording does not fail a run
     return written
 
 
-def view(folder: str | Path, identifier: str, web: bool = False) -> "subprocess.Popen[bytes]":
-    """Opens the recording of a cell, written first where it is absent."""
-    from sysid_bench.reporting.recording import view as open_viewer
-
+def view(folder: str | Path, identifier: str, web: bool = False) -> subprocess.Popen[bytes]:
+    """Open the recording of a cell, written first where it is absent; `web`: in the browser."""
     run_folder = open_run(folder)
     path = _path(run_folder, find_cell(run_folder, identifier))
     if not path.is_file():
@@ -73,11 +81,7 @@ def view(folder: str | Path, identifier: str, web: bool = False) -> "subprocess.
     return open_viewer(path, web)
 
 
-def _matching(run_folder: "RunFolder", expression: str) -> list[str]:
-    from sysid_bench.harness.plan import fields
-    from sysid_bench.harness.suite.expression import Expression
-    from sysid_bench.vocabulary import ROW_FIELDS
-
+def _matching(run_folder: RunFolder, expression: str) -> list[str]:
     condition = Expression.parse(expression, run_folder.plan.fields | ROW_FIELDS)
     stored = run_folder.rows().rows
     return [
@@ -87,7 +91,7 @@ def _matching(run_folder: "RunFolder", expression: str) -> list[str]:
     ]
 
 
-def _by_rule(run_folder: "RunFolder") -> Iterable[str]:
+def _by_rule(run_folder: RunFolder) -> Iterable[str]:
     rule = run_folder.suite.record
     if rule is None:
         return
@@ -97,7 +101,7 @@ def _by_rule(run_folder: "RunFolder") -> Iterable[str]:
         yield from _matching(run_folder, rule.when)
 
 
-def _worst(run_folder: "RunFolder", metric: str, count: int, per: str | None) -> Iterable[str]:
+def _worst(run_folder: RunFolder, metric: str, count: int, per: str | None) -> Iterable[str]:
     rows = run_folder.frames().cells
     if metric not in rows:
         return
@@ -109,20 +113,15 @@ def _worst(run_folder: "RunFolder", metric: str, count: int, per: str | None) ->
         yield from group["id"].head(count)
 
 
-def _path(run_folder: "RunFolder", cell: str) -> Path:
+def _path(run_folder: RunFolder, cell: str) -> Path:
     return run_folder.path / "artifacts" / cell / "recording.rrd"
 
 
 def _write(
-    run_folder: "RunFolder", cell: str, row: Mapping[str, Any], max_hz: Any, robots_dir: Path | None
+    run_folder: RunFolder, cell: str, row: Mapping[str, Any], max_hz: Any, robots_dir: Path | None
 ) -> Path:
-    from sysid_bench.experiments.cell_data import cell_data
-    from sysid_bench.harness.job import job_of
-    from sysid_bench.reporting.recording import record as write
-    from sysid_bench.units import quantity
-
     (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
-    argument = job_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_dir)
+    job = job_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_dir)
     path = _path(run_folder, cell)
     path.parent.mkdir(parents=True, exist_ok=True)
-    return write(cell_data(argument, dict(row)), path, quantity(max_hz, "Hz"))
+    return write_recording(cell_data(job, dict(row)), path, quantity(max_hz, "Hz"))

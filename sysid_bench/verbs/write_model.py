@@ -1,4 +1,4 @@
-"""Identified values into the file that the robot came from."""
+"""Export of identified values into the URDF or MJCF file that the robot came from."""
 
 import contextlib
 import tempfile
@@ -13,48 +13,51 @@ from sysid_bench.models.writing.mjcf_writer import updated_mjcf
 from sysid_bench.models.writing.urdf_writer import updated_urdf
 from sysid_bench.tasks.task import SENSOR_TASKS
 from sysid_bench.types import Array, Estimate, Problem
-from sysid_bench.verbs.result import values_of
+from sysid_bench.verbs.estimate_fields import values_of
 
 SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
 KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
-"""Joint terms that files call otherwise."""
+"""Names of joint terms in URDF and MJCF files, where they differ from ours."""
 
 LOADS: Final = ("payload", "wrench-payload")
-"""Tasks that ask for nothing of the robot itself."""
+"""Tasks whose unknowns are not part of the robot's model."""
 
 COMPOSITES: Final = ("link", "terminal")
-"""Tasks whose body stands for all that is welded to it."""
+"""Tasks whose unknown body is the composite of a link and all that is welded to it."""
 
 
-def check_target(robot: RobotModel, task: str, target: Path) -> None:
-    """Raises UsageError for a file that the model cannot be written to, before anything runs."""
-    wanted = SUFFIXES[robot.format]
-    source = robot.manifest.path
-    if target.suffix.lower() not in wanted:
+def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path | None) -> None:
+    """Raise UsageError or UnsupportedError, before anything runs, for files that the identified
+    model or the JSON result cannot be written to."""
+    if model is not None:
+        _check_format(robot, task, model)
+    if answer is not None:
+        _check_folder(robot, answer)
+    if model is not None and answer is not None and answer.resolve() == model.resolve():
         raise UsageError(
-            f"{str(target)!r} cannot hold {source.name}, which is written back in its own format: "
-            f"name it *{wanted[0]}."
+            f"{str(answer)!r} cannot hold both the model and the JSON result; name two files."
         )
-    _check_place(robot, target)
+
+
+def _check_format(robot: RobotModel, task: str, target: Path) -> None:
+    suffixes = SUFFIXES[robot.format]
+    if target.suffix.lower() not in suffixes:
+        raise UsageError(
+            f"{str(target)!r} cannot hold {robot.manifest.path.name}, which is written back in its "
+            f"own format: name it *{suffixes[0]}."
+        )
+    _check_folder(robot, target)
     if task in LOADS:
         raise UnsupportedError(
-            f"The task {task!r} changes nothing of the robot's model; for a model that carries its "
-            "load take the task 'link'."
+            f"The task {task!r} changes nothing of the robot's model; use the task 'link' for a "
+            "model that carries its load."
         )
 
 
-def check_estimate(robot: RobotModel, target: Path, model: Path | None) -> None:
-    """Raises UsageError for a file that the answer must not be written to; `model`: where the
-    model goes."""
-    _check_place(robot, target)
-    if model is not None and target.resolve() == model.resolve():
-        raise UsageError(f"{str(target)!r} is to hold the model and the answer; name two files.")
-
-
-def _check_place(robot: RobotModel, target: Path) -> None:
-    for own in (robot.manifest.path, robot.manifest.manifest_file):
-        if own is not None and target.exists() and own.exists() and target.samefile(own):
-            raise UsageError(f"{str(target)!r} is the model itself; write beside it.")
+def _check_folder(robot: RobotModel, target: Path) -> None:
+    for source in (robot.manifest.path, robot.manifest.manifest_file):
+        if source is not None and target.exists() and source.exists() and target.samefile(source):
+            raise UsageError(f"{str(target)!r} is the model itself; name another file.")
     if not target.parent.is_dir():
         raise UsageError(f"There is no folder {str(target.parent)!r} to write {target.name} to.")
 
@@ -67,33 +70,34 @@ def write_model(
     target: Path,
     whole: bool = False,
 ) -> None:
-    """Writes the model with the estimate's values; raises ModelError for what must not be written.
-    `whole`: they were completed, so that those count too that are not identifiable alone.
+    """Write the model with the estimate's values; raise ModelError for what must not be written.
+    `whole`: the bodies were completed, so parameters count that are not identifiable alone.
 
-    Bodies welded to a link that was identified as a whole stay as they are; the link gets the rest.
+    Bodies welded to a link that was identified as a whole keep their values; the link gets the
+    rest.
     """
     theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
     seen = ("identifiable",) * len(problem.parameters) if whole else verdicts(problem.base)
-    told = dict(zip(problem.parameters, seen, strict=True))
+    verdict_of = dict(zip(problem.parameters, seen, strict=True))
     bodies = {}
     for body in problem.bodies:
         phi = [theta.pop(column) for column in body.columns]
-        bodies[body.name] = phi - _riders(robot, body.name) if task in COMPOSITES else phi
+        bodies[body.name] = phi - _welded(robot, body.name) if task in COMPOSITES else phi
     joints: dict[str, dict[str, float]] = {}
     term_of = {suffix: term for term, suffix in SUFFIX.items()}
-    # Behind a sensor what is left are its constants, and no model holds those.
+    # What remains behind a sensor are its constants (offsets, gains), which no model file holds.
     for name, value in theta.items() if task not in SENSOR_TASKS else ():
         joint, _, suffix = name.rpartition(".")
         term = term_of[suffix]
         joints.setdefault(joint, {})[KEYS.get(term, term)] = float(value)
     write = updated_urdf if robot.format == "urdf" else updated_mjcf
     with _source(robot) as source:
-        target.write_bytes(write(source, bodies, joints, told).encode())
+        target.write_bytes(write(source, bodies, joints, verdict_of).encode())
 
 
 @contextlib.contextmanager
 def _source(robot: RobotModel) -> Iterator[Path]:
-    """The file that a robot was read from; for one that was never a file, one with its text."""
+    """Source file of a robot; a temporary file for a robot that exists as text alone."""
     if robot.manifest.text is None:
         yield robot.manifest.path
         return
@@ -103,11 +107,12 @@ def _source(robot: RobotModel) -> Iterator[Path]:
         yield file
 
 
-def _riders(robot: RobotModel, name: str) -> Array:
-    """phi (10,) of all that is welded to a link in the file, in the link's frame."""
-    own = robot.body_names.index(name)
+def _welded(robot: RobotModel, name: str) -> Array:
+    """phi (10,) of all bodies welded to a link in the file, in the link's frame."""
+    link = robot.body_names.index(name)
     tree, phi = robot.tree, robot.phi.copy()
-    phi[own] = 0.0
+    phi[link] = 0.0
     if robot.payload_body is not None:
         phi[robot.payload_body] = 0.0
-    return tree.composite_links(phi)[tree.carrier[own]]
+    composite: Array = tree.composite_links(phi)[tree.carrier[link]]
+    return composite

@@ -70,7 +70,7 @@ def test_the_next_motion_reads_the_last_one(tmp_path: Path) -> None:
     ("words", "said"),
     [
         (("ur5", "--objective", "C"), "No objective is called 'C'"),
-        (("ur5", "--objective", "D=x"), "no number"),
+        (("ur5", "--objective", "D=x"), "not a number"),
         (("ur5", "--family", "taylor"), "family"),
         (("ur5", "--export", "dxf", "-o", "m"), "No export is called 'dxf'"),
         (("ur5", "--export", "csv"), "-o FILE"),

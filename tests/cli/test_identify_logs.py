@@ -15,7 +15,7 @@ from sysid_bench.errors import EstimationError, UnsupportedError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.verbs.identify_logs import identify_logs, summary
+from sysid_bench.verbs.identify import identify
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write
 
@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_recording_gives_the_parameters_back(folder: Path) -> None:
-    told = identify_logs("ur5", [folder / "run.toml"], [folder / "other.toml"], **CLEAN)
+    told = identify("ur5", log=[folder / "run.toml"], test=[folder / "other.toml"], **CLEAN)
     assert set(told) >= ANSWER
     assert told["torque_error"] < 2e-3  # a from v by differences at 200 Hz
     robot = named_robot("ur5")
@@ -52,7 +52,7 @@ def test_a_recording_gives_the_parameters_back(folder: Path) -> None:
     for name, value in found.items():
         assert value == pytest.approx(truth[name], abs=1e-3), name
     assert told["warnings"][-1].startswith("73 of") or "not identifiable" in told["warnings"][-1]
-    lines = summary(told)
+    lines = told.summary().splitlines()
     assert any("wrist_3_joint" in line and "%" in line for line in lines)
 
 
@@ -63,26 +63,26 @@ def test_joints_that_no_log_lists_are_locked(folder: Path, tmp_path: Path) -> No
 
     part = load_robot(replace(manifest, locked=held))
     path = write(tmp_path, recorded(part, 3), locked=held)
-    told = identify_logs("ur5", [path], [path], **CLEAN)
+    told = identify("ur5", log=[path], test=[path], **CLEAN)
     assert set(told["rows"]) == set(whole.rows) - set(held)
     assert told["locked"] == held
     assert told["rmse_test"] < 1e-2 * max(t["rms"] for t in told["training"].values())
     assert "repeats the training motion" in " ".join(told["warnings"])
     wrong = write(tmp_path, recorded(part, 3), name="wrong", locked={"elbow_joint": 0.1})
     with pytest.raises(UsageError, match="shoulder_pan_joint"):
-        identify_logs("ur5", [wrong])
+        identify("ur5", log=[wrong])
     strange = write(tmp_path, recorded(part, 3), name="strange", joints=["a", "b", "c", "d"])
     with pytest.raises(UsageError, match=r"'a'.*shoulder_pan_joint"):
-        identify_logs("ur5", [strange])
+        identify("ur5", log=[strange])
     with pytest.raises(UsageError, match="other joints"):
-        identify_logs("ur5", [path, folder / "run.toml"])
+        identify("ur5", log=[path, folder / "run.toml"])
 
 
 def test_a_known_payload_is_taken_off_an_unknown_one_is_found(folder: Path) -> None:
     run, other, loaded = (folder / f"{name}.toml" for name in ("run", "other", "loaded"))
-    known = identify_logs("ur5", [run, loaded], [other, loaded], **CLEAN)
+    known = identify("ur5", log=[run, loaded], test=[other, loaded], **CLEAN)
     assert known["torque_error"] < 2e-3
-    told = identify_logs("ur5", [run, loaded], [other], task="payload", **CLEAN)
+    told = identify("ur5", log=[run, loaded], test=[other], task="payload", **CLEAN)
     payload = told["payload"]
     truth = PAYLOADS["box-2kg"]
     loaded_robot = named_robot("ur5", "box-2kg")
@@ -90,9 +90,9 @@ def test_a_known_payload_is_taken_off_an_unknown_one_is_found(folder: Path) -> N
     assert payload["com"] == pytest.approx(list(truth.com), abs=2e-3)
     assert len(told["bodies"]) == len(loaded_robot.body_names)
     with pytest.raises(UsageError, match="with and without"):
-        identify_logs("ur5", [run], task="payload")
+        identify("ur5", log=[run], task="payload")
     with pytest.raises(UnsupportedError, match="'robot' and 'payload'"):
-        identify_logs("ur5", [run], task="terminal")
+        identify("ur5", log=[run], task="terminal")
 
 
 def test_blocks_are_the_factors(folder: Path) -> None:
@@ -162,7 +162,7 @@ def test_a_motion_too_poor_is_refused(tmp_path: Path) -> None:
     still = np.tile(log.q[:1], (len(log.t), 1))
     poor = Recorded(log.joints, log.t, still, np.zeros_like(still), log.tau)
     with pytest.raises(EstimationError, match="richer motion"):
-        identify_logs("ur5", [write(tmp_path, poor)], **CLEAN)
+        identify("ur5", log=[write(tmp_path, poor)], **CLEAN)
 
 
 def test_terms_of_single_joints(folder: Path) -> None:
@@ -173,7 +173,7 @@ def test_terms_of_single_joints(folder: Path) -> None:
         "wrist_1_joint.fv.wrist_2_joint",
         "wrist_3_joint.offset",
     )
-    told = identify_logs("ur5", [folder / "run.toml"], [], terms=terms, **CLEAN)
+    told = identify("ur5", log=[folder / "run.toml"], test=[], terms=terms, **CLEAN)
     assert set(told["joints"]) == set(named_robot("ur5").rows)
     assert set(told["joints"]["elbow_joint"]) == {"viscous", "coulomb", "spring"}
     values: dict[str, Any] = told["joints"]["wrist_1_joint"]
@@ -197,8 +197,8 @@ def test_real_arms_within_what_was_measured(data_folder: Path, tmp_path: Path) -
             + "".join(f"{s} = {{ columns = {names[s]} }}\n" for s in names)
         )
         paths.append(path)
-    told = identify_logs(
-        "ur10", paths[:1], paths[1:], terms=("viscous", "coulomb", "offset", "armature")
+    told = identify(
+        "ur10", log=paths[:1], test=paths[1:], terms=("viscous", "coulomb", "offset", "armature")
     )
     errors = [100 * joint["relative"] for joint in told["tests"]["test"].values()]
     np.testing.assert_allclose(errors, [17.6, 7.1, 6.0, 16.3, 15.0, 29.6], atol=1.2)
@@ -207,7 +207,7 @@ def test_real_arms_within_what_was_measured(data_folder: Path, tmp_path: Path) -
 
 def test_a_load_of_known_shape_has_a_mass_with_an_interval(folder: Path, tmp_path: Path) -> None:
     logs = [folder / "run.toml", folder / "loaded.toml"]
-    told = identify_logs("ur5", logs, task="payload", position_given=True, **CLEAN)["payload"]
+    told = identify("ur5", log=logs, task="payload", position_given=True, **CLEAN)["payload"]
     assert told["mass"] == pytest.approx(2.0, rel=1e-3)
     assert told["interval"][0] <= told["mass"] <= told["interval"][1]
     assert len(told["parts"]) == 5
@@ -218,11 +218,11 @@ def test_a_load_of_known_shape_has_a_mass_with_an_interval(folder: Path, tmp_pat
         tau = log.tau + 0.3 * log.tau.std(axis=0) * rng.normal(size=log.tau.shape)
         more: dict[str, Any] = {} if k == 0 else {"payload": {"use": load}}
         noisy.append(write(tmp_path, replace(log, tau=tau), name=f"noisy{k}", **more))
-    told = identify_logs("ur5", noisy, task="payload", position_given=True, **CLEAN)["payload"]
+    told = identify("ur5", log=noisy, task="payload", position_given=True, **CLEAN)["payload"]
     assert told["interval"][0] < 2.0 < told["interval"][1]
     assert 0.002 < told["std"] < 0.5
     with pytest.raises(UsageError, match="payload"):
-        identify_logs("ur5", logs, position_given=True)
+        identify("ur5", log=logs, position_given=True)
 
 
 def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
@@ -235,11 +235,10 @@ def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
         tau = log.tau.copy()
         tau[:, 2] += 8.0 * Play(0.03).values(q, log.v[:, 2], (-1.0, 1.5))[:, 0]
         logs.append(write(tmp_path, replace(log, tau=tau), name=f"log{seed}"))
-    more = {**CLEAN, "terms": ("viscous", "coulomb")}
-    plain = identify_logs("ur5", logs[:1], logs[1:], **more)
-    told = identify_logs(
-        "ur5", logs[:1], logs[1:], candidates=("offset", "play"), figure=tmp_path / "a.svg", **more
-    )
+    terms = ("viscous", "coulomb")
+    more: dict[str, Any] = {**CLEAN, "terms": terms, "log": logs[:1], "test": logs[1:]}
+    plain = identify("ur5", **more)
+    told = identify("ur5", choose=("offset", "play"), figure=tmp_path / "a.svg", **more)
     added = [step["parameter"] for step in told["selection"]["added"]]
     assert added
     assert {name.partition(".")[0] for name in added} == {"elbow_joint"}
@@ -249,7 +248,7 @@ def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
     picture = (tmp_path / "a.svg").read_bytes()
     assert b"<svg" in picture
     with pytest.raises(UsageError, match="term"):
-        identify_logs("ur5", logs[:1], candidates=("ply",), **more)
+        identify("ur5", choose=("ply",), **more)
 
 
 def test_inertia_of_motors_that_move_joints_together_is_found(tmp_path: Path) -> None:
@@ -268,9 +267,9 @@ def test_inertia_of_motors_that_move_joints_together_is_found(tmp_path: Path) ->
         motors = Recorded(log.joints, log.t, q, v, tau)
         logs.append(write(tmp_path, motors, name=f"log{seed}", transmission=G.tolist()))
     terms = ("viscous", "coulomb", "offset")
-    plain = identify_logs("ur5", logs[:1], logs[1:], terms=terms, **CLEAN)
-    told = identify_logs("ur5", logs[:1], logs[1:], terms=terms,
-                         candidates=("motor.armature", "motor.coulomb"), **CLEAN)  # fmt: skip
+    plain = identify("ur5", log=logs[:1], test=logs[1:], terms=terms, **CLEAN)
+    told = identify("ur5", log=logs[:1], test=logs[1:], terms=terms,
+                         choose=("motor.armature", "motor.coulomb"), **CLEAN)  # fmt: skip
     for motor in ("motor5", "motor6"):
         assert told["joints"][motor]["armature"]["value"] == pytest.approx(0.05, rel=0.1)
         assert told["joints"][motor]["coulomb"]["value"] == pytest.approx(0.7, rel=0.05)
@@ -279,16 +278,16 @@ def test_inertia_of_motors_that_move_joints_together_is_found(tmp_path: Path) ->
         errors = [answer["tests"]["log1"][joint]["relative"] for answer in (told, plain)]
         assert errors[0] < 0.1 * errors[1]
     own = (*terms, "motor.coulomb", "motor.armature")
-    fixed = identify_logs("ur5", logs[:1], terms=own, **CLEAN)
+    fixed = identify("ur5", log=logs[:1], terms=own, **CLEAN)
     assert fixed["joints"]["motor6"]["coulomb"]["value"] == pytest.approx(0.7, rel=0.05)
     assert {"motor1", "motor6"} <= set(fixed["joints"])
     with pytest.raises(UsageError, match="armature"):
-        identify_logs("ur5", logs[:1], terms=("motor.spring",), **CLEAN)
+        identify("ur5", log=logs[:1], terms=("motor.spring",), **CLEAN)
 
 
 def test_motors_need_a_transmission(folder: Path) -> None:
     with pytest.raises(UsageError, match="transmission"):
-        identify_logs("ur5", [folder / "run.toml"], candidates=("motor.play",), **CLEAN)
+        identify("ur5", log=[folder / "run.toml"], choose=("motor.play",), **CLEAN)
 
 
 PSM = """
@@ -325,12 +324,13 @@ def arm(data_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
 def test_an_arm_months_later(arm: dict[str, Path]) -> None:
     """Relative errors J5, J6 across days: 45 and 40 % with offsets alone, by other code."""
     logs = [arm["psm_train"]], [arm["psm_payload_none_2019"]]
-    plain = identify_logs("dvrk_psm", *logs, filter="average 41")
+    more: dict[str, Any] = {"log": logs[0], "test": logs[1], "filter": "average 41"}
+    plain = identify("dvrk_psm", **more)
     assert plain["rank"] == 36
     joints = ("offset", "armature", "play", "poly")
-    chosen = identify_logs("dvrk_psm", *logs, filter="average 41", candidates=joints)
+    chosen = identify("dvrk_psm", choose=joints, **more)
     motors = ("motor.play", "motor.coulomb", "motor.armature")
-    driven = identify_logs("dvrk_psm", *logs, filter="average 41", candidates=joints + motors)
+    driven = identify("dvrk_psm", choose=joints + motors, **more)
     errors = [
         np.array(
             [100 * joint["relative"] for joint in told["tests"]["psm_payload_none_2019"].values()]
@@ -347,9 +347,9 @@ def test_an_arm_months_later(arm: dict[str, Path]) -> None:
 @pytest.mark.data
 def test_a_hundred_grams_on_a_real_arm(arm: dict[str, Path]) -> None:
     logs = [arm["psm_payload_none_2019"], arm["psm_payload_105g_insertion"]]
-    told = identify_logs(
-        "dvrk_psm", logs, task="payload", position_given=True, filter="average 41"
-    )["payload"]
+    told = identify("dvrk_psm", log=logs, task="payload", position_given=True, filter="average 41")[
+        "payload"
+    ]
     assert told["interval"][0] < 0.105 < told["interval"][1]
     assert told["mass"] == pytest.approx(0.105, rel=0.05)
 
@@ -375,7 +375,7 @@ def test_a_log_that_repeats_tells_its_deviations_by_its_periods(
         t = np.arange(len(q)) * (once.t[1] - once.t[0])
         noisy = Recorded(once.joints, t, q, v, tau + 0.1 * rng.normal(size=tau.shape))
         paths.append(write(tmp_path, noisy, name=f"run{place}", period=period))
-    told = identify_logs("ur5", paths, **{**CLEAN, "estimator": "wls"})
+    told = identify("ur5", log=paths, **{**CLEAN, "estimator": "wls"})
     assert told["std_from"] == kind
     assert all(entry["std"] > 0 for entry in told["base"])
 
@@ -385,4 +385,4 @@ def test_a_period_is_a_time(tmp_path: Path) -> None:
     for wrong, why in (("-1 s", "must be positive"), ("1 Hz", "expected one of")):
         path = write(tmp_path, once, period=wrong)
         with pytest.raises(UsageError, match=f"period.*{why}"):
-            identify_logs("ur5", [path])
+            identify("ur5", log=[path])

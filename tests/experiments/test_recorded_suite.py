@@ -13,7 +13,7 @@ from sysid_bench.harness.plan import Cell, Plan, expand
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import dump_suite, parse_frozen, parse_suite
-from sysid_bench.verbs.identify_logs import identify_logs
+from sysid_bench.verbs.identify import identify
 from sysid_bench.verbs.reports import report, table
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write
@@ -100,7 +100,7 @@ def test_a_cell_is_what_the_command_line_gives(ran: RunFolder, folder: Path) -> 
     rows = {(r["excitation"], r["terms"], r["estimator"]): r for r in ran.rows().rows.values()}
     assert len(rows) == 8
     tests = [folder / "other.toml", folder / "again.toml"]
-    answer = identify_logs("ur5", [folder / "run.toml"], tests, terms=("viscous", "coulomb"),
+    answer = identify("ur5", log=[folder / "run.toml"], test=tests, terms=("viscous", "coulomb"),
                          estimator="wls", filter="none")  # fmt: skip
     row = rows["plain", "viscous coulomb", "wls"]
     for figure in ("rank", "rmse_train", "rmse_test", "torque_error", "condition"):

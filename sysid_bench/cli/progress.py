@@ -1,4 +1,4 @@
-"""A progress bar on a terminal, weighted by what cells are expected to cost; silent elsewhere."""
+"""Progress on a terminal, weighted by the expected cost of cells; silent elsewhere."""
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -10,8 +10,8 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def progress() -> Iterator["OnEvent"]:
-    """Yields a listener for a run's events."""
+def run_progress() -> Iterator["OnEvent"]:
+    """Yield a listener for a run's events."""
     if not sys.stderr.isatty():
         yield _silent
         return
@@ -34,35 +34,35 @@ def progress() -> Iterator["OnEvent"]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("running", total=None, done=0, cells=0)
         costs: dict[str, float] = {}
-        met = {"done": 0, "failed": 0}
+        cells = {"done": 0, "failed": 0}
 
         def listen(kind: str, data: Mapping[str, Any]) -> None:
             if kind == "plan":
                 costs.update(data["seconds"])
                 bar.update(task, total=sum(costs.values()) or 1.0, cells=data["open"])
             elif kind == "row":
-                met["done"] += 1
-                met["failed"] += data["status"] in ("failed", "timeout", "crash")
-                words = f"running ({met['failed']} failed)" if met["failed"] else "running"
+                cells["done"] += 1
+                cells["failed"] += data["status"] in ("failed", "timeout", "crash")
+                words = f"running ({cells['failed']} failed)" if cells["failed"] else "running"
                 bar.update(
-                    task, advance=costs.get(data["id"], 0.0), done=met["done"], description=words
+                    task, advance=costs.get(data["id"], 0.0), done=cells["done"], description=words
                 )
 
         yield listen
 
 
 @contextmanager
-def values() -> Iterator[Callable[[int, float], None]]:
-    """Yields a listener for a search: evaluations and the best value so far, on one line."""
+def search_progress() -> Iterator[Callable[[int, float], None]]:
+    """Yield a listener for a search: evaluations and the best value so far, on one line."""
     if not sys.stderr.isatty():
         yield lambda count, value: None
         return
 
-    def tell(count: int, value: float) -> None:
+    def show(count: int, value: float) -> None:
         sys.stderr.write(f"\r{count:6d} evaluations, objective {value:.5g} \x1b[K")
         sys.stderr.flush()
 
-    yield tell
+    yield show
     sys.stderr.write("\r\x1b[K")
 
 

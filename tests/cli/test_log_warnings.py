@@ -2,10 +2,10 @@
 
 import pytest
 
+from sysid_bench.cli.option_parsing import parse_noise
 from sysid_bench.errors import UsageError
 from sysid_bench.verbs.identify import identify
 from sysid_bench.verbs.log_warnings import log_warnings
-from sysid_bench.verbs.option_parsing import parse_noise
 
 SOUND = {"rms": 3.0, "relative": 0.1}
 

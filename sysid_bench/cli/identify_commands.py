@@ -1,0 +1,238 @@
+"""Command that identifies one robot: identify."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import click
+
+import sysid_bench
+from sysid_bench.cli.common import (
+    OK,
+    free_base_option,
+    json_option,
+    option_group,
+    print_result,
+    robots_option,
+    run_command,
+    sensor_option,
+    task_option,
+    terms_option,
+)
+from sysid_bench.cli.option_parsing import (
+    parse_contacts,
+    parse_names,
+    parse_noise,
+    parse_payload,
+    parse_terms,
+)
+
+
+class _Source(NamedTuple):
+    simulate: bool
+    logs: tuple[Path, ...]
+    tests: tuple[Path, ...]
+
+
+class _LogOptions(NamedTuple):
+    candidates: str | None
+    position_given: bool
+    figure: Path | None
+    accept: str | None
+    filter_text: str | None
+    derivatives: str | None
+    moving: float
+
+
+class _Unknowns(NamedTuple):
+    task: str
+    sensor: str | None
+    payload: str
+    terms: str | None
+    free_base: bool | None
+
+
+class _Method(NamedTuple):
+    estimator: str | None
+    noise: str | None
+    contacts: str | None
+    complete: str | None
+    seed: int
+
+
+class _Output(NamedTuple):
+    model_out: Path | None
+    json_out: Path | None
+    as_json: bool
+
+
+_source_options = option_group(
+    "source",
+    _Source,
+    [
+        click.option("--simulate", is_flag=True, help="Data from the robot's own simulation."),
+        click.option(
+            "--log",
+            "logs",
+            multiple=True,
+            type=click.Path(path_type=Path),
+            metavar="LOG.toml",
+            help="Data from a recording; several are used together.",
+        ),
+        click.option(
+            "--test",
+            "tests",
+            multiple=True,
+            type=click.Path(path_type=Path),
+            metavar="LOG.toml",
+            help="Recording to judge on.",
+        ),
+    ],
+)
+
+_log_options = option_group(
+    "of_logs",
+    _LogOptions,
+    [
+        click.option(
+            "--choose",
+            "candidates",
+            metavar="play,offset,motor.play,...",
+            help="Logs: joint terms and features (play, playq, tanh, poly), also of motors "
+            "(motor.play, motor.coulomb), that cross-validation in the training data may add.",
+        ),
+        click.option(
+            "--position-given",
+            is_flag=True,
+            help="Logs, task payload: only its mass is unknown, centre of mass as the log states.",
+        ),
+        click.option(
+            "--figure",
+            type=click.Path(path_type=Path),
+            metavar="FILE.pdf|svg",
+            help="Logs: measured and predicted torque and their difference, joint by joint.",
+        ),
+        click.option(
+            "--accept", metavar="rate,units", help="Contradictions in logs that may pass."
+        ),
+        click.option("--filter", "filter_text", metavar="TEXT", help="Logs: 'butter 4 10 Hz', ..."),
+        click.option(
+            "--derivatives",
+            type=click.Choice(["from q", "from v"]),
+            help="Logs: signal that rates and accelerations come from.",
+        ),
+        click.option(
+            "--moving",
+            default=0.0,
+            show_default=True,
+            type=click.FloatRange(min=0.0),
+            help="Logs: leave out samples of a joint slower than this (rad/s, m/s).",
+        ),
+    ],
+)
+
+_unknown_options = option_group(
+    "unknowns",
+    _Unknowns,
+    [
+        task_option,
+        sensor_option,
+        click.option(
+            "--payload",
+            default="none",
+            show_default=True,
+            help="Load mounted at the tool: a name, or a table '{ mass = 1.2, com = [0, 0, 0.05], "
+            'inertia = "sphere 0.05 m" }\'.',
+        ),
+        terms_option,
+        free_base_option,
+    ],
+)
+
+_method_options = option_group(
+    "method",
+    _Method,
+    [
+        click.option(
+            "--estimator",
+            metavar="NAME",
+            help="Default: ols; wls with logs and for wrench; min-norm for terminal.",
+        ),
+        click.option(
+            "--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none."
+        ),
+        click.option(
+            "--contacts",
+            metavar="detect|'10 s to 25 s'",
+            help="Samples left out: detected behind a sensor, or in these periods.",
+        ),
+        click.option(
+            "--complete",
+            type=click.Choice(["entropic", "euclidean", "pullback"]),
+            help="Whole, feasible bodies nearest to the prior in this distance.",
+        ),
+        click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0)),
+    ],
+)
+
+_output_options = option_group(
+    "output",
+    _Output,
+    [
+        click.option(
+            "--model-out",
+            type=click.Path(path_type=Path),
+            help="The model file again, with identified values.",
+        ),
+        click.option("--json-out", type=click.Path(path_type=Path), help="The result as a file."),
+        json_option,
+    ],
+)
+
+
+@click.command()
+@click.argument("model", metavar="MODEL")
+@_source_options
+@_log_options
+@_unknown_options
+@_method_options
+@_output_options
+@robots_option
+@run_command
+def identify(
+    model: str,
+    source: _Source,
+    of_logs: _LogOptions,
+    unknowns: _Unknowns,
+    method: _Method,
+    output: _Output,
+    robots_dir: Path | None,
+) -> int:
+    """Identify one robot: excite and simulate it, or read recordings; estimate; export."""
+    result = sysid_bench.identify(
+        model,
+        task=unknowns.task,
+        payload=parse_payload(unknowns.payload),
+        terms=parse_terms(unknowns.terms),
+        estimator=method.estimator,
+        noise=parse_noise(method.noise),
+        log=source.logs,
+        test=source.tests,
+        simulate=source.simulate,
+        model_out=output.model_out,
+        json_out=output.json_out,
+        robots_dir=robots_dir,
+        seed=method.seed,
+        sensor=unknowns.sensor,
+        free_base=unknowns.free_base,
+        contacts=parse_contacts(method.contacts),
+        complete=method.complete,
+        filter=of_logs.filter_text,
+        derivatives=of_logs.derivatives,
+        moving=of_logs.moving,
+        choose=parse_names(of_logs.candidates),
+        position_given=of_logs.position_given,
+        accept=parse_names(of_logs.accept),
+        figure=of_logs.figure,
+    )
+    print_result(result, output.as_json)
+    return OK

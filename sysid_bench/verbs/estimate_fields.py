@@ -1,0 +1,141 @@
+"""Fields of an estimate: bodies, joints and base parameters, each value with its verdict."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.evaluation.covariance import StandardError
+from sysid_bench.identifiability.base_expressions import base_expressions, expression
+from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.models.robot import SUFFIX
+from sysid_bench.spatial.inertia import NAMES, mass_com_inertia, six_of_matrix
+from sysid_bench.types import Array, Estimate, Problem
+
+Errors = Mapping[str, StandardError]
+"""Standard errors by the way they were found; the first one is reported."""
+
+TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
+
+
+def values_of(estimate: Estimate, problem: Problem) -> Array:
+    """Return theta (p,); NaN where the method identifies a combination alone."""
+    if estimate.theta is not None:
+        return estimate.theta
+    assert estimate.beta is not None
+    single = np.array(verdicts(problem.base)) == "identifiable"
+    values: Array = np.where(single, problem.base.embed(estimate.beta), np.nan)
+    return values
+
+
+def bodies_of(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str, dict[str, Any]]:
+    """Return {name: mass (kg), com (m), inertia about the centre of mass (six, kg m^2), each None
+    unless identifiable, and `parameters`, `identifiable` (verdicts), `std` of the ten}."""
+    columns = {name: j for j, name in enumerate(problem.parameters)}
+    theta, verdict = values_of(estimate, problem), np.array(verdicts(problem.base))
+    std = _std(problem, errors)
+    bodies = {}
+    for body in problem.bodies:
+        ten = [columns[column] for column in body.columns]
+        phi, single = theta[ten], verdict[ten] == "identifiable"
+        # Combinations count as zero here; com and inertia are only given where none is needed.
+        _, com, inertia = mass_com_inertia(np.where(single, phi, 0.0))
+        bodies[body.name] = {
+            "mass": float(phi[0]) if single[0] else None,
+            "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
+            "inertia": six_of_matrix(inertia).tolist() if single.all() else None,
+            "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
+            "identifiable": dict(zip(NAMES, verdict[ten].tolist(), strict=True)),
+            "std": dict(zip(NAMES, std[ten].tolist(), strict=True)),
+        }
+    return bodies
+
+
+def base_of(estimate: Estimate, problem: Problem, errors: Errors) -> list[dict[str, Any]]:
+    """Return [{expression, terms, value, std}] of the base parameters, in order of their pivots."""
+    assert estimate.beta is not None
+    std = _base_std(errors, problem.base.rank)
+    return [
+        {"expression": expression(terms), "terms": terms, "value": float(value), "std": float(s)}
+        for terms, value, s in zip(base_expressions(problem.base), estimate.beta, std, strict=True)
+    ]
+
+
+def joints_of(
+    estimate: Estimate, problem: Problem, errors: Errors
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return {joint: {term: value, identifiable, std}} of the unknown joint terms."""
+    inertial = {column for body in problem.bodies for column in body.columns}
+    theta, std = values_of(estimate, problem), _std(problem, errors)
+    joints: dict[str, dict[str, dict[str, Any]]] = {}
+    for name, value, verdict, deviation in zip(
+        problem.parameters, theta, verdicts(problem.base), std, strict=True
+    ):
+        if name not in inertial:
+            joint, term = _joint_and_term(name)
+            entry = {"value": float(value), "identifiable": verdict, "std": float(deviation)}
+            joints.setdefault(joint, {})[term] = entry
+    return joints
+
+
+def _joint_and_term(name: str) -> tuple[str, str]:
+    """Joint and term of a parameter: "j5.fv" is j5's "viscous", "j5.fv.j6" its
+    "viscous_coupling.j6"."""
+    joint, _, suffix = name.rpartition(".")
+    if suffix in TERM:
+        return joint, TERM[suffix]
+    if ".fv." in name:
+        joint, _, other = name.partition(".fv.")
+        return joint, f"viscous_coupling.{other}"
+    return joint, suffix
+
+
+def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
+    """Warn about parameters that are not identifiable on their own, combinations first."""
+    by_verdict: dict[str, list[str]] = {"combination": [], "none": []}
+    for name, verdict in zip(problem.parameters, verdicts(problem.base), strict=True):
+        if verdict != "identifiable":
+            by_verdict[verdict].append(name)
+    # Parameters without effect, as those of a fixed base, come last: nobody misses them.
+    names, without_effect = [*by_verdict["combination"], *by_verdict["none"]], by_verdict["none"]
+    if not names:
+        return []
+    effect = f" ({len(without_effect)} have no effect)" if without_effect else ""
+    text = (
+        f"{len(names)} of {len(problem.parameters)} parameters are not identifiable on their own"
+        f"{effect}: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}"
+    )
+    if estimate.theta is not None:
+        text += "; their values are the method's choice, which no residual can confirm"
+    return [text]
+
+
+def std_from(errors: Errors) -> str | None:
+    """Return the origin of the standard deviations: "periods", "residuals" or "textbook" (see
+    evaluation/covariance.py); None without any."""
+    return next(iter(errors), None)
+
+
+def _base_std(errors: Errors, rank: int) -> Array:
+    """Standard deviations (r,) of the base parameters; NaN where none are known."""
+    return next((error.std for error in errors.values()), np.full(rank, np.nan))
+
+
+def completion_warnings(estimate: Estimate, problem: Problem) -> list[str]:
+    """Warn about base parameters that a completion had to change to find feasible bodies."""
+    if "moved" not in estimate.stats:
+        return []
+    return [
+        "no feasible bodies have exactly these base parameters: the nearest feasible ones are "
+        f"reported, {estimate.stats['moved']:.3g} more in the sum of squared residuals over their "
+        f"noise (noise alone adds about {problem.base.rank}, the number of base parameters)"
+    ]
+
+
+def _std(problem: Problem, errors: Errors) -> Array:
+    """Standard deviations (p,) of the parameters that are identifiable, NaN elsewhere."""
+    std = np.full(len(problem.parameters), np.nan)
+    std[problem.base.pivots] = _base_std(errors, problem.base.rank)
+    single = np.array(verdicts(problem.base)) == "identifiable"
+    known: Array = np.where(single, std, np.nan)
+    return known

@@ -1,0 +1,234 @@
+"""Identification of one robot from its own simulation: excite, simulate, estimate, export."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from sysid_bench.errors import EstimationError, ModelError
+from sysid_bench.evaluation.covariance import standard_errors
+from sysid_bench.evaluation.score import score
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.robot_cache import LoadedRobot, cached_robot
+from sysid_bench.experiments.simulated.noise_free import identified_terms
+from sysid_bench.experiments.simulated.prepare import prepare_simulated
+from sysid_bench.experiments.simulated.source import SimulatedSource
+from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_payload
+from sysid_bench.identification.feasibility.completion import completed_estimate
+from sysid_bench.identification.identify import identify as estimate_parameters
+from sysid_bench.naming import build
+from sysid_bench.types import Estimate
+from sysid_bench.verbs.estimate_fields import (
+    base_of,
+    bodies_of,
+    completion_warnings,
+    joints_of,
+    std_from,
+    warnings_of,
+)
+from sysid_bench.verbs.ft_summary import comparison_fields, excitation_fields, sensor_lines
+from sysid_bench.verbs.identify_result import STD_FROM, IdentifyResult, body_lines, joint_line
+from sysid_bench.verbs.result import OMIT_NONE, value_text
+from sysid_bench.verbs.task_terms import check_terms
+from sysid_bench.verbs.write_model import check_files, write_model
+
+ESTIMATOR: Final = {"terminal": "min-norm", "wrench": "wls", "wrench-payload": "wls"}
+"""Default estimator of a task: that of its source; weighted least squares where forces and moments
+are rows of one problem; `ols` elsewhere."""
+
+HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
+ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
+IDEAL: Final = {"filter": "none", "derivatives": "exact"}
+"""Signals: rates are differentiated from the encoders once these are noisy."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedRequest:
+    """Identification from simulated data: a suite's experiment with defaults elsewhere.
+
+    `payload` (a name or a table) and `noise` ({"q": "1e-4 rad", "tau": "0.5 %"}) as in a suite;
+    `free_base` overrides the robot's manifest; `contacts`: periods left out ("10 s to 25 s"), or
+    "detect"; `complete`: distance ("entropic", "euclidean", "pullback") in which whole, feasible
+    bodies lie nearest to the prior.
+    """
+
+    model: str
+    task: str = "robot"
+    payload: str | Mapping[str, Any] = "none"
+    terms: tuple[str, ...] | None = None
+    estimator: str | None = None
+    noise: Mapping[str, Any] | None = None
+    seed: int = 0
+    sensor: str | None = None
+    free_base: bool | None = None
+    contacts: Sequence[str] | str | None = None
+    complete: str | None = None
+    model_out: Path | None = None
+    json_out: Path | None = None
+    robots_dir: Path | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedResult(IdentifyResult):
+    """Identification from simulated data. `left_out`: share of the samples taken for contacts;
+    `gap`: of the cross-check; `sensor`: excitation and errors behind a force/torque sensor."""
+
+    model: str
+    file: str
+    task: str
+    terms: list[str]
+    rows: list[str]
+    estimator: str
+    rank: int | None
+    data_rank: int | None
+    parameters: int | None
+    condition: float | None
+    condition_unit: float | None
+    rmse_train: float | None
+    rmse_test: float | None
+    torque_error: float | None
+    left_out: float
+    gap: float
+    std_from: str | None
+    base: list[dict[str, Any]]
+    bodies: dict[str, dict[str, Any]]
+    joints: dict[str, dict[str, dict[str, Any]]]
+    payload: dict[str, Any] | None
+    completed: str | None
+    feasible: bool | None
+    plausible: bool | None
+    warnings: list[str]
+    sensor: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
+    model_out: str | None = field(default=None, metadata=OMIT_NONE)
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """Errors, then bodies and joints with standard deviations, then warnings."""
+        lines = [
+            f"{self.model}, task {self.task}, {self.estimator}: "
+            f"rank {self.rank} of {self.parameters}, condition {value_text(self.condition)}",
+            f"  RMSE {value_text(self.rmse_train)} in training, {value_text(self.rmse_test)} on "
+            f"other motions, torque error {value_text(self.torque_error)}",
+        ]
+        if self.left_out:
+            lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
+        if self.sensor is not None:
+            lines += sensor_lines(self.sensor)
+        for name, body in self.bodies.items():
+            lines += body_lines(name, body)
+        lines += [joint_line(name, terms) for name, terms in self.joints.items()]
+        if self.std_from is not None:
+            lines.append(f"  ±: one standard deviation, {STD_FROM[self.std_from]}")
+        return "\n".join(lines + self._closing_lines())
+
+
+def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
+    """Identify a robot from its own simulation.
+
+    Raises UsageError for unknown names, ModelError for a model that cannot be used or values that
+    must not be written, EstimationError where the method fails.
+    """
+    check_terms(request.task, request.terms)
+    name = _estimator(request)
+    method = build("estimator", name)
+    spec = _spec(request)
+    folder = None if request.robots_dir is None else str(request.robots_dir)
+    robot = cached_robot(spec.robot, spec.payload, folder, None, request.free_base)
+    check_files(robot.robot, request.task, request.model_out, request.json_out)
+    if not robot.check.ok():
+        raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
+    ready = prepare_simulated(spec, robot)
+    estimate = estimate_parameters(method, ready.problem, ready.experiment)
+    sensor = excitation_fields(ready) if request.task == "wrench" else None
+    if estimate.status != "ok":
+        hint = f" {sensor['warning']}" if sensor and sensor["warning"] else ""
+        raise EstimationError(f"{name} on {robot.robot.name}: {estimate.reason}{hint}")
+    if request.complete is not None:
+        estimate = completed_estimate(estimate, ready.problem, request.complete)
+    if sensor is not None:
+        sensor = sensor | {"estimation": comparison_fields(ready, estimate)}
+    result = _result(request, robot, ready, estimate, sensor)
+    if request.model_out is not None:
+        whole = request.complete is not None
+        write_model(robot.robot, request.task, estimate, ready.problem, request.model_out, whole)
+    return result
+
+
+def _result(
+    request: SimulatedRequest,
+    loaded: LoadedRobot,
+    ready: Prepared[SimulatedSource],
+    estimate: Estimate,
+    sensor: dict[str, Any] | None,
+) -> SimulatedResult:
+    problem, source = ready.problem, ready.source
+    figures = score(estimate, problem, ready.held_out, source.truth, source.extents)
+    errors = standard_errors(problem, estimate)
+    bodies = bodies_of(estimate, problem, errors)
+    missing = [sensor["warning"]] if sensor and sensor["warning"] else []
+    return SimulatedResult(
+        model=loaded.robot.name,
+        file=str(loaded.robot.manifest.path),
+        task=request.task,
+        terms=list(identified_terms(_spec(request), loaded.robot)),
+        rows=list(problem.rows),
+        estimator=_estimator(request),
+        rank=figures.rank,
+        data_rank=figures.data_rank,
+        parameters=figures.parameters,
+        condition=figures.condition,
+        condition_unit=figures.condition_unit,
+        rmse_train=figures.rmse_train,
+        rmse_test=figures.rmse_test,
+        torque_error=figures.torque_error,
+        left_out=source.left_out,
+        gap=loaded.check.gap,
+        std_from=std_from(errors),
+        base=base_of(estimate, problem, errors),
+        bodies=bodies,
+        joints=joints_of(estimate, problem, errors),
+        payload=next(iter(bodies.values())) if request.task.endswith("payload") else None,
+        completed=request.complete,
+        feasible=figures.feasible,
+        plausible=figures.plausible,
+        warnings=[
+            *loaded.robot.repairs,
+            *warnings_of(estimate, problem),
+            *completion_warnings(estimate, problem),
+            *missing,
+        ],
+        sensor=sensor,
+        model_out=None if request.model_out is None else str(request.model_out),
+    )
+
+
+def _estimator(request: SimulatedRequest) -> str:
+    return request.estimator or ESTIMATOR.get(request.task, "ols")
+
+
+def _spec(request: SimulatedRequest) -> ExperimentSpec:
+    """Experiment as a suite with nothing but defaults would have it."""
+    noise = normal_noise(request.noise or {})
+    signals: dict[str, Any] = dict(ENCODERS if {"q", "quantum"} & set(noise) else IDEAL)
+    if request.contacts is not None:
+        signals["contacts"] = request.contacts
+    return ExperimentSpec(
+        seed=request.seed,
+        robot=request.model,
+        payload=normal_payload(request.payload),
+        task=request.task,
+        terms=request.terms,
+        plant={"use": "matched"},
+        prior={"mass": 0.2, "com": 0.015, "inertia": 0.3, "terms": 0.3},
+        excitation={"use": "fourier"},
+        held_out=HELD_OUT,
+        simulation={"use": "inverse"},
+        rate=200.0,
+        noise=noise,
+        signals=signals,
+        repeat=0,
+        sensor=request.sensor,
+        free_base=request.free_base,
+    )

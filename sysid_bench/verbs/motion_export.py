@@ -1,0 +1,143 @@
+"""Files of motions: exports for controllers, and recorded motions read again."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.excitation.design_problem import DesignProblem
+from sysid_bench.excitation.export import damiao, ros2
+from sysid_bench.excitation.export.commands import Commands, commands_of, csv_text
+from sysid_bench.excitation.information import torque_model
+from sysid_bench.excitation.optimised import Optimised
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.types import Trajectory
+
+EXPORTS: Final = ("csv", "ros2", "damiao", "can")
+RESTING: Final = "fourier-polynomial"
+"""Family of curves for exports to hardware: it starts and ends at rest."""
+
+Drives = tuple[damiao.DamiaoDrive, ...]
+
+
+@dataclass(frozen=True)
+class MotionExport:
+    """Warnings about a written motion; `drives`: scaling and clamping of each Damiao motor."""
+
+    warnings: list[str]
+    drives: list[dict[str, Any]] | None
+
+
+def check_export(export: str | None, out: str | Path | None) -> str:
+    """Return the kind of export; raise UsageError for an unknown one or a file without folder."""
+    kind = export or "csv"
+    if kind not in EXPORTS:
+        raise unknown_name("export", kind, EXPORTS)
+    if out is None and export is not None:
+        raise UsageError("Where does the export go? Give a file: -o FILE.")
+    if out is not None and not Path(out).parent.is_dir():
+        raise UsageError(f"There is no folder {str(Path(out).parent)!r} to write the motion to.")
+    return kind
+
+
+def motor_drives(
+    kind: str, joints: tuple[str, ...], motors: Mapping[str, Mapping[str, Any]] | None
+) -> Drives:
+    """Drives of the joints for Damiao exports; none for the others. `motors` by the names of the
+    joints, or by their numbers from 1."""
+    if kind not in ("damiao", "can"):
+        return ()
+    if not motors:
+        raise UsageError(
+            f"Which motors drive {', '.join(joints)}? Name them in this order, as --motors "
+            f"DM4340,DM4310,..., or in a TOML file; there are: {', '.join(damiao.MOTORS)}."
+        )
+    by_number = {str(k): name for k, name in enumerate(joints, 1)}
+    numbered = set(motors) <= set(by_number) and not set(motors) & set(joints)
+    if numbered and len(motors) != len(joints):
+        raise UsageError(
+            f"{len(motors)} motor(s) for {len(joints)} joints: {', '.join(joints)}; name one each."
+        )
+    return damiao.damiao_drives(
+        joints, {by_number[k]: m for k, m in motors.items()} if numbered else motors
+    )
+
+
+def read_motion(
+    file: Path, problem: DesignProblem, joints: tuple[str, ...], method: Optimised
+) -> Trajectory:
+    """Read a recorded motion: columns t, <joint>.q, .v, .a, as a CSV export has them."""
+    import pandas as pd
+
+    if not file.is_file():
+        raise UsageError(f"There is no file {str(file)!r} of a recorded motion.")
+    table = pd.read_csv(file)
+    missing = [f"{j}.{key}" for j in joints for key in "qva" if f"{j}.{key}" not in table]
+    if missing:
+        raise UsageError(
+            f"{file.name} has no columns {', '.join(missing[:8])}; a recorded motion is a CSV file "
+            "as excite writes it."
+        )
+    space = method.space(problem)
+    q = np.tile(problem.q0, (len(table), 1))
+    v, a = np.zeros((2, len(table), sum(len(joint.dofs) for joint in problem.joints)))
+    moving = space.moving_joints
+    for array, columns, key in ((q, space.places, "q"), (v, moving, "v"), (a, moving, "a")):
+        array[:, columns] = table[[f"{joint}.{key}" for joint in joints]].to_numpy()
+    t = table["t"].to_numpy() if "t" in table else np.arange(len(table)) / problem.rate
+    return problem.completed(Trajectory(t, q, v, a, file.name))
+
+
+def joint_commands(robot: RobotModel, motion: Trajectory, joints: tuple[str, ...]) -> Commands:
+    """Return positions, rates and feed-forward torques of the joints along a motion."""
+    named = {joint.name: joint for joint in robot.joints}
+    rows = [robot.torque_rows.index(name) for name in joints]
+    return commands_of(
+        motion,
+        torque_model(robot).of(motion)[:, rows],
+        joints,
+        [named[name].qadr for name in joints],
+        [named[name].vadr for name in joints],
+    )
+
+
+def write_motion(
+    file: Path,
+    kind: str,
+    commands: Commands,
+    drives: Drives,
+    clamp: float,
+) -> MotionExport:
+    """Write commands in the format of an export; at most the share `clamp` of a motor's samples may
+    be clamped to its range."""
+    warnings = []
+    if not commands.starts_at_rest:
+        warnings.append(
+            "the motion starts and ends at speed; a motion for hardware should start and end at "
+            f"rest: --family {RESTING}"
+        )
+    report: list[dict[str, Any]] | None = None
+    if kind == "csv":
+        text = csv_text(commands)
+    elif kind == "ros2":
+        text = (ros2.json_text if file.suffix == ".json" else ros2.yaml_text)(commands)
+    else:
+        commands, report = damiao.within_range(commands, drives, clamp)
+        warnings += [_hot_motor(entry) for entry in report if entry["hot"]]
+        if kind == "can":
+            text = damiao.can_log(commands, drives)
+        else:
+            text = damiao.table_text(commands, drives, report)
+        report = [drive.to_json() | entry for drive, entry in zip(drives, report, strict=True)]
+    file.write_text(text, encoding="utf-8")
+    return MotionExport(warnings, report)
+
+
+def _hot_motor(entry: Mapping[str, Any]) -> str:
+    return (
+        f"{entry['joint']}: RMS torque {entry['rms_torque']:.3g} N m is above the rated "
+        f"{entry['rated_torque']:.3g} N m of its motor"
+    )

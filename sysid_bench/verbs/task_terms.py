@@ -1,0 +1,25 @@
+"""Checks of a task's joint terms, before anything is loaded."""
+
+from collections.abc import Sequence
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
+from sysid_bench.tasks.task import TASKS, WITH_TERMS
+
+
+def check_term_names(terms: Sequence[str] | None) -> None:
+    """Raise UsageError with the nearest name for an unknown joint term."""
+    for term in terms or ():
+        if not is_term(term):
+            advice = f"{TERM_ADVICE} Separate several by commas, or: none."
+            raise unknown_name("joint term", term, TERMS, advice)
+
+
+def check_terms(task: str, terms: Sequence[str] | None) -> None:
+    """Raise UsageError for an unknown joint term, and for terms that the task takes as known."""
+    check_term_names(terms)
+    if terms and task in TASKS and task not in WITH_TERMS:
+        raise UsageError(
+            f"{', '.join(terms)} cannot be identified with the task {task!r}, which takes joint "
+            f"terms as known; leave --terms out, or use the task {' or '.join(WITH_TERMS)}."
+        )

@@ -1,0 +1,113 @@
+"""Imports and calls of the whole package, read from the syntax."""
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1] / "sysid_bench"
+FILES = sorted(ROOT.rglob("*.py"))
+
+HEAVY = {
+    "matplotlib": "figures alone need it, 0.4 s",
+    "rerun": "recordings alone need it, 0.6 s",
+    "pandas": "tables alone need it, 0.5 s",
+    "pyarrow": "parquet files alone need it",
+    "rich": "progress on a terminal alone needs it",
+    "jinja2": "the HTML report alone needs it",
+    "markupsafe": "the HTML report alone needs it",
+    "clarabel": "solver of feasible fits, absent on some platforms",
+    "cvxpy": "optional, compared with in tests",
+    "robot_descriptions": "optional source of models",
+    "scipy": "sub-packages take up to 0.3 s, and few cells need them",
+}
+"""Libraries that one use needs and every start would wait for."""
+
+START = ("__init__.py", "cli/", "pytest_plugin.py")
+"""Files on the way of `import sysid_bench` and --help; see test_startup.py."""
+
+EXCEPTIONS = {
+    ("harness/suite/names.py", "sysid_bench.models.load"): "only robots with sensors are loaded",
+    ("models/robot.py", "sysid_bench.models.pairing"): "the pairing of names reads a robot itself",
+    ("versions.py", "numpy"): "versions are read where no array is needed",
+}
+"""(file, module) of every other import within a function, with its reason."""
+
+MOST_LOCAL = 60
+MOST_POSITIONAL = 6
+
+FOREIGN = {"itertools.product", "library.simulation_steps", "mujoco.mj_applyFT"}
+"""Functions of other libraries, and of C, that take positional arguments alone."""
+
+
+@cache
+def tree(file: Path) -> ast.Module:
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
+def local_imports(file: Path) -> Iterator[str]:
+    """Modules imported within functions of a file."""
+    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
+    nodes = {
+        node
+        for function in ast.walk(tree(file))
+        if isinstance(function, functions)
+        for node in ast.walk(function)
+        if isinstance(node, (ast.Import, ast.ImportFrom))
+    }
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom):
+            yield "." * node.level + (node.module or "")
+        else:
+            yield from (alias.name for alias in node.names)
+
+
+def positional_calls(file: Path) -> Iterator[str]:
+    """Calls of a file with too many positional arguments, as "line: function (count)"."""
+    for node in ast.walk(tree(file)):
+        if isinstance(node, ast.Call) and len(node.args) > MOST_POSITIONAL:
+            name = ast.unparse(node.func)
+            if name not in FOREIGN:
+                yield f"{node.lineno}: {name} ({len(node.args)})"
+
+
+def short(file: Path) -> str:
+    return file.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("file", FILES, ids=short)
+def test_imports_within_functions_have_a_reason(file: Path) -> None:
+    name = short(file)
+    unexplained = [
+        module
+        for module in local_imports(file)
+        if module.partition(".")[0] not in HEAVY
+        and not name.startswith(START)
+        and (name, module) not in EXCEPTIONS
+    ]
+    assert not unexplained, f"{name}: move to the top of the file, or give a reason: {unexplained}"
+
+
+def test_every_exception_is_needed() -> None:
+    found = {(short(file), module) for file in FILES for module in local_imports(file)}
+    assert set(EXCEPTIONS) <= found, f"no longer there: {set(EXCEPTIONS) - found}"
+
+
+def test_imports_within_functions_are_few() -> None:
+    assert sum(1 for file in FILES for _ in local_imports(file)) <= MOST_LOCAL
+
+
+@pytest.mark.parametrize("file", FILES, ids=short)
+def test_long_calls_name_their_arguments(file: Path) -> None:
+    assert not list(positional_calls(file))
+
+
+def test_the_checks_see_what_they_forbid(tmp_path: Path) -> None:
+    file = tmp_path / "a.py"
+    file.write_text(
+        "def f():\n    from json import dumps\n    import csv\nf(1, 2, 3, 4, 5, 6, 7)\n"
+    )
+    assert sorted(local_imports(file)) == ["csv", "json"]
+    assert list(positional_calls(file)) == ["4: f (7)"]
