@@ -4,12 +4,14 @@ import json
 import os
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.figures import figure_svg
 from sysid_bench.reporting.listing import Listing
+from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.page import (
     assumptions,
     cells_as_data,
@@ -21,7 +23,8 @@ from sysid_bench.reporting.page import (
 )
 from sysid_bench.reporting.profiles import profile_svg
 from sysid_bench.reporting.rankings import Ranking
-from sysid_bench.reporting.tables import Table, make_table
+from sysid_bench.reporting.tables import Table
+from sysid_bench.types import Metric
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,6 +54,7 @@ class RunView:
     listings: tuple[Listing, ...] = ()
     pictures: tuple[tuple[str, str], ...] = ()  # title and <svg> of figures drawn elsewhere
     rankings: tuple[Ranking, ...] = ()
+    metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)
 
 
 def write_report(run: RunView) -> Path:
@@ -95,7 +99,7 @@ def render_report(run: RunView) -> str:
         failures=failures(run.cells),
         joints=joint_errors(run.cells, run.joints),
         provenance=provenance(run.env),
-        data=Markup(_script_safe(cells_as_data(run.cells, run.recordings))),
+        data=Markup(_script_safe(cells_as_data(run.cells, run.recordings, run.metrics))),
     )
 
 
@@ -104,7 +108,7 @@ def _pictured(run: RunView) -> list[Table]:
     fitting = [
         table
         for table in run.tables
-        if 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE and not table.metric.words
+        if 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE and table.is_drawable
     ]
     gaps = {"rows": ["robot"], "columns": ["payload"], "cells": {"metric": "gap", "stat": "max"}}
     chosen = fitting[:1]

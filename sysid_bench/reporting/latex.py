@@ -1,11 +1,13 @@
 """A table as LaTeX (booktabs, siunitx 3) and its numbers as macros, so that prose follows data."""
 
 import hashlib
+import sys
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from textwrap import wrap
 from typing import Final
 
 from sysid_bench.reporting.notation import Notation
@@ -20,6 +22,7 @@ _ESCAPES: Final = {
 }  # fmt: skip
 _SYMBOLS: Final = {
     "\N{DEGREE SIGN}": r"^\circ", "\N{MIDDLE DOT}": r"\cdot", "\N{PLUS-MINUS SIGN}": r"\pm",
+    "\N{DOWNWARDS ARROW}": r"\downarrow", "\N{UPWARDS ARROW}": r"\uparrow",
     "\N{MULTIPLICATION SIGN}": r"\times", "\N{MINUS SIGN}": "-", "\N{MICRO SIGN}": r"\mu",
     "\N{GREEK SMALL LETTER ALPHA}": r"\alpha", "\N{GREEK SMALL LETTER BETA}": r"\beta",
     "\N{GREEK SMALL LETTER THETA}": r"\theta", "\N{GREEK SMALL LETTER MU}": r"\mu",
@@ -28,7 +31,11 @@ _SYMBOLS: Final = {
 _UNITS: Final = {
     "N": r"\newton", "m": r"\metre", "kg": r"\kilogram", "s": r"\second", "rad": r"\radian",
 }  # fmt: skip
+_NEW_LINE: Final = r" \\ "
 _WIDEST_IN_ONE_COLUMN: Final = 4
+_HEAD_LETTERS: Final = 16
+"""Letters in a line of the head of a metric; its title and unit make several lines."""
+
 _DIGIT_WORDS: Final = (
     "Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine",
 )  # fmt: skip
@@ -203,7 +210,9 @@ def _heads(table: Table, layout: Sequence[_Column]) -> str:
         groups = _grouped(layout, level)
         names = [_spanning(group, group[0].key[level]) for group in groups]
         lines += _line([""] * len(fields) + names) + _rules(groups, len(fields) + 1)
-    return lines + _line([*fields, *(_spanning([c], c.key[-1]) for c in layout)])
+    heads = [(c, table.heads(c.key)[-1]) for c in layout]
+    width = _HEAD_LETTERS if table.has_several else sys.maxsize
+    return lines + _line([*fields, *(_spanning([c], head, width) for c, head in heads)])
 
 
 def _grouped(layout: Sequence[_Column], level: int) -> list[list[_Column]]:
@@ -214,8 +223,12 @@ def _line(parts: Sequence[str]) -> str:
     return " & ".join(parts) + " \\\\\n"
 
 
-def _spanning(columns: Sequence[_Column], text: str) -> str:
-    return f"\\multicolumn{{{sum(c.width for c in columns)}}}{{c}}{{{escape(text)}}}"
+def _spanning(columns: Sequence[_Column], text: str, letters: int = sys.maxsize) -> str:
+    """A head over columns, in lines of at most so many letters."""
+    lines = [escape(line) for line in wrap(text, letters, break_long_words=False)] or [""]
+    # Not r"\shortstack" around a single line: its baseline would differ from the other heads.
+    head = lines[0] if len(lines) == 1 else rf"\shortstack{{{_NEW_LINE.join(lines)}}}"
+    return f"\\multicolumn{{{sum(c.width for c in columns)}}}{{c}}{{{head}}}"
 
 
 def _rules(groups: Sequence[Sequence[_Column]], first: int) -> str:
@@ -243,8 +256,8 @@ def _rows(table: Table, layout: Sequence[_Column]) -> list[str]:
 
 
 def _caption(table: Table) -> str:
-    if table.own_caption:
-        return escape(table.own_caption)
+    if table.own_caption or table.has_several:
+        return escape(table.caption)
     units = [f"\\unit{{{''.join(_UNITS.get(u, u) for u in unit.split())}}}"
              for unit in table.metric.units]  # fmt: skip
     unit = f" ({', '.join(units)})" if units else ""

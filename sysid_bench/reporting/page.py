@@ -8,9 +8,10 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sysid_bench.reporting.metrics import metric_of
+from sysid_bench.metrics import METRICS, metric_of
 from sysid_bench.reporting.notation import ABSENT, notation
-from sysid_bench.reporting.tables import label
+from sysid_bench.reporting.selection import label
+from sysid_bench.types import Metric
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,10 +19,6 @@ if TYPE_CHECKING:
 _WORDS: Final = (
     "robot", "payload", "task", "plant", "excitation", "simulation", "noise", "repeat",
     "estimator", "status",
-)  # fmt: skip
-_SCORES: Final = (
-    "torque_error", "rmse_test", "rank", "condition", "gap", "closure", "parameter_error",
-    "feasible", "seconds",
 )  # fmt: skip
 _EXAMPLES_OF_A_FAILURE: Final = 12
 _LONGEST: Final = 160
@@ -178,10 +175,17 @@ def provenance(env: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]
     return lines
 
 
-def cells_as_data(cells: "pd.DataFrame", recordings: Mapping[str, str]) -> dict[str, Any]:
-    """All cells in little space: words as numbers of a dictionary, four digits of a score."""
+def cells_as_data(
+    cells: "pd.DataFrame",
+    recordings: Mapping[str, str],
+    metrics: Mapping[str, Metric] = METRICS,
+) -> dict[str, Any]:
+    """All cells in little space: words as numbers of a dictionary, four digits of a metric.
+
+    `metrics` by name; those that are `shown` become columns.
+    """
     words = [name for name in _WORDS if name in cells.columns]
-    scores = [name for name in _SCORES if name in cells.columns]
+    scores = [m.name for m in metrics.values() if m.shown and m.name in cells.columns]
     columns: list[list[Any]] = [[str(value) for value in cells["id"]]]
     dictionary: list[list[str]] = []
     for name in [*words, "reason"]:
@@ -196,7 +200,7 @@ def cells_as_data(cells: "pd.DataFrame", recordings: Mapping[str, str]) -> dict[
         "words": [*words, "reason"],
         "dictionary": dictionary,
         "scores": scores,
-        "titles": [metric_of(name).heading for name in scores],
+        "titles": [metrics[name].heading for name in scores],
         "rows": [list(row) for row in zip(*columns, strict=True)],
     }
 

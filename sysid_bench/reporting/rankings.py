@@ -21,9 +21,10 @@ from sysid_bench.evaluation.comparison import (
     wilcoxon_holm_against,
     win_rates,
 )
-from sysid_bench.reporting.metrics import Metric, metric_of
-from sysid_bench.reporting.tables import Choose, Entry, Key, Table, label, selected
-from sysid_bench.types import Array
+from sysid_bench.metrics import METRICS, metric_of
+from sysid_bench.reporting.selection import Choose, label, selected
+from sysid_bench.reporting.tables import Entry, Key, Table
+from sysid_bench.types import Array, Metric
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -133,7 +134,7 @@ class Ranking:
         return Table(
             name=name,
             title=title,
-            metric=Metric(name.removeprefix(f"{self.name}-"), self.metric.title),
+            metrics=(Metric(name.removeprefix(f"{self.name}-"), self.metric.title),),
             stat="mean",
             interval="ci95",
             row_fields=("estimator",),
@@ -163,11 +164,14 @@ class Ranking:
 
 
 def rankings(
-    cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose | None = None
+    cells: "pd.DataFrame",
+    spec: Mapping[str, Any],
+    choose: Choose | None = None,
+    metrics: Mapping[str, Metric] = METRICS,
 ) -> Iterator[Ranking]:
-    """The rankings of a [[ranking]] entry of a suite: one for each value of the labels `apart`.
+    """Rankings of a [[ranking]] entry of a suite: one for each value of the labels `apart`.
 
-    Raises UsageError where no case has rows of two methods.
+    `metrics` are the records by name. Raises UsageError where no case has rows of two methods.
     """
     apart = tuple(spec.get("apart", ()))
     for field in apart:
@@ -176,11 +180,12 @@ def rankings(
     chosen = selected(cells, spec, choose)
     for key, group in chosen.groupby(list(apart), sort=False) if apart else [((), chosen)]:
         values = [label(part) for part in (key if isinstance(key, tuple) else (key,))]
-        yield _ranking(group, spec, values)
+        yield _ranking(group, spec, values, metric_of(str(spec["metric"]), metrics))
 
 
-def _ranking(cells: "pd.DataFrame", spec: Mapping[str, Any], values: Sequence[str]) -> Ranking:
-    metric = metric_of(str(spec["metric"]))
+def _ranking(
+    cells: "pd.DataFrame", spec: Mapping[str, Any], values: Sequence[str], metric: Metric
+) -> Ranking:
     title = str(spec.get("title") or f"Methods by {metric.title}")
     cases = _cases(cells, metric)
     ratios = cases.errors / np.fmin.reduce(cases.errors, axis=1)[:, None]

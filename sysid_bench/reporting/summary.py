@@ -5,28 +5,20 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.markdown import escape
-from sysid_bench.reporting.tables import label
+from sysid_bench.reporting.selection import label
 from sysid_bench.types import CellData
 
 _IDENTITY = ("robot", "payload", "task", "excitation", "simulation", "noise", "estimator")
-_SCORES = (
-    ("torque_error", "Relative held-out torque error"),
-    ("rmse_test", "Held-out RMSE (N·m, N)"),
-    ("rank", "Base parameters"),
-    ("condition", "Condition number (SI columns)"),
-    ("gap", "Regressor gap to Pinocchio"),
-    ("closure", "Torque closure with MuJoCo"),
-    ("parameter_error", "Relative parameter error in torque"),
-    ("feasible", "Feasible"),
-)
 
 
 def summary(evidence: CellData, complaints: Sequence[str] = ()) -> str:
     """Markdown: what was identified, how well, with which parameters, and `complaints`."""
     row = evidence.row
     known = [(name, row[name]) for name in _IDENTITY if row.get(name) is not None]
-    scores = [(title, row[name]) for name, title in _SCORES if row.get(name) is not None]
+    shown = [metric for metric in METRICS.values() if metric.shown and metric.name != "seconds"]
+    scores = [(m.heading, row[m.name]) for m in shown if row.get(m.name) is not None]
     status = [("status", row.get("status", "unknown")), ("reason", row.get("reason"))]
     known += [(name, value) for name, value in status if value]
     parts = [f"# {escape(label(row.get('robot', 'Cell')))}", _table(("", ""), known)]

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from sysid_bench.reporting.html import RunView, render_report, write_report
-from sysid_bench.reporting.tables import make_table
+from sysid_bench.reporting.make_table import make_table
 
 SUITE = {
     "name": "smoke",

@@ -24,9 +24,10 @@ from sysid_bench.reporting.latex import (
     to_latex,
     to_macros,
 )
+from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import escape as escape_markdown
 from sysid_bench.reporting.markdown import to_markdown
-from sysid_bench.reporting.tables import Table, make_table
+from sysid_bench.reporting.tables import Table
 
 ORIGIN = Origin("reports/smoke", "5c3a", "sysid-bench table reports/smoke main --format latex")
 # What breaks LaTeX, Markdown or both: specials, a dash, a star after a line end, other scripts.
