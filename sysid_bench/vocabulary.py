@@ -1,9 +1,11 @@
 """Closed sets of words of suites and rows."""
 
+from collections.abc import Mapping
 from typing import Final
 
 from sysid_bench.metrics import METRICS as RECORDS
 from sysid_bench.metrics import names_of
+from sysid_bench.types import Level
 
 TASKS: Final = ("robot", "payload", "link", "terminal", "wrench", "wrench-payload")
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
@@ -99,5 +101,9 @@ INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
 BESTS: Final = ("none", "min-bold", "max-bold", "bold")
 """Marks of the best values of a table; `bold` follows the direction of each metric."""
 
-LEVEL_AXES: Final = {"parameter": PARAMETER, "interval": STD_FROM, "joint": JOINT}
+LEVEL_AXES: Final[Mapping[Level, str]] = {
+    "parameter": PARAMETER,
+    "interval": STD_FROM,
+    "joint": JOINT,
+}
 """Axis that a table needs for metrics of these levels, and for no others."""

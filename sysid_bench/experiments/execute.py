@@ -10,6 +10,7 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
 from sysid_bench.evaluation.covariance import StandardError, standard_errors
 from sysid_bench.evaluation.score import score
+from sysid_bench.experiments.own_metrics import own_metrics
 from sysid_bench.experiments.recorded.prepared_logs import PreparedLogs
 from sysid_bench.experiments.recorded.rows import (
     log_fields,
@@ -31,7 +32,7 @@ from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
-from sysid_bench.types import Estimate, Row
+from sysid_bench.types import Estimate, MetricInput, Row
 from sysid_bench.versions import versions
 
 Emit = Callable[[Row], None]
@@ -61,13 +62,14 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
     if isinstance(ready, PreparedLogs):
         verdict["seconds_experiment"] = time.perf_counter() - start
         for estimator in argument["estimators"]:
-            answer = _answer_of_logs(estimator, ready, stated_mass(spec))
+            answer = _answer_of_logs(estimator, ready, stated_mass(spec), argument)
             emit(_header(argument, estimator) | verdict | answer)
         return
     sensed = _Sensed.of(spec, ready) if spec.task == "wrench" else None
     verdict["seconds_experiment"] = time.perf_counter() - start
     for estimator in argument["estimators"]:
-        emit(_header(argument, estimator) | verdict | _answer(estimator, ready, sensed))
+        answer = _answer(estimator, ready, sensed, argument)
+        emit(_header(argument, estimator) | verdict | answer)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,18 +117,23 @@ def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
     return {**argument["labels"], **own, "versions": versions()}
 
 
-def _answer(spec: Mapping[str, Any], ready: Prepared, sensed: _Sensed | None) -> Row:
+def _answer(
+    spec: Mapping[str, Any], ready: Prepared, sensed: _Sensed | None, argument: Mapping[str, Any]
+) -> Row:
     """Status, scores and parameters of one estimator; a stranger's exception is a failed row."""
     settings = _settings(spec)
     try:
         estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
-        return _with_sub_tree(_judged(estimate, ready), estimate, ready, sensed)
+        row = _judged(estimate, ready, argument)
+        return _with_sub_tree(row, estimate, ready, sensed)
     except (Exception, SystemExit) as error:
         row = dict(plain({**_failure(error), **ready.figures}))
     return _with_sub_tree(row, Estimate(status="failed"), ready, sensed)
 
 
-def _answer_of_logs(spec: Mapping[str, Any], posed: PreparedLogs, mass: float | None) -> Row:
+def _answer_of_logs(
+    spec: Mapping[str, Any], posed: PreparedLogs, mass: float | None, argument: Mapping[str, Any]
+) -> Row:
     """The same for what was recorded."""
     try:
         method = build("estimator", _settings(spec))
@@ -141,6 +148,7 @@ def _answer_of_logs(spec: Mapping[str, Any], posed: PreparedLogs, mass: float | 
         "seconds": stats.pop("seconds"),
     }
     outcome |= vars(score) | log_fields(posed)
+    outcome |= own_metrics(argument, MetricInput(estimate, posed.problem, posed.tests, score))
     outcome["stats"] = stats
     outcome["parameters_table"] = parameter_table(estimate, posed.problem)
     return dict(plain(outcome))
@@ -167,7 +175,7 @@ def _with_sub_tree(row: Row, estimate: Estimate, ready: Prepared, sensed: _Sense
     return row | dict(plain(told))
 
 
-def _judged(estimate: Estimate, ready: Prepared) -> Row:
+def _judged(estimate: Estimate, ready: Prepared, argument: Mapping[str, Any]) -> Row:
     stats = dict(estimate.stats)
     outcome: Row = {
         "status": estimate.status,
@@ -176,9 +184,9 @@ def _judged(estimate: Estimate, ready: Prepared) -> Row:
     }
     problem, truth, sure = ready.problem, ready.truth, standard_errors(ready.problem, estimate)
     told = sure if ready.noisy else None
-    outcome |= vars(
-        score(estimate, problem, ready.held_out, truth, ready.extents, ready.figures, told)
-    )
+    figures = score(estimate, problem, ready.held_out, truth, ready.extents, ready.figures, told)
+    outcome |= vars(figures)
+    outcome |= own_metrics(argument, MetricInput(estimate, problem, ready.held_out, figures))
     outcome["stats"] = stats
     outcome["parameters_table"] = list(_parameters(estimate, ready, sure))
     return dict(plain(outcome))

@@ -27,6 +27,10 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
             }
             for cell in cells
         ],
+        "metrics": [
+            {"name": entry.metric.name, "spec": resolve_paths(entry.spec, suite.folder)}
+            for entry in suite.metric
+        ],
         "labels": {key: value for key, value in cells[0].head.items() if key not in own},
         "crosscheck": {
             "tolerance": quantity(suite.crosscheck.tolerance, "1"),

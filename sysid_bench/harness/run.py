@@ -81,7 +81,12 @@ def run(
     selected = plan.select(select)[:limit]
     limit_seconds = _seconds(suite.run.timeout if timeout is None else timeout)
     with folder.lock() as descriptor:
-        now = partial(cell_fingerprint, robots_dir=robots_dir, folder=suite.folder)
+        now = partial(
+            cell_fingerprint,
+            robots_dir=robots_dir,
+            folder=suite.folder,
+            metrics=[entry.spec for entry in suite.metric],
+        )
         todo = _todo(selected, folder.rows().rows, rerun, now)
         tasks = [_task(cells, suite, call, robots_dir, now) for cells in _by_experiment(todo)]
         if tasks:

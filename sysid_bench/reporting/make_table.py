@@ -41,7 +41,7 @@ def make_table(
     records of those that may be named. Raises UsageError for unknown keys, fields, metrics and
     statistics, and where no cell is left.
     """
-    names, several = _metric_names(spec), "metrics" in spec
+    names, several = _metric_names(spec), bool(spec.get("metrics"))
     _check(spec, names, cells, metrics)
     records = tuple(metric_of(name, metrics) for name in names)
     wanted = spec.get("cells", {})
@@ -78,7 +78,7 @@ def make_table(
 
 def _metric_names(spec: Mapping[str, Any]) -> tuple[str, ...]:
     """The metrics of a table: `metrics`, or the only one of `cells`."""
-    if "metrics" in spec:
+    if spec.get("metrics"):
         return tuple(dict.fromkeys(spec["metrics"]))
     metric = spec.get("cells", {}).get("metric")
     return () if metric is None else (metric,)

@@ -47,7 +47,7 @@ def report(folder: str | Path) -> Path:
             _put(run_folder.path / "tables" / f"{table.name}.{suffix}", _text(table, form, origin))
     for suffix in ("pdf", "svg"):
         for table in own:
-            if not table.metric.words:
+            if table.is_drawable:
                 figure(table, run_folder.path / "figures" / f"{table.name}.{suffix}")
         for ranking in ranked:
             profile(ranking, run_folder.path / "figures" / f"{ranking.name}.{suffix}")
@@ -67,6 +67,7 @@ def report(folder: str | Path) -> Path:
             joints=frames.joints,
             tables=own,
             rankings=ranked,
+            metrics=run_folder.suite.metrics,
             recordings=recordings(run_folder),
             command=origin.command,
             listings=listings,
@@ -107,7 +108,7 @@ def recordings(run_folder: "RunFolder") -> dict[str, str]:
 
 
 def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
-    from sysid_bench.reporting.tables import make_table
+    from sysid_bench.reporting.make_table import make_table
     from sysid_bench.vocabulary import JOINT, PARAMETER, STD_FROM
 
     frames = run_folder.frames()
@@ -120,7 +121,7 @@ def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
             lines = frames.by_parameter if PARAMETER in asked else cells
             lines = frames.by_std_from if STD_FROM in asked else lines
             lines = frames.by_joint if JOINT in asked else lines
-            yield make_table(lines, spec, _choose, frames.parameters)
+            yield make_table(lines, spec, _choose, frames.parameters, suite.metrics)
         except UsageError:
             if len(cells) == len(run_folder.plan.cells):
                 raise  # with some cells not run, a table may have nothing to show yet
@@ -133,7 +134,8 @@ def _rankings(run_folder: "RunFolder") -> "tuple[Ranking, ...]":
     found: list[Ranking] = []
     for entry in run_folder.suite.ranking:
         try:
-            found += rankings(cells, entry.model_dump(exclude_none=True), _choose)
+            spec = entry.model_dump(exclude_none=True)
+            found += rankings(cells, spec, _choose, run_folder.suite.metrics)
         except UsageError:
             if len(cells) == len(run_folder.plan.cells):
                 raise
