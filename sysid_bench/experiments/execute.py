@@ -11,6 +11,7 @@ from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
 from sysid_bench.evaluation.covariance import StandardError, standard_errors
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.own_metrics import own_metrics
+from sysid_bench.experiments.paper_data import store_paper_data
 from sysid_bench.experiments.recorded.prepared_logs import PreparedLogs
 from sysid_bench.experiments.recorded.rows import (
     log_fields,
@@ -125,6 +126,7 @@ def _answer(
     try:
         estimate = identify(build("estimator", settings), ready.problem, ready.experiment)
         row = _judged(estimate, ready, argument)
+        store_paper_data(argument, spec["cell"], estimate)
         return _with_sub_tree(row, estimate, ready, sensed)
     except (Exception, SystemExit) as error:
         row = dict(plain({**_failure(error), **ready.figures}))
@@ -149,6 +151,7 @@ def _answer_of_logs(
     }
     outcome |= vars(score) | log_fields(posed)
     outcome |= own_metrics(argument, MetricInput(estimate, posed.problem, posed.tests, score))
+    store_paper_data(argument, spec["cell"], estimate, posed)
     outcome["stats"] = stats
     outcome["parameters_table"] = parameter_table(estimate, posed.problem)
     return dict(plain(outcome))

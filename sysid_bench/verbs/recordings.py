@@ -78,7 +78,9 @@ def _matching(run_folder: "RunFolder", expression: str) -> list[str]:
     from sysid_bench.harness.suite.expression import Expression
     from sysid_bench.vocabulary import ROW_FIELDS
 
-    condition = Expression.parse(expression, run_folder.plan.fields | ROW_FIELDS)
+    condition = Expression.parse(
+        expression, run_folder.plan.fields | ROW_FIELDS | set(run_folder.suite.metrics)
+    )
     stored = run_folder.rows().rows
     return [
         cell.id
