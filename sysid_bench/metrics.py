@@ -164,8 +164,8 @@ def metric_of(name: str, metrics: Mapping[str, Metric] = METRICS) -> Metric:
     return metrics.get(name, Metric(name, name))
 
 
-def checked_metric(thing: Any, taken: frozenset[str] = frozenset()) -> Metric:
-    """A plug-in's metric; `taken` are the fields that rows have already.
+def checked_metric(thing: Any) -> Metric:
+    """A plug-in's metric.
 
     Raises UsageError for another type, a name that is taken or not a field name, another level
     than "cell", a direction or ranking that contradict each other, and a missing `compute`.
@@ -178,7 +178,7 @@ def checked_metric(thing: Any, taken: frozenset[str] = frozenset()) -> Metric:
     name = thing.name
     if not _NAME.fullmatch(name):
         raise UsageError(f"The metric name {name!r} is not a field name; use a-z, 0-9 and _.")
-    if name in taken or name in METRICS:
+    if name in METRICS:
         raise UsageError(f"The metric name {name!r} is a field of rows already; choose another.")
     if thing.compute is None or thing.level != "cell" or thing.text:
         raise UsageError(f"The metric {name!r} needs `compute` and level 'cell', and is a number.")

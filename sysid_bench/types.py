@@ -293,11 +293,9 @@ class SimulatingEstimator(Protocol):
 
 @dataclass(frozen=True)
 class Score:
-    """Figures of one estimate; None where a figure does not apply.
+    """Figures of one estimate; None where a figure does not apply. metrics.py has their records.
 
-    `sysid_bench/metrics.py` has a record with title, unit and formula of each number. Torque errors
-    are held-out and against the noise-free torque (the Oracle), except `rmse_train`.
-    """
+    Torque errors are held-out and against the exact torque (the Oracle), except `rmse_train`."""
 
     rmse_train: float | None = None
     rmse_test: float | None = None
@@ -334,18 +332,15 @@ class Score:
     feasible: bool | None = None
     min_eigenvalue: float | None = None
     plausible: bool | None = None
-    joints: tuple[
-        Mapping[str, Any], ...
-    ] = ()  # per row: name rmse_train rmse_test rms relative small
+    joints: tuple[Mapping[str, Any], ...] = ()  # name rmse_train rmse_test rms relative small
 
 
 @dataclass(frozen=True, eq=False)
 class MetricInput:
-    """Data of one finished cell that a metric is computed from.
+    """Data of one finished cell that a metric is computed from; the truth enters through `score`.
 
-    `problem` is what the estimator solved. `held_out` has one problem per motion in the same base
-    parameters; its b is the exact torque on simulated data and the measured torque on recordings.
-    `blocks()` gives their samples in the order of time. The truth enters through `score` alone.
+    `problem` is what the estimator solved. `held_out` has a problem per motion in the same base
+    parameters, in the order of time; its b is the exact torque, on recordings the measured one.
     """
 
     estimate: Estimate
@@ -361,15 +356,12 @@ Need = Literal["held-out", "truth", "theta", "sensor", "load", "noise", "repeats
 
 @dataclass(frozen=True)
 class Metric:
-    """A column of the results: name of the row field, title, unit, direction, formula.
+    """A column of the results; `name` is the field of the row.
 
     `unit` may hold alternatives ("N m|N": rotary|linear). `digits` are significant ones, 0 for
-    whole numbers. Sizes below `floor` are rounding: they compare as equal. `ranked`: the ratio to
-    the smallest of a case means something, so that a [[ranking]] can use it.
-
-    `level`: one value per cell, per joint, per parameter, per kind of interval, or for all repeats
-    together; `key` finds it in a joint's or parameter's entry of the row. `needs` has to be there
-    for a value. `compute` gives the value of a cell; None where the scores compute it.
+    whole numbers. Values below `floor` are rounding and compare as equal. `level`: one value per
+    cell, joint, parameter, kind of interval, or for all repeats. `needs` must be there for a value;
+    `compute` gives it for a cell (None: computed with the scores).
     """
 
     name: str
@@ -382,9 +374,9 @@ class Metric:
     digits: int = 3
     floor: float = 0.0
     text: bool = False  # words, of which there is no statistic
-    ranked: bool = False
+    ranked: bool = False  # a [[ranking]] may divide it by the smallest of a case
     shown: bool = False  # in the report's table of all cells and beside a recording
-    key: str = ""
+    key: str = ""  # in the row's entry of a joint or parameter
     compute: Callable[[MetricInput], float | None] | None = None
 
     @property

@@ -16,7 +16,9 @@ from sysid_bench.cli.common import (
 
 
 @click.command(name="list")
-@click.argument("kind", metavar="robots|payloads|excitations|estimators|suites|simulations|plants")
+@click.argument(
+    "kind", metavar="robots|payloads|excitations|estimators|suites|simulations|plants|metrics"
+)
 @robots_option
 @json_option
 @verb
@@ -55,16 +57,23 @@ def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
 
 @click.command(name="check-plugin")
 @click.argument("name", metavar="PKG:OBJ")
+@click.option("--metric", "is_metric", is_flag=True, help="Check a metric, not an estimator.")
 @robots_option
 @json_option
 @verb
-def check_plugin(name: str, robots_dir: Path | None, as_json: bool) -> int:
-    """Run an estimator through its laws.
+def check_plugin(name: str, is_metric: bool, robots_dir: Path | None, as_json: bool) -> int:
+    """Run an estimator, or a metric, through its laws.
 
     Exit code 1 where it breaks one.
     """
     from sysid_bench.verbs import check_plugin as checks
 
+    if is_metric:
+        from sysid_bench.verbs.check_metric import check_metric, summary
+
+        verdict = check_metric(name, robots_dir)
+        click.echo(json.dumps(verdict, indent=2) if as_json else summary(verdict))
+        return OK if verdict["ok"] else FAILED
     answer = checks.check_plugin(name, robots_dir)
     if as_json:
         print_json(answer)

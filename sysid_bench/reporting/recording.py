@@ -132,7 +132,7 @@ def _log10(values: np.ndarray) -> np.ndarray:
     """log10 of sizes (any shape); what is zero or not a number lies at the floor."""
     sizes = np.nan_to_num(np.abs(np.asarray(values, dtype=float)), nan=0.0, posinf=0.0)
     floor = max(sizes.max(initial=0.0) * _SMALLEST_RATIO, np.finfo(float).tiny)
-    return np.log10(np.maximum(sizes, floor))
+    return np.asarray(np.log10(np.maximum(sizes, floor)))
 
 
 def _row_names(evidence: CellData) -> list[str]:

@@ -69,7 +69,7 @@ def _bootstrap(stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
 
 def _along_last(stat: str, values: np.ndarray) -> np.ndarray:
     if stat == "count":
-        return np.isfinite(values).sum(axis=-1)
+        return np.asarray(np.isfinite(values).sum(axis=-1))
     # Blocks of unequal repeats are filled with NaN; every draw holds at least one number.
     functions: dict[str, Callable[..., np.ndarray]] = {
         "median": np.nanmedian,

@@ -8,13 +8,15 @@ from typing import Any, Final
 
 from sysid_bench import naming, places
 from sysid_bench.errors import SysidBenchError, unknown_name
+from sysid_bench.metrics import METRICS
 
 Entry = dict[str, Any]
 
 
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Everything of a kind (robots, payloads, excitations, estimators, suites, simulations,
-    plants), each with name and title; an entry that cannot be read says so in its title."""
+    plants, metrics), each with name and title; the title of an entry that cannot be read is the
+    reason."""
     if kind not in _LISTS:
         raise unknown_name("kind of thing", kind, _LISTS)
     return _LISTS[kind](robots_dir)
@@ -140,6 +142,29 @@ def _suite(name: str) -> Entry:
     return {"name": name, "file": str(file), **tomllib.loads(file.read_text(encoding="utf-8"))}
 
 
+def _metrics(robots_dir: Path | None) -> list[Entry]:
+    """Built-in metrics with unit, direction and formula, then plug-ins of installed packages."""
+    built_in = [
+        {
+            "name": metric.name,
+            "title": ": ".join(
+                filter(None, (f"{metric.heading} {metric.arrow}".strip(), metric.formula))
+            ),
+            "unit": metric.unit,
+            "better": metric.better,
+            "level": metric.level,
+            "needs": list(metric.needs),
+            "formula": metric.formula,
+        }
+        for metric in METRICS.values()
+    ]
+    return built_in + _plugins("metric")(robots_dir)
+
+
+def _metric(name: str) -> Entry:
+    return next(entry for entry in _metrics(None) if entry["name"] == name)
+
+
 _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "robots": _robots,
     "payloads": _payloads,
@@ -147,6 +172,7 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "estimators": _plugins("estimator"),
     "simulations": _plugins("simulation"),
     "plants": _plugins("plant"),
+    "metrics": _metrics,
     "suites": _suites,
 }
 _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
@@ -155,5 +181,6 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "estimators": _plugin("estimator"),
     "simulations": _plugin("simulation"),
     "plants": _plugin("plant"),
+    "metrics": _metric,
     "suites": _suite,
 }

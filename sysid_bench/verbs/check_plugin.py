@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from sysid_bench.conformance import TestProblem
+    from sysid_bench.experiments.spec import ExperimentSpec
 
 WORLDS: Final[tuple[Mapping[str, Any], ...]] = (
     {"robot": "random:7"},
@@ -59,6 +60,16 @@ def _world(changes: Mapping[str, Any], robots_dir: Path | None) -> "TestProblem"
     from sysid_bench.conformance import TestProblem
     from sysid_bench.experiments.robot_cache import cached_robot
     from sysid_bench.experiments.simulated.prepare import prepare
+
+    spec = experiment_spec(changes)
+    robots = None if robots_dir is None else str(robots_dir)
+    ready = prepare(spec, cached_robot(spec.robot, spec.payload, robots, None))
+    name = f"{spec.robot}, task {spec.task}, {'noise of 1 %' if spec.noise else 'exact'}"
+    return TestProblem(name, ready.problem, ready.truth.theta, not spec.noise, ready.experiment)
+
+
+def experiment_spec(changes: Mapping[str, Any]) -> "ExperimentSpec":
+    """A small experiment of one short motion, with some fields changed."""
     from sysid_bench.experiments.spec import ExperimentSpec
 
     base: dict[str, Any] = {
@@ -76,11 +87,7 @@ def _world(changes: Mapping[str, Any], robots_dir: Path | None) -> "TestProblem"
         "signals": {"filter": "none", "derivatives": "exact"},
         "repeat": 0,
     }
-    spec = ExperimentSpec(**{**base, **changes})
-    robots = None if robots_dir is None else str(robots_dir)
-    ready = prepare(spec, cached_robot(spec.robot, spec.payload, robots, None))
-    name = f"{spec.robot}, task {spec.task}, {'noise of 1 %' if spec.noise else 'exact'}"
-    return TestProblem(name, ready.problem, ready.truth.theta, not spec.noise, ready.experiment)
+    return ExperimentSpec(**{**base, **changes})
 
 
 def summary(answer: Mapping[str, Any]) -> list[str]:
