@@ -243,7 +243,7 @@ def _value(metric: Metric, cell: MetricInput) -> tuple[float | None, str]:
 
 
 def _is_there(need: str, cell: MetricInput) -> bool:
-    """Whether a cell offers what a metric needs; needs that only scores can serve are there."""
+    """True where a cell has what a metric needs; needs beyond its input are taken as met."""
     if need == "held-out":
         return bool(cell.held_out)
     if need == "theta":

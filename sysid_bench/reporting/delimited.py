@@ -13,7 +13,7 @@ def to_csv(table: Table) -> str:
     writer = csv.writer(out, lineterminator="\n")
     head = ["metric", "unit", "stat", "interval", "value", "low", "high", "n", "n_failed"]
     head += ["failures", "missing", "best", "better"]
-    # The name of the metric has a column of its own in any case.
+    # The name of the metric is in the column "metric" in any case.
     fields = [field for field in table.column_fields if field != METRIC]
     writer.writerow([*table.row_fields, *fields, *head])
     for row, column in table.keys:

@@ -68,7 +68,7 @@ def svg_element(svg: bytes) -> str:
 
 
 def styled(draw: "Callable[[], Figure]", kind: str) -> bytes:
-    """A drawing as a file of some kind, in the style of the house whatever the user's is."""
+    """A drawing as the bytes of a file, in the style of this package, not of the user."""
     import matplotlib
 
     with matplotlib.rc_context(rc={**matplotlib.rcParamsDefault, **STYLE}):
@@ -204,7 +204,7 @@ def _spans_decades(table: Table) -> bool:
 
 
 def _label(text: str) -> str:
-    """A name that leaves room for what it names: of a long one its two ends."""
+    """A name, shortened to its two ends where it is long."""
     half = LONGEST // 2
     return plain(text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}")
 

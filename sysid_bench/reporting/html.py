@@ -1,4 +1,4 @@
-"""A run as one offline page: what came out, what it assumes, what failed and how to repeat it."""
+"""Report of a run as one offline page: results, assumptions, failures, commands."""
 
 import json
 import os
@@ -29,7 +29,7 @@ from sysid_bench.types import Metric
 if TYPE_CHECKING:
     import pandas as pd
 
-# A longer picture is no picture: the tables of the page hold the same numbers.
+# Taller figures are not readable; the tables of the page hold the same numbers.
 _MOST_ROWS_OF_A_FIGURE: Final = 45
 PROFILE: Final = (
     "Performance profile: the share of cases in which a method's error is within so many times the "
@@ -39,7 +39,7 @@ PROFILE: Final = (
 
 @dataclass(frozen=True, eq=False)
 class RunView:
-    """What a report shows of a run. `recordings` maps a cell's id to a path relative to the
+    """Data of a run for its report. `recordings` maps a cell's id to a path relative to the
     folder; `command` is what made the run; `joints` has a column `id` (or `cell`) and the joint
     fields of Score; `suite` and `env` are the run's TOML and environment as read."""
 
@@ -58,11 +58,11 @@ class RunView:
 
 
 def write_report(run: RunView) -> Path:
-    """Writes `report.html` into the run's folder (beside, then renamed) and returns its path."""
+    """Write `report.html` into the run's folder, whole or not at all; return its path."""
     path = run.folder / "report.html"
-    beside = path.with_name(path.name + ".part")
-    beside.write_text(render_report(run), encoding="utf-8")
-    os.replace(beside, path)
+    part = path.with_name(path.name + ".part")
+    part.write_text(render_report(run), encoding="utf-8")
+    os.replace(part, path)
     return path
 
 

@@ -62,7 +62,7 @@ def to_latex(table: Table, origin: Origin) -> str:
         f"{header(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
         f"\\caption{{{escape(table.title)}. {_caption(table)}}}\n"
         f"\\label{{tab:{letters_only(table.name)}}}\n\\smallskip\n"
-        # A bold number stays bold inside siunitx only when told so.
+        # siunitx sets bold numbers in medium weight without detect-weight.
         "\\sisetup{detect-weight=true}\n"
         f"\\begin{{tabular}}{{@{{}}{'l' * len(table.row_fields)}"
         f"{''.join(column.spec for column in layout)}@{{}}}}\n\\toprule\n"
@@ -139,7 +139,7 @@ def _escaped(c: str) -> str:
 
 @dataclass(frozen=True)
 class _Column:
-    """One column of numbers and, where something follows the numbers, one of text beside it."""
+    """One column of numbers and, where something follows the numbers, one of text next to it."""
 
     key: Key
     style: Notation
@@ -164,16 +164,16 @@ def _lay_out(table: Table, column: Key) -> _Column:
 
 
 def _cell(table: Table, column: _Column, entry: Entry | None) -> str:
-    number, beside = "{--}", ""
+    number, after = "{--}", ""
     if entry is not None and entry.value is not None:
         number = ("\\bfseries " if entry.best else "") + column.style.text(entry.value)
     elif entry is not None and entry.word:
         number = f"{{{escape(entry.word)}}}"
     if entry is not None and entry.low is not None and entry.high is not None:
-        beside = _between(column.style.text(entry.low), column.style.text(entry.high))
+        after = _between(column.style.text(entry.low), column.style.text(entry.high))
     if entry is not None and entry.note:
-        beside += rf"\textsuperscript{{{table.footnotes[entry.note]}}}"
-    return f"{number} & {beside}" if column.has_text else number
+        after += rf"\textsuperscript{{{table.footnotes[entry.note]}}}"
+    return f"{number} & {after}" if column.has_text else number
 
 
 def _between(low: str, high: str) -> str:
@@ -187,11 +187,11 @@ def _between(low: str, high: str) -> str:
 
 
 def _table_format(texts: Sequence[str]) -> str:
-    """The room siunitx keeps: digits before and after the point, sign, digits of the exponent."""
+    """siunitx table-format: sign, digits before and after the point, digits of the exponent."""
     parts = [text.partition("e") for text in texts] or [("0", "", "")]
     sign = "-" if any(mantissa.startswith("-") for mantissa, _, _ in parts) else ""
-    places = [mantissa.lstrip("-").partition(".") for mantissa, _, _ in parts]
-    whole, decimals = (max(len(place[i]) for place in places) for i in (0, 2))
+    digits = [mantissa.lstrip("-").partition(".") for mantissa, _, _ in parts]
+    whole, decimals = (max(len(part[i]) for part in digits) for i in (0, 2))
     exponents = [exponent for _, _, exponent in parts if exponent]
     power = ""
     if exponents:

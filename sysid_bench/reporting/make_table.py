@@ -1,7 +1,8 @@
 """Tables from cells: grouping, statistics, notes."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,6 +28,28 @@ _CELL_KEYS: Final = ("metric", "stat", "interval")
 Entries = dict[tuple[Key, Key], Entry]
 
 
+@dataclass(frozen=True)
+class _Layout:
+    """Row and column fields of a table, its statistic, and whether metrics are columns."""
+
+    rows: Key
+    columns: Key
+    stat: str
+    interval: str
+    has_several: bool
+
+    @classmethod
+    def of(cls, spec: Mapping[str, Any]) -> "_Layout":
+        wanted = spec.get("cells", {})
+        return cls(
+            tuple(spec.get("rows", ())),
+            tuple(spec.get("columns", ())),
+            wanted.get("stat", "median"),
+            wanted.get("interval", "none"),
+            bool(spec.get("metrics")),
+        )
+
+
 def make_table(
     cells: "pd.DataFrame",
     spec: Mapping[str, Any],
@@ -36,40 +59,37 @@ def make_table(
 ) -> Table:
     """The table of a [[table]] entry of a suite (see `selected` for `select` and `choose`).
 
-    `spec["metrics"]` are columns of their own; `spec["cells"]["metric"]` is the only one. The
+    `spec["metrics"]` are a column each; `spec["cells"]["metric"]` is the only one. The
     `parameters` of all cells, by `id`, are for metrics of all repeats together. `metrics` are the
     records of those that may be named. Raises UsageError for unknown keys, fields, metrics and
     statistics, and where no cell is left.
     """
-    names, several = _metric_names(spec), bool(spec.get("metrics"))
+    names, layout = _metric_names(spec), _Layout.of(spec)
     _check(spec, names, cells, metrics)
     records = tuple(metric_of(name, metrics) for name in names)
-    wanted = spec.get("cells", {})
-    stat, interval = wanted.get("stat", "median"), wanted.get("interval", "none")
     chosen = with_labels(selected(cells, spec, choose))
-    rows, columns = tuple(spec.get("rows", ())), tuple(spec.get("columns", ()))
     entries: Entries = {}
     for metric in records:
-        judge = partial(_entry, metric=metric, stat=stat, interval=interval)
-        if metric.level == "repeats":
-            judge = partial(_repeated, metric=metric, interval=interval, parameters=parameters)
-        name = (metric.name,) if several else ()
-        entries |= _entries(chosen, rows, columns, judge, name)
-    found = _ordered(chosen, columns, (key[1][: len(columns)] for key in entries))
+        entries |= _entries(chosen, layout, metric, parameters)
+    shown = layout.rows + layout.columns
+    n = len(layout.columns)
+    columns = _ordered(chosen, layout.columns, (key[1][:n] for key in entries))
+    if layout.has_several:
+        columns = tuple((*key, name) for key in columns for name in names)
     table = Table(
         name=str(spec.get("name", records[0].name)),
         title=str(spec.get("title") or ", ".join(metric.title for metric in records)),
         metrics=records,
-        stat=stat,
-        interval=interval,
-        row_fields=rows,
-        column_fields=(*columns, METRIC) if several else columns,
-        rows=_ordered(chosen, rows, (key[0] for key in entries)),
-        columns=tuple((*key, name) for key in found for name in names) if several else found,
+        stat=layout.stat,
+        interval=layout.interval,
+        row_fields=layout.rows,
+        column_fields=(*layout.columns, METRIC) if layout.has_several else layout.columns,
+        rows=_ordered(chosen, layout.rows, (key[0] for key in entries)),
+        columns=columns,
         entries=entries,
         notes=(
-            *_pooling(chosen, rows + columns),
-            *(note for metric in records for note in _notes(chosen, metric, rows + columns)),
+            *_pooling(chosen, shown),
+            *(note for metric in records for note in _notes(chosen, metric, shown)),
             *_too_few(records, entries),
         ),
     )
@@ -124,16 +144,17 @@ def _one_of(kind: str, name: str, known: Iterable[str]) -> None:
 
 
 def _entries(
-    cells: "pd.DataFrame",
-    rows: Key,
-    columns: Key,
-    judge: Callable[["pd.DataFrame"], Entry],
-    metric: Key,
+    cells: "pd.DataFrame", layout: _Layout, metric: Metric, parameters: "pd.DataFrame | None"
 ) -> Entries:
-    fields, entries = [*rows, *columns], {}
-    for key, group in cells.groupby(fields, sort=False, dropna=False):
+    """Entries of one metric; its name ends the column key where there are several."""
+    judge = partial(_entry, metric=metric, stat=layout.stat, interval=layout.interval)
+    if metric.level == "repeats":
+        judge = partial(_repeated, metric=metric, interval=layout.interval, parameters=parameters)
+    name = (metric.name,) if layout.has_several else ()
+    n, entries = len(layout.rows), {}
+    for key, group in cells.groupby([*layout.rows, *layout.columns], sort=False, dropna=False):
         labels = tuple(label(part) for part in (key if isinstance(key, tuple) else (key,)))
-        entries[labels[: len(rows)], labels[len(rows) :] + metric] = judge(group)
+        entries[labels[:n], labels[n:] + name] = judge(group)
     return entries
 
 

@@ -19,7 +19,7 @@ _DASHES: Final = ("-", "--")
 
 
 def profile(ranking: Ranking, path: Path) -> Path:
-    """Draws a profile into a .pdf or .svg file, the same bytes every time."""
+    """Draw a profile into a .pdf or .svg file, the same bytes every time."""
     return save(lambda: _figure(ranking), path)
 
 
@@ -33,8 +33,8 @@ def _figure(ranking: Ranking) -> "Figure":
 
     drawing = Figure(figsize=(WIDTH, 2.6), layout="constrained")
     axes = drawing.add_subplot()
-    for place in reversed(range(len(ranking.methods))):  # the first on top
-        _line(axes, ranking, place)
+    for rank in reversed(range(len(ranking.methods))):  # the first on top
+        _line(axes, ranking, rank)
     axes.set_xscale("log")
     axes.set_xlim(RATIOS[0], RATIOS[-1])
     axes.set_ylim(-0.01, 1.01)
@@ -52,12 +52,12 @@ def _figure(ranking: Ranking) -> "Figure":
     return drawing
 
 
-def _line(axes: "Axes", ranking: Ranking, place: int) -> None:
-    share = ranking.profile[:, place]
-    if place >= NAMED:
-        others = "others" if place == NAMED else None
+def _line(axes: "Axes", ranking: Ranking, rank: int) -> None:
+    share = ranking.profile[:, rank]
+    if rank >= NAMED:
+        others = "others" if rank == NAMED else None
         axes.step(RATIOS, share, where="post", color="#cccccc", linewidth=0.5, label=others)
         return
-    colour, dashes = COLOURS[place], _DASHES[place % 2]
-    name = plain(ranking.methods[place])
+    colour, dashes = COLOURS[rank], _DASHES[rank % 2]
+    name = plain(ranking.methods[rank])
     axes.step(RATIOS, np.asarray(share), dashes, where="post", color=colour, label=name)

@@ -1,8 +1,8 @@
-"""Methods in order over robots, and how far each is from the best: for claims about methods.
+"""Rankings of methods over robots by the ratio of their errors to the best.
 
 A case is everything but the method: robot, payload, motion, noise, ... and repeat. Its errors are
-divided by the smallest of them, so that robots of different size count alike. What is not ok has
-no error and loses: it counts as ten times the worst of its case.
+divided by the smallest of them, so that robots of different size have the same weight. A cell that
+is not ok has no error; it counts as ten times the worst of its case.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -159,8 +159,8 @@ class Ranking:
             "method has a row there.",
         )
 
-    def _share(self, told: Array) -> Array:
-        return np.asarray(told.mean(axis=0))
+    def _share(self, counted: Array) -> Array:
+        return np.asarray(counted.mean(axis=0))
 
 
 def rankings(
@@ -233,9 +233,9 @@ def _cases(cells: "pd.DataFrame", metric: Metric) -> _Cases:
     import pandas as pd
 
     names = [name for name in _CASE if name in cells.columns]
-    told = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
-    error = pd.to_numeric(told.where(cells["status"] == "ok"), errors="coerce")
-    # Below its floor a figure is rounding, and rounding is no better than rounding.
+    values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
+    error = pd.to_numeric(values.where(cells["status"] == "ok"), errors="coerce")
+    # Errors below the floor are rounding: they compare as equal.
     error = error.clip(lower=max(metric.floor, np.finfo(float).tiny))
     lines = cells[names].map(label).assign(estimator=cells["estimator"].map(label), error=error)
     rows = lines.groupby([*names, "estimator"], sort=False)["error"].agg(["size", "first"])
@@ -249,11 +249,11 @@ def _cases(cells: "pd.DataFrame", metric: Metric) -> _Cases:
             "'select' those that ran on the same cases."
         )
     errors = errors.loc[whole, methods]
-    places = errors.index.to_frame(index=False)
-    motions = places["excitation"] if "excitation" in places else places["robot"].map(lambda _: "")
+    labels = errors.index.to_frame(index=False)
+    motions = labels["excitation"] if "excitation" in labels else labels["robot"].map(lambda _: "")
     return _Cases(
         errors.to_numpy(dtype=float),
-        tuple(places["robot"]),
+        tuple(labels["robot"]),
         tuple(motions),
         tuple(methods),
         int((~whole).sum()),
@@ -263,10 +263,10 @@ def _cases(cells: "pd.DataFrame", metric: Metric) -> _Cases:
 def _by_robot(logs: Array, robots: Sequence[str], motions: Sequence[str]) -> Array:
     """Means (robots, motions, methods) of logs (cases, methods); where robots moved differently,
     all motions of a robot are one."""
-    places = list(dict.fromkeys(zip(robots, motions, strict=True)))
+    pairs = list(dict.fromkeys(zip(robots, motions, strict=True)))
     names = list(dict.fromkeys(robots))
-    each = {name: [m for r, m in places if r == name] for name in names}
-    if len({tuple(sorted(own)) for own in each.values()}) > 1:
+    each = {name: [m for r, m in pairs if r == name] for name in names}
+    if len({tuple(sorted(moved)) for moved in each.values()}) > 1:
         each, motions = {name: [""] for name in names}, [""] * len(robots)
     who, what = np.array(robots), np.array(motions)
     return np.array([[logs[(who == n) & (what == m)].mean(axis=0) for m in each[n]] for n in names])

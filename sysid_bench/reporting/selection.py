@@ -44,7 +44,7 @@ def with_labels(cells: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def _is_boolean(column: "pd.Series") -> bool:
-    """Whether all values of a column are true or false: a metric, not a label."""
+    """True where all values of a column are booleans: a metric, not a label."""
     values = column.dropna()
     return len(values) > 0 and all(isinstance(value, (bool, np.bool_)) for value in values)
 

@@ -1,4 +1,4 @@
-"""A cell in words: the text beside the pictures of a recording."""
+"""Text of a cell's recording: settings, scores and parameters."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,9 +13,9 @@ from sysid_bench.types import CellData
 _IDENTITY = ("robot", "payload", "task", "excitation", "simulation", "noise", "estimator")
 
 
-def summary(evidence: CellData, complaints: Sequence[str] = ()) -> str:
-    """Markdown: what was identified, how well, with which parameters, and `complaints`."""
-    row = evidence.row
+def summary(data: CellData, complaints: Sequence[str] = ()) -> str:
+    """Markdown of the settings, scores and base parameters of a cell, and of `complaints`."""
+    row = data.row
     known = [(name, row[name]) for name in _IDENTITY if row.get(name) is not None]
     shown = [metric for metric in METRICS.values() if metric.shown and metric.name != "seconds"]
     scores = [(m.heading, row[m.name]) for m in shown if row.get(m.name) is not None]
@@ -24,14 +24,14 @@ def summary(evidence: CellData, complaints: Sequence[str] = ()) -> str:
     parts = [f"# {escape(label(row.get('robot', 'Cell')))}", _table(("", ""), known)]
     if scores:
         parts.append(_table(("score", "value"), scores))
-    parts += _parameters(evidence)
+    parts += _parameters(data)
     parts += [f"Not drawn: {escape(text)}" for text in complaints]
     return "\n\n".join(parts) + "\n"
 
 
-def _parameters(evidence: CellData) -> list[str]:
+def _parameters(data: CellData) -> list[str]:
     """The base parameters that were estimated, each with its standard deviation where known."""
-    estimate, base = evidence.estimate, evidence.base
+    estimate, base = data.estimate, data.base
     if estimate is None or estimate.beta is None or base is None:
         return []
     std = [None] * base.rank

@@ -38,7 +38,7 @@ class Entry:
 
     @property
     def word(self) -> str:
-        """The text in place of a number: words of the cells, or the most frequent failure; empty
+        """The text instead of a number: words of the cells, or the most frequent failure; empty
         where there is a number."""
         if self.text:
             return self.text
@@ -84,12 +84,12 @@ class Table:
 
     @property
     def has_several(self) -> bool:
-        """Whether metrics are columns."""
+        """True where metrics are columns."""
         return METRIC in self.column_fields
 
     @property
     def is_drawable(self) -> bool:
-        """Whether one axis can show all numbers."""
+        """True where one axis can show all numbers."""
         return not self.has_several and not self.metric.text
 
     def metric_in(self, column: Key) -> Metric:

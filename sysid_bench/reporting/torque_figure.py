@@ -22,7 +22,7 @@ def torque_figure(
     predicted: Array,
     units: Sequence[str],
 ) -> Path:
-    """Draws t (N,), measured and predicted (N, rows) into a .pdf or .svg file, the same bytes every
+    """Draw t (N,), measured and predicted (N, rows) into a .pdf or .svg file, the same bytes every
     time; the error is dashed. Raises UsageError for another suffix."""
     return save(lambda: _figure(t, rows, measured, predicted, units), path)
 

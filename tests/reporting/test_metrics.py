@@ -174,7 +174,7 @@ def suite_metric(folder: Path) -> Metric:
 
 def test_a_changed_metric_makes_cells_stale(ran: RunFolder, tmp_path: Path) -> None:
     cell = ran.plan.cells[0]
-    prints = set()
+    prints: set[str] = set()
     for text in (OWN, OWN + "\n"):
         (tmp_path / f"mine{len(prints)}.py").write_text(text)
         spec = {"use": f"file:mine{len(prints)}.py:Mean"}

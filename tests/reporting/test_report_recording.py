@@ -164,7 +164,7 @@ def test_a_recording_that_cannot_be_made_leaves_nothing(evidence: CellData, tmp_
 
 
 def test_an_absent_recording_opens_no_viewer(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no recording"):
+    with pytest.raises(UsageError, match="does not exist"):
         view(tmp_path / "absent.rrd")
 
 
