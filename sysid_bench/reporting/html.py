@@ -12,17 +12,17 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.figures import figure_svg
 from sysid_bench.reporting.listing import Listing
 from sysid_bench.reporting.make_table import make_table
-from sysid_bench.reporting.page import (
+from sysid_bench.reporting.performance_profile import profile_svg
+from sysid_bench.reporting.rankings import Ranking
+from sysid_bench.reporting.report_data import (
     assumptions,
     cells_as_data,
-    crosschecks,
+    crosscheck_rows,
+    environment_lines,
     failures,
     headline,
     joint_errors,
-    provenance,
 )
-from sysid_bench.reporting.profiles import profile_svg
-from sysid_bench.reporting.rankings import Ranking
 from sysid_bench.reporting.tables import Table
 from sysid_bench.types import Metric
 
@@ -61,12 +61,12 @@ def write_report(run: RunView) -> Path:
     """Write `report.html` into the run's folder, whole or not at all; return its path."""
     path = run.folder / "report.html"
     part = path.with_name(path.name + ".part")
-    part.write_text(render_report(run), encoding="utf-8")
+    part.write_text(report_html(run), encoding="utf-8")
     os.replace(part, path)
     return path
 
 
-def render_report(run: RunView) -> str:
+def report_html(run: RunView) -> str:
     """The page as text; every name in it is escaped, nothing in it needs a network."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
@@ -85,7 +85,7 @@ def render_report(run: RunView) -> str:
         command=run.command,
         cell_command=cell_command,
         headline=headline(run.cells),
-        crosschecks=crosschecks(run.cells),
+        crosschecks=crosscheck_rows(run.cells),
         tolerance=_tolerance(run.suite),
         tables=(*run.tables, *(ranking.order for ranking in run.rankings)),
         listings=run.listings,
@@ -98,7 +98,7 @@ def render_report(run: RunView) -> str:
         assumptions=assumptions(run.suite, run.cells),
         failures=failures(run.cells),
         joints=joint_errors(run.cells, run.joints),
-        provenance=provenance(run.env),
+        provenance=environment_lines(run.env),
         data=Markup(_script_safe(cells_as_data(run.cells, run.recordings, run.metrics))),
     )
 
@@ -108,7 +108,7 @@ def _pictured(run: RunView) -> list[Table]:
     fitting = [
         table
         for table in run.tables
-        if 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE and table.is_drawable
+        if 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE and table.has_figure
     ]
     gaps = {"rows": ["robot"], "columns": ["payload"], "cells": {"metric": "gap", "stat": "max"}}
     chosen = fitting[:1]

@@ -59,7 +59,7 @@ def to_latex(table: Table, origin: Origin) -> str:
     float_, size = _fit(sum(column.width for column in layout))
     below = "".join(f"\n\n\\smallskip\n{{\\footnotesize {note}\\par}}" for note in notes)
     return (
-        f"{header(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
+        f"{origin_text(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
         f"\\caption{{{escape(table.title)}. {_caption(table)}}}\n"
         f"\\label{{tab:{letters_only(table.name)}}}\n\\smallskip\n"
         # siunitx sets bold numbers in medium weight without detect-weight.
@@ -94,7 +94,7 @@ def to_macros(tables: Sequence[Table], origin: Origin) -> str:
         f"\\newcommand{{\\{name}}}{{{_inline(style, entry)}}}"
         for name, (_, style, entry) in zip(names, entries, strict=True)
     ]
-    return header(origin) + "\n".join(lines) + "\n"
+    return origin_text(origin) + "\n".join(lines) + "\n"
 
 
 def macro_names(keys: Sequence[tuple[str, ...]]) -> list[str]:
@@ -105,16 +105,6 @@ def macro_names(keys: Sequence[tuple[str, ...]]) -> list[str]:
         name + (_hash_letters(key) if shared[name] > 1 else "")
         for name, key in zip(plain, keys, strict=True)
     ]
-
-
-def standalone(tex: str) -> str:
-    """The smallest document that prints a table or macros, to look at or to test."""
-    return (
-        "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n\\usepackage{lmodern}\n"
-        "\\usepackage{textcomp}\n\\usepackage{booktabs}\n\\usepackage{siunitx}\n"
-        "\\pagestyle{empty}\n"
-        f"\\begin{{document}}\n{tex}\\mbox{{}}\n\\end{{document}}\n"
-    )
 
 
 def escape(text: str) -> str:
@@ -210,8 +200,8 @@ def _heads(table: Table, layout: Sequence[_Column]) -> str:
         groups = _grouped(layout, level)
         names = [_spanning(group, group[0].key[level]) for group in groups]
         lines += _line([""] * len(fields) + names) + _rules(groups, len(fields) + 1)
-    heads = [(c, table.heads(c.key)[-1]) for c in layout]
-    width = _HEAD_LETTERS if table.has_several else sys.maxsize
+    heads = [(c, table.column_labels(c.key)[-1]) for c in layout]
+    width = _HEAD_LETTERS if table.has_metric_columns else sys.maxsize
     return lines + _line([*fields, *(_spanning([c], head, width) for c, head in heads)])
 
 
@@ -256,7 +246,7 @@ def _rows(table: Table, layout: Sequence[_Column]) -> list[str]:
 
 
 def _caption(table: Table) -> str:
-    if table.own_caption or table.has_several:
+    if table.own_caption or table.has_metric_columns:
         return escape(table.caption)
     units = [f"\\unit{{{''.join(_UNITS.get(u, u) for u in unit.split())}}}"
              for unit in table.metric.units]  # fmt: skip
@@ -273,7 +263,7 @@ def _inline(style: Notation, entry: Entry | None) -> str:
     return f"\\num{{{style.text(entry.value)}}}"
 
 
-def header(origin: Origin) -> str:
+def origin_text(origin: Origin) -> str:
     pairs = (("run", origin.run), ("suite", origin.suite_hash), ("made by", origin.command))
     return "".join(f"% {name}: {' '.join(text.split())}\n" for name, text in pairs)
 

@@ -12,7 +12,7 @@ _LOOSE_UNDERSCORE = re.compile(r"(?<![^\W_])_|_(?![^\W_])")
 
 def to_markdown(table: Table) -> str:
     """Title, caption, a pipe table and its notes; failures stand as words."""
-    header = [*table.row_fields, *map(table.head, table.columns)]
+    header = [*table.row_fields, *map(table.column_label, table.columns)]
     lines = [_line([escape(name) for name in header])]
     sides = ["---" if table.metric_in(column).text else "---:" for column in table.columns]
     lines.append(_line(["---"] * len(table.row_fields) + sides))

@@ -35,7 +35,7 @@ class Notation:
         wanted = self.digits - 1 - _exponent(value, self.digits)
         return _no_negative_zero(f"{value:.{min(max(wanted, 0), self.decimals)}f}")
 
-    def pretty(self, value: float) -> str:
+    def html_text(self, value: float) -> str:
         """The same number for the screen, with a raised power of ten."""
         mantissa, e, exponent = self.text(value).partition("e")
         return f"{mantissa}{_TIMES}10{exponent.translate(_SUPERSCRIPTS)}" if e else mantissa

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
+from sysid_bench.reporting.cell_summary import summary
 from sysid_bench.reporting.scene import RecordingScene, log_scene, scene_of
-from sysid_bench.reporting.summary import summary
 from sysid_bench.types import CellData
 
 if TYPE_CHECKING:

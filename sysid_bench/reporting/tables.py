@@ -83,31 +83,31 @@ class Table:
         return self.metrics[0]
 
     @property
-    def has_several(self) -> bool:
+    def has_metric_columns(self) -> bool:
         """True where metrics are columns."""
         return METRIC in self.column_fields
 
     @property
-    def is_drawable(self) -> bool:
+    def has_figure(self) -> bool:
         """True where one axis can show all numbers."""
-        return not self.has_several and not self.metric.text
+        return not self.has_metric_columns and not self.metric.text
 
     def metric_in(self, column: Key) -> Metric:
         """The metric of a column."""
-        if not self.has_several:
+        if not self.has_metric_columns:
             return self.metric
         return next(metric for metric in self.metrics if metric.name == column[-1])
 
-    def heads(self, column: Key) -> Key:
+    def column_labels(self, column: Key) -> Key:
         """Labels above a column, one per column field; metrics with unit and direction."""
-        if self.has_several:
+        if self.has_metric_columns:
             metric = self.metric_in(column)
             return (*column[:-1], f"{metric.heading} {metric.arrow}".strip())
         return column
 
-    def head(self, column: Key) -> str:
+    def column_label(self, column: Key) -> str:
         """The labels above a column in one line; the title of the metric where there are none."""
-        return " / ".join(self.heads(column)) or self.metric.title
+        return " / ".join(self.column_labels(column)) or self.metric.title
 
     @property
     def caption(self) -> str:
@@ -115,7 +115,7 @@ class Table:
         if self.own_caption:
             return self.own_caption
         spread = f" with {INTERVALS[self.interval]}" if self.interval != "none" else ""
-        if self.has_several:
+        if self.has_metric_columns:
             return f"{STATISTICS[self.stat].capitalize()}{spread}{self._legend}."
         if self.metric.text:
             return f"{self.metric.heading}."

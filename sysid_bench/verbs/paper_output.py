@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sysid_bench.reporting.latex import Origin
 
 
-def paper_outputs(run: "RunFolder", name: str | None = None) -> tuple[Listing, ...]:
+def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[Listing, ...]:
     """The listings of a run (of one entry, or None: of all) whose cells are ok.
 
     Raises UsageError where a cell stored no data, or the reason instead.
@@ -28,7 +28,7 @@ def paper_outputs(run: "RunFolder", name: str | None = None) -> tuple[Listing, .
     return tuple(made)
 
 
-def draw_papers(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
+def draw_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
     """Draw the torque figures of a run as .pdf and .svg; title and path of the latter."""
     import numpy as np
 

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any, Final
 from sysid_bench.canonical_json import digest
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.suite.expression import Expression
-from sysid_bench.reporting.delimited import to_csv
+from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.figures import figure, svg_element
 from sysid_bench.reporting.html import RunView, write_report
 from sysid_bench.reporting.latex import Origin, to_latex, to_macros
 from sysid_bench.reporting.listing import Listing
 from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown
-from sysid_bench.reporting.profiles import profile
+from sysid_bench.reporting.performance_profile import profile
 from sysid_bench.reporting.rankings import Ranking, rankings
 from sysid_bench.reporting.tables import Table
 from sysid_bench.verbs.folders import open_run
-from sysid_bench.verbs.paper_output import draw_papers, paper_outputs, text_of
+from sysid_bench.verbs.paper_output import draw_paper_figures, paper_tables, text_of
 from sysid_bench.vocabulary import JOINT, PARAMETER, STD_FROM
 
 if TYPE_CHECKING:
@@ -50,12 +50,12 @@ def report(folder: str | Path) -> Path:
     if len(frames.cells) == 0:
         raise UsageError(f"{str(folder)!r} has no rows yet; run it first.")
     tables, ranked = tuple(_tables(run_folder)), _rankings(run_folder)
-    listings, origin = paper_outputs(run_folder), _origin(run_folder)
+    listings, origin = paper_tables(run_folder), _origin(run_folder)
     for name in ("tables", "figures"):
         (run_folder.path / name).mkdir(exist_ok=True)
     _write_tables(run_folder.path / "tables", tables, ranked, listings, origin)
     _draw(run_folder.path / "figures", tables, ranked)
-    drawn = draw_papers(run_folder, run_folder.path / "figures")
+    drawn = draw_paper_figures(run_folder, run_folder.path / "figures")
     return write_report(
         RunView(
             folder=run_folder.path,
@@ -81,7 +81,7 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     run_folder = open_run(folder)
     tables = {made.name: made for made in _tables(run_folder)}
     if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
-        listings = {made.name: made for made in paper_outputs(run_folder, name)}
+        listings = {made.name: made for made in paper_tables(run_folder, name)}
         if name not in listings:
             raise UsageError(f"{name!r} has no ok cell yet, or is a figure: see figures/.")
         return text_of(listings[name], form, _origin(run_folder))
@@ -125,7 +125,7 @@ def _write_tables(
 def _draw(folder: Path, tables: tuple[Table, ...], ranked: tuple[Ranking, ...]) -> None:
     for suffix in ("pdf", "svg"):
         for made in tables:
-            if made.is_drawable:
+            if made.has_figure:
                 figure(made, folder / f"{made.name}.{suffix}")
         for ranking in ranked:
             profile(ranking, folder / f"{ranking.name}.{suffix}")

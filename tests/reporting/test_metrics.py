@@ -16,7 +16,7 @@ from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import dump_suite, load_suite, parse_frozen
 from sysid_bench.metrics import METRICS, REASONS, checked_metric, metric_fields, names_of
-from sysid_bench.reporting.delimited import to_csv
+from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.delimited import to_csv
+from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.selection import label, with_labels

@@ -15,12 +15,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench.reporting.delimited import to_csv
+from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import (
     Origin,
     escape,
     macro_names,
-    standalone,
     to_latex,
     to_macros,
 )
@@ -36,6 +35,16 @@ HOSTILE = (
     "Jürgen Müller", "机器人 \U0001f916", "µ β ± 3·10 °", '"quoted"', "\\input{x}", "a\nb\tc",
     "__init__", "<script>alert(1)</script>", "ÐðÞþß æø", "ﬁ ½ ²",
 )  # fmt: skip
+
+
+def standalone(tex: str) -> str:
+    """The smallest document that prints a table or macros."""
+    return (
+        "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n\\usepackage{lmodern}\n"
+        "\\usepackage{textcomp}\n\\usepackage{booktabs}\n\\usepackage{siunitx}\n"
+        "\\pagestyle{empty}\n"
+        f"\\begin{{document}}\n{tex}\\mbox{{}}\n\\end{{document}}\n"
+    )
 
 
 @pytest.fixture(scope="session")

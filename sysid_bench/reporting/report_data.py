@@ -51,7 +51,7 @@ class CrossCheck:
 
 
 @dataclass(frozen=True)
-class Failure:
+class FailedCells:
     """Cells that share a status and a reason; `examples` are (id, what) of the first of them."""
 
     status: str
@@ -92,7 +92,7 @@ def _agrees(group: "pd.DataFrame") -> bool:
     return set(group["crosscheck"].dropna()) == {"ok"} and len(figures) > 0
 
 
-def crosschecks(cells: "pd.DataFrame") -> list[CrossCheck]:
+def crosscheck_rows(cells: "pd.DataFrame") -> list[CrossCheck]:
     """Agreement per robot and payload, also of failed cells; a missing number never passes."""
     rows = []
     for robot, payload, group in _groups(cells, "robot", "payload"):
@@ -137,7 +137,7 @@ def assumptions(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tuple[s
     return [(title, text) for title, text in found if text]
 
 
-def failures(cells: "pd.DataFrame") -> list[Failure]:
+def failures(cells: "pd.DataFrame") -> list[FailedCells]:
     """Every cell that is not ok, grouped by status and reason, the most frequent first."""
     lost = cells[cells["status"] != "ok"]
     if "reason" not in lost:
@@ -146,7 +146,7 @@ def failures(cells: "pd.DataFrame") -> list[Failure]:
     for status, reason, group in _groups(lost, "status", "reason"):
         first = group.head(_EXAMPLES_OF_A_FAILURE)
         examples = tuple((str(row["id"]), _what(row)) for row in first.to_dict("records"))
-        found.append(Failure(status, reason, len(group), examples))
+        found.append(FailedCells(status, reason, len(group), examples))
     return sorted(found, key=lambda failure: -failure.count)
 
 
@@ -164,12 +164,12 @@ def joint_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> list[JointErr
     ]
 
 
-def provenance(env: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def environment_lines(env: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     """The environment as (dotted key, text) lines."""
     lines: list[tuple[str, str]] = []
     for key, value in env.items():
         name = f"{prefix}{key}"
-        lines += provenance(value, f"{name}.") if isinstance(value, Mapping) else [
+        lines += environment_lines(value, f"{name}.") if isinstance(value, Mapping) else [
             (name, label(value))
         ]  # fmt: skip
     return lines
@@ -241,7 +241,7 @@ def _median_and_worst(group: "pd.DataFrame") -> str:
     if len(values) == 0:
         return ABSENT
     median, worst = (
-        notation([v], 2).pretty(v) for v in map(float, (values.median(), values.max()))
+        notation([v], 2).html_text(v) for v in map(float, (values.median(), values.max()))
     )
     return f"{median} ({worst})"
 
@@ -295,7 +295,7 @@ def _distinct(cells: "pd.DataFrame", name: str) -> int:
 
 
 def _number(value: float | None) -> str:
-    return ABSENT if value is None else notation([value], 3).pretty(value)
+    return ABSENT if value is None else notation([value], 3).html_text(value)
 
 
 def _reasons(cells: "pd.DataFrame") -> list[str]:

@@ -5,7 +5,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.reporting.figures import COLOURS, WIDTH, plain, save, styled, svg_element
+from sysid_bench.reporting.figures import (
+    COLOURS,
+    WIDTH,
+    figure_bytes,
+    plain,
+    svg_element,
+    write_figure,
+)
 from sysid_bench.reporting.rankings import RATIOS, Ranking
 
 if TYPE_CHECKING:
@@ -20,12 +27,12 @@ _DASHES: Final = ("-", "--")
 
 def profile(ranking: Ranking, path: Path) -> Path:
     """Draw a profile into a .pdf or .svg file, the same bytes every time."""
-    return save(lambda: _figure(ranking), path)
+    return write_figure(lambda: _figure(ranking), path)
 
 
 def profile_svg(ranking: Ranking) -> str:
     """The same picture as an <svg> element to put into a page."""
-    return svg_element(styled(lambda: _figure(ranking), "svg"))
+    return svg_element(figure_bytes(lambda: _figure(ranking), "svg"))
 
 
 def _figure(ranking: Ranking) -> "Figure":
