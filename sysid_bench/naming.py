@@ -84,6 +84,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "poly": "sysid_bench.regressors.friction_features:Polynomial",
             "tanh": "sysid_bench.regressors.friction_features:SmoothCoulomb",
         },
+        "metric": {},  # sysid_bench/metrics.py has the built-in ones
         "plant": {
             "matched": "sysid_bench.simulation.effects.matched:Matched",
             "stribeck": "sysid_bench.simulation.effects.stribeck:Stribeck",

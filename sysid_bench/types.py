@@ -300,51 +300,109 @@ class SimulatingEstimator(Protocol):
 
 @dataclass(frozen=True)
 class Score:
-    """Judgement of one estimate; None where a figure does not apply. See docs of each field.
+    """Figures of one estimate; None where a figure does not apply. metrics.py has their records.
 
-    Torque errors are held-out and against the noise-free torque (the Oracle), except `rmse_train`.
-    """
+    Torque errors are held-out and against the exact torque (the Oracle), except `rmse_train`."""
 
-    rmse_train: float | None = None  # N m, N: residual on the measured training torque
-    rmse_test: float | None = None  # N m, N: all held-out motions, all joints
-    torque_error: float | None = None  # held-out RMS error / RMS whole torque, joints scaled first
-    torque_error_sample: float | None = None  # held-out mean of |error| / |torque| per sample
-    torque_error_worst: float | None = None  # held-out RMS error / RMS torque of the worst joint
+    rmse_train: float | None = None
+    rmse_test: float | None = None
+    torque_error: float | None = None
+    torque_error_sample: float | None = None
+    torque_error_worst: float | None = None
     torque_error_by_motion: Mapping[str, float | None] = field(default_factory=dict)
-    rank: int | None = None  # base parameters of the task
-    data_rank: int | None = None  # of them, excited by the training motion
-    parameters: int | None = None  # p
+    rank: int | None = None
+    data_rank: int | None = None
+    parameters: int | None = None
     rank_gap: float | None = None
     near_degenerate: int | None = None
-    condition: float | None = None  # of W, SI columns, left-to-right base set
-    condition_unit: float | None = None  # of W with unit columns
-    d_optimality: float | None = None  # log det of the information about held-out torques
-    parameter_error: float | None = None  # |W (beta - beta*)| / |W beta*|, held-out rows
-    beta_error: float | None = None  # |beta - beta*| / |beta*|, SI columns
-    payload_error: float | None = None  # |phi - phi*| / |phi*|, ten SI numbers of the payload
-    mass_error: float | None = None  # kg, payload and link tasks
-    com_error: float | None = None  # m
-    inertia_error: float | None = None  # |I - I*| / |I*| about the centre of mass, Frobenius
-    mass: float | None = None  # kg, of an unknown load on recordings
-    mass_low: float | None = None  # of its 95 % interval
+    condition: float | None = None
+    condition_unit: float | None = None
+    d_optimality: float | None = None
+    parameter_error: float | None = None
+    beta_error: float | None = None
+    payload_error: float | None = None
+    mass_error: float | None = None
+    com_error: float | None = None
+    inertia_error: float | None = None
+    mass: float | None = None
+    mass_low: float | None = None
     mass_high: float | None = None
-    structural_rank: int | None = None  # task wrench: base parameters of a sub-tree that flies
-    excited_rank: int | None = None  # of them, excited by the training motion
-    left_out: float | None = None  # share of the samples that were taken for contacts
-    unpredictable: int | None = None  # degrees of freedom whose torque the data cannot foretell
-    sensed_torque_ratio: float | None = None  # RMS torque error with sensor, over true parameters'
-    sensed_wrench_ratio: float | None = None  # RMS error of a touch's wrench, the same way
-    sensed_cad_ratio: float | None = None  # RMS torque error with sensor, CAD's over this one's
-    alone_cad_ratio: float | None = None  # RMS torque error without the sensor, over CAD's
-    coverage: Mapping[str, float] = field(
-        default_factory=dict
-    )  # by kind of deviation: share of parameters whose 95 % interval holds the truth
+    structural_rank: int | None = None
+    excited_rank: int | None = None
+    left_out: float | None = None
+    unpredictable: int | None = None
+    sensed_torque_ratio: float | None = None
+    sensed_wrench_ratio: float | None = None
+    sensed_cad_ratio: float | None = None
+    alone_cad_ratio: float | None = None
+    coverage: Mapping[str, float] = field(default_factory=dict)  # by kind of deviation
     feasible: bool | None = None
-    min_eigenvalue: float | None = None  # smallest of any body's pseudo-inertia
+    min_eigenvalue: float | None = None
     plausible: bool | None = None
-    joints: tuple[
-        Mapping[str, Any], ...
-    ] = ()  # per row: name rmse_train rmse_test rms relative small
+    joints: tuple[Mapping[str, Any], ...] = ()  # name rmse_train rmse_test rms relative small
+
+
+@dataclass(frozen=True, eq=False)
+class MetricInput:
+    """Data of one finished cell that a metric is computed from; the truth enters through `score`.
+
+    `problem` is what the estimator solved. `held_out` has a problem per motion in the same base
+    parameters, in the order of time; its b is the exact torque, on recordings the measured one.
+    """
+
+    estimate: Estimate
+    problem: Problem
+    held_out: Mapping[str, Problem]
+    score: Score
+
+
+Better = Literal["lower", "higher"]
+Level = Literal["cell", "joint", "parameter", "interval", "repeats"]
+Need = Literal["held-out", "truth", "theta", "sensor", "load", "noise", "repeats"]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A column of the results; `name` is the field of the row.
+
+    `unit` may hold alternatives ("N m|N": rotary|linear). `digits` are significant ones, 0 for
+    whole numbers. Values below `floor` are rounding and compare as equal. `level`: one value per
+    cell, joint, parameter, kind of interval, or for all repeats. `needs` must be there for a value;
+    `compute` gives it for a cell (None: computed with the scores).
+    """
+
+    name: str
+    title: str
+    unit: str = ""
+    better: Better | None = None
+    level: Level = "cell"
+    needs: tuple[Need, ...] = ()
+    formula: str = ""
+    digits: int = 3
+    floor: float = 0.0
+    text: bool = False  # words, of which there is no statistic
+    ranked: bool = False  # a [[ranking]] may divide it by the smallest of a case
+    shown: bool = False  # in the report's table of all cells and beside a recording
+    key: str = ""  # in the row's entry of a joint or parameter
+    compute: Callable[[MetricInput], float | None] | None = None
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The alternatives of the unit; empty for a pure number."""
+        return tuple(self.unit.split("|")) if self.unit else ()
+
+    @property
+    def heading(self) -> str:
+        """Title and unit in plain text, "Held-out RMSE (N·m, N)"."""
+        units = ", ".join(unit.replace(" ", "·") for unit in self.units)
+        return f"{self.title} ({units})" if units else self.title
+
+    @property
+    def arrow(self) -> str:
+        """The direction of better values as one character; empty where there is none."""
+        return {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", None: ""}[
+            self.better
+        ]
 
 
 ShapeKind = Literal["mesh", "box", "sphere", "cylinder", "capsule", "ellipsoid"]

@@ -1,19 +1,21 @@
-"""The closed sets of words of suites and rows, as the contract of the command line has them."""
+"""Closed sets of words of suites and rows."""
 
-from dataclasses import fields
+from collections.abc import Mapping
 from typing import Final
 
-from sysid_bench.types import Score
+from sysid_bench.metrics import METRICS as RECORDS
+from sysid_bench.metrics import names_of
+from sysid_bench.types import Level
 
 TASKS: Final = ("robot", "payload", "link", "terminal", "wrench", "wrench-payload")
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
 FINDINGS: Final = (
     "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
 )  # fmt: skip
-"""What may be wrong with a recording, and be accepted."""
+"""Defects of a recording that a suite may accept."""
 STATUSES: Final = ("ok", "failed", "timeout", "crash", "unsupported", "skipped")
 FAILURES: Final = ("failed", "timeout", "crash")
-"""Statuses that nobody asked for; `unsupported` and `skipped` are sound answers."""
+"""Statuses of errors; `unsupported` and `skipped` are valid results."""
 
 LABELS: Final = (
     "robot",
@@ -30,7 +32,7 @@ LABELS: Final = (
     "signals",
     "estimator",
 )
-"""What a row is labelled with: one text per axis of a suite."""
+"""Labels of a row: one text per axis of a suite."""
 
 CELL_FIELDS: Final = frozenset(LABELS) | {
     "id",
@@ -67,56 +69,41 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "simulation.use",
     "estimator.use",
 }
-"""What an expression may ask of a planned cell, beside the written settings of its plug-ins."""
+"""Fields of a planned cell in expressions, besides the written settings of its plug-ins."""
 
-_NO_NUMBERS = ("joints", "torque_error_by_motion", "coverage")
-METRICS: Final = (
-    *(field.name for field in fields(Score) if field.name not in _NO_NUMBERS),
-    "seconds",
-    "seconds_experiment",
-    "gap",
-    "closure",
-    "native_gap",
-)
+METRICS: Final = names_of("cell")
 """Columns that hold a number (or yes and no) per cell."""
 
-ERRORS: Final = (
-    "torque_error",
-    "torque_error_sample",
-    "torque_error_worst",
-    "rmse_test",
-    "parameter_error",
-    "beta_error",
-    "payload_error",
-    "mass_error",
-    "com_error",
-    "inertia_error",
-    "seconds",
-)
+ERRORS: Final = tuple(name for name in METRICS if RECORDS[name].ranked)
 """Metrics of which the smaller is the better, and their ratio says how much."""
 
 PARAMETER: Final = "parameter"
 VERDICT: Final = "verdict"
-"""A table by parameter (m, hx, ..., fc) tells in words what each is worth."""
+"""Axis of tables with the verdict on each parameter (m, hx, ..., fc)."""
 
 JOINT: Final = "joint"
-"""A table by joint has its own metrics."""
-JOINT_METRICS: Final = (
-    "joint_rms", "joint_rmse", "joint_error", "joint_replayed",
-    "joint_rmse_train", "joint_error_train",
-)  # fmt: skip
+"""Axis of tables with metrics of joints."""
+JOINT_METRICS: Final = names_of("joint")
 
 COVERAGE: Final = "coverage"
 STD_FROM: Final = "std_from"
-"""A table by where deviations come from (periods, residuals, textbook) tells how often the truth
-lies in their 95 % intervals."""
+"""Axis of tables by source of the standard deviations (periods, residuals, textbook): how often
+the truth lies in their 95 % intervals."""
 
-REPEATED: Final = ("bias", "spread", "efficiency", "bound_ratio")
-"""Metrics of all repeats together (evaluation/repeats.py); no cell has one of its own."""
+REPEATED: Final = names_of("repeats")
+"""Metrics of all repeats together (evaluation/repeats.py); a single cell has none."""
 
 ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *METRICS}
-"""What an expression may ask of a finished cell."""
+"""Fields of a finished cell in expressions."""
 
 STATISTICS: Final = ("median", "mean", "min", "max", "count")
 INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
-BESTS: Final = ("none", "min-bold", "max-bold")
+BESTS: Final = ("none", "min-bold", "max-bold", "bold")
+"""Marks of the best values of a table; `bold` follows the direction of each metric."""
+
+LEVEL_AXES: Final[Mapping[Level, str]] = {
+    "parameter": PARAMETER,
+    "interval": STD_FROM,
+    "joint": JOINT,
+}
+"""Axis that a table needs for metrics of these levels, and for no others."""

@@ -17,7 +17,10 @@ from sysid_bench.cli.common import (
 
 
 @click.command(name="list")
-@click.argument("kind", metavar="robots|payloads|excitations|estimators|suites|simulations|plants")
+@click.argument(
+    "kind",
+    metavar="robots|payloads|excitations|estimators|suites|simulations|plants|metrics|log-readers",
+)
 @robots_option
 @json_option
 @run_command
@@ -46,15 +49,22 @@ def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
 
 @click.command(name="check-plugin")
 @click.argument("name", metavar="PKG:OBJ")
+@click.option(
+    "--kind",
+    type=click.Choice(["estimator", "excitation", "plant", "simulation", "metric"]),
+    default="estimator",
+    show_default=True,
+    help="Kind of plug-in.",
+)
 @robots_option
 @json_option
 @run_command
-def check_plugin(name: str, robots_dir: Path | None, as_json: bool) -> int:
-    """Check an estimator against the laws that every estimator keeps.
+def check_plugin(name: str, kind: str, robots_dir: Path | None, as_json: bool) -> int:
+    """Check a plug-in against the laws of its kind.
 
     Exit code 1 where it breaks one.
     """
-    result = sysid_bench.check_plugin(name, robots_dir)
+    result = sysid_bench.check_plugin(name, robots_dir, kind)
     print_result(result, as_json)
     return OK if result.ok else FAILED
 

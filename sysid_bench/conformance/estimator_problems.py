@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.conformance.estimator import TestProblem
 from sysid_bench.experiments.robot_cache import cached_robot
-from sysid_bench.experiments.simulated.prepare import prepare
+from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.spec import ExperimentSpec
 
 LINEAR: Final[tuple[Mapping[str, Any], ...]] = (
@@ -69,6 +69,8 @@ def experiment_spec(changes: Mapping[str, Any]) -> ExperimentSpec:
 def _problem(changes: Mapping[str, Any], robots_dir: Path | None) -> TestProblem:
     spec = experiment_spec(changes)
     robots = None if robots_dir is None else str(robots_dir)
-    ready = prepare(spec, cached_robot(spec.robot, spec.payload, robots, None))
+    ready = prepare_simulated(spec, cached_robot(spec.robot, spec.payload, robots, None))
     name = f"{spec.robot}, task {spec.task}, {'noise of 1 %' if spec.noise else 'exact'}"
-    return TestProblem(name, ready.problem, ready.truth.theta, not spec.noise, ready.experiment)
+    return TestProblem(
+        name, ready.problem, ready.source.truth.theta, not spec.noise, ready.experiment
+    )

@@ -10,6 +10,7 @@ from sysid_bench.conformance.estimator import check
 from sysid_bench.conformance.estimator_problems import problems_for, problems_of_kind
 from sysid_bench.conformance.excitation import check_excitation
 from sysid_bench.conformance.findings import Finding
+from sysid_bench.conformance.metric import check_metric_plugin
 from sysid_bench.conformance.simulation import check_simulation
 from sysid_bench.errors import unknown_name
 
@@ -30,13 +31,13 @@ KITS: Final[Mapping[str, Kit]] = MappingProxyType(
         "excitation": check_excitation,
         "plant": check_effect,
         "simulation": check_simulation,
+        "metric": check_metric_plugin,
     }
 )
 
 
 def check_plugin_of(kind: str, plugin: Any) -> list[Finding]:
-    """Findings of a plug-in object of a kind ("estimator", "excitation", "plant", "simulation");
-    raises UsageError for another kind."""
+    """Findings of a plug-in object of a kind of `KITS`; raises UsageError for another kind."""
     if kind not in KITS:
         raise unknown_name("conformance kit", kind, KITS)
     return KITS[kind](plugin)

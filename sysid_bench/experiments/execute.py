@@ -3,17 +3,20 @@
 import time
 import traceback
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import Any
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
+from sysid_bench.experiments.own_metrics import own_metrics
+from sysid_bench.experiments.paper_data import store_paper_data
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.robot_cache import LoadedRobot, cached_robot
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
-from sysid_bench.types import Row
+from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.versions import versions
 
 Emit = Callable[[Row], None]
@@ -40,7 +43,7 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
         return
     shared["seconds_experiment"] = time.perf_counter() - start
     for estimator in argument["estimators"]:
-        emit(_header(argument, estimator) | shared | _result(estimator, prepared))
+        emit(_header(argument, estimator) | shared | _result(argument, estimator, prepared))
 
 
 def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, LoadedRobot]:
@@ -84,15 +87,20 @@ def method_of(estimator: Mapping[str, Any]) -> Any:
     return build("estimator", settings)
 
 
-def _result(estimator: Mapping[str, Any], prepared: Prepared[Any]) -> Row:
+def _result(
+    argument: Mapping[str, Any], estimator: Mapping[str, Any], prepared: Prepared[Any]
+) -> Row:
     """Status, scores and parameters of one estimator; an exception of a plug-in is a failed row."""
     try:
-        return _explained(_scored(estimator, prepared), prepared)
+        return _explained(_scored(argument, estimator, prepared), prepared)
     except (Exception, SystemExit) as error:
         return _explained(_failure(error) | prepared.fields, prepared)
 
 
-def _scored(estimator: Mapping[str, Any], prepared: Prepared[Any]) -> Row:
+def _scored(
+    argument: Mapping[str, Any], estimator: Mapping[str, Any], prepared: Prepared[Any]
+) -> Row:
+    """Fields of a row from the estimate; what `[[paper]]` entries need is stored beside it."""
     method = method_of(estimator)
     estimate = identify(method, prepared.problem, prepared.experiment)
     stats = dict(estimate.stats)
@@ -101,7 +109,11 @@ def _scored(estimator: Mapping[str, Any], prepared: Prepared[Any]) -> Row:
         "reason": estimate.reason,
         "seconds": stats.pop("seconds"),
     }
-    return row | prepared.score(method, estimate) | prepared.fields | {"stats": stats}
+    scores = prepared.score(method, estimate)
+    score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})
+    cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
+    store_paper_data(argument, estimator["cell"], estimate, prepared)
+    return row | scores | prepared.fields | own_metrics(argument, cell) | {"stats": stats}
 
 
 def _explained(row: Row, prepared: Prepared[Any]) -> Row:

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from sysid_bench.metrics import METRICS, names_of
 from sysid_bench.types import Row
 from sysid_bench.vocabulary import COVERAGE, JOINT, LABELS, PARAMETER, STD_FROM, VERDICT
 
@@ -17,12 +18,7 @@ if TYPE_CHECKING:
 FIRST_COLUMNS: Final = ("id", "experiment", *LABELS, "repeat", "status", "reason")
 _JOINT_COLUMNS: Final = {
     "name": JOINT,
-    "rms": "joint_rms",
-    "rmse_test": "joint_rmse",
-    "relative": "joint_error",
-    "replayed": "joint_replayed",
-    "rmse_train": "joint_rmse_train",
-    "relative_train": "joint_error_train",
+    **{METRICS[name].key: name for name in names_of("joint")},
 }
 _LONG: Final[Mapping[str, tuple[str, ...]]] = {
     "joints": ("id", "name"),

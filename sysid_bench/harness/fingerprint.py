@@ -4,7 +4,7 @@ import hashlib
 import importlib.util
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,14 +30,21 @@ def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
     return _fingerprint(models, tuple(sorted(set(plugins))))
 
 
-def cell_fingerprint(cell: Cell, robots_dir: Path | None, folder: Path | None) -> str:
-    """The fingerprint of everything that a cell's row depends on; "" where its robot is gone."""
+def cell_fingerprint(
+    cell: Cell,
+    robots_dir: Path | None,
+    folder: Path | None,
+    metrics: Sequence[Mapping[str, Any]] = (),
+) -> str:
+    """The fingerprint of everything that a cell's row depends on, the specs of its plug-in
+    `metrics` included; "" where its robot is gone."""
     spec = cell.spec
     plugins = {
         "plant": [spec.plant],
         "excitation": [spec.excitation, *spec.held_out],
         "simulation": [spec.simulation],
         "estimator": [cell.estimator],
+        "metric": metrics,
     }
     files = _model_files(spec.robot, robots_dir, folder)
     if not files:
@@ -48,8 +55,9 @@ def cell_fingerprint(cell: Cell, robots_dir: Path | None, folder: Path | None) -
     if spec.log is not None:
         from sysid_bench.experiments.recorded.prepare import log_files
 
-        own = _target("estimator", cell.estimator, folder)
-        return fingerprint([*files, *log_files(spec.log, folder or Path())], [own])
+        own = [_target("estimator", cell.estimator, folder)]
+        own += [_target("metric", metric, folder) for metric in metrics]
+        return fingerprint([*files, *log_files(spec.log, folder or Path())], own)
     return fingerprint([*files, *read], targets)
 
 

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.harness.plan import Cell
+from sysid_bench.harness.plan import Cell, fields
+from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.naming import resolve_paths
 from sysid_bench.units import quantity
@@ -27,6 +28,11 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
             }
             for cell in cells
         ],
+        "metrics": [
+            {"name": entry.metric.name, "spec": resolve_paths(entry.spec, suite.folder)}
+            for entry in suite.metric
+        ],
+        "papers": {cell.id: _papers(cell, suite) for cell in cells} if suite.paper else {},
         "labels": {key: value for key, value in cells[0].head.items() if key not in own},
         "crosscheck": {
             "tolerance": quantity(suite.crosscheck.tolerance, "1"),
@@ -35,3 +41,14 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
         "folder": str(suite.folder),
         "robots_dir": None if robots_dir is None else str(robots_dir.resolve()),
     }
+
+
+def _papers(cell: Cell, suite: Suite) -> list[dict[str, Any]]:
+    """[[paper]] entries that may show a cell; a condition on scores is open until it has run."""
+    flat = fields(cell)
+    found = []
+    for entry in suite.paper:
+        wanted = None if entry.select is None else Expression.parse(entry.select)
+        if wanted is None or not wanted.fields <= set(flat) or wanted.matches(flat):
+            found.append({"name": entry.name, "show": entry.show, "test": entry.test})
+    return found

@@ -81,9 +81,14 @@ def run(
     selected = plan.select(select)[:limit]
     limit_seconds = _seconds(suite.run.timeout if timeout is None else timeout)
     with folder.lock() as descriptor:
-        now = partial(cell_fingerprint, robots_dir=robots_dir, folder=suite.folder)
+        now = partial(
+            cell_fingerprint,
+            robots_dir=robots_dir,
+            folder=suite.folder,
+            metrics=[entry.spec for entry in suite.metric],
+        )
         todo = _todo(selected, folder.rows().rows, rerun, now)
-        tasks = [_task(cells, suite, call, robots_dir, now) for cells in _by_experiment(todo)]
+        tasks = [_task(cells, folder, call, robots_dir, now) for cells in _by_experiment(todo)]
         if tasks:
             folder.write_env(environment())
         if on_event is not None:
@@ -182,13 +187,16 @@ def _by_experiment(cells: Iterable[Cell]) -> list[list[Cell]]:
 
 def _task(
     cells: Sequence[Cell],
-    suite: Suite,
+    folder: RunFolder,
     call: str,
     robots_dir: Path | None,
     fingerprint: Callable[[Cell], str],
 ) -> Task:
     prints = {cell.id: fingerprint(cell) for cell in cells}
-    argument = job_of(cells, suite, robots_dir) | {"fingerprints": prints}
+    argument = job_of(cells, folder.suite, robots_dir) | {
+        "fingerprints": prints,
+        "artifacts": str(folder.path.resolve() / "artifacts"),
+    }
     return Task(call, argument, tuple({**c.head, "fingerprint": prints[c.id]} for c in cells))
 
 

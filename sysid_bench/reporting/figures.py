@@ -44,20 +44,20 @@ def figure(table: Table, path: Path) -> Path:
     A heat map where one field meets one field and neither is the estimator (robot x payload),
     dots with intervals otherwise. Raises UsageError for another suffix.
     """
-    return save(lambda: _picture(table), path)
+    return write_figure(lambda: _picture(table), path)
 
 
 def figure_svg(table: Table) -> str:
     """The same picture as an <svg> element to put into a page."""
-    return svg_element(styled(lambda: _picture(table), "svg"))
+    return svg_element(figure_bytes(lambda: _picture(table), "svg"))
 
 
-def save(draw: "Callable[[], Figure]", path: Path) -> Path:
+def write_figure(draw: "Callable[[], Figure]", path: Path) -> Path:
     """A drawing as a .pdf or .svg file; raises UsageError for another suffix."""
     kind = path.suffix.lower().removeprefix(".")
     if kind not in METADATA:
         raise UsageError(f"A figure ends with .pdf or .svg; {path.name!r} does not.")
-    path.write_bytes(styled(draw, kind))
+    path.write_bytes(figure_bytes(draw, kind))
     return path
 
 
@@ -67,8 +67,8 @@ def svg_element(svg: bytes) -> str:
     return re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
-def styled(draw: "Callable[[], Figure]", kind: str) -> bytes:
-    """A drawing as a file of some kind, in the style of the house whatever the user's is."""
+def figure_bytes(draw: "Callable[[], Figure]", kind: str) -> bytes:
+    """A drawing as the bytes of a file, in the style of this package, not of the user."""
     import matplotlib
 
     with matplotlib.rc_context(rc={**matplotlib.rcParamsDefault, **STYLE}):
@@ -204,7 +204,7 @@ def _spans_decades(table: Table) -> bool:
 
 
 def _label(text: str) -> str:
-    """A name that leaves room for what it names: of a long one its two ends."""
+    """A name, shortened to its two ends where it is long."""
     half = LONGEST // 2
     return plain(text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}")
 

@@ -1,32 +1,35 @@
-"""A run as one offline page: what came out, what it assumes, what failed and how to repeat it."""
+"""Report of a run as one offline page: results, assumptions, failures, commands."""
 
 import json
 import os
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.figures import figure_svg
 from sysid_bench.reporting.listing import Listing
-from sysid_bench.reporting.page import (
+from sysid_bench.reporting.make_table import make_table
+from sysid_bench.reporting.performance_profile import profile_svg
+from sysid_bench.reporting.rankings import Ranking
+from sysid_bench.reporting.report_data import (
     assumptions,
     cells_as_data,
-    crosschecks,
+    crosscheck_rows,
+    environment_lines,
     failures,
     headline,
     joint_errors,
-    provenance,
 )
-from sysid_bench.reporting.profiles import profile_svg
-from sysid_bench.reporting.rankings import Ranking
-from sysid_bench.reporting.tables import Table, make_table
+from sysid_bench.reporting.tables import Table
+from sysid_bench.types import Metric
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# A longer picture is no picture: the tables of the page hold the same numbers.
+# Taller figures are not readable; the tables of the page hold the same numbers.
 _MOST_ROWS_OF_A_FIGURE: Final = 45
 PROFILE: Final = (
     "Performance profile: the share of cases in which a method's error is within so many times the "
@@ -36,7 +39,7 @@ PROFILE: Final = (
 
 @dataclass(frozen=True, eq=False)
 class RunView:
-    """What a report shows of a run. `recordings` maps a cell's id to a path relative to the
+    """Data of a run for its report. `recordings` maps a cell's id to a path relative to the
     folder; `command` is what made the run; `joints` has a column `id` (or `cell`) and the joint
     fields of Score; `suite` and `env` are the run's TOML and environment as read."""
 
@@ -51,18 +54,19 @@ class RunView:
     listings: tuple[Listing, ...] = ()
     pictures: tuple[tuple[str, str], ...] = ()  # title and <svg> of figures drawn elsewhere
     rankings: tuple[Ranking, ...] = ()
+    metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)
 
 
 def write_report(run: RunView) -> Path:
-    """Writes `report.html` into the run's folder (beside, then renamed) and returns its path."""
+    """Write `report.html` into the run's folder, whole or not at all; return its path."""
     path = run.folder / "report.html"
-    beside = path.with_name(path.name + ".part")
-    beside.write_text(render_report(run), encoding="utf-8")
-    os.replace(beside, path)
+    part = path.with_name(path.name + ".part")
+    part.write_text(report_html(run), encoding="utf-8")
+    os.replace(part, path)
     return path
 
 
-def render_report(run: RunView) -> str:
+def report_html(run: RunView) -> str:
     """The page as text; every name in it is escaped, nothing in it needs a network."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
@@ -81,7 +85,7 @@ def render_report(run: RunView) -> str:
         command=run.command,
         cell_command=cell_command,
         headline=headline(run.cells),
-        crosschecks=crosschecks(run.cells),
+        crosschecks=crosscheck_rows(run.cells),
         tolerance=_tolerance(run.suite),
         tables=(*run.tables, *(ranking.order for ranking in run.rankings)),
         listings=run.listings,
@@ -94,8 +98,8 @@ def render_report(run: RunView) -> str:
         assumptions=assumptions(run.suite, run.cells),
         failures=failures(run.cells),
         joints=joint_errors(run.cells, run.joints),
-        provenance=provenance(run.env),
-        data=Markup(_script_safe(cells_as_data(run.cells, run.recordings))),
+        provenance=environment_lines(run.env),
+        data=Markup(_script_safe(cells_as_data(run.cells, run.recordings, run.metrics))),
     )
 
 
@@ -104,7 +108,7 @@ def _pictured(run: RunView) -> list[Table]:
     fitting = [
         table
         for table in run.tables
-        if 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE and not table.metric.words
+        if 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE and table.has_figure
     ]
     gaps = {"rows": ["robot"], "columns": ["payload"], "cells": {"metric": "gap", "stat": "max"}}
     chosen = fitting[:1]

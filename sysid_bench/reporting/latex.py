@@ -1,11 +1,13 @@
 """A table as LaTeX (booktabs, siunitx 3) and its numbers as macros, so that prose follows data."""
 
 import hashlib
+import sys
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from textwrap import wrap
 from typing import Final
 
 from sysid_bench.reporting.notation import Notation
@@ -20,6 +22,7 @@ _ESCAPES: Final = {
 }  # fmt: skip
 _SYMBOLS: Final = {
     "\N{DEGREE SIGN}": r"^\circ", "\N{MIDDLE DOT}": r"\cdot", "\N{PLUS-MINUS SIGN}": r"\pm",
+    "\N{DOWNWARDS ARROW}": r"\downarrow", "\N{UPWARDS ARROW}": r"\uparrow",
     "\N{MULTIPLICATION SIGN}": r"\times", "\N{MINUS SIGN}": "-", "\N{MICRO SIGN}": r"\mu",
     "\N{GREEK SMALL LETTER ALPHA}": r"\alpha", "\N{GREEK SMALL LETTER BETA}": r"\beta",
     "\N{GREEK SMALL LETTER THETA}": r"\theta", "\N{GREEK SMALL LETTER MU}": r"\mu",
@@ -28,7 +31,11 @@ _SYMBOLS: Final = {
 _UNITS: Final = {
     "N": r"\newton", "m": r"\metre", "kg": r"\kilogram", "s": r"\second", "rad": r"\radian",
 }  # fmt: skip
+_NEW_LINE: Final = r" \\ "
 _WIDEST_IN_ONE_COLUMN: Final = 4
+_HEAD_LETTERS: Final = 16
+"""Letters in a line of the head of a metric; its title and unit make several lines."""
+
 _DIGIT_WORDS: Final = (
     "Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine",
 )  # fmt: skip
@@ -52,10 +59,10 @@ def to_latex(table: Table, origin: Origin) -> str:
     float_, size = _fit(sum(column.width for column in layout))
     below = "".join(f"\n\n\\smallskip\n{{\\footnotesize {note}\\par}}" for note in notes)
     return (
-        f"{header(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
+        f"{origin_text(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
         f"\\caption{{{escape(table.title)}. {_caption(table)}}}\n"
         f"\\label{{tab:{letters_only(table.name)}}}\n\\smallskip\n"
-        # A bold number stays bold inside siunitx only when told so.
+        # siunitx sets bold numbers in medium weight without detect-weight.
         "\\sisetup{detect-weight=true}\n"
         f"\\begin{{tabular}}{{@{{}}{'l' * len(table.row_fields)}"
         f"{''.join(column.spec for column in layout)}@{{}}}}\n\\toprule\n"
@@ -87,7 +94,7 @@ def to_macros(tables: Sequence[Table], origin: Origin) -> str:
         f"\\newcommand{{\\{name}}}{{{_inline(style, entry)}}}"
         for name, (_, style, entry) in zip(names, entries, strict=True)
     ]
-    return header(origin) + "\n".join(lines) + "\n"
+    return origin_text(origin) + "\n".join(lines) + "\n"
 
 
 def macro_names(keys: Sequence[tuple[str, ...]]) -> list[str]:
@@ -98,16 +105,6 @@ def macro_names(keys: Sequence[tuple[str, ...]]) -> list[str]:
         name + (_hash_letters(key) if shared[name] > 1 else "")
         for name, key in zip(plain, keys, strict=True)
     ]
-
-
-def standalone(tex: str) -> str:
-    """The smallest document that prints a table or macros, to look at or to test."""
-    return (
-        "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n\\usepackage{lmodern}\n"
-        "\\usepackage{textcomp}\n\\usepackage{booktabs}\n\\usepackage{siunitx}\n"
-        "\\pagestyle{empty}\n"
-        f"\\begin{{document}}\n{tex}\\mbox{{}}\n\\end{{document}}\n"
-    )
 
 
 def escape(text: str) -> str:
@@ -132,7 +129,7 @@ def _escaped(c: str) -> str:
 
 @dataclass(frozen=True)
 class _Column:
-    """One column of numbers and, where something follows the numbers, one of text beside it."""
+    """One column of numbers and, where something follows the numbers, one of text next to it."""
 
     key: Key
     style: Notation
@@ -157,16 +154,16 @@ def _lay_out(table: Table, column: Key) -> _Column:
 
 
 def _cell(table: Table, column: _Column, entry: Entry | None) -> str:
-    number, beside = "{--}", ""
+    number, after = "{--}", ""
     if entry is not None and entry.value is not None:
         number = ("\\bfseries " if entry.best else "") + column.style.text(entry.value)
     elif entry is not None and entry.word:
         number = f"{{{escape(entry.word)}}}"
     if entry is not None and entry.low is not None and entry.high is not None:
-        beside = _between(column.style.text(entry.low), column.style.text(entry.high))
+        after = _between(column.style.text(entry.low), column.style.text(entry.high))
     if entry is not None and entry.note:
-        beside += rf"\textsuperscript{{{table.footnotes[entry.note]}}}"
-    return f"{number} & {beside}" if column.has_text else number
+        after += rf"\textsuperscript{{{table.footnotes[entry.note]}}}"
+    return f"{number} & {after}" if column.has_text else number
 
 
 def _between(low: str, high: str) -> str:
@@ -180,11 +177,11 @@ def _between(low: str, high: str) -> str:
 
 
 def _table_format(texts: Sequence[str]) -> str:
-    """The room siunitx keeps: digits before and after the point, sign, digits of the exponent."""
+    """siunitx table-format: sign, digits before and after the point, digits of the exponent."""
     parts = [text.partition("e") for text in texts] or [("0", "", "")]
     sign = "-" if any(mantissa.startswith("-") for mantissa, _, _ in parts) else ""
-    places = [mantissa.lstrip("-").partition(".") for mantissa, _, _ in parts]
-    whole, decimals = (max(len(place[i]) for place in places) for i in (0, 2))
+    digits = [mantissa.lstrip("-").partition(".") for mantissa, _, _ in parts]
+    whole, decimals = (max(len(part[i]) for part in digits) for i in (0, 2))
     exponents = [exponent for _, _, exponent in parts if exponent]
     power = ""
     if exponents:
@@ -203,7 +200,9 @@ def _heads(table: Table, layout: Sequence[_Column]) -> str:
         groups = _grouped(layout, level)
         names = [_spanning(group, group[0].key[level]) for group in groups]
         lines += _line([""] * len(fields) + names) + _rules(groups, len(fields) + 1)
-    return lines + _line([*fields, *(_spanning([c], c.key[-1]) for c in layout)])
+    heads = [(c, table.column_labels(c.key)[-1]) for c in layout]
+    width = _HEAD_LETTERS if table.has_metric_columns else sys.maxsize
+    return lines + _line([*fields, *(_spanning([c], head, width) for c, head in heads)])
 
 
 def _grouped(layout: Sequence[_Column], level: int) -> list[list[_Column]]:
@@ -214,8 +213,12 @@ def _line(parts: Sequence[str]) -> str:
     return " & ".join(parts) + " \\\\\n"
 
 
-def _spanning(columns: Sequence[_Column], text: str) -> str:
-    return f"\\multicolumn{{{sum(c.width for c in columns)}}}{{c}}{{{escape(text)}}}"
+def _spanning(columns: Sequence[_Column], text: str, letters: int = sys.maxsize) -> str:
+    """A head over columns, in lines of at most so many letters."""
+    lines = [escape(line) for line in wrap(text, letters, break_long_words=False)] or [""]
+    # Not r"\shortstack" around a single line: its baseline would differ from the other heads.
+    head = lines[0] if len(lines) == 1 else rf"\shortstack{{{_NEW_LINE.join(lines)}}}"
+    return f"\\multicolumn{{{sum(c.width for c in columns)}}}{{c}}{{{head}}}"
 
 
 def _rules(groups: Sequence[Sequence[_Column]], first: int) -> str:
@@ -243,8 +246,8 @@ def _rows(table: Table, layout: Sequence[_Column]) -> list[str]:
 
 
 def _caption(table: Table) -> str:
-    if table.own_caption:
-        return escape(table.own_caption)
+    if table.own_caption or table.has_metric_columns:
+        return escape(table.caption)
     units = [f"\\unit{{{''.join(_UNITS.get(u, u) for u in unit.split())}}}"
              for unit in table.metric.units]  # fmt: skip
     unit = f" ({', '.join(units)})" if units else ""
@@ -260,7 +263,7 @@ def _inline(style: Notation, entry: Entry | None) -> str:
     return f"\\num{{{style.text(entry.value)}}}"
 
 
-def header(origin: Origin) -> str:
+def origin_text(origin: Origin) -> str:
     pairs = (("run", origin.run), ("suite", origin.suite_hash), ("made by", origin.command))
     return "".join(f"% {name}: {' '.join(text.split())}\n" for name, text in pairs)
 

@@ -44,7 +44,7 @@ def to_latex(listing: Listing, origin: latex.Origin) -> str:
         f"\n\n\\smallskip\n{{\\footnotesize {latex.escape(note)}\\par}}" for note in listing.notes
     )
     return (
-        f"{latex.header(origin)}\\begin{{table}}\n\\centering\n"
+        f"{latex.origin_text(origin)}\\begin{{table}}\n\\centering\n"
         f"\\caption{{{latex.escape(listing.title)}}}\n"
         f"\\label{{tab:{latex.letters_only(listing.name)}}}\n\\smallskip\n"
         f"\\footnotesize\n\\begin{{tabular}}{{@{{}}{'l' * len(listing.head)}@{{}}}}\n\\toprule\n"

@@ -12,10 +12,10 @@ _LOOSE_UNDERSCORE = re.compile(r"(?<![^\W_])_|_(?![^\W_])")
 
 def to_markdown(table: Table) -> str:
     """Title, caption, a pipe table and its notes; failures stand as words."""
-    header = [*table.row_fields, *(_join(c) or table.metric.title for c in table.columns)]
+    header = [*table.row_fields, *map(table.column_label, table.columns)]
     lines = [_line([escape(name) for name in header])]
-    side = "---" if table.metric.words else "---:"
-    lines.append(_line(["---"] * len(table.row_fields) + [side] * len(table.columns)))
+    sides = ["---" if table.metric_in(column).text else "---:" for column in table.columns]
+    lines.append(_line(["---"] * len(table.row_fields) + sides))
     for row in table.rows:
         numbers = [_cell(table, column, table.entry(row, column)) for column in table.columns]
         lines.append(_line([*map(escape, row), *numbers]))
@@ -28,10 +28,6 @@ def escape(text: str) -> str:
     """Any text as one line of Markdown that prints as it is."""
     flat = " ".join(str(text).split())
     return _LOOSE_UNDERSCORE.sub(r"\\_", _SPECIAL.sub(r"\\\1", flat))
-
-
-def _join(key: Key) -> str:
-    return " / ".join(key)
 
 
 def _line(parts: list[str]) -> str:

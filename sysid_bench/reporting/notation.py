@@ -1,11 +1,11 @@
-"""How a column of numbers is printed: one notation per column, the same digits in every format."""
+"""Notation of numbers: one per column, with the same digits in every format."""
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-ABSENT: Final = "\N{EN DASH}"  # in place of a number that was never asked for
+ABSENT: Final = "\N{EN DASH}"  # stands for a number that was not computed
 
 # Beyond these a reader counts zeros instead of reading digits.
 _SMALLEST, _LARGEST, _WIDEST_SPAN = 1e-3, 1e5, 1e4
@@ -22,7 +22,7 @@ class Notation:
     decimals: int = 0
 
     def text(self, value: float) -> str:
-        """A number as it is printed everywhere: "0.0123", "3.00e-13", "0"; never "-0.00"."""
+        """A number in plain text: "0.0123", "3.00e-13", "0"; never "-0.00"."""
         if not math.isfinite(value):
             return str(value)
         if value == 0:
@@ -35,14 +35,14 @@ class Notation:
         wanted = self.digits - 1 - _exponent(value, self.digits)
         return _no_negative_zero(f"{value:.{min(max(wanted, 0), self.decimals)}f}")
 
-    def pretty(self, value: float) -> str:
+    def html_text(self, value: float) -> str:
         """The same number for the screen, with a raised power of ten."""
         mantissa, e, exponent = self.text(value).partition("e")
         return f"{mantissa}{_TIMES}10{exponent.translate(_SUPERSCRIPTS)}" if e else mantissa
 
 
 def notation(values: Iterable[float | None], digits: int) -> Notation:
-    """The notation that suits all of a column; scientific where it spans decades."""
+    """Notation for all values of a column; scientific where they span decades."""
     sizes = [abs(v) for v in values if v is not None and math.isfinite(v) and v != 0]
     if not sizes:
         return Notation(digits, decimals=max(digits - 1, 0))

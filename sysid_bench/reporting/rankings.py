@@ -1,8 +1,8 @@
-"""Methods in order over robots, and how far each is from the best: for claims about methods.
+"""Rankings of methods over robots by the ratio of their errors to the best.
 
 A case is everything but the method: robot, payload, motion, noise, ... and repeat. Its errors are
-divided by the smallest of them, so that robots of different size count alike. What is not ok has
-no error and loses: it counts as ten times the worst of its case.
+divided by the smallest of them, so that robots of different size have the same weight. A cell that
+is not ok has no error; it counts as ten times the worst of its case.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,9 +21,10 @@ from sysid_bench.evaluation.comparison import (
     wilcoxon_holm_against,
     win_rates,
 )
-from sysid_bench.reporting.metrics import Metric, metric_of
-from sysid_bench.reporting.tables import Choose, Entry, Key, Table, label, selected
-from sysid_bench.types import Array
+from sysid_bench.metrics import METRICS, metric_of
+from sysid_bench.reporting.selection import Choose, label, selected
+from sysid_bench.reporting.tables import Entry, Key, Table
+from sysid_bench.types import Array, Metric
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -133,7 +134,7 @@ class Ranking:
         return Table(
             name=name,
             title=title,
-            metric=Metric(name.removeprefix(f"{self.name}-"), self.metric.title),
+            metrics=(Metric(name.removeprefix(f"{self.name}-"), self.metric.title),),
             stat="mean",
             interval="ci95",
             row_fields=("estimator",),
@@ -158,16 +159,19 @@ class Ranking:
             "method has a row there.",
         )
 
-    def _share(self, told: Array) -> Array:
-        return np.asarray(told.mean(axis=0))
+    def _share(self, counted: Array) -> Array:
+        return np.asarray(counted.mean(axis=0))
 
 
 def rankings(
-    cells: "pd.DataFrame", spec: Mapping[str, Any], choose: Choose | None = None
+    cells: "pd.DataFrame",
+    spec: Mapping[str, Any],
+    choose: Choose | None = None,
+    metrics: Mapping[str, Metric] = METRICS,
 ) -> Iterator[Ranking]:
-    """The rankings of a [[ranking]] entry of a suite: one for each value of the labels `apart`.
+    """Rankings of a [[ranking]] entry of a suite: one for each value of the labels `apart`.
 
-    Raises UsageError where no case has rows of two methods.
+    `metrics` are the records by name. Raises UsageError where no case has rows of two methods.
     """
     apart = tuple(spec.get("apart", ()))
     for field in apart:
@@ -176,11 +180,12 @@ def rankings(
     chosen = selected(cells, spec, choose)
     for key, group in chosen.groupby(list(apart), sort=False) if apart else [((), chosen)]:
         values = [label(part) for part in (key if isinstance(key, tuple) else (key,))]
-        yield _ranking(group, spec, values)
+        yield _ranking(group, spec, values, metric_of(str(spec["metric"]), metrics))
 
 
-def _ranking(cells: "pd.DataFrame", spec: Mapping[str, Any], values: Sequence[str]) -> Ranking:
-    metric = metric_of(str(spec["metric"]))
+def _ranking(
+    cells: "pd.DataFrame", spec: Mapping[str, Any], values: Sequence[str], metric: Metric
+) -> Ranking:
     title = str(spec.get("title") or f"Methods by {metric.title}")
     cases = _cases(cells, metric)
     ratios = cases.errors / np.fmin.reduce(cases.errors, axis=1)[:, None]
@@ -228,9 +233,9 @@ def _cases(cells: "pd.DataFrame", metric: Metric) -> _Cases:
     import pandas as pd
 
     names = [name for name in _CASE if name in cells.columns]
-    told = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
-    error = pd.to_numeric(told.where(cells["status"] == "ok"), errors="coerce")
-    # Below its floor a figure is rounding, and rounding is no better than rounding.
+    values = cells[metric.name] if metric.name in cells else pd.Series(np.nan, cells.index)
+    error = pd.to_numeric(values.where(cells["status"] == "ok"), errors="coerce")
+    # Errors below the floor are rounding: they compare as equal.
     error = error.clip(lower=max(metric.floor, np.finfo(float).tiny))
     lines = cells[names].map(label).assign(estimator=cells["estimator"].map(label), error=error)
     rows = lines.groupby([*names, "estimator"], sort=False)["error"].agg(["size", "first"])
@@ -244,11 +249,11 @@ def _cases(cells: "pd.DataFrame", metric: Metric) -> _Cases:
             "'select' those that ran on the same cases."
         )
     errors = errors.loc[whole, methods]
-    places = errors.index.to_frame(index=False)
-    motions = places["excitation"] if "excitation" in places else places["robot"].map(lambda _: "")
+    labels = errors.index.to_frame(index=False)
+    motions = labels["excitation"] if "excitation" in labels else labels["robot"].map(lambda _: "")
     return _Cases(
         errors.to_numpy(dtype=float),
-        tuple(places["robot"]),
+        tuple(labels["robot"]),
         tuple(motions),
         tuple(methods),
         int((~whole).sum()),
@@ -258,10 +263,10 @@ def _cases(cells: "pd.DataFrame", metric: Metric) -> _Cases:
 def _by_robot(logs: Array, robots: Sequence[str], motions: Sequence[str]) -> Array:
     """Means (robots, motions, methods) of logs (cases, methods); where robots moved differently,
     all motions of a robot are one."""
-    places = list(dict.fromkeys(zip(robots, motions, strict=True)))
+    pairs = list(dict.fromkeys(zip(robots, motions, strict=True)))
     names = list(dict.fromkeys(robots))
-    each = {name: [m for r, m in places if r == name] for name in names}
-    if len({tuple(sorted(own)) for own in each.values()}) > 1:
+    each = {name: [m for r, m in pairs if r == name] for name in names}
+    if len({tuple(sorted(moved)) for moved in each.values()}) > 1:
         each, motions = {name: [""] for name in names}, [""] * len(robots)
     who, what = np.array(robots), np.array(motions)
     return np.array([[logs[(who == n) & (what == m)].mean(axis=0) for m in each[n]] for n in names])

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
+from sysid_bench.reporting.cell_summary import summary
 from sysid_bench.reporting.scene import RecordingScene, log_scene, scene_of
-from sysid_bench.reporting.summary import summary
 from sysid_bench.types import CellData
 
 if TYPE_CHECKING:
@@ -24,29 +24,29 @@ _SMALLEST_RATIO = 1e-20  # of the largest: zeros stay on the logarithmic picture
 _PLOTS_PER_PAGE = 9
 
 
-def record(evidence: CellData, path: Path, max_hz: float = 50) -> Path:
-    """Writes the recording of a cell, written beside and then renamed; seconds on `sim_time`.
+def record(cell: CellData, path: Path, max_hz: float = 50) -> Path:
+    """Write the recording of a cell to a temporary file and rename it; seconds on `sim_time`.
 
     Samples are thinned to at most `max_hz`: pictures need no more, full rates are for data files.
     Raises UsageError where `max_hz` is not positive or the signals differ in length.
     """
     import rerun as rr
 
-    picked = _thinned(evidence, max_hz)
-    scene = scene_of(evidence)
-    beside = path.with_name(path.name + ".part")
-    row = evidence.row
-    # The viewer keeps one layout per application: robots differ in joints, so each is its own.
+    picked = _thinned(cell, max_hz)
+    scene = scene_of(cell)
+    part = path.with_name(path.name + ".part")
+    row = cell.row
+    # The viewer keeps one layout per application: robots differ in joints, so each has its name.
     application = re.sub(r"[^\w .-]", "-", f"sysid_bench {row.get('robot', '')}".strip())
     stream = rr.RecordingStream(application, recording_id=str(row.get("id", path.stem)))
     try:
-        stream.save(beside, default_blueprint=_blueprint(evidence))
+        stream.save(part, default_blueprint=_blueprint(cell))
         _log(stream, scene, picked)
         stream.flush()
         stream.disconnect()  # writes the footer that `rerun rrd verify` asks for
-        os.replace(beside, path)
+        os.replace(part, path)
     finally:
-        beside.unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
     return path
 
 
@@ -56,7 +56,9 @@ def view(path: Path, web: bool = False) -> "subprocess.Popen[bytes]":
     Raises UsageError where the recording or the viewer is absent.
     """
     if not path.is_file():
-        raise UsageError(f"There is no recording {str(path)!r}; make it with sysid-bench record.")
+        raise UsageError(
+            f"The recording {str(path)!r} does not exist; make it with sysid-bench record."
+        )
     command = [str(viewer()), "--bind", "127.0.0.1", *(["--web-viewer"] if web else []), str(path)]
     return subprocess.Popen(command)
 
@@ -67,16 +69,16 @@ def viewer() -> Path:
     for name in ("rerun", "rerun.exe", "Scripts/rerun.exe"):
         if (folder / name).is_file():
             return folder / name
-    raise UsageError(f"There is no program rerun beside {sys.executable!r}; install rerun-sdk.")
+    raise UsageError(f"The program rerun is missing next to {sys.executable!r}; install rerun-sdk.")
 
 
-def _thinned(evidence: CellData, max_hz: float) -> np.ndarray:
+def _thinned(cell: CellData, max_hz: float) -> np.ndarray:
     """Indices of the samples to keep: every k-th, evenly, the first among them."""
     if not max_hz > 0:
         raise UsageError(f"max_hz is {max_hz!r}; give a positive number of hertz.")
-    times, count = evidence.motion.t, len(evidence.motion)
+    times, count = cell.motion.t, len(cell.motion)
     for name in ("measured", "predicted", "positions", "quaternions"):
-        signal = getattr(evidence, name)
+        signal = getattr(cell, name)
         if signal is not None and len(signal) != count:
             raise UsageError(f"{name} has {len(signal)} samples, the motion {count}: align them.")
     if count < 2:
@@ -88,32 +90,32 @@ def _thinned(evidence: CellData, max_hz: float) -> np.ndarray:
 def _log(stream: "rr.RecordingStream", scene: RecordingScene, picked: np.ndarray) -> None:
     import rerun as rr
 
-    evidence = scene.evidence
-    times = rr.TimeColumn(TIMELINE, duration=evidence.motion.t[picked])
+    cell = scene.cell
+    times = rr.TimeColumn(TIMELINE, duration=cell.motion.t[picked])
     log_scene(stream, scene, picked, times)
-    for i, row in enumerate(_row_names(evidence)):
-        measured = evidence.measured[picked, i]
+    for i, row in enumerate(_row_names(cell)):
+        measured = cell.measured[picked, i]
         _log_series(stream, ["torque", row, "measured"], "measured", _MEASURED, measured, times)
-        if evidence.predicted is None:
+        if cell.predicted is None:
             continue
-        predicted = evidence.predicted[picked, i]
+        predicted = cell.predicted[picked, i]
         residual = measured - predicted
         _log_series(stream, ["torque", row, "predicted"], "predicted", _PREDICTED, predicted, times)
         _log_series(stream, ["residual", row], row, _colour(i), residual, times)
-    for curve in evidence.curves:
+    for curve in cell.curves:
         over = rr.TimeColumn(TIMELINE, duration=curve.t)
         for i, (name, values) in enumerate(curve.series.items()):
             _log_series(stream, ["curves", curve.name, name], name, _colour(i), values, over)
-    if len(evidence.singular_values):
-        bars = rr.BarChart(_log10(evidence.singular_values), color=_MEASURED)
+    if len(cell.singular_values):
+        bars = rr.BarChart(_log10(cell.singular_values), color=_MEASURED)
         stream.log("singular_values", bars, static=True)
-    if evidence.gap_map.size:
-        image = rr.Tensor(_log10(evidence.gap_map), dim_names=("row", "parameter"))
+    if cell.gap_map.size:
+        image = rr.Tensor(_log10(cell.gap_map), dim_names=("row", "parameter"))
         stream.log("gap", image, static=True)
-    text = rr.TextDocument(summary(evidence, scene.complaints), media_type="text/markdown")
+    text = rr.TextDocument(summary(cell, scene.complaints), media_type="text/markdown")
     stream.log("summary", text, static=True)
     names = ("id", "robot", "payload", "task", "estimator", "status")
-    known = {name: str(evidence.row[name]) for name in names if name in evidence.row}
+    known = {name: str(cell.row[name]) for name in names if name in cell.row}
     stream.send_property("sysid", rr.AnyValues(drop_untyped_nones=True, **known))
 
 
@@ -132,11 +134,11 @@ def _log10(values: np.ndarray) -> np.ndarray:
     """log10 of sizes (any shape); what is zero or not a number lies at the floor."""
     sizes = np.nan_to_num(np.abs(np.asarray(values, dtype=float)), nan=0.0, posinf=0.0)
     floor = max(sizes.max(initial=0.0) * _SMALLEST_RATIO, np.finfo(float).tiny)
-    return np.log10(np.maximum(sizes, floor))
+    return np.asarray(np.log10(np.maximum(sizes, floor)))
 
 
-def _row_names(evidence: CellData) -> list[str]:
-    return [name or f"row{i}" for i, name in enumerate(evidence.rows)]
+def _row_names(cell: CellData) -> list[str]:
+    return [name or f"row{i}" for i, name in enumerate(cell.rows)]
 
 
 def _colour(i: int) -> tuple[int, int, int]:
@@ -146,22 +148,22 @@ def _colour(i: int) -> tuple[int, int, int]:
     return palette[i % len(palette)]
 
 
-def _blueprint(evidence: CellData) -> "rrb.Blueprint":
+def _blueprint(cell: CellData) -> "rrb.Blueprint":
     """Robot and summary to the left; one torque plot per joint, residuals, regressor right."""
     import rerun.blueprint as rrb
 
     about = rrb.TextDocumentView(name="Summary", origin="/summary")
-    left = rrb.Vertical(_robot_view(evidence), about, row_shares=[3, 2])
-    pages = _torque_pages(evidence)
-    if evidence.curves:
-        pages = rrb.Tabs(pages, _curve_page(evidence))
+    left = rrb.Vertical(_robot_view(cell), about, row_shares=[3, 2])
+    pages = _torque_pages(cell)
+    if cell.curves:
+        pages = rrb.Tabs(pages, _curve_page(cell))
     parts: list[rrb.Container | rrb.View] = [pages]
-    if evidence.predicted is not None:
+    if cell.predicted is not None:
         parts.append(rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual"))
     regressor: list[rrb.View] = []
-    if len(evidence.singular_values):
+    if len(cell.singular_values):
         regressor.append(rrb.BarChartView(name="log10 singular values", origin="/singular_values"))
-    if evidence.gap_map.size:
+    if cell.gap_map.size:
         regressor.append(rrb.TensorView(name="log10 |Y - Y_pin|", origin="/gap", view_fit="Fill"))
     if regressor:
         parts.append(rrb.Horizontal(*regressor))
@@ -175,12 +177,12 @@ def _blueprint(evidence: CellData) -> "rrb.Blueprint":
     )
 
 
-def _robot_view(evidence: CellData) -> "rrb.View":
+def _robot_view(cell: CellData) -> "rrb.View":
     import rerun.blueprint as rrb
 
     eye = None
-    if evidence.positions is not None and evidence.positions.size:
-        corners = evidence.positions.reshape(-1, 3)
+    if cell.positions is not None and cell.positions.size:
+        corners = cell.positions.reshape(-1, 3)
         low, high = corners.min(axis=0), corners.max(axis=0)
         centre, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 0.2)
         # From the front right and a little above, far enough for links beyond the last origin.
@@ -192,7 +194,7 @@ def _robot_view(evidence: CellData) -> "rrb.View":
     )
 
 
-def _torque_pages(evidence: CellData) -> "rrb.Container":
+def _torque_pages(cell: CellData) -> "rrb.Container":
     """A grid of joints; beyond nine, tabs of grids."""
     import rerun as rr
     import rerun.blueprint as rrb
@@ -203,7 +205,7 @@ def _torque_pages(evidence: CellData) -> "rrb.Container":
             origin=rr.new_entity_path(["torque", row]),
             plot_legend=rrb.PlotLegend(visible=i == 0),
         )
-        for i, row in enumerate(_row_names(evidence))
+        for i, row in enumerate(_row_names(cell))
     ]
     pages = [plots[i : i + _PLOTS_PER_PAGE] for i in range(0, len(plots), _PLOTS_PER_PAGE)]
     grids = [
@@ -213,13 +215,13 @@ def _torque_pages(evidence: CellData) -> "rrb.Container":
     return grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
 
 
-def _curve_page(evidence: CellData) -> "rrb.Container":
+def _curve_page(cell: CellData) -> "rrb.Container":
     import rerun as rr
     import rerun.blueprint as rrb
 
     plots = [
         rrb.TimeSeriesView(name=curve.name, origin=rr.new_entity_path(["curves", curve.name]))
-        for curve in evidence.curves
+        for curve in cell.curves
     ]
     return rrb.Grid(*plots, grid_columns=_columns_for(len(plots)), name="On-line")
 

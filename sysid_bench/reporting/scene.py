@@ -25,7 +25,7 @@ _SHORTEST_STICK = 1e-6  # m
 class RecordingScene:
     """Which shapes of an Evidence can be drawn, and in words why others cannot."""
 
-    evidence: CellData
+    cell: CellData
     shapes: tuple[Shape, ...]
     complaints: tuple[str, ...]
 
@@ -33,12 +33,12 @@ class RecordingScene:
     def bodies_without_shape(self) -> list[int]:
         """Bodies that have nothing to draw: they become joints and sticks."""
         dressed = {shape.body for shape in self.shapes}
-        return [i for i in range(len(self.evidence.bodies)) if i not in dressed]
+        return [i for i in range(len(self.cell.bodies)) if i not in dressed]
 
 
-def scene_of(evidence: CellData) -> RecordingScene:
+def scene_of(cell: CellData) -> RecordingScene:
     """Meshes count only where all of them exist, can be read and fit into `MESH_BUDGET` bytes."""
-    meshes = [shape for shape in evidence.shapes if shape.kind == "mesh"]
+    meshes = [shape for shape in cell.shapes if shape.kind == "mesh"]
     files = [Path(shape.file) for shape in meshes]
     unreadable = [file.name for file in files if file.suffix.lower() not in _MESH_SUFFIXES]
     lost = [file.name for file in files if not file.is_file() and file.name not in unreadable]
@@ -50,10 +50,10 @@ def scene_of(evidence: CellData) -> RecordingScene:
         complaints.append(f"{_some(lost)}: no such file.")
     if size > MESH_BUDGET:
         complaints.append(f"The meshes have {size / 1e6:.1f} MB, above {MESH_BUDGET / 1e6:g} MB.")
-    drawn = evidence.shapes
+    drawn = cell.shapes
     if complaints:
-        drawn = tuple(shape for shape in evidence.shapes if shape.kind != "mesh")
-    return RecordingScene(evidence, drawn, tuple(complaints))
+        drawn = tuple(shape for shape in cell.shapes if shape.kind != "mesh")
+    return RecordingScene(cell, drawn, tuple(complaints))
 
 
 def log_scene(
@@ -62,17 +62,17 @@ def log_scene(
     """Logs the samples `picked` of the robot: `robot/<body>` and, for bare bodies, `sticks`."""
     import rerun as rr
 
-    evidence = scene.evidence
-    if evidence.positions is None or evidence.quaternions is None:
+    cell = scene.cell
+    if cell.positions is None or cell.quaternions is None:
         return
     stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    positions = evidence.positions[picked]
-    quaternions = evidence.quaternions[picked][..., _XYZW]
-    for i, path in enumerate(_body_paths(evidence.bodies)):
+    positions = cell.positions[picked]
+    quaternions = cell.quaternions[picked][..., _XYZW]
+    for i, path in enumerate(_body_paths(cell.bodies)):
         pose = rr.Transform3D.columns(translation=positions[:, i], quaternion=quaternions[:, i])
         stream.send_columns(path, indexes=[times], columns=pose)
     for number, shape in enumerate(scene.shapes):
-        _log_shape(stream, evidence, shape, number)
+        _log_shape(stream, cell, shape, number)
     _log_sticks(stream, scene, positions, times)
 
 
@@ -83,12 +83,12 @@ def _body_paths(bodies: Sequence[str]) -> list[str]:
     return [rr.new_entity_path(["robot", name or f"body{i}"]) for i, name in enumerate(bodies)]
 
 
-def _log_shape(stream: "rr.RecordingStream", evidence: CellData, shape: Shape, number: int) -> None:
+def _log_shape(stream: "rr.RecordingStream", cell: CellData, shape: Shape, number: int) -> None:
     import rerun as rr
 
-    path = f"{_body_paths(evidence.bodies)[shape.body]}/shape{number}"
+    path = f"{_body_paths(cell.bodies)[shape.body]}/shape{number}"
     scale = shape.size if shape.kind == "mesh" else None
-    colour = _PAYLOAD if "payload" in evidence.bodies[shape.body].lower() else _BODY
+    colour = _PAYLOAD if "payload" in cell.bodies[shape.body].lower() else _BODY
     pose = rr.Transform3D(
         translation=shape.position,
         quaternion=rr.Quaternion(xyzw=np.asarray(shape.quaternion)[[*_XYZW]]),
@@ -131,7 +131,7 @@ def _log_sticks(
     pairs = _neighbours(scene, positions)
     for i in bare:
         ball = rr.Points3D([(0, 0, 0)], radii=[1.6 * radius], colors=[_JOINT])
-        stream.log(f"{_body_paths(scene.evidence.bodies)[i]}/joint", ball, static=True)
+        stream.log(f"{_body_paths(scene.cell.bodies)[i]}/joint", ball, static=True)
     if not pairs:
         return
     ends = np.stack([_ends(positions, child, parent) for child, parent in pairs], axis=1)
@@ -147,7 +147,7 @@ def _neighbours(scene: RecordingScene, positions: np.ndarray) -> list[tuple[int,
     """(child, parent) pairs to join; a root that stands still is joined to the world (-1)."""
     bare = set(scene.bodies_without_shape)
     pairs = []
-    for child, parent in enumerate(scene.evidence.parents):
+    for child, parent in enumerate(scene.cell.parents):
         fixed_root = parent < 0 and np.ptp(positions[:, child], axis=0).max() < _SHORTEST_STICK
         wanted = child in bare if parent < 0 else bool(bare & {child, parent})
         if wanted and (parent >= 0 or fixed_root):

@@ -1,4 +1,4 @@
-"""One number for a group of cells, and how sure it is."""
+"""Statistics of a group of cells, and their intervals."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -25,7 +25,7 @@ INTERVALS: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 Interval = tuple[float | None, float | None]
-# The same resampling for every entry: a number depends on its own cells alone.
+# The same seed for every entry: a number depends on the cells of its group alone.
 _BOOTSTRAP_SEED, _BOOTSTRAP_DRAWS = 20240229, 2000
 
 
@@ -36,7 +36,7 @@ def statistic_of(stat: str, values: np.ndarray) -> float:
 
 def interval_of(interval: str, stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
     """(low, high) for finite values (n,) of the given repeats (n,); (None, None) where two values
-    (or, for "ci95", two repeats) are not there to tell a spread from, and for counts."""
+    (or, for "ci95", two repeats) are missing, and for counts."""
     if interval == "none" or stat == "count" or len(values) < 2:
         return None, None
     if interval == "ci95":
@@ -58,8 +58,8 @@ def _bootstrap(stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
         return None, None
     blocks = np.full((len(names), np.bincount(which).max()), np.nan)
     for i in range(len(names)):
-        own = values[which == i]
-        blocks[i, : len(own)] = own
+        block = values[which == i]
+        blocks[i, : len(block)] = block
     rng = np.random.default_rng(_BOOTSTRAP_SEED)
     draws = rng.integers(len(names), size=(_BOOTSTRAP_DRAWS, len(names)))
     resampled = blocks[draws].reshape(_BOOTSTRAP_DRAWS, -1)
@@ -69,7 +69,7 @@ def _bootstrap(stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
 
 def _along_last(stat: str, values: np.ndarray) -> np.ndarray:
     if stat == "count":
-        return np.isfinite(values).sum(axis=-1)
+        return np.asarray(np.isfinite(values).sum(axis=-1))
     # Blocks of unequal repeats are filled with NaN; every draw holds at least one number.
     functions: dict[str, Callable[..., np.ndarray]] = {
         "median": np.nanmedian,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from sysid_bench.reporting.figures import save
+from sysid_bench.reporting.figures import write_figure
 from sysid_bench.types import Array
 
 if TYPE_CHECKING:
@@ -22,9 +22,9 @@ def torque_figure(
     predicted: Array,
     units: Sequence[str],
 ) -> Path:
-    """Draws t (N,), measured and predicted (N, rows) into a .pdf or .svg file, the same bytes every
+    """Draw t (N,), measured and predicted (N, rows) into a .pdf or .svg file, the same bytes every
     time; the error is dashed. Raises UsageError for another suffix."""
-    return save(lambda: _figure(t, rows, measured, predicted, units), path)
+    return write_figure(lambda: _figure(t, rows, measured, predicted, units), path)
 
 
 def _figure(

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from sysid_bench import naming, places
 from sysid_bench.errors import SysidBenchError, unknown_name
+from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.verbs.result import Result
@@ -36,7 +37,7 @@ class ShowResult(Result):
 
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Return everything of a kind (robots, payloads, excitations, estimators, suites, simulations,
-    plants) with name and title; the title of an entry that cannot be read states why."""
+    plants, metrics, log-readers) with name and title; the title of an entry that cannot be read states why."""
     if kind not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
     return _LISTS[kind](robots_dir)
@@ -151,6 +152,29 @@ def _suite(name: str) -> Entry:
     return {"name": name, "file": str(file), **tomllib.loads(file.read_text(encoding="utf-8"))}
 
 
+def _metrics(robots_dir: Path | None) -> list[Entry]:
+    """Built-in metrics with unit, direction and formula, then plug-ins of installed packages."""
+    built_in = [
+        {
+            "name": metric.name,
+            "title": ": ".join(
+                filter(None, (f"{metric.heading} {metric.arrow}".strip(), metric.formula))
+            ),
+            "unit": metric.unit,
+            "better": metric.better,
+            "level": metric.level,
+            "needs": list(metric.needs),
+            "formula": metric.formula,
+        }
+        for metric in METRICS.values()
+    ]
+    return built_in + _plugins("metric")(robots_dir)
+
+
+def _metric(name: str) -> Entry:
+    return next(entry for entry in _metrics(None) if entry["name"] == name)
+
+
 _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "robots": _robots,
     "payloads": _payloads,
@@ -158,6 +182,8 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "estimators": _plugins("estimator"),
     "simulations": _plugins("simulation"),
     "plants": _plugins("plant"),
+    "metrics": _metrics,
+    "log-readers": _plugins("log_reader"),
     "suites": _suites,
 }
 _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
@@ -166,5 +192,7 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "estimators": _plugin("estimator"),
     "simulations": _plugin("simulation"),
     "plants": _plugin("plant"),
+    "metrics": _metric,
+    "log-readers": _plugin("log_reader"),
     "suites": _suite,
 }

@@ -1,18 +1,18 @@
-"""Check of an estimator against the laws that every estimator keeps."""
+"""Check of a plug-in against the laws of its kind."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.conformance.plugin import check_estimator
+from sysid_bench.conformance.plugin import KITS, check_estimator, check_plugin_of
 from sysid_bench.naming import build
 from sysid_bench.verbs.result import Result
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckPluginResult(Result):
-    """Verdict on an estimator; `bias`: what it is biased towards by design; `broken`: failed checks
+    """Verdict on a plug-in; `bias`: what an estimator it is biased towards by design; `broken`: failed checks
     as {law, world, said}."""
 
     estimator: str
@@ -32,17 +32,22 @@ class CheckPluginResult(Result):
 
 
 def check_plugin(
-    name: str | Mapping[str, Any], robots_dir: Path | None = None
+    name: str | Mapping[str, Any], robots_dir: Path | None = None, kind: str = "estimator"
 ) -> CheckPluginResult:
-    """Check an estimator: built in, "module:object", "file:path.py:object", or {use = ...} with
-    settings. Raises UsageError for an unknown name."""
-    estimator = build("estimator", name)
-    findings = check_estimator(estimator, robots_dir)
+    """Check a plug-in: built in, "module:object", "file:path.py:object", or {use = ...} with
+    settings. `kind`: estimator, excitation, plant, simulation or metric. Raises UsageError for an
+    unknown name or kind."""
+    plugin = build(kind, name) if kind in KITS else None
+    findings = (
+        check_estimator(plugin, robots_dir)
+        if kind == "estimator"
+        else check_plugin_of(kind, plugin)
+    )
     return CheckPluginResult(
         estimator=name if isinstance(name, str) else name["use"],
         ok=all(finding.passed for finding in findings),
         checks=len(findings),
-        bias=getattr(estimator, "bias", ""),
+        bias=getattr(plugin, "bias", ""),
         broken=[
             {"law": f.law, "world": f.case, "said": f.message} for f in findings if not f.passed
         ],

@@ -1,6 +1,7 @@
-"""What a suite's [[paper]] asks for: the model, its base parameters with values, measured and
-predicted torques, as papers print them."""
+"""Tables and figures of a suite's [[paper]] entries, from the data that cells stored."""
 
+import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,51 +9,44 @@ from sysid_bench.errors import UsageError
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
 
 if TYPE_CHECKING:
-    from sysid_bench.experiments.prepared import Prepared
-    from sysid_bench.experiments.recorded.source import RecordedSource
     from sysid_bench.harness.plan import Cell
     from sysid_bench.harness.store import RunFolder
     from sysid_bench.harness.suite.model import Paper
     from sysid_bench.reporting.latex import Origin
-    from sysid_bench.types import Array, Estimate
 
 
-def paper_outputs(run: "RunFolder", name: str | None = None) -> tuple[Listing, ...]:
-    """The listings of a run (None: all), of cells that have a row; a cell is executed again for its
-    values."""
-    asked = [entry for entry in run.suite.paper if entry.show != "torques"]
-    asked = [entry for entry in asked if name in (None, entry.name)]
+def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[Listing, ...]:
+    """The listings of a run (of one entry, or None: of all) whose cells are ok.
+
+    Raises UsageError where a cell stored no data, or the reason instead.
+    """
     made = []
-    for entry in asked:
-        cell = _cell(run, entry)
-        if cell is not None:
+    for entry, cell in _shown(run, drawn=False):
+        if name in (None, entry.name):
             make = _model if entry.show == "model" else _base_parameters
-            made.append(make(run, entry, cell))
+            made.append(make(entry, cell, _stored(run, entry, cell)))
     return tuple(made)
 
 
-def draw_papers(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
-    """The torque figures of a run as .pdf and .svg: title and path of the latter."""
-    asked = [entry for entry in run.suite.paper if entry.show == "torques"]
-    if not asked:
-        return []
-    from sysid_bench.experiments.recorded.source import predict_log
+def draw_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
+    """Draw the torque figures of a run as .pdf and .svg; title and path of the latter."""
+    import numpy as np
+
     from sysid_bench.reporting.torque_figure import torque_figure
 
     files = []
-    for entry in asked:
-        cell = _cell(run, entry)
-        if cell is None:
-            continue
-        posed, estimate = _again(run, entry, cell)
-        beta = _beta(entry, estimate)
-        found = predict_log(posed, beta, entry.test)
-        problem = found.problem
-        units = [kind.removeprefix("joint ") for kind in problem.kinds]
+    for entry, cell in _shown(run, drawn=True):
+        path = _file(run, entry, cell, "npz")
+        if not path.is_file():
+            _stored(run, entry, cell)  # raises with the reason
+        with np.load(path) as data:
+            arrays = data["t"], data["measured"], data["predicted"]
+            rows, units = data["rows"].tolist(), data["units"].tolist()
         for kind in ("pdf", "svg"):
-            path = folder / f"{entry.name}.{kind}"
-            torque_figure(path, found.t, problem.rows, found.measured, found.predicted, units)
-        files.append((f"{entry.title or entry.name}: {_source(cell)}", path))
+            drawing = folder / f"{entry.name}.{kind}"
+            t, measured, predicted = arrays
+            torque_figure(drawing, t, rows, measured, predicted, units)
+        files.append((f"{entry.title or entry.name}: {_source(cell)}", drawing))
     return files
 
 
@@ -63,8 +57,15 @@ def text_of(listing: Listing, form: str, origin: "Origin") -> str:
     return to_csv(listing) if form == "csv" else to_latex(listing, origin)
 
 
+def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":
+    """Figures or listings of a suite, each with its first cell whose row is ok."""
+    for entry in run.suite.paper:
+        if (entry.show == "torques") == drawn and (cell := _cell(run, entry)) is not None:
+            yield entry, cell
+
+
 def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
-    """The first cell with a sound row that an entry selects."""
+    """The first cell with an ok row that an entry selects."""
     from sysid_bench.harness.plan import fields
     from sysid_bench.harness.suite.expression import Expression
 
@@ -77,65 +78,36 @@ def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
     return next((cell for cell in found if rows.get(cell.id, {}).get("status") == "ok"), None)
 
 
-def _again(
-    run: "RunFolder", entry: "Paper", cell: "Cell"
-) -> "tuple[Prepared[RecordedSource], Estimate]":
-    """The cell's problem and estimate."""
-    from sysid_bench.experiments.recorded.prepare import prepare_recorded
-    from sysid_bench.experiments.robot_cache import cached_robot
-    from sysid_bench.identification.identify import identify
-    from sysid_bench.naming import build, resolve_paths
+def _file(run: "RunFolder", entry: "Paper", cell: "Cell", kind: str) -> Path:
+    return run.path / "artifacts" / cell.id / "paper" / f"{entry.name}.{kind}"
 
-    if cell.spec.log is None:
+
+def _stored(run: "RunFolder", entry: "Paper", cell: "Cell") -> dict[str, Any]:
+    """The JSON data of an entry; raises UsageError where there is only a reason, or nothing."""
+    path = _file(run, entry, cell, "json")
+    if not path.is_file():
         raise UsageError(
-            f"[[paper]] {entry.name!r} shows {entry.show} of recordings; select a cell of a "
-            "[[log]]."
+            f"[[paper]] {entry.name!r}: the cell {cell.id} has stored no data for it; run it again "
+            f"with: sysid-bench run {run.path} --select 'id == \"{cell.id}\"' --rerun all"
         )
-    suite = run.suite
-    robots = None if suite.robots_dir is None else str(suite.robots_dir)
-    spec = cell.spec
-    robot = cached_robot(spec.robot, spec.payload, robots, str(suite.folder), spec.free_base)
-    posed = prepare_recorded(spec, robot)
-    method = build("estimator", resolve_paths(cell.estimator, suite.folder))
-    return posed, identify(method, posed.problem, posed.experiment)
+    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    if "error" in content:
+        raise UsageError(f"[[paper]] {entry.name!r}: {content['error']}")
+    return content
 
 
-def _beta(entry: "Paper", estimate: "Estimate") -> "Array":
-    if estimate.status != "ok" or estimate.beta is None:
-        raise UsageError(f"[[paper]] {entry.name!r}: {estimate.reason}")
-    return estimate.beta
-
-
-def _base_parameters(run: "RunFolder", entry: "Paper", cell: "Cell") -> Listing:
-    """The sums as the robot's manifest orders them, with the values of a cell."""
-    from sysid_bench.evaluation.covariance import standard_errors
-    from sysid_bench.verbs.base_table import paper_table
-    from sysid_bench.verbs.estimate_fields import base_of
-
-    posed, estimate = _again(run, entry, cell)
-    _beta(entry, estimate)
-    values = {"base": base_of(estimate, posed.problem, standard_errors(posed.problem, estimate))}
-    ask = posed.source.builder.unknowns
-    table = paper_table(cell.spec.robot, ask.terms, None, values, run.suite.robots_dir)
+def _base_parameters(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> Listing:
+    """The sums in the order of the robot's manifest, with the values of a cell."""
     rows = tuple(
-        (
-            str(k),
-            row["expression"],
-            _number(row["value"]),
-            row["impossible"] or "",
-        )
-        for k, row in enumerate(table["rows"], start=1)
+        (str(k), row["expression"], _number(row["value"]), row["impossible"] or "")
+        for k, row in enumerate(data["rows"], start=1)
     )
-    beside = [
-        f"{name} = {_number(value)}"
-        for name, value in zip(posed.problem.base.names, estimate.beta, strict=True)  # type: ignore[arg-type]
-        if name in ask.extra
-    ]
+    extra = [f"{name} = {_number(value)}" for name, value in data["extra"].items()]
     notes = [_source(cell)]
-    notes += [f"Beside them: {', '.join(beside)}."] if beside else []
-    change = table["smallest_change"]
+    notes += [f"Besides: {', '.join(extra)}."] if extra else []
+    change = data["smallest_change"]
     if change is not None and change > 1e-6:
-        zero = f"With {', '.join(table['zero'])} taken for zero, no" if table["zero"] else "No"
+        zero = f"With {', '.join(data['zero'])} taken for zero, no" if data["zero"] else "No"
         notes.append(f"{zero} robot has them: some have to change by {change:.3g} or more.")
     title = entry.title or f"Base parameters of {cell.labels['robot']}"
     return Listing(
@@ -143,32 +115,23 @@ def _base_parameters(run: "RunFolder", entry: "Paper", cell: "Cell") -> Listing:
     )
 
 
-def _model(run: "RunFolder", entry: "Paper", cell: "Cell") -> Listing:
+def _model(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> Listing:
     """The kinematic table where the robot has one, else its joints."""
-    from sysid_bench.models.dh.dh_table import printed_table
-    from sysid_bench.models.load import load_robot
-    from sysid_bench.models.manifest import find_manifest
-
-    manifest = find_manifest(cell.spec.robot, run.suite.robots_dir, run.suite.folder)
-    title = entry.title or f"Model of {manifest.name}"
-    if manifest.dh is not None and manifest.manifest_file is not None:
-        head, rows, lengths = printed_table(manifest.manifest_file.parent / manifest.dh.table)
-        told = ", ".join(f"{name} = {value:g} m" for name, value in lengths.items())
-        return Listing(entry.name, title, head, rows, (told,) if told else ())
-    robot = load_robot(manifest)
-    rows = tuple(
-        (joint.name, joint.kind, *_range(robot.limits, joint.vadr)) for joint in robot.joints
+    lengths = ", ".join(f"{name} = {value:g} m" for name, value in data["lengths"].items())
+    return Listing(
+        entry.name,
+        entry.title or f"Model of {data['robot']}",
+        tuple(data["head"]),
+        tuple(map(tuple, data["rows"])),
+        (lengths,) if lengths else (),
     )
-    return Listing(entry.name, title, ("joint", "kind", "from", "to"), rows)
-
-
-def _range(limits: Any, dof: int) -> tuple[str, str]:
-    return f"{limits.q_low[dof]:.4g}", f"{limits.q_high[dof]:.4g}"
 
 
 def _source(cell: "Cell") -> str:
-    told = cell.labels
-    return f"{told['excitation']}, {told['signals']}, {told['estimator']}; terms {told['terms']}."
+    words = cell.labels
+    return (
+        f"{words['excitation']}, {words['signals']}, {words['estimator']}; terms {words['terms']}."
+    )
 
 
 def _number(value: float | None) -> str:

@@ -82,7 +82,9 @@ def view(folder: str | Path, identifier: str, web: bool = False) -> subprocess.P
 
 
 def _matching(run_folder: RunFolder, expression: str) -> list[str]:
-    condition = Expression.parse(expression, run_folder.plan.fields | ROW_FIELDS)
+    condition = Expression.parse(
+        expression, run_folder.plan.fields | ROW_FIELDS | set(run_folder.suite.metrics)
+    )
     stored = run_folder.rows().rows
     return [
         cell.id

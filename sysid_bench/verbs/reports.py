@@ -1,22 +1,32 @@
-"""From rows to paper and screen."""
+"""The commands `report` and `table`: from the rows of a run to paper and screen."""
 
 import shlex
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+from sysid_bench.canonical_json import digest
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.reporting.csv_table import to_csv
+from sysid_bench.reporting.figures import figure, svg_element
+from sysid_bench.reporting.html import RunView, write_report
+from sysid_bench.reporting.latex import Origin, to_latex, to_macros
+from sysid_bench.reporting.listing import Listing
+from sysid_bench.reporting.make_table import make_table
+from sysid_bench.reporting.markdown import to_markdown
+from sysid_bench.reporting.performance_profile import profile
+from sysid_bench.reporting.rankings import Ranking, rankings
+from sysid_bench.reporting.tables import Table
 from sysid_bench.verbs.folders import open_run
-from sysid_bench.verbs.paper_output import draw_papers, paper_outputs, text_of
+from sysid_bench.verbs.paper_output import draw_paper_figures, paper_tables, text_of
+from sysid_bench.vocabulary import JOINT, PARAMETER, STD_FROM
 
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
-    from sysid_bench.reporting.latex import Origin
-    from sysid_bench.reporting.rankings import Ranking
-    from sysid_bench.reporting.tables import Table
 
-DEFAULT_TABLE: Mapping[str, Any] = {
+DEFAULT_TABLE: Final[Mapping[str, Any]] = {
     "name": "main",
     "title": "Held-out torque error",
     "rows": ["robot", "payload"],
@@ -24,40 +34,28 @@ DEFAULT_TABLE: Mapping[str, Any] = {
     "cells": {"metric": "torque_error", "stat": "median", "interval": "iqr"},
     "best": "min-bold",
 }
-FORMATS = ("md", "csv", "latex")
+"""The table of a suite that names none."""
+
+FORMATS: Final = ("md", "csv", "latex")
+_SUFFIXES: Final = {"md": "md", "csv": "csv", "latex": "tex"}
 
 
 def report(folder: str | Path) -> Path:
-    """Writes tables/, figures/ and report.html of a run from its rows; the report's path."""
-    from sysid_bench.reporting.figures import figure, svg_element
-    from sysid_bench.reporting.html import RunView, write_report
-    from sysid_bench.reporting.latex import to_macros
-    from sysid_bench.reporting.profiles import profile
+    """Write tables/, figures/ and report.html of a run from its folder alone; return its path.
 
+    Raises UsageError for a folder without rows.
+    """
     run_folder = open_run(folder)
     frames = run_folder.frames()
     if len(frames.cells) == 0:
         raise UsageError(f"{str(folder)!r} has no rows yet; run it first.")
-    own, ranked, origin = tuple(_tables(run_folder)), _rankings(run_folder), _origin(run_folder)
-    orders = tuple(ranking.order for ranking in ranked)
-    for place in ("tables", "figures"):
-        (run_folder.path / place).mkdir(exist_ok=True)
-    for table in (*own, *(made for ranking in ranked for made in ranking.tables)):
-        for form, suffix in zip(FORMATS, ("md", "csv", "tex"), strict=True):
-            _put(run_folder.path / "tables" / f"{table.name}.{suffix}", _text(table, form, origin))
-    for suffix in ("pdf", "svg"):
-        for table in own:
-            if not table.metric.words:
-                figure(table, run_folder.path / "figures" / f"{table.name}.{suffix}")
-        for ranking in ranked:
-            profile(ranking, run_folder.path / "figures" / f"{ranking.name}.{suffix}")
-    listings = paper_outputs(run_folder)
-    for listing in listings:
-        for form, suffix in zip(FORMATS, ("md", "csv", "tex"), strict=True):
-            text = text_of(listing, form, origin)
-            _put(run_folder.path / "tables" / f"{listing.name}.{suffix}", text)
-    drawn = draw_papers(run_folder, run_folder.path / "figures")
-    _put(run_folder.path / "tables" / "numbers.tex", to_macros((*own, *orders), origin))
+    tables, ranked = tuple(_tables(run_folder)), _rankings(run_folder)
+    listings, origin = paper_tables(run_folder), _origin(run_folder)
+    for name in ("tables", "figures"):
+        (run_folder.path / name).mkdir(exist_ok=True)
+    _write_tables(run_folder.path / "tables", tables, ranked, listings, origin)
+    _draw(run_folder.path / "figures", tables, ranked)
+    drawn = draw_paper_figures(run_folder, run_folder.path / "figures")
     return write_report(
         RunView(
             folder=run_folder.path,
@@ -65,8 +63,9 @@ def report(folder: str | Path) -> Path:
             env=run_folder.env,
             cells=frames.cells,
             joints=frames.joints,
-            tables=own,
+            tables=tables,
             rankings=ranked,
+            metrics=run_folder.suite.metrics,
             recordings=recordings(run_folder),
             command=origin.command,
             listings=listings,
@@ -76,18 +75,18 @@ def report(folder: str | Path) -> Path:
 
 
 def table(folder: str | Path, name: str, form: str = "md") -> str:
-    """One table of a run as Markdown, CSV or LaTeX."""
+    """One table of a run as Markdown ("md"), CSV or LaTeX; UsageError for an unknown name."""
     if form not in FORMATS:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
     tables = {made.name: made for made in _tables(run_folder)}
     if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
-        listings = {made.name: made for made in paper_outputs(run_folder, name)}
+        listings = {made.name: made for made in paper_tables(run_folder, name)}
         if name not in listings:
-            raise UsageError(f"{name!r} has no sound cell yet, or is a figure: see figures/.")
+            raise UsageError(f"{name!r} has no ok cell yet, or is a figure: see figures/.")
         return text_of(listings[name], form, _origin(run_folder))
-    if name not in tables:  # rankings are drawn again and again: made where one is asked for
-        tables |= {made.name: made for made in _orders(run_folder)}
+    if name not in tables:  # rankings resample thousands of times: made only where one is named
+        tables |= {made.name: made for ranking in _rankings(run_folder) for made in ranking.tables}
     if name not in tables:
         raise unknown_name("table", name, tables)
     return _text(tables[name], form, _origin(run_folder))
@@ -101,77 +100,88 @@ def printed_tables(folder: str | Path) -> list[str]:
 
 
 def recordings(run_folder: "RunFolder") -> dict[str, str]:
-    """Cells that have a recording, with its path relative to the run."""
+    """Path of each cell's recording, relative to the run, by cell id."""
     found = sorted((run_folder.path / "artifacts").glob("*/*.rrd"))
     return {file.parent.name: str(file.relative_to(run_folder.path)) for file in found}
 
 
-def _tables(run_folder: "RunFolder") -> Iterator["Table"]:
-    from sysid_bench.reporting.tables import make_table
-    from sysid_bench.vocabulary import JOINT, PARAMETER, STD_FROM
+def _write_tables(
+    folder: Path,
+    tables: tuple[Table, ...],
+    ranked: tuple[Ranking, ...],
+    listings: tuple[Listing, ...],
+    origin: Origin,
+) -> None:
+    """Every table as Markdown, CSV and LaTeX, and all numbers as LaTeX macros."""
+    for form, suffix in _SUFFIXES.items():
+        for made in (*tables, *(pair for ranking in ranked for pair in ranking.tables)):
+            _put(folder / f"{made.name}.{suffix}", _text(made, form, origin))
+        for listing in listings:
+            _put(folder / f"{listing.name}.{suffix}", text_of(listing, form, origin))
+    orders = tuple(ranking.order for ranking in ranked)
+    _put(folder / "numbers.tex", to_macros((*tables, *orders), origin))
 
-    frames = run_folder.frames()
-    cells = frames.cells
-    suite = run_folder.suite
+
+def _draw(folder: Path, tables: tuple[Table, ...], ranked: tuple[Ranking, ...]) -> None:
+    for suffix in ("pdf", "svg"):
+        for made in tables:
+            if made.has_figure:
+                figure(made, folder / f"{made.name}.{suffix}")
+        for ranking in ranked:
+            profile(ranking, folder / f"{ranking.name}.{suffix}")
+
+
+def _tables(run_folder: "RunFolder") -> Iterator[Table]:
+    frames, suite = run_folder.frames(), run_folder.suite
     specs = [entry.model_dump(exclude_none=True) for entry in suite.table] or [dict(DEFAULT_TABLE)]
     for spec in specs:
+        axes = (*spec["rows"], *spec["columns"])
+        lines = frames.by_parameter if PARAMETER in axes else frames.cells
+        lines = frames.by_std_from if STD_FROM in axes else lines
+        lines = frames.by_joint if JOINT in axes else lines
         try:
-            asked = (*spec["rows"], *spec["columns"])
-            lines = frames.by_parameter if PARAMETER in asked else cells
-            lines = frames.by_std_from if STD_FROM in asked else lines
-            lines = frames.by_joint if JOINT in asked else lines
-            yield make_table(lines, spec, _choose, frames.parameters)
+            yield make_table(lines, spec, _choose, frames.parameters, suite.metrics)
         except UsageError:
-            if len(cells) == len(run_folder.plan.cells):
-                raise  # with some cells not run, a table may have nothing to show yet
+            if _is_complete(run_folder):
+                raise
 
 
-def _rankings(run_folder: "RunFolder") -> "tuple[Ranking, ...]":
-    from sysid_bench.reporting.rankings import rankings
-
-    cells = run_folder.frames().cells
+def _rankings(run_folder: "RunFolder") -> tuple[Ranking, ...]:
+    cells, suite = run_folder.frames().cells, run_folder.suite
     found: list[Ranking] = []
-    for entry in run_folder.suite.ranking:
+    for entry in suite.ranking:
+        spec = entry.model_dump(exclude_none=True)
         try:
-            found += rankings(cells, entry.model_dump(exclude_none=True), _choose)
+            found += rankings(cells, spec, _choose, suite.metrics)
         except UsageError:
-            if len(cells) == len(run_folder.plan.cells):
+            if _is_complete(run_folder):
                 raise
     return tuple(found)
 
 
-def _orders(run_folder: "RunFolder") -> "Iterator[Table]":
-    for ranking in _rankings(run_folder):
-        yield from ranking.tables
+def _is_complete(run_folder: "RunFolder") -> bool:
+    """True where every cell has a row: before that, a table may have nothing to show yet."""
+    return len(run_folder.frames().cells) == len(run_folder.plan.cells)
 
 
 def _choose(expression: str, cell: Mapping[str, Any]) -> bool:
-    from sysid_bench.harness.suite.expression import Expression
-
     return Expression.parse(expression).matches(cell)
 
 
-def _text(table: "Table", form: str, origin: "Origin") -> str:
-    from sysid_bench.reporting.delimited import to_csv
-    from sysid_bench.reporting.latex import to_latex
-    from sysid_bench.reporting.markdown import to_markdown
-
+def _text(table: Table, form: str, origin: Origin) -> str:
     if form == "md":
         return to_markdown(table)
     return to_csv(table) if form == "csv" else to_latex(table, origin)
 
 
 def _put(path: Path, text: str) -> None:
-    """The file, whole or not at all."""
-    beside = path.with_name(f"{path.name}.part")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(path)
+    """Write a file whole or not at all."""
+    part = path.with_name(f"{path.name}.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
 
 
-def _origin(run_folder: "RunFolder") -> "Origin":
-    from sysid_bench.canonical_json import digest
-    from sysid_bench.reporting.latex import Origin
-
+def _origin(run_folder: "RunFolder") -> Origin:
     cells = sorted(cell.id for cell in run_folder.plan.cells)
     suite = run_folder.suite
     typed = suite.origin.command if suite.origin else None

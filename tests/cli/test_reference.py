@@ -24,7 +24,7 @@ def test_the_reference_is_what_the_suite_gives(cli: Run) -> None:
     done = cli("run", "smoke", "-o", "out", "--select", SELECT)
     assert done.returncode == 0, done.stderr
     printed = cli("table", "out", "main").stdout
-    committed = REFERENCE.read_text(encoding="utf-8")
+    committed = REFERENCE.read_text(encoding="utf-8").partition("**Held-out torque error")[2]
     for ours, theirs in zip(entries(printed, "ur5"), entries(committed, "ur5"), strict=True):
         if theirs < ROUNDING:
             assert ours < ROUNDING

@@ -11,7 +11,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.figures import WIDTH, figure, figure_svg
-from sysid_bench.reporting.tables import make_table
+from sysid_bench.reporting.make_table import make_table
 
 MAP = {"rows": ["robot"], "columns": ["payload"], "cells": {"metric": "gap", "stat": "max"}}
 

@@ -14,8 +14,8 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from sysid_bench.reporting.html import RunView, render_report, write_report
-from sysid_bench.reporting.tables import make_table
+from sysid_bench.reporting.html import RunView, report_html, write_report
+from sysid_bench.reporting.make_table import make_table
 
 SUITE = {
     "name": "smoke",
@@ -56,7 +56,7 @@ def test_the_page_is_written_whole_and_alone(run: RunView) -> None:
 
 
 def test_every_cell_is_on_the_page(run: RunView) -> None:
-    data = data_of(render_report(run))
+    data = data_of(report_html(run))
     assert [row[0] for row in data["rows"]] == list(run.cells["id"])
     status = data["words"].index("status")
     words = [data["dictionary"][status][row[1 + status]] for row in data["rows"]]
@@ -67,7 +67,7 @@ def test_every_cell_is_on_the_page(run: RunView) -> None:
 
 
 def test_every_kind_of_failure_has_its_reason_and_command(run: RunView) -> None:
-    page = html.unescape(render_report(run))
+    page = html.unescape(report_html(run))
     lost = run.cells[run.cells["status"] != "ok"]
     for reason in lost["reason"]:
         assert reason in page
@@ -76,22 +76,22 @@ def test_every_kind_of_failure_has_its_reason_and_command(run: RunView) -> None:
 
 
 def test_the_page_says_what_it_assumes(run: RunView) -> None:
-    page = render_report(run)
+    page = report_html(run)
     for text in ("matched", "mass 20 %", "fourier-other", "inverse", "tau 0.5 %", "exact"):
         assert text in page
     assert "take the rest of the robot as known" in page
 
 
 def test_every_robot_and_payload_is_cross_checked_once(run: RunView) -> None:
-    page = render_report(run)
+    page = report_html(run)
     assert page.count("<td>agrees</td>") == 9
     strict = replace(run, cells=run.cells.assign(crosscheck="failed"))
-    assert render_report(strict).count("does not agree") == 9
+    assert report_html(strict).count("does not agree") == 9
 
 
 def test_a_missing_gap_does_not_agree(run: RunView) -> None:
     blind = run.cells.assign(gap=float("nan"))
-    page = render_report(replace(run, cells=blind))
+    page = report_html(replace(run, cells=blind))
     assert "<td>agrees</td>" not in page
     assert page.count("does not agree") == 9
 
@@ -115,7 +115,7 @@ def test_names_are_text_and_never_markup(run: RunView, spec: Mapping[str, Any]) 
         env={EVIL: EVIL}, tables=(make_table(cells, {**spec, "title": EVIL}),),
         recordings=dict.fromkeys(cells["id"], f"javascript:{EVIL}"),
     )  # fmt: skip
-    page = render_report(evil)
+    page = report_html(evil)
     elements = Elements()
     elements.feed(page)
     assert sum(tag == "script" for tag, _ in elements.found) == 2
@@ -126,12 +126,12 @@ def test_names_are_text_and_never_markup(run: RunView, spec: Mapping[str, Any]) 
 
 def test_the_page_needs_no_network(run: RunView) -> None:
     elements = Elements()
-    elements.feed(render_report(run))
+    elements.feed(report_html(run))
     for tag, attributes in elements.found:
         assert tag not in ("link", "iframe", "img", "object", "embed")
         for name in ("src", "href", "xlink:href", "action"):
             assert (attributes.get(name) or "#").startswith("#")
-    assert "url(http" not in render_report(run)
+    assert "url(http" not in report_html(run)
 
 
 def test_five_thousand_cells_stay_below_a_megabyte(
@@ -146,7 +146,7 @@ def test_five_thousand_cells_stay_below_a_megabyte(
 def test_a_run_where_all_failed_has_a_page(run: RunView, spec: Mapping[str, Any]) -> None:
     lost = run.cells[run.cells["status"] != "ok"].drop(columns=["gap", "closure", "native_gap"])
     empty = replace(run, cells=lost, joints=pd.DataFrame(), tables=(), recordings={}, suite={})
-    assert f"<b>{len(lost)}</b>" in render_report(empty)
+    assert f"<b>{len(lost)}</b>" in report_html(empty)
 
 
 def test_the_script_of_the_page_fills_the_table(run: RunView) -> None:

@@ -49,4 +49,4 @@ def test_whole_numbers_are_printed_whole(column: list[int]) -> None:
 def test_the_screen_shows_the_digits_of_the_file(column: list[float]) -> None:
     style = notation(column, 3)
     for value in column:
-        assert style.pretty(value).startswith(style.text(value).partition("e")[0])
+        assert style.html_text(value).startswith(style.text(value).partition("e")[0])

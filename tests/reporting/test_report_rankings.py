@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.profiles import profile, profile_svg
+from sysid_bench.reporting.performance_profile import profile, profile_svg
 from sysid_bench.reporting.rankings import NEAR, RATIOS, Ranking, rankings
 
 METHODS = {"poor": 3.0, "good": 1.0, "middling": 1.5, "failing": 0.5}

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
+from sysid_bench.reporting.cell_summary import summary
 from sysid_bench.reporting.recording import TIMELINE, record, view, viewer
 from sysid_bench.reporting.scene import MESH_BUDGET, scene_of
-from sysid_bench.reporting.summary import summary
 from sysid_bench.types import CellData, Shape, Trajectory
 
 ONE, ORIGIN = np.array([1.0, 0, 0, 0]), np.zeros(3)
@@ -164,7 +164,7 @@ def test_a_recording_that_cannot_be_made_leaves_nothing(evidence: CellData, tmp_
 
 
 def test_an_absent_recording_opens_no_viewer(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no recording"):
+    with pytest.raises(UsageError, match="does not exist"):
         view(tmp_path / "absent.rrd")
 
 

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.delimited import to_csv
+from sysid_bench.reporting.csv_table import to_csv
+from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown
-from sysid_bench.reporting.tables import Table, label, make_table
-from sysid_bench.reporting.tables import with_labels as with_labels
+from sysid_bench.reporting.selection import label, with_labels
+from sysid_bench.reporting.tables import Table
 
 STATS = ("median", "mean", "min", "max", "count")
 INTERVALS = ("none", "iqr", "std", "range", "ci95")

@@ -16,18 +16,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench.reporting.delimited import to_csv
+from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import (
     Origin,
     escape,
     macro_names,
-    standalone,
     to_latex,
     to_macros,
 )
+from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import escape as escape_markdown
 from sysid_bench.reporting.markdown import to_markdown
-from sysid_bench.reporting.tables import Table, make_table
+from sysid_bench.reporting.tables import Table
 
 ORIGIN = Origin("reports/smoke", "5c3a", "sysid-bench table reports/smoke main --format latex")
 # What breaks LaTeX, Markdown or both: specials, a dash, a star after a line end, other scripts.
@@ -36,6 +36,16 @@ HOSTILE = (
     "Jürgen Müller", "机器人 \U0001f916", "µ β ± 3·10 °", '"quoted"', "\\input{x}", "a\nb\tc",
     "__init__", "<script>alert(1)</script>", "ÐðÞþß æø", "ﬁ ½ ²",
 )  # fmt: skip
+
+
+def standalone(tex: str) -> str:
+    """The smallest document that prints a table or macros."""
+    return (
+        "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n\\usepackage{lmodern}\n"
+        "\\usepackage{textcomp}\n\\usepackage{booktabs}\n\\usepackage{siunitx}\n"
+        "\\pagestyle{empty}\n"
+        f"\\begin{{document}}\n{tex}\\mbox{{}}\n\\end{{document}}\n"
+    )
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,8 @@ from pydantic import BaseModel, BeforeValidator, PlainValidator, ValidationInfo
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.names import Names, name_error
+from sysid_bench.metrics import METRICS
+from sysid_bench.types import Metric
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import CELL_FIELDS, ROW_FIELDS
 
@@ -21,6 +23,15 @@ class CheckContext:
         self.names, self.folder = names, folder
         self.cell_fields = CELL_FIELDS | settings
         self.row_fields = ROW_FIELDS | settings
+        self.metrics: dict[str, Metric] = {}  # of [[metric]], read before anything names them
+
+    def add_metric(self, metric: Metric) -> Metric:
+        """Make a plug-in's metric known to tables, rankings and conditions on rows."""
+        if metric.name in self.row_fields or metric.name in self.metrics:
+            raise UsageError(f"The metric name {metric.name!r} is used already; choose another.")
+        self.metrics[metric.name] = metric
+        self.row_fields |= {metric.name}
+        return metric
 
 
 def check_context(info: ValidationInfo) -> CheckContext:
@@ -54,6 +65,19 @@ def quantity_field(unit: str, positive: bool = False, below: float = math.inf) -
 
 def one_of(kind: str, words: tuple[str, ...]) -> BeforeValidator:
     def check(value: Any) -> Any:
+        if value not in words:
+            raise ValueError(str(unknown_name(kind, str(value), words)))
+        return value
+
+    return BeforeValidator(check)
+
+
+def metric_name(kind: str, accepts: Callable[[Metric], bool]) -> BeforeValidator:
+    """A validator of metric names: built-in ones and those of [[metric]] that `accepts` takes."""
+
+    def check(value: Any, info: ValidationInfo) -> Any:
+        there = (*METRICS.values(), *check_context(info).metrics.values())
+        words = [metric.name for metric in there if accepts(metric)]
         if value not in words:
             raise ValueError(str(unknown_name(kind, str(value), words)))
         return value

@@ -31,31 +31,29 @@ from sysid_bench.harness.suite.checks import (
     condition,
     items,
     listed_keys,
+    metric_name,
     nonempty,
     one_of,
     optional_items,
     plugin_kind,
     quantity_field,
 )
+from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, metric_record, names_of
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import resolve_paths
+from sysid_bench.types import Metric
 from sysid_bench.units import interval
 from sysid_bench.vocabulary import (
     BESTS,
-    COVERAGE,
-    ERRORS,
     FINDINGS,
     INTERVALS,
     JOINT,
-    JOINT_METRICS,
     LABELS,
-    METRICS,
+    LEVEL_AXES,
     PARAMETER,
-    REPEATED,
     STATISTICS,
     STD_FROM,
     TASKS,
-    VERDICT,
 )
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
@@ -329,10 +327,45 @@ class Crosscheck(Section):
     ] = "skip-robot"
 
 
+class MetricEntry(Plugin):
+    """A metric of the user's own; `record` (title, unit, direction) is written when the suite is
+    frozen, so that reports need no plug-in."""
+
+    kind = "metric"
+    record: dict[str, Any] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _recorded(cls, value: Any, info: ValidationInfo) -> Any:
+        if not isinstance(value, Mapping) or "use" not in value:
+            return value
+        context, record = check_context(info), value.get("record")
+        found: list[Metric] = []
+
+        def register() -> None:
+            spec = {key: setting for key, setting in value.items() if key != "record"}
+            thing = None
+            if record is None or not context.names.frozen:
+                thing = context.names.plugin("metric", resolve_paths(spec, context.folder))
+            metric = metric_from_record(record or {}) if thing is None else checked_metric(thing)
+            found.append(context.add_metric(metric))
+
+        checked(register)
+        return {**value, "record": metric_record(found[0])}
+
+    @property
+    def metric(self) -> Metric:
+        """The metric without its code."""
+        return metric_from_record(self.record or {})
+
+
+AnyMetric = Annotated[str, metric_name("metric", lambda metric: True)]
+CellMetric = Annotated[str, metric_name("metric", lambda metric: metric.level == "cell")]
+RankedMetric = Annotated[str, metric_name("metric to rank by", lambda metric: metric.ranked)]
+
+
 class TableCells(Section):
-    metric: Annotated[
-        str, one_of("metric", (*METRICS, VERDICT, COVERAGE, *REPEATED, *JOINT_METRICS))
-    ]
+    metric: AnyMetric | None = None
     stat: Annotated[str, one_of("statistic", STATISTICS)] = "median"
     interval: Annotated[str, one_of("interval", INTERVALS)] = "none"
 
@@ -349,41 +382,31 @@ class TableEntry(Section):
     title: StrictStr | None = None
     rows: tuple[Axis, ...] = ("robot", "payload")
     columns: tuple[Axis, ...] = ("estimator",)
-    cells: TableCells
+    metrics: tuple[AnyMetric, ...] = ()
+    """Several, each a column; `cells` then has stat and interval alone."""
+    cells: TableCells = TableCells()
     best: Annotated[str, one_of("way to mark the best", BESTS)] = "none"
     select: RowCondition | None = None
 
     @model_validator(mode="after")
-    def _verdicts_by_parameter(self) -> "TableEntry":
-        if (self.cells.metric == VERDICT) != (PARAMETER in (*self.rows, *self.columns)):
-            raise ValueError(
-                f"the metric {VERDICT!r} and the label {PARAMETER!r} among rows or columns go "
-                "together: a verdict is told of each parameter, and other metrics of a cell."
-            )
-        by_joint = JOINT in (*self.rows, *self.columns)
-        if (self.cells.metric in JOINT_METRICS) != by_joint:
-            raise ValueError(
-                f"the metrics {', '.join(JOINT_METRICS)} and the label {JOINT!r} among rows or "
-                "columns go together."
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _coverage_by_origin(self) -> "TableEntry":
-        if (self.cells.metric == COVERAGE) != (STD_FROM in (*self.rows, *self.columns)):
-            raise ValueError(
-                f"the metric {COVERAGE!r} and the label {STD_FROM!r} among rows or columns go "
-                "together: intervals from periods, residuals and textbook differ."
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _repeats_together(self) -> "TableEntry":
-        if self.cells.metric in REPEATED and (
+    def _metrics_fit_the_axes(self, info: ValidationInfo) -> "TableEntry":
+        if bool(self.metrics) == (self.cells.metric is not None):
+            raise ValueError("give metrics = [...], or cells = { metric = ... }; not both.")
+        known = {**METRICS, **check_context(info).metrics}
+        named = [known[name] for name in self.metrics or (str(self.cells.metric),)]
+        for level, axis in LEVEL_AXES.items():
+            fitting = [metric for metric in named if metric.level == level]
+            if len(fitting) != (len(named) if axis in (*self.rows, *self.columns) else 0):
+                raise ValueError(
+                    f"the metrics {', '.join(names_of(level))} and the label {axis!r} among rows "
+                    "or columns go together."
+                )
+        repeated = [metric.name for metric in named if metric.level == "repeats"]
+        if repeated and (
             "repeat" in (*self.rows, *self.columns) or self.cells.interval not in ("none", "ci95")
         ):
             raise ValueError(
-                f"the metric {self.cells.metric!r} is one of all repeats together: it has no value "
+                f"the metric {repeated[0]!r} is one of all repeats together: it has no value "
                 "by repeat, and no interval but 'ci95'."
             )
         return self
@@ -405,14 +428,14 @@ class RankingEntry(Section):
 
     name: Folder
     title: StrictStr | None = None
-    metric: Annotated[str, one_of("metric to rank by", ERRORS)] = "torque_error"
+    metric: RankedMetric = "torque_error"
     apart: tuple[Label, ...] = ()
     against: StrictStr | None = None  # the method that the others are tested against
     select: RowCondition | None = None
 
 
 class Worst(Section):
-    metric: Annotated[str, one_of("metric", METRICS)]
+    metric: CellMetric
     count: StrictInt = Field(default=1, ge=1)
     per: Label | None = None
 
@@ -450,6 +473,7 @@ class Suite(Section):
     robot: tuple[RobotEntry, ...] = ()
     log: tuple[LogEntry, ...] = ()
     estimator: Annotated[tuple[Estimator, ...], BeforeValidator(nonempty)]
+    metric: tuple[MetricEntry, ...] = ()
     exclude: tuple[Exclude, ...] = ()
     crosscheck: Crosscheck = Crosscheck()
     table: tuple[TableEntry, ...] = ()
@@ -476,6 +500,11 @@ class Suite(Section):
     def folder(self) -> Path:
         """Where relative robots and plug-in files are looked for."""
         return Path(self.origin.folder) if self.origin else Path()
+
+    @property
+    def metrics(self) -> dict[str, Metric]:
+        """All metrics that tables may name: built-in ones and those of [[metric]]."""
+        return {**METRICS, **{entry.metric.name: entry.metric for entry in self.metric}}
 
     @property
     def robots_dir(self) -> Path | None:

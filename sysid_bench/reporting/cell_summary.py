@@ -1,45 +1,37 @@
-"""A cell in words: the text beside the pictures of a recording."""
+"""Text of a cell's recording: settings, scores and parameters."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.markdown import escape
-from sysid_bench.reporting.tables import label
+from sysid_bench.reporting.selection import label
 from sysid_bench.types import CellData
 
 _IDENTITY = ("robot", "payload", "task", "excitation", "simulation", "noise", "estimator")
-_SCORES = (
-    ("torque_error", "Relative held-out torque error"),
-    ("rmse_test", "Held-out RMSE (N·m, N)"),
-    ("rank", "Base parameters"),
-    ("condition", "Condition number (SI columns)"),
-    ("gap", "Regressor gap to Pinocchio"),
-    ("closure", "Torque closure with MuJoCo"),
-    ("parameter_error", "Relative parameter error in torque"),
-    ("feasible", "Feasible"),
-)
 
 
-def summary(evidence: CellData, complaints: Sequence[str] = ()) -> str:
-    """Markdown: what was identified, how well, with which parameters, and `complaints`."""
-    row = evidence.row
+def summary(data: CellData, complaints: Sequence[str] = ()) -> str:
+    """Markdown of the settings, scores and base parameters of a cell, and of `complaints`."""
+    row = data.row
     known = [(name, row[name]) for name in _IDENTITY if row.get(name) is not None]
-    scores = [(title, row[name]) for name, title in _SCORES if row.get(name) is not None]
+    shown = [metric for metric in METRICS.values() if metric.shown and metric.name != "seconds"]
+    scores = [(m.heading, row[m.name]) for m in shown if row.get(m.name) is not None]
     status = [("status", row.get("status", "unknown")), ("reason", row.get("reason"))]
     known += [(name, value) for name, value in status if value]
     parts = [f"# {escape(label(row.get('robot', 'Cell')))}", _table(("", ""), known)]
     if scores:
         parts.append(_table(("score", "value"), scores))
-    parts += _parameters(evidence)
+    parts += _parameters(data)
     parts += [f"Not drawn: {escape(text)}" for text in complaints]
     return "\n\n".join(parts) + "\n"
 
 
-def _parameters(evidence: CellData) -> list[str]:
+def _parameters(data: CellData) -> list[str]:
     """The base parameters that were estimated, each with its standard deviation where known."""
-    estimate, base = evidence.estimate, evidence.base
+    estimate, base = data.estimate, data.base
     if estimate is None or estimate.beta is None or base is None:
         return []
     std = [None] * base.rank

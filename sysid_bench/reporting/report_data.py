@@ -1,4 +1,4 @@
-"""What a report says, as plain values that its template lays out."""
+"""Content of the HTML report as plain values for its template."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,9 +8,10 @@ from urllib.parse import quote
 
 import numpy as np
 
-from sysid_bench.reporting.metrics import metric_of
+from sysid_bench.metrics import METRICS, metric_of
 from sysid_bench.reporting.notation import ABSENT, notation
-from sysid_bench.reporting.tables import label
+from sysid_bench.reporting.selection import label
+from sysid_bench.types import Metric
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,10 +20,6 @@ _WORDS: Final = (
     "robot", "payload", "task", "plant", "excitation", "simulation", "noise", "repeat",
     "estimator", "status",
 )  # fmt: skip
-_SCORES: Final = (
-    "torque_error", "rmse_test", "rank", "condition", "gap", "closure", "parameter_error",
-    "feasible", "seconds",
-)  # fmt: skip
 _EXAMPLES_OF_A_FAILURE: Final = 12
 _LONGEST: Final = 160
 _STATUSES: Final = ("ok", "failed", "timeout", "crash", "unsupported", "skipped")
@@ -30,7 +27,7 @@ _STATUSES: Final = ("ok", "failed", "timeout", "crash", "unsupported", "skipped"
 
 @dataclass(frozen=True)
 class Headline:
-    """The run in a line: cells by status, how many robots and payloads, the worst agreement."""
+    """Summary of a run: cells by status, numbers of robots and payloads, worst agreement."""
 
     total: int
     statuses: tuple[tuple[str, int], ...]
@@ -54,7 +51,7 @@ class CrossCheck:
 
 
 @dataclass(frozen=True)
-class Failure:
+class FailedCells:
     """Cells that share a status and a reason; `examples` are (id, what) of the first of them."""
 
     status: str
@@ -88,15 +85,15 @@ def headline(cells: "pd.DataFrame") -> Headline:
 
 
 def _agrees(group: "pd.DataFrame") -> bool:
-    """The run's own verdict; where it or a figure is missing (no cell came so far) it is no."""
+    """The verdict of the run's cross-check; false where it or a figure is missing."""
     if not {"crosscheck", "gap", "closure"} <= set(group.columns):
         return False
     figures = group[["gap", "closure"]].dropna()
     return set(group["crosscheck"].dropna()) == {"ok"} and len(figures) > 0
 
 
-def crosschecks(cells: "pd.DataFrame") -> list[CrossCheck]:
-    """One per robot and payload, whatever became of its cells; a missing number never passes."""
+def crosscheck_rows(cells: "pd.DataFrame") -> list[CrossCheck]:
+    """Agreement per robot and payload, also of failed cells; a missing number never passes."""
     rows = []
     for robot, payload, group in _groups(cells, "robot", "payload"):
         gap, closure, native = (_largest(group, n) for n in ("gap", "closure", "native_gap"))
@@ -116,31 +113,31 @@ def crosschecks(cells: "pd.DataFrame") -> list[CrossCheck]:
 
 
 def assumptions(suite: Mapping[str, Any], cells: "pd.DataFrame") -> list[tuple[str, str]]:
-    """What the numbers take for granted, from the suite, else from the cells themselves."""
+    """Assumptions behind the numbers, from the suite, else from the cells."""
     defaults = suite.get("defaults") or {}
     run = suite.get("run") or {}
-    said = [("Data", "Simulated with MuJoCo; no real robot was measured.")]
-    said.append(("Task", _setting(defaults, cells, "task")))
+    found = [("Data", "Simulated with MuJoCo; no real robot was measured.")]
+    found.append(("Task", _setting(defaults, cells, "task")))
     plant = _setting(defaults, cells, "plant")
     matched = " (the robot with exactly the terms of its model)" if plant == "matched" else ""
-    said.append(("Plant", plant + matched if plant else ""))
+    found.append(("Plant", plant + matched if plant else ""))
     prior = _setting(defaults, cells, "prior")
     drawn = " (standard deviations of a draw around the truth)" if "mass" in prior else ""
-    said.append(("Prior knowledge told to methods", prior + drawn))
+    found.append(("Prior knowledge given to methods", prior + drawn))
     for title, key in (
         ("Simulation", "simulation"), ("Excitation", "excitation"), ("Rate", "rate"),
         ("Noise", "noise"), ("Signals", "signals"), ("Held-out motions", "held_out"),
     ):  # fmt: skip
-        said.append((title, _setting(defaults, cells, key)))
-    said.append(("Repeats", f"{run['repeats']} noise draws" if "repeats" in run else ""))
-    said.append(
+        found.append((title, _setting(defaults, cells, key)))
+    found.append(("Repeats", f"{run['repeats']} noise draws" if "repeats" in run else ""))
+    found.append(
         ("Payload and link tasks", "Payload and link tasks take the rest of the robot as known.")
     )
-    said.append(("Scores", "Torque errors are against the noise-free torque of held-out motions."))
-    return [(title, text) for title, text in said if text]
+    found.append(("Scores", "Torque errors are against the noise-free torque of held-out motions."))
+    return [(title, text) for title, text in found if text]
 
 
-def failures(cells: "pd.DataFrame") -> list[Failure]:
+def failures(cells: "pd.DataFrame") -> list[FailedCells]:
     """Every cell that is not ok, grouped by status and reason, the most frequent first."""
     lost = cells[cells["status"] != "ok"]
     if "reason" not in lost:
@@ -149,7 +146,7 @@ def failures(cells: "pd.DataFrame") -> list[Failure]:
     for status, reason, group in _groups(lost, "status", "reason"):
         first = group.head(_EXAMPLES_OF_A_FAILURE)
         examples = tuple((str(row["id"]), _what(row)) for row in first.to_dict("records"))
-        found.append(Failure(status, reason, len(group), examples))
+        found.append(FailedCells(status, reason, len(group), examples))
     return sorted(found, key=lambda failure: -failure.count)
 
 
@@ -167,21 +164,28 @@ def joint_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> list[JointErr
     ]
 
 
-def provenance(env: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def environment_lines(env: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     """The environment as (dotted key, text) lines."""
     lines: list[tuple[str, str]] = []
     for key, value in env.items():
         name = f"{prefix}{key}"
-        lines += provenance(value, f"{name}.") if isinstance(value, Mapping) else [
+        lines += environment_lines(value, f"{name}.") if isinstance(value, Mapping) else [
             (name, label(value))
         ]  # fmt: skip
     return lines
 
 
-def cells_as_data(cells: "pd.DataFrame", recordings: Mapping[str, str]) -> dict[str, Any]:
-    """All cells in little space: words as numbers of a dictionary, four digits of a score."""
+def cells_as_data(
+    cells: "pd.DataFrame",
+    recordings: Mapping[str, str],
+    metrics: Mapping[str, Metric] = METRICS,
+) -> dict[str, Any]:
+    """All cells as compact JSON data: words as numbers of a dictionary, four digits of a metric.
+
+    `metrics` by name; those that are `shown` become columns.
+    """
     words = [name for name in _WORDS if name in cells.columns]
-    scores = [name for name in _SCORES if name in cells.columns]
+    scores = [m.name for m in metrics.values() if m.shown and m.name in cells.columns]
     columns: list[list[Any]] = [[str(value) for value in cells["id"]]]
     dictionary: list[list[str]] = []
     for name in [*words, "reason"]:
@@ -196,7 +200,7 @@ def cells_as_data(cells: "pd.DataFrame", recordings: Mapping[str, str]) -> dict[
         "words": [*words, "reason"],
         "dictionary": dictionary,
         "scores": scores,
-        "titles": [metric_of(name).heading for name in scores],
+        "titles": [metrics[name].heading for name in scores],
         "rows": [list(row) for row in zip(*columns, strict=True)],
     }
 
@@ -215,9 +219,9 @@ def _groups(cells: "pd.DataFrame", one: str, two: str) -> list[tuple[str, str, "
 def _errors_of_robot(robot: str, group: "pd.DataFrame") -> JointErrors:
     estimators = tuple(dict.fromkeys(group["method"]))
     rows = []
-    for joint, own in group.groupby("name", sort=False):
-        small = bool(own["small"].any()) if "small" in own else False
-        numbers = [_median_and_worst(own[own["method"] == name]) for name in estimators]
+    for joint, cells in group.groupby("name", sort=False):
+        small = bool(cells["small"].any()) if "small" in cells else False
+        numbers = [_median_and_worst(cells[cells["method"] == name]) for name in estimators]
         rows.append((label(joint) + (" (small torque)" if small else ""), *numbers))
     return JointErrors(robot, estimators, tuple(rows))
 
@@ -232,12 +236,12 @@ def _methods(cells: "pd.DataFrame") -> list[str]:
 
 
 def _median_and_worst(group: "pd.DataFrame") -> str:
-    """Each number in its own notation: exact and noisy cells stand in one table."""
+    """Median (largest), each in its own notation: a table holds exact and noisy cells."""
     values = group["relative"].dropna()
     if len(values) == 0:
         return ABSENT
     median, worst = (
-        notation([v], 2).pretty(v) for v in map(float, (values.median(), values.max()))
+        notation([v], 2).html_text(v) for v in map(float, (values.median(), values.max()))
     )
     return f"{median} ({worst})"
 
@@ -291,7 +295,7 @@ def _distinct(cells: "pd.DataFrame", name: str) -> int:
 
 
 def _number(value: float | None) -> str:
-    return ABSENT if value is None else notation([value], 3).pretty(value)
+    return ABSENT if value is None else notation([value], 3).html_text(value)
 
 
 def _reasons(cells: "pd.DataFrame") -> list[str]:
@@ -304,7 +308,7 @@ def _reasons(cells: "pd.DataFrame") -> list[str]:
 
 
 def _four_digits(value: Any) -> float | int | None:
-    """A score as JSON holds it; what is no finite number is absent."""
+    """A score as a JSON number of four digits; None where it is not finite."""
     try:
         number = float(f"{float(value):.4g}")
     except (TypeError, ValueError):

@@ -5,7 +5,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.reporting.figures import COLOURS, WIDTH, plain, save, styled, svg_element
+from sysid_bench.reporting.figures import (
+    COLOURS,
+    WIDTH,
+    figure_bytes,
+    plain,
+    svg_element,
+    write_figure,
+)
 from sysid_bench.reporting.rankings import RATIOS, Ranking
 
 if TYPE_CHECKING:
@@ -19,13 +26,13 @@ _DASHES: Final = ("-", "--")
 
 
 def profile(ranking: Ranking, path: Path) -> Path:
-    """Draws a profile into a .pdf or .svg file, the same bytes every time."""
-    return save(lambda: _figure(ranking), path)
+    """Draw a profile into a .pdf or .svg file, the same bytes every time."""
+    return write_figure(lambda: _figure(ranking), path)
 
 
 def profile_svg(ranking: Ranking) -> str:
     """The same picture as an <svg> element to put into a page."""
-    return svg_element(styled(lambda: _figure(ranking), "svg"))
+    return svg_element(figure_bytes(lambda: _figure(ranking), "svg"))
 
 
 def _figure(ranking: Ranking) -> "Figure":
@@ -33,8 +40,8 @@ def _figure(ranking: Ranking) -> "Figure":
 
     drawing = Figure(figsize=(WIDTH, 2.6), layout="constrained")
     axes = drawing.add_subplot()
-    for place in reversed(range(len(ranking.methods))):  # the first on top
-        _line(axes, ranking, place)
+    for rank in reversed(range(len(ranking.methods))):  # the first on top
+        _line(axes, ranking, rank)
     axes.set_xscale("log")
     axes.set_xlim(RATIOS[0], RATIOS[-1])
     axes.set_ylim(-0.01, 1.01)
@@ -52,12 +59,12 @@ def _figure(ranking: Ranking) -> "Figure":
     return drawing
 
 
-def _line(axes: "Axes", ranking: Ranking, place: int) -> None:
-    share = ranking.profile[:, place]
-    if place >= NAMED:
-        others = "others" if place == NAMED else None
+def _line(axes: "Axes", ranking: Ranking, rank: int) -> None:
+    share = ranking.profile[:, rank]
+    if rank >= NAMED:
+        others = "others" if rank == NAMED else None
         axes.step(RATIOS, share, where="post", color="#cccccc", linewidth=0.5, label=others)
         return
-    colour, dashes = COLOURS[place], _DASHES[place % 2]
-    name = plain(ranking.methods[place])
+    colour, dashes = COLOURS[rank], _DASHES[rank % 2]
+    name = plain(ranking.methods[rank])
     axes.step(RATIOS, np.asarray(share), dashes, where="post", color=colour, label=name)

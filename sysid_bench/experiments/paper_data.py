@@ -1,0 +1,109 @@
+"""Data of a suite's [[paper]] entries, stored when a cell runs: reports need no robot or log.
+
+A cell's folder `paper/` holds NAME.json (model, base parameters) or NAME.npz (torques).
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.experiments.base_table import base_table
+from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
+from sysid_bench.identifiability.base_expressions import base_expressions
+from sysid_bench.models.dh.dh_table import printed_table
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.types import Array, Estimate
+
+FOLDER: Final = "paper"
+
+
+def store_paper_data(
+    argument: Mapping[str, Any], cell: str, estimate: Estimate, prepared: Prepared[Any]
+) -> None:
+    """Write the files of `argument["papers"][cell]` below `argument["artifacts"]` (see
+    harness/job.py), where the cell is ok.
+
+    Never raises for an entry that cannot be had: its file holds the reason.
+    """
+    entries = argument.get("papers", {}).get(cell, ())
+    if estimate.status != "ok" or not entries or "artifacts" not in argument:
+        return
+    folder = Path(argument["artifacts"]) / cell / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    for entry in entries:
+        try:
+            _store(argument, entry, folder, estimate, prepared)
+        except Exception as error:
+            _write_json(folder, entry["name"], {"error": reason_of(error)})
+
+
+def _store(
+    argument: Mapping[str, Any],
+    entry: Mapping[str, Any],
+    folder: Path,
+    estimate: Estimate,
+    prepared: Prepared[Any],
+) -> None:
+    places = [None if argument[k] is None else Path(argument[k]) for k in ("robots_dir", "folder")]
+    manifest = find_manifest(argument["experiment"]["robot"], *places)
+    if entry["show"] == "model":
+        _write_json(folder, entry["name"], _model(manifest))
+        return
+    if not isinstance(prepared.source, RecordedSource) or estimate.beta is None:
+        raise UsageError(f"it shows {entry['show']} of recordings; select a cell of a [[log]].")
+    if entry["show"] == "base-parameters":
+        _write_json(folder, entry["name"], _base_parameters(manifest, prepared, estimate.beta))
+        return
+    found = predict_log(prepared, estimate.beta, entry["test"])
+    units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
+    arrays = {"t": found.t, "measured": found.measured, "predicted": found.predicted}
+    rows = found.problem.rows
+    np.savez_compressed(folder / f"{entry['name']}.npz", rows=rows, units=units, **arrays)
+
+
+def _model(manifest: Manifest) -> dict[str, Any]:
+    """The kinematic table where the robot has one, else its joints; limits in rad or m."""
+    if manifest.dh is not None and manifest.manifest_file is not None:
+        head, rows, lengths = printed_table(manifest.manifest_file.parent / manifest.dh.table)
+        return {"robot": manifest.name, "head": head, "rows": rows, "lengths": dict(lengths)}
+    robot = load_robot(manifest)
+    limits = robot.limits
+    ranges = [
+        (f"{limits.q_low[joint.vadr]:.4g}", f"{limits.q_high[joint.vadr]:.4g}")
+        for joint in robot.joints
+    ]
+    rows = tuple((j.name, j.kind, *ends) for j, ends in zip(robot.joints, ranges, strict=True))
+    head = ("joint", "kind", "from", "to")
+    return {"robot": manifest.name, "head": head, "rows": rows, "lengths": {}}
+
+
+def _base_parameters(
+    manifest: Manifest, prepared: Prepared[RecordedSource], beta: Array
+) -> dict[str, Any]:
+    """The table of the robot's manifest with these values; `extra` are columns besides the robot's,
+    as friction features have them."""
+    base, unknowns = prepared.problem.base, prepared.source.builder.unknowns
+    given = [
+        {"terms": terms, "value": float(value)}
+        for terms, value in zip(base_expressions(base), beta, strict=True)
+    ]
+    table = base_table(load_robot(manifest), unknowns.terms, None, {"base": given})
+    named = zip(base.names, beta.tolist(), strict=True)
+    return {
+        "zero": table["zero"],
+        "smallest_change": table["smallest_change"],
+        "rows": [
+            {k: row[k] for k in ("expression", "value", "impossible")} for row in table["rows"]
+        ],
+        "extra": {name: value for name, value in named if name in unknowns.extra},
+    }
+
+
+def _write_json(folder: Path, name: str, content: Mapping[str, Any]) -> None:
+    (folder / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,251 @@
+"""All metrics of a row, one record each: fields, tables, rankings, reports and axes follow from it.
+
+A new column is one record with `compute` here, or a plug-in that a suite names in [[metric]].
+"""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from itertools import chain
+from types import MappingProxyType
+from typing import Any, Final
+
+from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.types import Better, Level, Metric, MetricInput, Row
+
+_TORQUE: Final = "N m|N"
+_ROUNDING: Final = 1e-12
+_BOUND: Final = "Cramér-Rao bound of torque noise alone"
+
+
+def _error(name: str, title: str, formula: str, unit: str = "", truth: bool = False) -> Metric:
+    """A metric that methods are ranked by: an error on held-out torque or of the parameters."""
+    # An error with a unit has no scale below which it is rounding, except lengths and masses.
+    floor = 0.0 if unit == _TORQUE else _ROUNDING
+    return Metric(
+        name, title, unit, "lower", needs=("truth",) if truth else ("held-out",), formula=formula,
+        floor=floor, ranked=True, shown=name in ("rmse_test", "torque_error", "parameter_error"),
+    )  # fmt: skip
+
+
+_ACCURACY: Final = (
+    Metric("rmse_train", "Training RMSE", _TORQUE, "lower",
+           formula="RMS residual on the measured training torque"),
+    _error("rmse_test", "Held-out RMSE", "RMS error over all held-out motions and joints", _TORQUE),
+    _error("torque_error", "Relative held-out torque error",
+           "RMS over joints of (RMS error / RMS whole torque)"),
+    _error("torque_error_sample", "Held-out torque error per sample",
+           "mean over samples of |error| / |torque|"),
+    _error("torque_error_worst", "Held-out torque error of the worst joint",
+           "largest RMS error / RMS torque of a joint"),
+    _error("parameter_error", "Relative parameter error in torque",
+           "|W (beta - beta*)| / |W beta*| on held-out rows", truth=True),
+    _error("beta_error", "Relative base-parameter error", "|beta - beta*| / |beta*|, SI columns",
+           truth=True),
+    _error("payload_error", "Relative payload error", "|phi - phi*| / |phi*|, ten SI numbers",
+           truth=True),
+    _error("mass_error", "Mass error", "|m - m*|", "kg", truth=True),
+    _error("com_error", "Error of the centre of mass", "|c - c*|", "m", truth=True),
+    _error("inertia_error", "Relative error of the inertia",
+           "|I - I*| / |I*| about the centre of mass, Frobenius", truth=True),
+)  # fmt: skip
+
+_DATA: Final = (
+    Metric("rank", "Base parameters", digits=0, shown=True,
+           formula="rank of the regressor on random states"),
+    Metric("data_rank", "Excited base parameters", digits=0, better="higher",
+           formula="rank of the regressor on the training motion"),
+    Metric("parameters", "Parameters", digits=0),
+    Metric("rank_gap", "Rank gap", better="higher",
+           formula="smallest kept over largest dropped singular value"),
+    Metric("near_degenerate", "Nearly dependent directions", digits=0, better="lower"),
+    Metric("condition", "Condition number (SI columns)", better="lower", shown=True,
+           formula="sigma_max / sigma_min of W, left-to-right base set"),
+    Metric("condition_unit", "Condition number (unit columns)", better="lower",
+           formula="sigma_max / sigma_min of W with columns of length one"),
+    Metric("d_optimality", "Log-determinant of information", better="higher", needs=("held-out",),
+           formula="log det of the information about held-out torques"),
+    Metric("left_out", "Share of samples taken for contacts"),
+)  # fmt: skip
+
+_LOAD: Final = (
+    Metric("mass", "Mass", "kg", needs=("load",)),
+    Metric("mass_low", "Mass, lower end of the 95 % interval", "kg", needs=("load",)),
+    Metric("mass_high", "Mass, upper end of the 95 % interval", "kg", needs=("load",)),
+)
+
+_SENSOR: Final = (
+    Metric("structural_rank", "Base parameters of the sub-tree", digits=0, needs=("sensor",)),
+    Metric("excited_rank", "Excited base parameters of the sub-tree", digits=0, better="higher",
+           needs=("sensor",)),
+    Metric("unpredictable", "Joints with unpredictable torque", digits=0, better="lower",
+           needs=("sensor",), formula="joints whose torque depends on unexcited parameters"),
+    Metric("sensed_torque_ratio", "Torque error with sensor / that of true parameters", digits=4,
+           better="lower", needs=("sensor",)),
+    Metric("sensed_wrench_ratio", "Touch error with sensor / that of true parameters", digits=4,
+           better="lower", needs=("sensor",)),
+    Metric("sensed_cad_ratio", "Torque error with sensor, CAD / identified", better="higher",
+           needs=("sensor",)),
+    Metric("alone_cad_ratio", "Torque error of parameters alone, identified / CAD",
+           better="lower", needs=("sensor",)),
+)  # fmt: skip
+
+_BODIES: Final = (
+    Metric("feasible", "Share of feasible estimates", better="higher", needs=("theta",),
+           shown=True, formula="every pseudo-inertia is positive semidefinite"),
+    Metric("plausible", "Share of plausible estimates", better="higher", needs=("theta",),
+           formula="mass, centre and inertia fit into the bounding box of each body"),
+    Metric("min_eigenvalue", "Smallest pseudo-inertia eigenvalue", better="higher",
+           needs=("theta",)),
+)  # fmt: skip
+
+_UNCERTAINTY: Final = (
+    Metric("coverage", "Share of 95 % intervals that hold the truth", level="interval",
+           needs=("truth", "noise")),
+    Metric("bias", "Mean error in standard deviations of an estimate", better="lower",
+           level="repeats", needs=("truth", "repeats")),
+    Metric("spread", f"Scatter over the {_BOUND}", better="lower", level="repeats",
+           needs=("truth", "noise", "repeats")),
+    Metric("efficiency", f"Efficiency against the {_BOUND}", better="higher", level="repeats",
+           needs=("truth", "noise", "repeats")),
+    Metric("bound_ratio", f"RMS error over the {_BOUND}", better="lower", level="repeats",
+           needs=("truth", "noise", "repeats")),
+    Metric("verdict", "Verdict on each parameter", level="parameter", text=True,
+           key="identifiable"),
+)  # fmt: skip
+
+
+def _joint(name: str, title: str, key: str, unit: str = "", floor: float = 0.0) -> Metric:
+    better: Better | None = None if key == "rms" else "lower"
+    return Metric(name, title, unit, better, "joint", floor=floor, key=key)
+
+
+_JOINTS: Final = (
+    _joint("joint_rms", "RMS torque of the joint", "rms", _TORQUE),
+    _joint("joint_rmse", "Held-out RMSE of the joint", "rmse_test", _TORQUE),
+    _joint("joint_error", "Relative held-out error of the joint", "relative", floor=_ROUNDING),
+    _joint("joint_replayed", "Relative error of the training torque, played again", "replayed"),
+    _joint("joint_rmse_train", "Training RMSE of the joint", "rmse_train", _TORQUE),
+    _joint("joint_error_train", "Relative training error of the joint", "relative_train",
+           floor=_ROUNDING),
+)  # fmt: skip
+
+_RUN: Final = (
+    Metric("seconds", "Time", "s", "lower", ranked=True, shown=True),
+    Metric("seconds_experiment", "Time to read, filter and reduce the data", "s", "lower"),
+    Metric("gap", "Regressor gap to Pinocchio", better="lower", shown=True,
+           formula="max |Y - Y_pin| / max |Y_pin|"),
+    Metric("closure", "Torque closure with MuJoCo", better="lower", shown=True,
+           formula="max |Y theta - tau_mujoco| / max |tau_mujoco|"),
+    Metric("native_gap", "Regressor gap to Pinocchio's own parser", better="lower"),
+)  # fmt: skip
+
+METRICS: Final[Mapping[str, Metric]] = MappingProxyType(
+    {
+        metric.name: metric
+        for metric in chain(_ACCURACY, _DATA, _LOAD, _SENSOR, _BODIES, _UNCERTAINTY, _JOINTS, _RUN)
+    }
+)
+
+REASONS: Final = "metric_reasons"
+"""Row field with the reason of every plug-in metric that gave no value, by name."""
+
+_NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
+_RECORD: Final = ("name", "title", "unit", "better", "digits", "floor", "ranked", "needs")
+
+
+def names_of(level: Level) -> tuple[str, ...]:
+    """Names of the metrics of a level."""
+    return tuple(name for name, metric in METRICS.items() if metric.level == level)
+
+
+def metric_of(name: str, metrics: Mapping[str, Metric] = METRICS) -> Metric:
+    """The metric of a column; an unknown column keeps its name as title."""
+    return metrics.get(name, Metric(name, name))
+
+
+def checked_metric(thing: Any) -> Metric:
+    """A plug-in's metric.
+
+    Raises UsageError for another type, a name that is taken or not a field name, another level
+    than "cell", a direction or ranking that contradict each other, and a missing `compute`.
+    """
+    if not isinstance(thing, Metric):
+        raise UsageError(
+            f"A metric plug-in is a sysid_bench.types.Metric, or a function that returns one; got "
+            f"{type(thing).__name__}."
+        )
+    name = thing.name
+    if not _NAME.fullmatch(name):
+        raise UsageError(f"The metric name {name!r} is not a field name; use a-z, 0-9 and _.")
+    if name in METRICS:
+        raise UsageError(f"The metric name {name!r} is a field of rows already; choose another.")
+    if thing.compute is None or thing.level != "cell" or thing.text:
+        raise UsageError(f"The metric {name!r} needs `compute` and level 'cell', and is a number.")
+    if thing.better not in ("lower", "higher", None):
+        raise UsageError(f"The metric {name!r}: better is 'lower', 'higher' or None.")
+    if thing.ranked and thing.better != "lower":
+        raise UsageError(f"The metric {name!r} is ranked by ratios: better has to be 'lower'.")
+    return thing
+
+
+def metric_record(metric: Metric) -> dict[str, Any]:
+    """JSON values that describe a metric without its code, as a run folder keeps them."""
+    values = ((key, getattr(metric, key)) for key in _RECORD)
+    return {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in values
+        if value is not None
+    }
+
+
+def metric_from_record(record: Mapping[str, Any]) -> Metric:
+    """The metric of a record; it computes nothing. Raises UsageError for unknown keys."""
+    try:
+        return Metric(**{**record, "needs": tuple(record.get("needs", ()))})
+    except TypeError as error:
+        raise UsageError(f"The record of a metric has unknown or missing keys: {error}.") from error
+
+
+def metric_fields(makers: Mapping[str, Callable[[], Any]], cell: MetricInput) -> Row:
+    """Row fields of plug-in metrics by name; `makers` import and build them.
+
+    Any exception, and any value that is not a finite number, leaves the field empty and adds its
+    reason to the field `metric_reasons`: a row is never lost to a metric.
+    """
+    fields: Row = {}
+    reasons: dict[str, str] = {}
+    for name, make in makers.items():
+        fields[name] = None
+        try:
+            fields[name], reason = _value(checked_metric(make()), cell)
+        except (Exception, SystemExit) as error:  # a plug-in's file may call sys.exit()
+            reason = reason_of(error)
+        if reason:
+            reasons[name] = reason
+    return {**fields, REASONS: reasons} if reasons else fields
+
+
+def _value(metric: Metric, cell: MetricInput) -> tuple[float | None, str]:
+    """Value and reason; (None, "") where the metric says that it does not apply."""
+    missing = [need for need in metric.needs if not _is_there(need, cell)]
+    if missing:
+        return None, f"needs {', '.join(missing)}"
+    assert metric.compute is not None
+    given: Any = metric.compute(cell)
+    if given is None:
+        return None, ""
+    # Scalars of numpy and booleans are numbers, too; arrays of one element are a mistake.
+    if getattr(given, "ndim", 0) or isinstance(given, (str, bytes)):
+        return None, f"returned {type(given).__name__}; a metric is one number or None"
+    number = float(given)
+    return (number, "") if math.isfinite(number) else (None, f"returned {number}")
+
+
+def _is_there(need: str, cell: MetricInput) -> bool:
+    """True where a cell has what a metric needs; needs beyond its input are taken as met."""
+    if need == "held-out":
+        return bool(cell.held_out)
+    if need == "theta":
+        return cell.estimate.theta is not None
+    return need != "truth" or cell.score.beta_error is not None
