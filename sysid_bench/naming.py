@@ -67,6 +67,14 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "static": "sysid_bench.excitation.point_to_point:Static",
             "wander": "sysid_bench.excitation.random_waypoints:RandomWaypoints",
         },
+        "task": {
+            "robot": "sysid_bench.tasks.robot:RobotTask",
+            "payload": "sysid_bench.tasks.payload:PayloadTask",
+            "link": "sysid_bench.tasks.link:LinkTask",
+            "terminal": "sysid_bench.tasks.terminal:TerminalTask",
+            "wrench": "sysid_bench.tasks.wrench:WrenchTask",
+            "wrench-payload": "sysid_bench.tasks.wrench_payload:WrenchPayloadTask",
+        },
         "simulation": {
             "inverse": "sysid_bench.simulation.inverse:Inverse",
             "closed-loop": "sysid_bench.simulation.closed_loop:ClosedLoop",

@@ -16,7 +16,9 @@ from sysid_bench.cli.common import (
 
 
 @click.command(name="list")
-@click.argument("kind", metavar="robots|payloads|excitations|estimators|suites|simulations|plants")
+@click.argument(
+    "kind", metavar="robots|payloads|tasks|excitations|estimators|suites|simulations|plants"
+)
 @robots_option
 @json_option
 @verb

@@ -13,6 +13,7 @@ from sysid_bench.cli.common import (
     json_option,
     print_json,
     robots_option,
+    task_option,
     verb,
 )
 from sysid_bench.cli.robot_commands import SENSOR
@@ -34,12 +35,7 @@ from sysid_bench.cli.robot_commands import SENSOR
     "Default: fourier, and fourier-polynomial for ros2, damiao and can.",
 )  # fmt: skip
 @click.option("--joints", metavar="A,B,...", help="Joints that move; default: all.")
-@click.option(
-    "--task",
-    default="robot",
-    show_default=True,
-    help="robot, payload, link, terminal, wrench, wrench-payload.",
-)
+@task_option
 @click.option("--sensor", metavar="NAME|PLACE", help=SENSOR)
 @click.option("--payload", default="none", show_default=True, help="What is mounted at the tool.")
 @click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")

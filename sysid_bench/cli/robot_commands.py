@@ -13,6 +13,7 @@ from sysid_bench.cli.common import (
     json_option,
     print_json,
     robots_option,
+    task_option,
     verb,
 )
 
@@ -90,12 +91,7 @@ def _print_verdict(verdict: Mapping[str, Any]) -> None:
 
 @click.command()
 @click.argument("robot", metavar="ROBOT|FILE")
-@click.option(
-    "--task",
-    default="robot",
-    show_default=True,
-    help="robot, payload, link, terminal, wrench, wrench-payload.",
-)
+@task_option
 @click.option("--terms", help="Joint terms that are unknown too: viscous,coulomb,...; or none.")
 @click.option("--sensor", metavar="NAME|PLACE", help=SENSOR)
 @click.option("--free-base", is_flag=True, default=None, help="Let the root body float.")
@@ -124,13 +120,14 @@ def basis(
 ) -> int:
     """Base parameters: how many, which sums, and what can be told of each parameter."""
     from sysid_bench.errors import UsageError
+    from sysid_bench.tasks.task import named_task
     from sysid_bench.verbs import base_table as papers
     from sysid_bench.verbs import basis as bases
     from sysid_bench.verbs.option_parsing import parse_terms
 
     if (zero is not None or values is not None) and not paper:
         raise UsageError("--zero and --values belong to --paper.")
-    if paper and task == "robot" and free_base is None and sensor is None:
+    if paper and named_task(task).identifies_whole_robot and free_base is None and sensor is None:
         names = None if zero is None else tuple(w.strip() for w in zero.split(",") if w.strip())
         names = () if names == ("none",) else names
         table = papers.paper_table(robot, parse_terms(terms), names, values, robots_dir)
@@ -196,12 +193,7 @@ def basis(
     type=click.FloatRange(min=0.0),
     help="Of logs: leave out samples of a joint slower than this (rad/s, m/s).",
 )
-@click.option(
-    "--task",
-    default="robot",
-    show_default=True,
-    help="robot, payload, link, terminal, wrench, wrench-payload.",
-)
+@task_option
 @click.option("--sensor", metavar="NAME|PLACE", help=SENSOR)
 @click.option(
     "--payload", default="none", show_default=True,

@@ -64,7 +64,7 @@ def execute(argument: Mapping[str, Any], emit: Emit) -> None:
             answer = _answer_of_logs(estimator, ready, stated_mass(spec))
             emit(_header(argument, estimator) | verdict | answer)
         return
-    sensed = _Sensed.of(spec, ready) if spec.task == "wrench" else None
+    sensed = _Sensed.of(spec, ready) if ready.task.definition.identifies_sub_tree else None
     verdict["seconds_experiment"] = time.perf_counter() - start
     for estimator in argument["estimators"]:
         emit(_header(argument, estimator) | verdict | _answer(estimator, ready, sensed))

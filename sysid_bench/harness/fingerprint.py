@@ -34,6 +34,7 @@ def cell_fingerprint(cell: Cell, robots_dir: Path | None, folder: Path | None) -
     """The fingerprint of everything that a cell's row depends on; "" where its robot is gone."""
     spec = cell.spec
     plugins = {
+        "task": [{"use": spec.task}],
         "plant": [spec.plant],
         "excitation": [spec.excitation, *spec.held_out],
         "simulation": [spec.simulation],
@@ -48,8 +49,11 @@ def cell_fingerprint(cell: Cell, robots_dir: Path | None, folder: Path | None) -
     if spec.log is not None:
         from sysid_bench.experiments.recorded.rows import log_files
 
-        own = _target("estimator", cell.estimator, folder)
-        return fingerprint([*files, *log_files(spec.log, folder or Path())], [own])
+        used = [
+            _target("task", {"use": spec.task}, folder),
+            _target("estimator", cell.estimator, folder),
+        ]
+        return fingerprint([*files, *log_files(spec.log, folder or Path())], used)
     return fingerprint([*files, *read], targets)
 
 

@@ -56,6 +56,7 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     labels["estimator"] = distinct_labels(
         (e.spec, *_plugin_texts(e.spec, e.label)) for e in suite.estimator
     )
+    labels["task"] = distinct_labels((task, *_plugin_texts({"use": task})) for task in axes.task)
     labels["robot"] = distinct_labels(
         (
             robot_key(source, entry.free_base, entry.sensor),

@@ -178,6 +178,7 @@ def fields(cell: Cell) -> dict[str, Any]:
     for axis, plugin in plugins.items():
         flat |= {f"{axis}.{key}": value for key, value in plugin.items()}
         flat[axis] = _names(cell.labels[axis], plugin["use"], plugin["use"].rpartition(":")[2])
+    flat["task"] = _names(cell.labels["task"], spec.task, spec.task.rpartition(":")[2])
     flat["robot"] = _names(cell.labels["robot"], *_robot_names(cell.labels["robot"], spec.robot))
     return flat
 
@@ -323,7 +324,7 @@ def _labelled(
 ) -> dict[str, str]:
     plain = {
         "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base, spec.sensor))],
-        "task": spec.task,
+        "task": label["task"][canonical(spec.task)],
         "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
         "rate": f"{spec.rate:.12g} Hz",
         "signals": _signals_text(spec.signals),

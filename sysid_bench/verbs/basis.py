@@ -33,15 +33,15 @@ def basis(
     from sysid_bench.identifiability.verdicts import verdicts
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.payload import PAYLOADS
-    from sysid_bench.tasks.task import task_of
+    from sysid_bench.tasks.task import named_task
     from sysid_bench.verbs.option_parsing import refuse_ignored_terms
 
     refuse_ignored_terms(task, terms)
-    load = PAYLOADS[LOAD if task.endswith("payload") else "none"]
+    definition = named_task(task)
+    load = PAYLOADS[LOAD if definition.identifies_payload else "none"]
     robot = load_robot(source, load, free_base, robots_dir)
-    own = robot.manifest.terms if task == "robot" else ()
-    chosen = own if terms is None else tuple(terms)
-    asked = task_of(robot, task, chosen, sensor)
+    chosen = definition.default_terms(robot) if terms is None else tuple(terms)
+    asked = definition.unknowns(robot, chosen, sensor, None)
     R = structural_factor(robot, asked.parameters, asked.rows, asked.cuts)
     base = base_map(R, asked.parameters)
     inertial = {column for body in asked.bodies for column in body.columns}

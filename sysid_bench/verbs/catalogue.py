@@ -1,4 +1,4 @@
-"""What there is: robots, payloads, excitations, estimators, suites."""
+"""Catalogue of robots, payloads, tasks, excitations, estimators, suites."""
 
 import dataclasses
 import tomllib
@@ -8,12 +8,13 @@ from typing import Any, Final
 
 from sysid_bench import naming, places
 from sysid_bench.errors import SysidBenchError, unknown_name
+from sysid_bench.tasks.task import TaskDefinition
 
 Entry = dict[str, Any]
 
 
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
-    """Everything of a kind (robots, payloads, excitations, estimators, suites, simulations,
+    """Everything of a kind (robots, payloads, tasks, excitations, estimators, suites, simulations,
     plants), each with name and title; an entry that cannot be read says so in its title."""
     if kind not in _LISTS:
         raise unknown_name("kind of thing", kind, _LISTS)
@@ -117,6 +118,14 @@ def _plugin(kind: str) -> Callable[[str], Entry]:
     return entry
 
 
+def _task(name: str) -> Entry:
+    """A task with what it declares."""
+    entry = _plugin("task")(name)
+    definition = naming.resolve("task", name)
+    declared = [key for key in TaskDefinition.__annotations__ if key != "name"]
+    return {**entry, **{key: getattr(definition, key) for key in declared}}
+
+
 def _default(field: "dataclasses.Field[Any]") -> Any:
     if field.default is dataclasses.MISSING:
         return None
@@ -143,6 +152,7 @@ def _suite(name: str) -> Entry:
 _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "robots": _robots,
     "payloads": _payloads,
+    "tasks": _plugins("task"),
     "excitations": _plugins("excitation"),
     "estimators": _plugins("estimator"),
     "simulations": _plugins("simulation"),
@@ -151,6 +161,7 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
 }
 _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "payloads": _payload,
+    "tasks": _task,
     "excitations": _plugin("excitation"),
     "estimators": _plugin("estimator"),
     "simulations": _plugin("simulation"),

@@ -58,13 +58,14 @@ def excite(
     from sysid_bench.identifiability.structural import structural_base
     from sysid_bench.models.load import load_robot
     from sysid_bench.models.payload import parse_payload
-    from sysid_bench.tasks.task import task_of
+    from sysid_bench.tasks.task import named_task
 
     kind = _export(export, out)
     start = time.perf_counter()
     model = load_robot(robot, parse_payload(payload), robots_dir=robots_dir)
-    chosen = model.manifest.terms if terms is None and task == "robot" else tuple(terms or ())
-    asked = task_of(model, task, chosen, sensor)
+    definition = named_task(task)
+    chosen = definition.default_terms(model) if terms is None else tuple(terms)
+    asked = definition.unknowns(model, chosen, sensor, None)
     base = structural_base(model, asked.parameters, asked.rows, asked.cuts)
     scenes: dict[float | None, Any] = {}
     brief = replace(

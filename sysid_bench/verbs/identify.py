@@ -11,10 +11,6 @@ from sysid_bench.verbs.ft_summary import sensor_lines as sensor_lines
 if TYPE_CHECKING:
     from sysid_bench.experiments.spec import ExperimentSpec
 
-ESTIMATOR: Final = {"terminal": "min-norm", "wrench": "wls", "wrench-payload": "wls"}
-"""The method of a task where none is named: that of its source; where forces and moments are rows
-of one problem, weights by their noise; elsewhere least squares."""
-
 STD_FROM: Final = {
     "periods": "from the spread over repeated periods",
     "residuals": "from residuals and how alike neighbouring ones are",
@@ -62,6 +58,7 @@ def identify(
     from sysid_bench.identification.feasibility.completion import completed_estimate
     from sysid_bench.identification.identify import identify as solve
     from sysid_bench.naming import build
+    from sysid_bench.tasks.task import named_task
     from sysid_bench.verbs.ft_summary import comparison_fields, excitation_fields
     from sysid_bench.verbs.option_parsing import refuse_ignored_terms
     from sysid_bench.verbs.result import (
@@ -75,7 +72,7 @@ def identify(
     from sysid_bench.verbs.write_model import check_estimate, check_target, write_model
 
     refuse_ignored_terms(task, terms)
-    name = estimator or ESTIMATOR.get(task, "ols")
+    name = estimator or named_task(task).default_estimator
     method = build("estimator", name)
     spec = _spec(str(model), task, payload, terms, noise or {}, seed, sensor, free_base, contacts)
     folder = None if robots_dir is None else str(robots_dir)
@@ -87,8 +84,9 @@ def identify(
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
     ready = prepare(spec, robot)
+    definition = ready.task.definition
     estimate = solve(method, ready.problem, ready.experiment)
-    told = excitation_fields(ready) if task == "wrench" else None
+    told = excitation_fields(ready) if definition.identifies_sub_tree else None
     missing = [told["warning"]] if told and told["warning"] else []
     if estimate.status != "ok":
         raise EstimationError(
@@ -103,7 +101,7 @@ def identify(
         "model": robot.robot.name,
         "file": str(robot.robot.manifest.path),
         "task": task,
-        "terms": list(identified_terms(spec, robot.robot)),
+        "terms": list(identified_terms(spec, robot.robot, definition)),
         "rows": list(ready.problem.rows),
         "estimator": name,
         "rank": figures.rank,
@@ -120,7 +118,7 @@ def identify(
         "base": base_of(estimate, ready.problem, sure),
         "bodies": bodies,
         "joints": joints_of(estimate, ready.problem, sure),
-        "payload": next(iter(bodies.values())) if task.endswith("payload") else None,
+        "payload": next(iter(bodies.values())) if definition.identifies_payload else None,
         "completed": complete,
         "feasible": figures.feasible,
         "plausible": figures.plausible,

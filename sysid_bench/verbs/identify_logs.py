@@ -54,6 +54,7 @@ def identify_logs(
     from sysid_bench.models.manifest import find_manifest
     from sysid_bench.naming import build
     from sysid_bench.signals.log_description import read_description
+    from sysid_bench.tasks.task import named_task
     from sysid_bench.verbs.log_warnings import log_warnings
     from sysid_bench.verbs.result import base_of, bodies_of, joints_of, std_from, warnings_of
     from sysid_bench.verbs.write_model import check_target, write_model
@@ -108,7 +109,7 @@ def identify_logs(
         "bodies": bodies,
         "joints": terms_told,
         "payload": None
-        if task != "payload"
+        if not named_task(task).identifies_payload
         else asdict(payload_mass(method, posed, beta))
         if position_given
         else list(bodies.values())[-1],

@@ -28,12 +28,13 @@ def parse_terms(text: str | None) -> tuple[str, ...] | None:
 
 def refuse_ignored_terms(task: str, terms: Sequence[str] | None) -> None:
     """Raises UsageError for joint terms that are asked of a task where they are known."""
-    from sysid_bench.tasks.task import TASKS, WITH_TERMS
+    from sysid_bench.tasks.task import named_task, tasks_with_terms
 
-    if terms and task in TASKS and task not in WITH_TERMS:
+    if terms and not named_task(task).accepts_terms:
         raise UsageError(
             f"The task {task!r} takes joint terms as known, so {', '.join(terms)} cannot be "
-            f"identified with it; leave --terms out, or take the task {' or '.join(WITH_TERMS)}."
+            "identified with it; leave --terms out, or take the task "
+            f"{' or '.join(tasks_with_terms())}."
         )
 
 

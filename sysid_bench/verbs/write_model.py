@@ -11,19 +11,13 @@ from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import updated_mjcf
 from sysid_bench.models.writing.urdf_writer import updated_urdf
-from sysid_bench.tasks.task import SENSOR_TASKS
+from sysid_bench.tasks.task import named_task
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.verbs.result import values_of
 
 SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
 KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
 """Joint terms that files call otherwise."""
-
-LOADS: Final = ("payload", "wrench-payload")
-"""Tasks that ask for nothing of the robot itself."""
-
-COMPOSITES: Final = ("link", "terminal")
-"""Tasks whose body stands for all that is welded to it."""
 
 
 def check_target(robot: RobotModel, task: str, target: Path) -> None:
@@ -36,7 +30,7 @@ def check_target(robot: RobotModel, task: str, target: Path) -> None:
             f"name it *{wanted[0]}."
         )
     _check_place(robot, target)
-    if task in LOADS:
+    if not named_task(task).writes_model:
         raise UnsupportedError(
             f"The task {task!r} changes nothing of the robot's model; for a model that carries its "
             "load take the task 'link'."
@@ -72,17 +66,19 @@ def write_model(
 
     Bodies welded to a link that was identified as a whole stay as they are; the link gets the rest.
     """
+    definition = named_task(task)
     theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
     seen = ("identifiable",) * len(problem.parameters) if whole else verdicts(problem.base)
     told = dict(zip(problem.parameters, seen, strict=True))
     bodies = {}
     for body in problem.bodies:
         phi = [theta.pop(column) for column in body.columns]
-        bodies[body.name] = phi - _riders(robot, body.name) if task in COMPOSITES else phi
+        lumped = definition.lumps_welded_bodies
+        bodies[body.name] = phi - _riders(robot, body.name) if lumped else phi
     joints: dict[str, dict[str, float]] = {}
     term_of = {suffix: term for term, suffix in SUFFIX.items()}
     # Behind a sensor what is left are its constants, and no model holds those.
-    for name, value in theta.items() if task not in SENSOR_TASKS else ():
+    for name, value in theta.items() if not definition.measures_sensor_only else ():
         joint, _, suffix = name.rpartition(".")
         term = term_of[suffix]
         joints.setdefault(joint, {})[KEYS.get(term, term)] = float(value)

@@ -18,7 +18,7 @@ from sysid_bench.experiments.recorded.term_selection import FOLDS, TermSelection
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.tasks.task import unknown_bodies
+from sysid_bench.tasks.task import named_task, unknown_bodies
 from sysid_bench.types import Experiment, Problem
 
 
@@ -103,16 +103,17 @@ def leave_one_fold_out(posed: PreparedLogs, count: int = FOLDS) -> list[Problem]
 def _question(
     task: str, terms: tuple[str, ...], training: Sequence[ProcessedLog], position_given: bool
 ) -> Unknowns:
-    if task not in ("robot", "payload"):
+    definition = named_task(task)
+    if not definition.supports_recordings:
         raise UnsupportedError(
             f"The task {task!r} needs a robot that is known; with recordings there are 'robot' and "
             "'payload'."
         )
-    if position_given and task != "payload":
+    if position_given and not definition.identifies_payload:
         raise UsageError("A given position is one of the task 'payload'.")
     unloaded = next((p.robot for p in training if not p.payload), None)
     loaded = next((p.robot for p in training if p.payload), None)
-    if task == "payload" and (unloaded is None or loaded is None):
+    if definition.identifies_payload and (unloaded is None or loaded is None):
         raise UsageError(
             "The task 'payload' compares recordings with and without the load: give one --log of "
             "each, and the loaded one a payload."
@@ -125,7 +126,7 @@ def _question(
     more = () if own is None or own.motors is None else own.motors.columns
     return Unknowns(
         robot,
-        loaded if task == "payload" else None,
+        loaded if definition.identifies_payload else None,
         bodies,
         robot.term_columns(tuple(term for term in terms if not is_motor(term))),
         rows,

@@ -18,6 +18,7 @@ from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.manifest import find_manifest
+from sysid_bench.naming import resolve_paths
 from sysid_bench.signals.log_description import LogDescription, log_description, name_of
 from sysid_bench.types import Array, Estimate, Problem, Row, Score
 from sysid_bench.units import quantity
@@ -32,7 +33,7 @@ def prepare_recorded(
     extra = None if robots_dir is None else Path(robots_dir)
     manifest = find_manifest(spec.robot, extra, place)
     asked = LogOptions(
-        task=spec.task,
+        task=str(resolve_paths({"use": spec.task}, place)["use"]),
         terms=spec.terms,
         filter=spec.signals.get("filter"),
         derivatives=spec.signals.get("derivatives"),

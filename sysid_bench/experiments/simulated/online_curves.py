@@ -25,7 +25,8 @@ HISTORY: Final = 400
 def online_curves(ready: Prepared) -> tuple[Curve, ...]:
     """The curves of an experiment with the task `wrench` and a prior; of any other, none."""
     problem = ready.problem
-    if ready.task.name != "wrench" or problem.prior is None or problem.samples == 0:
+    shown = ready.task.definition.identifies_sub_tree
+    if not shown or problem.prior is None or problem.samples == 0:
         return ()
     track = _track_of(problem)
     motion = ready.experiment.recording.motion

@@ -55,7 +55,7 @@ from sysid_bench.regressors.nested_sensors import measured_regression
 from sysid_bench.simulation.parametrised_plant import KnownModel
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
-from sysid_bench.tasks.task import SENSOR_TASKS, Task, task_of
+from sysid_bench.tasks.task import Task, TaskDefinition, named_task
 from sysid_bench.types import (
     Array,
     BaseMap,
@@ -98,7 +98,7 @@ class Prepared:
 
 def prepare(spec: ExperimentSpec, subject: LoadedRobot) -> Prepared:
     """The experiment of a specification; raises UnsupportedError or UsageError with the reason."""
-    stage = _stage(canonical(_noise_free(spec).to_json()), subject)
+    stage = _stage(canonical(_noise_free(spec, subject).to_json()), subject)
     task, posing, plant = stage.task, stage.builder, stage.simulated.plant
     turns = repetitions(spec, task)
     main = next(turn for turn in turns if turn.loaded)
@@ -155,10 +155,10 @@ class NoiseFreePart:
         }
 
 
-def _noise_free(spec: ExperimentSpec) -> ExperimentSpec:
+def _noise_free(spec: ExperimentSpec, subject: LoadedRobot) -> ExperimentSpec:
     """What of a specification its stage hangs on. How a force/torque sensor was made is a part of
     the noise, and of what such a task asks for."""
-    if spec.task in SENSOR_TASKS:
+    if named_task(spec.task, subject.folder).measures_sensor_only:
         return spec
     redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
     return replace(spec, noise={}, signals={}, repeat=spec.repeat if redrawn else 0)
@@ -168,9 +168,10 @@ def _noise_free(spec: ExperimentSpec) -> ExperimentSpec:
 def _stage(text: str, subject: LoadedRobot) -> NoiseFreePart:
     """The stage of a specification, as canonical JSON."""
     spec, robot = ExperimentSpec.from_json(json.loads(text)), subject.robot
-    terms = identified_terms(spec, robot)
+    definition = named_task(spec.task, subject.folder)
+    terms = identified_terms(spec, robot, definition)
     task = task_for_methods(
-        spec, task_of(robot, spec.task, terms, spec.sensor, partial(true_offset, spec))
+        spec, definition.unknowns(robot, terms, spec.sensor, partial(true_offset, spec))
     )
     base = subject.base_map(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
@@ -182,11 +183,11 @@ def _stage(text: str, subject: LoadedRobot) -> NoiseFreePart:
     return NoiseFreePart(spec, task, posing, take, prior)
 
 
-def identified_terms(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
-    """The joint terms that are identified; the robot's own are those of the task `robot`."""
-    if spec.terms is not None:
-        return spec.terms
-    return robot.manifest.terms if spec.task == "robot" else ()
+def identified_terms(
+    spec: ExperimentSpec, robot: RobotModel, task: TaskDefinition
+) -> tuple[str, ...]:
+    """The joint terms that are identified; by default those of the task."""
+    return task.default_terms(robot) if spec.terms is None else spec.terms
 
 
 def task_for_methods(spec: ExperimentSpec, task: Task) -> Task:

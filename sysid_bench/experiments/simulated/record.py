@@ -97,7 +97,7 @@ def repetitions(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
     """The recordings that an experiment makes, in order. The first loaded one has the noise that it
     has without the others: comparisons are paired."""
     order = spec.signals.get("runs", "B")
-    if "A" in order and (task.name != "payload" or task.cuts):
+    if "A" in order and (not task.definition.supports_runs_without_payload or task.cuts):
         raise UnsupportedError(
             "Runs without the payload tell of the payload, from joint torques alone; the task is "
             f"{task.name!r}{' with sensors' if task.cuts else ''}."

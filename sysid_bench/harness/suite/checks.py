@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel, BeforeValidator, PlainValidator, ValidationInfo
 
@@ -12,6 +12,8 @@ from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.names import Names, name_error
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import CELL_FIELDS, ROW_FIELDS
+
+Value = TypeVar("Value")
 
 
 class CheckContext:
@@ -27,10 +29,11 @@ def check_context(info: ValidationInfo) -> CheckContext:
     return cast(CheckContext, info.context)
 
 
-def checked(check: Callable[[], object]) -> None:
-    """Pydantic collects ValueErrors; whatever a check or a stranger's code raises becomes one."""
+def checked(check: Callable[[], Value]) -> Value:
+    """Return the value of a check. Whatever it or a plug-in raises becomes a ValueError, because
+    pydantic collects those alone."""
     try:
-        check()
+        return check()
     except (Exception, SystemExit) as error:  # a plug-in's file may call sys.exit()
         raise ValueError(name_error(error)) from error
 

@@ -7,7 +7,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
     ConfigDict,
     Discriminator,
@@ -16,7 +15,6 @@ from pydantic import (
     StrictBool,
     StrictInt,
     StrictStr,
-    StringConstraints,
     Tag,
     ValidationInfo,
     model_validator,
@@ -37,37 +35,24 @@ from sysid_bench.harness.suite.checks import (
     plugin_kind,
     quantity_field,
 )
+from sysid_bench.harness.suite.names import TaskCapabilities
+from sysid_bench.harness.suite.report_entries import (
+    Folder,
+    Label,
+    Paper,
+    RankingEntry,
+    RowCondition,
+    Section,
+    TableEntry,
+)
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import resolve_paths
 from sysid_bench.units import interval
-from sysid_bench.vocabulary import (
-    BESTS,
-    COVERAGE,
-    ERRORS,
-    FINDINGS,
-    INTERVALS,
-    JOINT,
-    JOINT_METRICS,
-    LABELS,
-    METRICS,
-    PARAMETER,
-    REPEATED,
-    STATISTICS,
-    STD_FROM,
-    TASKS,
-    VERDICT,
-)
+from sysid_bench.vocabulary import FINDINGS, METRICS
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
-RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
 Share = Annotated[Any, quantity_field("%")]
 Length = Annotated[Any, quantity_field("mm")]
-
-
-class Section(BaseModel):
-    """A table of the suite file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Plugin(Section):
@@ -219,10 +204,32 @@ def _motions(value: Any) -> Any:
     return values
 
 
+def _definition(value: Any, info: ValidationInfo) -> TaskCapabilities:
+    if not isinstance(value, str):
+        raise ValueError(
+            f"a task is a name, 'module:Class' or 'file:mine.py:Class'; got {value!r}."
+        )
+    context = check_context(info)
+    return checked(lambda: context.names.task(value, context.folder))
+
+
+def _task(value: Any, info: ValidationInfo) -> str:
+    _definition(value, info)
+    return str(value)
+
+
+def _task_of_recordings(value: Any, info: ValidationInfo) -> str:
+    if not _definition(value, info).supports_recordings:
+        raise ValueError(
+            f"the task {value!r} cannot be identified from recordings; 'robot' and 'payload' can."
+        )
+    return str(value)
+
+
 class Defaults(Section):
     """The sweeps: each key holds a tuple of values."""
 
-    task: Annotated[tuple[Annotated[str, one_of("task", TASKS)], ...], Sweep] = ("robot",)
+    task: Annotated[tuple[Annotated[str, PlainValidator(_task)], ...], Sweep] = ("robot",)
     plant: Annotated[tuple[Annotated[Plant, Named], ...], Sweep] = Field(
         default=("matched",), validate_default=True
     )
@@ -299,7 +306,7 @@ class LogEntry(Section):
     name: StrictStr | None = None
     train: Annotated[Logs, Sweep]
     test: Annotated[Logs, BeforeValidator(optional_items)] = ()
-    task: Annotated[str, one_of("task of recordings", ("robot", "payload"))] = "robot"
+    task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"
     terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)  # None: the robot's own
     choose: Annotated[tuple[Candidates, ...], ListSweep] = ((),)
     filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
@@ -327,88 +334,6 @@ class Crosscheck(Section):
     on_fail: Annotated[
         str, one_of("answer to a failed cross-check", ("skip-robot", "continue"))
     ] = "skip-robot"
-
-
-class TableCells(Section):
-    metric: Annotated[
-        str, one_of("metric", (*METRICS, VERDICT, COVERAGE, *REPEATED, *JOINT_METRICS))
-    ]
-    stat: Annotated[str, one_of("statistic", STATISTICS)] = "median"
-    interval: Annotated[str, one_of("interval", INTERVALS)] = "none"
-
-
-Label = Annotated[str, one_of("label of a cell", (*LABELS, "repeat"))]
-Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
-
-
-Axis = Annotated[str, one_of("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM, JOINT))]
-
-
-class TableEntry(Section):
-    name: Folder
-    title: StrictStr | None = None
-    rows: tuple[Axis, ...] = ("robot", "payload")
-    columns: tuple[Axis, ...] = ("estimator",)
-    cells: TableCells
-    best: Annotated[str, one_of("way to mark the best", BESTS)] = "none"
-    select: RowCondition | None = None
-
-    @model_validator(mode="after")
-    def _verdicts_by_parameter(self) -> "TableEntry":
-        if (self.cells.metric == VERDICT) != (PARAMETER in (*self.rows, *self.columns)):
-            raise ValueError(
-                f"the metric {VERDICT!r} and the label {PARAMETER!r} among rows or columns go "
-                "together: a verdict is told of each parameter, and other metrics of a cell."
-            )
-        by_joint = JOINT in (*self.rows, *self.columns)
-        if (self.cells.metric in JOINT_METRICS) != by_joint:
-            raise ValueError(
-                f"the metrics {', '.join(JOINT_METRICS)} and the label {JOINT!r} among rows or "
-                "columns go together."
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _coverage_by_origin(self) -> "TableEntry":
-        if (self.cells.metric == COVERAGE) != (STD_FROM in (*self.rows, *self.columns)):
-            raise ValueError(
-                f"the metric {COVERAGE!r} and the label {STD_FROM!r} among rows or columns go "
-                "together: intervals from periods, residuals and textbook differ."
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _repeats_together(self) -> "TableEntry":
-        if self.cells.metric in REPEATED and (
-            "repeat" in (*self.rows, *self.columns) or self.cells.interval not in ("none", "ci95")
-        ):
-            raise ValueError(
-                f"the metric {self.cells.metric!r} is one of all repeats together: it has no value "
-                "by repeat, and no interval but 'ci95'."
-            )
-        return self
-
-
-class Paper(Section):
-    """A table or figure as papers print it: `model` (bodies and joints), `base-parameters` with the
-    values of a cell, `torques` measured and predicted along a test log."""
-
-    name: Folder
-    show: Annotated[str, one_of("thing to show", ("model", "base-parameters", "torques"))]
-    title: StrictStr = ""
-    select: RowCondition | None = None  # the first cell that meets it
-    test: StrictStr | None = None
-
-
-class RankingEntry(Section):
-    """Methods against each other over robots; one ranking for each value of the labels `apart`."""
-
-    name: Folder
-    title: StrictStr | None = None
-    metric: Annotated[str, one_of("metric to rank by", ERRORS)] = "torque_error"
-    apart: tuple[Label, ...] = ()
-    against: StrictStr | None = None  # the method that the others are tested against
-    select: RowCondition | None = None
 
 
 class Worst(Section):
