@@ -38,7 +38,7 @@ def test_a_run_folder_tells_what_it_was_made_of(tmp_path: Path) -> None:
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="is no run"):
+    with pytest.raises(UsageError, match="is not a run"):
         RunFolder.open(tmp_path)
 
 

@@ -14,10 +14,10 @@ from sysid_bench import vocabulary as words
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.suite.load_suite import (
-    dump_suite,
+    suite_text,
     load_suite,
     override,
-    parse_frozen,
+    parse_stored,
     parse_suite,
 )
 from sysid_bench.harness.suite.names import Names, installed_names
@@ -42,11 +42,11 @@ SUITES = {
 @pytest.mark.parametrize("text", SUITES.values(), ids=SUITES)
 def test_a_frozen_suite_reads_back_as_the_same(text: str) -> None:
     suite = parse_suite(text, "suite.toml", Path("/some/where"), NAMES)
-    frozen = dump_suite(suite)
+    frozen = suite_text(suite)
     assert parse_suite(frozen, "run.toml", Path("/else/where"), NAMES) == suite
-    assert parse_frozen(frozen, "run.toml") == suite
+    assert parse_stored(frozen, "run.toml") == suite
     assert suite.folder == Path("/some/where")
-    assert expand(suite, NAMES) == expand(parse_frozen(frozen, "run.toml"), NAMES)
+    assert expand(suite, NAMES) == expand(parse_stored(frozen, "run.toml"), NAMES)
 
 
 def test_the_folder_is_no_part_of_an_id() -> None:

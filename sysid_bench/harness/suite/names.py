@@ -1,4 +1,4 @@
-"""What the names in a suite are checked against: robots, payloads, plug-ins."""
+"""Look-up of the names in a suite: robots, payloads, tasks, plug-ins."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from sysid_bench.tasks.task import named_task
 
 
 class Robot(Protocol):
-    """The part of a manifest that planning looks at."""
+    """The part of a manifest that planning reads."""
 
     @property
     def name(self) -> str: ...
@@ -24,7 +24,7 @@ class Robot(Protocol):
 
 
 class Load(Protocol):
-    """The part of a payload that planning looks at."""
+    """The part of a payload that planning reads."""
 
     @property
     def name(self) -> str: ...
@@ -32,7 +32,7 @@ class Load(Protocol):
     def mass(self) -> float: ...
 
 
-class TaskCapabilities(Protocol):
+class TaskInfo(Protocol):
     """The part of a task that planning reads."""
 
     @property
@@ -52,22 +52,22 @@ class Names:
     payload: Callable[[str | Mapping[str, Any]], Load]
     plugin: Callable[[str, Mapping[str, Any]], object]
     sensor: Callable[[str, Path | None, str], object] = lambda source, folder, text: None
-    task: Callable[[str, Path | None], TaskCapabilities] = named_task
+    task: Callable[[str, Path | None], TaskInfo] = named_task
     frozen: bool = False  # nothing is looked up: the suite was checked before
 
 
 def installed_names(robots_dir: Path | None = None) -> Names:
-    """Everything this installation knows, with robots of `robots_dir` first."""
+    """Return the names of this installation, with robots of `robots_dir` first."""
     return Names(partial(_robot, robots_dir), _payload, naming.build, partial(_sensor, robots_dir))
 
 
 def no_names() -> Names:
-    """Accepts every name: for a frozen suite, which was checked when it was planned."""
+    """Return names that accept every word: a frozen suite was checked when it was planned."""
     return Names(_unseen_robot, _unseen_payload, _unseen_plugin, task=_unseen_task, frozen=True)
 
 
 def name_error(error: BaseException) -> str:
-    """What to tell about a name that failed: our own errors speak for themselves."""
+    """Return the message of a failed look-up; errors of plug-ins with their type."""
     if isinstance(error, SysidBenchError):
         return str(error)
     return f"importing or making it raised {type(error).__name__}: {error}"
@@ -89,7 +89,7 @@ def _unseen_payload(spec: str | Mapping[str, Any]) -> Load:
     return _Unseen(str(spec))
 
 
-def _unseen_task(name: str, folder: Path | None) -> TaskCapabilities:
+def _unseen_task(name: str, folder: Path | None) -> TaskInfo:
     return _Unseen(name)
 
 
@@ -108,7 +108,7 @@ def _sensor(robots_dir: Path | None, source: str, folder: Path | None, text: str
 
     manifest, names = find_manifest(source, robots_dir, folder), sensor_names(text)
     if set(names) <= {sensor.name for sensor in manifest.sensors}:
-        return names  # loading the model costs more than it would tell of them
+        return names  # known from the manifest, without loading the model
     robot = load_robot(manifest)
     return [cut_at(robot, name, ()) for name in names]
 

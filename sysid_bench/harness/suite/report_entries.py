@@ -110,7 +110,7 @@ class Paper(Section):
 
 
 class RankingEntry(Section):
-    """Methods against each other over robots; one ranking for each value of the labels `apart`."""
+    """Comparison of methods over robots; one ranking for each value of the labels `apart`."""
 
     name: Folder
     title: StrictStr | None = None
