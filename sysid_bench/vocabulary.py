@@ -1,4 +1,4 @@
-"""The closed sets of words of suites and rows, as the contract of the command line has them."""
+"""Closed sets of words in suites and rows, part of the contract of the command line."""
 
 from dataclasses import fields
 from typing import Final
@@ -9,10 +9,10 @@ TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
 FINDINGS: Final = (
     "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
 )  # fmt: skip
-"""What may be wrong with a recording, and be accepted."""
+"""Findings in a recording that a user can accept."""
 STATUSES: Final = ("ok", "failed", "timeout", "crash", "unsupported", "skipped")
 FAILURES: Final = ("failed", "timeout", "crash")
-"""Statuses that nobody asked for; `unsupported` and `skipped` are sound answers."""
+"""Statuses of failures; `unsupported` and `skipped` are valid results."""
 
 LABELS: Final = (
     "robot",
@@ -29,7 +29,7 @@ LABELS: Final = (
     "signals",
     "estimator",
 )
-"""What a row is labelled with: one text per axis of a suite."""
+"""Labels of a row: one text per axis of a suite."""
 
 CELL_FIELDS: Final = frozenset(LABELS) | {
     "id",
@@ -66,7 +66,7 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "simulation.use",
     "estimator.use",
 }
-"""What an expression may ask of a planned cell, beside the written settings of its plug-ins."""
+"""Fields of a planned cell in expressions, besides the written settings of its plug-ins."""
 
 _NO_NUMBERS = ("joints", "torque_error_by_motion", "coverage")
 METRICS: Final = (
@@ -96,7 +96,7 @@ ERRORS: Final = (
 
 PARAMETER: Final = "parameter"
 VERDICT: Final = "verdict"
-"""A table by parameter (m, hx, ..., fc) tells in words what each is worth."""
+"""Metric of a table by parameter (m, hx, ..., fc): its identifiability, in words."""
 
 JOINT: Final = "joint"
 """A table by joint has its own metrics."""
@@ -114,7 +114,7 @@ REPEATED: Final = ("bias", "spread", "efficiency", "bound_ratio")
 """Metrics of all repeats together (evaluation/repeats.py); no cell has one of its own."""
 
 ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *METRICS}
-"""What an expression may ask of a finished cell."""
+"""Fields of a finished cell in expressions."""
 
 STATISTICS: Final = ("median", "mean", "min", "max", "count")
 INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")

@@ -12,7 +12,7 @@ from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.plan import Cell, Plan, expand
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.suite.load_suite import suite_text, parse_stored, parse_suite
+from sysid_bench.harness.suite.load_suite import parse_stored, parse_suite, suite_text
 from sysid_bench.verbs.identify_logs import identify_logs
 from sysid_bench.verbs.reports import report, table
 from tests.robots import named_robot

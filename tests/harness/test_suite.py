@@ -14,11 +14,11 @@ from sysid_bench import vocabulary as words
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.suite.load_suite import (
-    suite_text,
     load_suite,
     override,
     parse_stored,
     parse_suite,
+    suite_text,
 )
 from sysid_bench.harness.suite.names import Names, installed_names
 from sysid_bench.naming import resolve_paths
@@ -188,7 +188,7 @@ def test_plugin_files_are_found_from_the_suites_folder() -> None:
 
 
 def test_a_file_that_is_no_toml_or_no_file(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no TOML"):
+    with pytest.raises(UsageError, match="not valid TOML"):
         read("name = ")
     with pytest.raises(UsageError, match="cannot be read"):
         load_suite(tmp_path / "absent.toml", NAMES)

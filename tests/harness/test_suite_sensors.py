@@ -5,7 +5,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.spec import prior_seed
 from sysid_bench.harness.plan import expand
-from sysid_bench.harness.suite.load_suite import suite_text, parse_suite
+from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 
 SUITE = """schema = 1
 name = "sensors"

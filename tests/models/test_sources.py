@@ -11,7 +11,7 @@ from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.experiments.robot_cache import cached_robot
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.plan import expand
-from sysid_bench.harness.suite.load_suite import suite_text, parse_suite
+from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.verbs.catalogue import show
 from sysid_bench.verbs.crosscheck import crosscheck

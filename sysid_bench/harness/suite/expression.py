@@ -38,7 +38,7 @@ class Expression:
 
     @classmethod
     def parse(cls, text: str, known: Iterable[str] | None = None) -> "Expression":
-        """Read a condition. Raises UsageError outside the grammar, or for a field not in `known`."""
+        """Read a condition; raises UsageError outside the grammar or for fields not in `known`."""
         tree = _read(text)
         fields: set[str] = set()
         try:
