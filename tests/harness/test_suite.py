@@ -96,7 +96,7 @@ MISTAKES = [
         'metric = "torque_error", stat',
         'metric = "torque", stat',
         "table[0].cells.metric",
-        "condition",
+        "Did you mean 'torque_error'",
     ),
     ('"median"', '"medium"', "table[0].cells.stat", "'median'"),
     ("status != ", "statuss != ", "record.when", "'status'"),
