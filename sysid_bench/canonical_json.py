@@ -1,4 +1,4 @@
-"""JSON that is the same for the same thing: what ids, seeds and rows are made of."""
+"""Canonical JSON, equal for equal values, of which ids, seeds and rows are made."""
 
 import hashlib
 import json
@@ -8,11 +8,12 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """`value` as JSON knows it: numpy numbers and arrays, tuples and mappings are turned.
+    """Convert numpy numbers and arrays, tuples and mappings to values of JSON.
 
-    NaN and infinities become None, so that no reader takes them for a measurement.
+    NaN and infinities become None, so that no reader takes them for a measurement. Raises TypeError
+    for other types.
     """
-    kind = type(value)  # rows hold thousands of numbers: the common kinds come first
+    kind = type(value)  # rows hold thousands of numbers: the common types come first
     if kind is float:
         return value if math.isfinite(value) else None
     if kind is dict:
@@ -22,7 +23,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, str):
         if value.isascii():
             return value
-        # Half of a surrogate pair, as in the name of a broken file, is no Unicode text.
+        # Half of a surrogate pair, as in undecodable file names, is not valid UTF-8.
         return value.encode("utf-8", "backslashreplace").decode()
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
@@ -32,14 +33,16 @@ def plain(value: Any) -> Any:
         return [plain(inner) for inner in value]
     if hasattr(value, "tolist"):
         return plain(value.tolist())
-    raise TypeError(f"{value!r} ({type(value).__name__}) is no JSON value; give numbers and texts.")
+    raise TypeError(
+        f"{value!r} ({type(value).__name__}) cannot be stored as JSON; use numbers and strings."
+    )
 
 
 def canonical(value: Any) -> str:
-    """One text per value: sorted keys, no blanks."""
+    """Return one text per value: sorted keys, no blanks."""
     return json.dumps(plain(value), sort_keys=True, separators=(",", ":"))
 
 
 def digest(value: Any) -> str:
-    """sha256 of the canonical text, 64 hex digits."""
+    """Return the sha256 of the canonical text, 64 hex digits."""
     return hashlib.sha256(canonical(value).encode()).hexdigest()

@@ -1,15 +1,19 @@
-"""One root error. Every message says what came, what there is, and what to do."""
+"""Errors with one root; messages name the input, the possible values and the remedy."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Final
+
+SHOWN: Final = 8
+"""Most names that a message lists."""
 
 
 class SysidBenchError(Exception):
-    """Anything this package refuses; `str(error)` is one readable paragraph."""
+    """Root of all errors of this package; `str(error)` is one readable paragraph."""
 
 
 class UsageError(SysidBenchError):
-    """Wrong words: an unknown name, a broken suite, a value out of range (exit code 2)."""
+    """Invalid input: an unknown name, a broken suite, a value out of range (exit code 2)."""
 
 
 class ModelError(SysidBenchError):
@@ -17,38 +21,44 @@ class ModelError(SysidBenchError):
 
 
 class UnsupportedError(SysidBenchError):
-    """A sound request that this method or robot cannot serve; its cell becomes `unsupported`."""
+    """Valid input that this method or robot does not support; its cell becomes `unsupported`."""
 
 
 class SimulationError(SysidBenchError):
-    """The simulated robot left the numbers (NaN, divergence, unstable controller)."""
+    """A simulation without finite result (NaN, divergence, unstable controller)."""
 
 
 class EstimationError(SysidBenchError):
-    """An estimator says why it could not estimate; its cell becomes `failed`."""
+    """An estimator without result, with the reason; its cell becomes `failed`."""
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], advice: str = "") -> UsageError:
-    """An error that names the nearest existing `kind` first and lists all of them."""
+    """Return an error that names the nearest existing `kind`, and lists all of them or, where there
+    are many, the SHOWN nearest."""
     names = sorted(set(known))
     near = get_close_matches(name, names, n=1, cutoff=0.5)
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    there = f" There are: {', '.join(names)}." if names else f" There is no {kind} at all."
-    return UsageError(f"No {kind} is called {name!r}.{hint}{there}{' ' + advice if advice else ''}")
+    listed = f" There are: {', '.join(names)}." if names else f" There is no {kind} at all."
+    if len(names) > SHOWN:
+        nearest = get_close_matches(name, names, n=SHOWN, cutoff=0.0)
+        listed = f" The nearest of {len(names)}: {', '.join(nearest)}."
+    return UsageError(
+        f"No {kind} is called {name!r}.{hint}{listed}{' ' + advice if advice else ''}"
+    )
 
 
 def first_names(names: Iterable[str]) -> str:
-    """The first three of names, each once, and how many more there are."""
-    each = list(dict.fromkeys(names))
-    more = "" if len(each) < 4 else f" and {len(each) - 3} more"
-    return ", ".join(each[:3]) + more
+    """Return the first three of names, each once, and the number of the others."""
+    unique = list(dict.fromkeys(names))
+    more = "" if len(unique) < 4 else f" and {len(unique) - 3} more"
+    return ", ".join(unique[:3]) + more
 
 
 def reason_of(error: BaseException) -> str:
-    """One line: our own errors speak for themselves, others with their type."""
+    """Return the message on one line; errors of others with their type."""
     try:
         text = " ".join(str(error).split())[:1000]
-    except Exception:  # a stranger's __str__
+    except Exception:  # __str__ of a plug-in's error may fail
         text = ""
     if isinstance(error, SysidBenchError):
         return text

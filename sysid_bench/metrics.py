@@ -6,7 +6,6 @@ A new column is one record with `compute` here, or a plug-in that a suite names 
 import math
 import re
 from collections.abc import Callable, Mapping
-from itertools import chain
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -143,7 +142,17 @@ _RUN: Final = (
 METRICS: Final[Mapping[str, Metric]] = MappingProxyType(
     {
         metric.name: metric
-        for metric in chain(_ACCURACY, _DATA, _LOAD, _SENSOR, _BODIES, _UNCERTAINTY, _JOINTS, _RUN)
+        for group in (
+            _ACCURACY,
+            _DATA,
+            _LOAD,
+            _SENSOR,
+            _BODIES,
+            _UNCERTAINTY,
+            _JOINTS,
+            _RUN,
+        )
+        for metric in group
     }
 )
 

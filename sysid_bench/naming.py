@@ -1,8 +1,8 @@
-"""A name becomes an object: "ols", "package.module:Thing", "file:mine.py:Thing", entry points.
+"""Registry of plug-ins: "ols", "package.module:Class", "file:mine.py:Class", entry points.
 
-Built-in names are strings here, so that this file imports nothing of ours and naming a thing costs
-no import; `tests/test_naming.py` holds the table against the folders. Strangers add names with an
-entry point in the group `sysid_bench.<kind>s`, or use "module:object" without any registration.
+Built-in names map to strings, so that looking a name up imports nothing; `tests/test_naming.py`
+compares the table with the folders. Plug-in authors add names with an entry point in the group
+`sysid_bench.<kind>s`, or use "module:object" without registration.
 """
 
 import dataclasses
@@ -68,6 +68,14 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "static": "sysid_bench.excitation.point_to_point:Static",
             "wander": "sysid_bench.excitation.random_waypoints:RandomWaypoints",
         },
+        "task": {
+            "robot": "sysid_bench.tasks.robot:RobotTask",
+            "payload": "sysid_bench.tasks.payload:PayloadTask",
+            "link": "sysid_bench.tasks.link:LinkTask",
+            "terminal": "sysid_bench.tasks.terminal:TerminalTask",
+            "wrench": "sysid_bench.tasks.wrench:WrenchTask",
+            "wrench-payload": "sysid_bench.tasks.wrench_payload:WrenchPayloadTask",
+        },
         "simulation": {
             "inverse": "sysid_bench.simulation.inverse:Inverse",
             "closed-loop": "sysid_bench.simulation.closed_loop:ClosedLoop",
@@ -94,28 +102,29 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
 
 
 def known(kind: str) -> dict[str, str]:
-    """Every name of a kind and where it lies ("module:object"), built in and from entry points."""
+    """Return every name of a kind with its target "module:object", built in or an entry point."""
     return dict(BUILTIN.get(kind, {})) | {point.name: point.value for point in _points(kind)}
 
 
 def resolve(kind: str, name: str) -> Any:
-    """The object that `name` stands for; raises UsageError with the nearest name."""
+    """Return the object of a name; raises UsageError with the nearest names."""
     table = known(kind)
     target = table.get(name, name)
     if ":" not in target:
         advice = "One of your own is named 'module:object' or 'file:path.py:object'."
         raise unknown_name(kind, name, table, advice)
-    place, _, attribute = target.rpartition(":")
-    module = _module(place)
+    path, _, attribute = target.rpartition(":")
+    module = _module(path)
     if not hasattr(module, attribute):
-        raise UsageError(f"{place!r} has no {attribute!r} ({kind} {name!r}).")
+        raise UsageError(f"{path!r} has no {attribute!r} ({kind} {name!r}).")
     return getattr(module, attribute)
 
 
 def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
-    """The object of a name, called with its settings; {use = "fourier", period = "5 s"}.
+    """Call the object of a name with its settings: {use = "fourier", period = "5 s"}.
 
-    Settings of a dataclass field with `metadata={"unit": ...}` are read with their unit.
+    Settings of a dataclass field with `metadata={"unit": ...}` are read with their unit. Raises
+    UsageError for unknown or missing settings.
     """
     if isinstance(spec, str):
         spec = {"use": spec}
@@ -131,17 +140,17 @@ def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
 
 
 def resolve_paths(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
-    """A plug-in's spec whose "file:mine.py:Thing", and whose setting `file`, are found from the
-    suite's folder."""
-    found, use = dict(spec), spec.get("use")
+    """Return a plug-in's spec with the paths of "file:mine.py:Class" and of the setting `file`
+    relative to the suite's folder."""
+    resolved, use = dict(spec), spec.get("use")
     if folder is None:
-        return found
+        return resolved
     if isinstance(use, str) and use.startswith("file:"):
         path, colon, attribute = use.removeprefix("file:").rpartition(":")
-        found["use"] = f"file:{folder / path}{colon}{attribute}"
+        resolved["use"] = f"file:{folder / path}{colon}{attribute}"
     if isinstance(spec.get("file"), str):
-        found["file"] = str(folder / spec["file"])
-    return found
+        resolved["file"] = str(folder / spec["file"])
+    return resolved
 
 
 def _settings(kind: str, name: str, make: Any, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -163,16 +172,15 @@ def _settings(kind: str, name: str, make: Any, given: Mapping[str, Any]) -> dict
             values[key] = quantity(value, units[key]) if key in units else value
         except UsageError as error:
             raise UsageError(f"{kind} {name!r}, {key}: {error}") from error
-    missing = [
-        key
-        for key, p in parameters.items()
-        if p.default is p.empty
-        and p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)
-        and key not in values
-    ]
+    missing = [key for key, p in parameters.items() if _is_required(p) and key not in values]
     if missing:
         raise UsageError(f"{kind} {name!r} needs the settings {', '.join(missing)}.")
     return values
+
+
+def _is_required(parameter: inspect.Parameter) -> bool:
+    variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+    return parameter.default is inspect.Parameter.empty and parameter.kind not in variadic
 
 
 def _points(kind: str) -> tuple[EntryPoint, ...]:
@@ -181,24 +189,24 @@ def _points(kind: str) -> tuple[EntryPoint, ...]:
 
 @cache
 def _installed(find: Callable[..., EntryPoints], group: str) -> tuple[EntryPoint, ...]:
-    # It looks into every installed package, some 10 ms; fingerprints ask five times per cell.
+    # Reads the metadata of every installed package, some 10 ms; fingerprints need it per cell.
     return tuple(find(group=group))
 
 
-def _module(place: str) -> ModuleType:
-    if place.startswith("file:"):
-        return _module_of_file(Path(place.removeprefix("file:")))
+def _module(path: str) -> ModuleType:
+    if path.startswith("file:"):
+        return _module_of_file(Path(path.removeprefix("file:")))
     try:
-        return importlib.import_module(place)
+        return importlib.import_module(path)
     except ModuleNotFoundError as error:
-        if error.name is not None and (place == error.name or place.startswith(error.name + ".")):
-            raise UsageError(f"No module is called {place!r} on this Python's path.") from error
-        raise
+        if error.name is not None and (path == error.name or path.startswith(error.name + ".")):
+            raise UsageError(f"No module is called {path!r} on the path of this Python.") from error
+        raise  # the plug-in's own import: blaming its name would hide the mistake
 
 
 def _module_of_file(path: Path) -> ModuleType:
     if not path.is_file():
-        raise UsageError(f"There is no file {str(path)!r} to take a plug-in from.")
+        raise UsageError(f"There is no file {str(path)!r} with a plug-in.")
     name = f"sysid_bench_file_{hashlib.sha256(bytes(path.resolve())).hexdigest()[:12]}"
     status = path.stat()
     return _executed(name, path, (status.st_mtime_ns, status.st_size))
@@ -206,12 +214,12 @@ def _module_of_file(path: Path) -> ModuleType:
 
 @lru_cache
 def _executed(name: str, path: Path, state: tuple[int, int]) -> ModuleType:
-    """The module of a file in this state: one that was changed is read again."""
+    """Import a file in this state; a changed file is read again."""
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise UsageError(f"{str(path)!r} is no Python file.")
+        raise UsageError(f"{str(path)!r} is not a Python file.")
     module = importlib.util.module_from_spec(spec)
-    # Dataclasses look their module up to read postponed annotations; pickling needs it too.
+    # Dataclasses look their module up to read postponed annotations, and pickle does too.
     sys.modules[name] = module
     spec.loader.exec_module(module)
     return module

@@ -1,4 +1,4 @@
-"""Where robots, suites and reports are: a checkout, an installed wheel, the user's folders."""
+"""Folders of robots and suites: of a checkout, an installed wheel, or the user."""
 
 from functools import cache
 from importlib.metadata import PackageNotFoundError, files
@@ -8,7 +8,7 @@ from sysid_bench.errors import UsageError, unknown_name
 
 
 def shipped(kind: str) -> Path:
-    """The folder `robots` or `suites` of this installation (checkout or wheel)."""
+    """Return the folder `robots` or `suites` of this installation (checkout or wheel)."""
     package = Path(__file__).resolve().parent
     for folder in (package / kind, package.parent / kind):
         if folder.is_dir():
@@ -17,14 +17,14 @@ def shipped(kind: str) -> Path:
 
 
 def robot_folders(extra: Path | None = None) -> list[Path]:
-    """Folders that hold <name>/robot.toml, the nearest first: --robots, ./robots, installed."""
+    """Return folders with <name>/robot.toml by precedence: --robots, ./robots, installed."""
     folders = [] if extra is None else [extra]
     folders += [Path("robots"), shipped("robots")]
     return [folder for folder in folders if folder.is_dir()]
 
 
 def robots(extra: Path | None = None) -> dict[str, Path]:
-    """Every robot that can be named, with its manifest."""
+    """Return the manifest of every robot that has a name."""
     found: dict[str, Path] = {}
     for folder in robot_folders(extra):
         for manifest in sorted(folder.glob("*/robot.toml")):
@@ -33,7 +33,7 @@ def robots(extra: Path | None = None) -> dict[str, Path]:
 
 
 def suites() -> dict[str, Path]:
-    """Every suite that can be named without a path: ./suites first, then the installed ones."""
+    """Return the file of every suite that has a name, ./suites before the installed ones."""
     found: dict[str, Path] = {}
     for folder in (Path("suites"), shipped("suites")):
         for file in sorted(folder.glob("*.toml")):
@@ -42,7 +42,7 @@ def suites() -> dict[str, Path]:
 
 
 def suite(name: str) -> Path:
-    """A suite's file from its name or path."""
+    """Return the file of a suite from its name or path. Raises UsageError where there is none."""
     path = Path(name)
     if path.suffix == ".toml" or path.parent != Path("."):
         if path.is_file():
@@ -56,14 +56,14 @@ def suite(name: str) -> Path:
 
 @cache
 def example_robot_data() -> Path:
-    """The folder `robots` of the package example-robot-data, found without importing it."""
+    """Return the folder `robots` of the package example-robot-data, without importing it."""
     try:
         listed = files("example-robot-data") or []
     except PackageNotFoundError as error:
         raise UsageError("The package example-robot-data is absent: pip install it.") from error
     for file in listed:
         if file.name.endswith(".urdf") and "robots" in file.parts:
-            where = Path(str(file.locate())).resolve()
+            path = Path(str(file.locate())).resolve()
             depth = len(file.parts) - file.parts.index("robots") - 2
-            return where.parents[depth]
+            return path.parents[depth]
     raise UsageError("The package example-robot-data holds no URDF; install it again.")

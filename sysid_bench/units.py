@@ -1,11 +1,11 @@
-"""Quantities as people write them: "5 s", "1 kHz", "20 %", "1e-4 rad", "0.05 N m"."""
+"""Quantities with units: "5 s", "1 kHz", "20 %", "1e-4 rad", "0.05 N m"."""
 
 import math
 import re
 
 from sysid_bench.errors import UsageError
 
-# One table per dimension; the first name of each is the SI unit that the numbers are turned into.
+# One table per dimension, with the factor to its first name, the SI unit.
 _DIMENSIONS: tuple[dict[str, float], ...] = (
     {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
     {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
@@ -20,20 +20,23 @@ _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S.*?
 
 
 def split_quantity(text: str) -> tuple[float, str]:
-    """A text as (number, unit as written); raises UsageError where it is no finite quantity."""
+    """Return a text as (number, unit as written). Raises UsageError unless finite."""
     match = _QUANTITY.fullmatch(text)
     if match is None or not math.isfinite(float(match[1])):
-        raise UsageError(f"{text!r} is no quantity; write a number and a unit, as '5 s' or '20 %'.")
+        raise UsageError(
+            f"{text!r} is not a quantity; write a number and a unit, as '5 s' or '20 %'."
+        )
     return float(match[1]), match[2] or ""
 
 
 def quantity(value: object, unit: str) -> float:
-    """`value` in the SI unit of `unit`'s dimension; a bare number is already in `unit`.
+    """Return `value` in the SI unit of the dimension of `unit`; a bare number is in `unit`.
 
-    `unit` may list alternatives ("rad|m"): the first whose dimension fits is taken.
+    Of alternatives ("rad|m") the first with the dimension of `value` applies. Raises UsageError for
+    another unit, or a value that is not finite.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise UsageError(f"{value!r} is no quantity; write a number with a unit ({unit}).")
+        raise UsageError(f"{value!r} is not a quantity; write a number with a unit ({unit}).")
     if not isinstance(value, str):
         first = unit.split("|")[0]
         return _finite(value, _dimension(first)[first], value)
@@ -42,33 +45,33 @@ def quantity(value: object, unit: str) -> float:
         table = _dimension(wanted)
         if (written or wanted) in table:
             return _finite(number, table[written or wanted], value)
-    there = sorted({name for wanted in unit.split("|") for name in _dimension(wanted)})
-    raise UsageError(f"{value!r} has the unit {written!r}; expected one of {', '.join(there)}.")
+    expected = sorted({name for wanted in unit.split("|") for name in _dimension(wanted)})
+    raise UsageError(f"{value!r} has the unit {written!r}; expected one of {', '.join(expected)}.")
 
 
 def interval(text: object) -> tuple[float, float]:
-    """(start, end) in seconds of "10 s to 25 s"; raises UsageError for anything else."""
+    """Return (start, end) in seconds of "10 s to 25 s"; raises UsageError for anything else."""
     start, to, end = text.partition(" to ") if isinstance(text, str) else ("", "", "")
     if not to:
         raise UsageError(f"A period is a text like '10 s to 25 s'; got {text!r}.")
-    told = quantity(start.strip(), "s"), quantity(end.strip(), "s")
-    if not told[0] < told[1]:
+    first, last = quantity(start.strip(), "s"), quantity(end.strip(), "s")
+    if not first < last:
         raise UsageError(f"The period {text!r} ends before it begins.")
-    return told
+    return first, last
 
 
 def _dimension(unit: str) -> dict[str, float]:
     for table in _DIMENSIONS:
         if unit in table:
             return table
-    raise UsageError(f"{unit!r} is no unit that is known here.")
+    raise UsageError(f"{unit!r} is not a known unit.")
 
 
 def _finite(number: float, scale: float, written: float | str) -> float:
     try:
         scaled = float(number) * scale
-    except OverflowError:  # an integer beyond all floats
+    except OverflowError:  # an integer beyond the range of floats
         scaled = math.inf
     if not math.isfinite(scaled):
-        raise UsageError(f"{written!r} is no finite number in SI units; write one with its unit.")
+        raise UsageError(f"{written!r} is not finite in SI units; write a number with its unit.")
     return scaled

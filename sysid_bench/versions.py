@@ -1,6 +1,6 @@
 """Versions of this package, of its libraries and of the machine.
 
-Heavy packages are looked up in the installation, never imported.
+Versions are read from the metadata of the installation, without imports.
 """
 
 import hashlib
@@ -17,14 +17,14 @@ from typing import Any, Final
 from sysid_bench.canonical_json import digest
 
 PACKAGES: Final = ("sysid-bench", "numpy", "scipy", "mujoco", "pin", "pandas", "clarabel")
-"""Distributions whose version can change a number."""
+"""Distributions on whose version results depend."""
 
 _FLAGS = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "neon", "sve")
 PACKAGE_FOLDER: Final = Path(__file__).resolve().parent
 
 
 def environment() -> dict[str, Any]:
-    """Python, platform, CPU, BLAS, versions and git state, as written to env.json."""
+    """Return Python, platform, CPU, BLAS, versions and git state, as written to env.json."""
     return {
         "python": platform.python_version(),
         "platform": platform.platform(),
@@ -43,19 +43,19 @@ def _versions() -> tuple[tuple[str, str | None], ...]:
 
 
 def versions() -> dict[str, str | None]:
-    """Installed versions of `PACKAGES`; None where a package is absent."""
+    """Return the installed versions of `PACKAGES`; None where a package is absent."""
     return dict(_versions())
 
 
 @cache
 def code_and_libraries() -> str:
-    """A hash of this package's code and of the versions it runs with."""
+    """Return 16 hex digits of this package's code and of the versions of its libraries."""
     return digest([source_hash(str(PACKAGE_FOLDER)), versions(), sys.version_info[:2]])[:16]
 
 
 @cache
 def source_hash(folder: str) -> str:
-    """Hash of all Python files below a folder, with their places."""
+    """Return a hash of all Python and C files below a folder, with their paths."""
     found = hashlib.sha256()
     for file in sorted([*Path(folder).rglob("*.py"), *Path(folder).rglob("*.c")]):
         found.update(f"{file.relative_to(folder)}\0".encode() + file.read_bytes() + b"\0")
@@ -76,8 +76,8 @@ def _cpu() -> str:
 
 def _instructions() -> list[str]:
     lines = re.findall(r"^(?:flags|Features)\s*:\s*(.+)$", _cpuinfo(), re.MULTILINE)
-    there = set(lines[0].split()) if lines else set()
-    return [flag for flag in _FLAGS if flag in there]
+    flags = set(lines[0].split()) if lines else set()
+    return [flag for flag in _FLAGS if flag in flags]
 
 
 def _cpuinfo() -> str:
@@ -96,7 +96,7 @@ def _blas() -> str:
 
 
 def _git() -> dict[str, Any] | None:
-    """Commit and dirtiness of the checkout that this package lies in; None where it is none."""
+    """Return commit and state of the checkout that holds this package; None for a wheel."""
     checkout = PACKAGE_FOLDER.parent
     if not (checkout / ".git").exists():
         return None

@@ -1,4 +1,4 @@
-"""Closed sets of words of suites and rows."""
+"""Closed sets of words in suites and rows, part of the contract of the command line."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -7,15 +7,14 @@ from sysid_bench.metrics import METRICS as RECORDS
 from sysid_bench.metrics import names_of
 from sysid_bench.types import Level
 
-TASKS: Final = ("robot", "payload", "link", "terminal", "wrench", "wrench-payload")
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
 FINDINGS: Final = (
     "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
 )  # fmt: skip
-"""Defects of a recording that a suite may accept."""
+"""Findings in a recording that a user can accept."""
 STATUSES: Final = ("ok", "failed", "timeout", "crash", "unsupported", "skipped")
 FAILURES: Final = ("failed", "timeout", "crash")
-"""Statuses of errors; `unsupported` and `skipped` are valid results."""
+"""Statuses of failures; `unsupported` and `skipped` are valid results."""
 
 LABELS: Final = (
     "robot",
@@ -79,7 +78,7 @@ ERRORS: Final = tuple(name for name in METRICS if RECORDS[name].ranked)
 
 PARAMETER: Final = "parameter"
 VERDICT: Final = "verdict"
-"""Axis of tables with the verdict on each parameter (m, hx, ..., fc)."""
+"""Metric of a table by parameter (m, hx, ..., fc): its identifiability, in words."""
 
 JOINT: Final = "joint"
 """Axis of tables with metrics of joints."""

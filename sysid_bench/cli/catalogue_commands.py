@@ -19,7 +19,8 @@ from sysid_bench.cli.common import (
 @click.command(name="list")
 @click.argument(
     "kind",
-    metavar="robots|payloads|excitations|estimators|suites|simulations|plants|metrics|log-readers",
+    metavar="robots|payloads|tasks|excitations|estimators|suites|simulations|plants|metrics|"
+    "log-readers",
 )
 @robots_option
 @json_option

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
+from click.shell_completion import CompletionItem
 
+from sysid_bench import naming
 from sysid_bench.errors import SysidBenchError
 
 if TYPE_CHECKING:
@@ -22,15 +24,37 @@ robots_option = click.option(
     "--robots", "robots_dir", type=click.Path(path_type=Path, exists=True, file_okay=False),
     help="Folder of your own robots, <name>/robot.toml.",
 )  # fmt: skip
+
+
+class _Name(click.ParamType[str]):
+    """A name of the registry of plug-ins, or one of the user's own."""
+
+    name = "text"
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        names = naming.known(self.kind)
+        return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+class _TaskOption(click.Option):
+    """Lists the registered tasks in its help, once somebody asks for it."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        self.help = f"{', '.join(naming.known('task'))}; or your own, file:mine.py:Class."
+        return super().get_help_record(ctx)
+
+
+task_option = click.option(
+    "--task", default="robot", show_default=True, type=_Name("task"), cls=_TaskOption
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 free_base_option = click.option(
     "--free-base", is_flag=True, default=None, help="Let the root body float."
-)
-task_option = click.option(
-    "--task",
-    default="robot",
-    show_default=True,
-    help="robot, payload, link, terminal, wrench, wrench-payload.",
 )
 sensor_option = click.option(
     "--sensor",

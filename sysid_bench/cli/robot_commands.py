@@ -119,7 +119,12 @@ def basis(
     """Print the base parameters: number, combinations, identifiability of each parameter."""
     if (printing.zero is not None or printing.values is not None) and not printing.paper:
         raise UsageError("--zero and --values belong to --paper.")
-    if printing.paper and task == "robot" and free_base is None and sensor is None:
+    if (
+        printing.paper
+        and sysid_bench.show(task)["identifies_whole_robot"]
+        and free_base is None
+        and sensor is None
+    ):
         _print_paper(robot, parse_terms(terms), printing, robots_dir, as_json)
         return OK
     result = sysid_bench.basis(robot, task, parse_terms(terms), free_base, robots_dir, sensor)

@@ -130,7 +130,7 @@ def _symbols(robot: RobotModel, base: BaseMap) -> list[dict[str, str]]:
     for lengths in sets:
         text = mjcf_of(
             read_table(table, lengths), robot.name, dh.convention, dh.frames, dh.base,
-            robot.tree.gravity.tolist(), massless,
+            gravity=robot.tree.gravity.tolist(), massless=massless,
         )  # fmt: skip
         other = load_robot(replace(robot.manifest, text=text))
         maps.append(_same_pivots(structural_factor(other, base.parameters), base.pivots))

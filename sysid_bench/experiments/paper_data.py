@@ -62,9 +62,14 @@ def _store(
         return
     found = predict_log(prepared, estimate.beta, entry["test"])
     units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
-    arrays = {"t": found.t, "measured": found.measured, "predicted": found.predicted}
-    rows = found.problem.rows
-    np.savez_compressed(folder / f"{entry['name']}.npz", rows=rows, units=units, **arrays)
+    np.savez_compressed(
+        folder / f"{entry['name']}.npz",
+        rows=found.problem.rows,
+        units=units,
+        t=found.t,
+        measured=found.measured,
+        predicted=found.predicted,
+    )
 
 
 def _model(manifest: Manifest) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Rows become data frames: one of cells, two long ones of parameters and joints."""
+"""Data frames of rows: one of cells, and long ones of parameters and joints."""
 
 import json
 import os
@@ -31,8 +31,8 @@ _LONG: Final[Mapping[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """`cells` has a line per row, `parameters` and `joints` one per parameter or joint of a cell,
-    which `id` names."""
+    """`cells` has a line per row; `parameters` and `joints` have one per parameter or joint of the
+    cell `id`."""
 
     cells: "pd.DataFrame"
     parameters: "pd.DataFrame"
@@ -40,35 +40,35 @@ class Frames:
 
     @cached_property
     def by_parameter(self) -> "pd.DataFrame":
-        """`cells` with a line per parameter (m, ..., fc) and its verdict; a cell that tells of none
-        has a line for each that others tell of."""
+        """`cells` with a line per parameter (m, ..., fc) and its verdict; a cell without any has a
+        line for each parameter of the others."""
         names = {"name": PARAMETER, "identifiable": VERDICT}
-        told = self.parameters[["id", *names]].rename(columns=names)
-        return self._spread(told, PARAMETER)
+        verdicts = self.parameters[["id", *names]].rename(columns=names)
+        return self._merged(verdicts, PARAMETER)
 
     @cached_property
     def by_joint(self) -> "pd.DataFrame":
-        """`cells` with a line per joint and its errors; a cell that tells of none has a line for
-        each that others tell of."""
-        told = self.joints.rename(columns=_JOINT_COLUMNS)
-        return self._spread(told.reindex(columns=["id", *_JOINT_COLUMNS.values()]), JOINT)
+        """`cells` with a line per joint and its errors; a cell without any has a line for each
+        joint of the others."""
+        errors = self.joints.rename(columns=_JOINT_COLUMNS)
+        return self._merged(errors.reindex(columns=["id", *_JOINT_COLUMNS.values()]), JOINT)
 
-    def _spread(self, told: "pd.DataFrame", label: str) -> "pd.DataFrame":
-        """`cells` with a line for each line of `told` (id, label, ...), in their own order."""
+    def _merged(self, entries: "pd.DataFrame", label: str) -> "pd.DataFrame":
+        """`cells` with a line for each line of `entries` (id, label, ...), in order."""
         import pandas as pd
 
-        lines = self.cells.reset_index(names="place")
-        silent = lines[~lines["id"].isin(told["id"])]
-        every = pd.DataFrame({label: told[label].unique() if len(told) else [None]})
-        both = [lines.merge(told, on="id"), silent.merge(every, how="cross")]
-        whole = pd.concat([part for part in both if len(part)] or both)
-        return whole.sort_values("place", kind="stable", ignore_index=True).drop(columns="place")
+        cells = self.cells.reset_index(names="order")
+        without = cells[~cells["id"].isin(entries["id"])]
+        values = pd.DataFrame({label: entries[label].unique() if len(entries) else [None]})
+        parts = [cells.merge(entries, on="id"), without.merge(values, how="cross")]
+        lines = pd.concat([part for part in parts if len(part)] or parts)
+        return lines.sort_values("order", kind="stable", ignore_index=True).drop(columns="order")
 
     @cached_property
     def by_std_from(self) -> "pd.DataFrame":
-        """`cells` with a line per way to tell how sure an estimate is, and its coverage; a cell
-        that is not ok has a line for each that its estimator tells of elsewhere, or any does.
-        Where no cell tells of any (exact data), all have one line."""
+        """`cells` with a line per source of standard deviations, and its coverage. A cell that is
+        not ok has a line for each source of its estimator in other cells, else for all sources;
+        without any source (exact data) each cell has one line."""
         import pandas as pd
 
         prefix = f"{COVERAGE}."
@@ -77,27 +77,28 @@ class Frames:
         if not kinds:
             plain[STD_FROM], plain[COVERAGE] = "none", None
             return plain
-        failed, who = self.cells["status"] != "ok", self.cells["estimator"]
-        mute = ~who.isin(who[self.cells[kinds].notna().any(axis=1)])
+        failed, estimator = self.cells["status"] != "ok", self.cells["estimator"]
+        unknown = ~estimator.isin(estimator[self.cells[kinds].notna().any(axis=1)])
         lines = []
         for kind in kinds:
-            told = self.cells[kind]
-            line = plain[told.notna() | failed & (mute | who.isin(who[told.notna()]))].copy()
-            line[STD_FROM], line[COVERAGE] = kind.removeprefix(prefix), told
+            coverage = self.cells[kind]
+            alike = estimator.isin(estimator[coverage.notna()])
+            line = plain[coverage.notna() | failed & (unknown | alike)].copy()
+            line[STD_FROM], line[COVERAGE] = kind.removeprefix(prefix), coverage
             lines.append(line)
         return pd.concat(lines).sort_index(kind="stable", ignore_index=True)
 
     def write(self, folder: Path) -> None:
-        """cells.parquet, parameters.parquet and joints.parquet, each whole or not at all."""
+        """Write cells.parquet, parameters.parquet and joints.parquet, each atomically."""
         for name in ("cells", "parameters", "joints"):
             path = folder / f"{name}.parquet"
-            beside = path.with_name(f".{path.name}.{os.getpid()}")
-            getattr(self, name).to_parquet(beside, compression="zstd", index=False)
-            beside.replace(path)
+            temporary = path.with_name(f".{path.name}.{os.getpid()}")
+            getattr(self, name).to_parquet(temporary, compression="zstd", index=False)
+            temporary.replace(path)
 
 
 def data_frames(rows: Iterable[Row]) -> Frames:
-    """Frames of rows; nested tables of a cell become columns with dotted names."""
+    """Return the frames of rows; nested tables of a cell become columns with dotted names."""
     rows = list(rows)
     cells = [_flat({key: value for key, value in row.items() if key not in _LONG}) for row in rows]
     return Frames(
@@ -119,7 +120,7 @@ def _flat(row: Mapping[str, Any], prefix: str = "") -> Row:
         if isinstance(value, Mapping):
             flat |= _flat(value, f"{prefix}{key}.")
         else:
-            # A column of lists has no place in a table that DuckDB and a person both read.
+            # Lists are stored as JSON, which DuckDB and people both read.
             flat[prefix + key] = json.dumps(value) if isinstance(value, list) else value
     return flat
 
@@ -133,12 +134,12 @@ def _frame(rows: Iterable[Row], first: tuple[str, ...]) -> "pd.DataFrame":
 
 
 def _column(values: list[Any]) -> "pd.Series":
-    """One type per column: Parquet takes no mixture of texts and numbers."""
+    """Give a column one type: Parquet does not mix texts and numbers."""
     import pandas as pd
 
     kinds = {type(value) for value in values if value is not None}
     if int in kinds and any(abs(v) >= 2**63 for v in values if isinstance(v, int)):
-        kinds.add(str)  # no integer column is that wide: keep the digits as a text
+        kinds.add(str)  # beyond 64 bits the digits are kept as a text
     if kinds <= {int, float} and kinds:
         return pd.Series(values, dtype="float64" if None in values or float in kinds else "int64")
     if len(kinds) > 1:

@@ -12,7 +12,9 @@ from typing import Any
 from sysid_bench import naming
 from sysid_bench.canonical_json import digest
 from sysid_bench.errors import SysidBenchError
+from sysid_bench.experiments.recorded.prepare import log_files
 from sysid_bench.harness.plan import Cell
+from sysid_bench.models.manifest import find_manifest
 from sysid_bench.naming import resolve_paths
 from sysid_bench.versions import PACKAGE_FOLDER, source_hash, versions
 
@@ -20,11 +22,10 @@ _INCLUDE = re.compile(rb"""<include\s+file\s*=\s*["']([^"']+)["']""")
 
 
 def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
-    """16 hex digits over this package's source, the bytes of model files (with the files that an
-    MJCF includes) and of motions, the files of plug-ins ("module:object", "file:x.py:object") and
-    versions.
+    """Return 16 hex digits of this package's source, the bytes of model files (with the includes of
+    an MJCF) and motions, the files of plug-ins ("module:object", "file:x.py:object") and versions.
 
-    A plug-in stands for the whole package that it lies in. Files are read once per process.
+    A plug-in counts with the whole package that holds it. Files are read once per process.
     """
     models = tuple(sorted(str(Path(path).resolve()) for path in paths))
     return _fingerprint(models, tuple(sorted(set(plugins))))
@@ -36,35 +37,36 @@ def cell_fingerprint(
     folder: Path | None,
     metrics: Sequence[Mapping[str, Any]] = (),
 ) -> str:
-    """The fingerprint of everything that a cell's row depends on, the specs of its plug-in
-    `metrics` included; "" where its robot is gone."""
+    """Return the fingerprint of all that the row of a cell depends on, the specs of its plug-in
+    `metrics` included; "" for an absent robot."""
     spec = cell.spec
-    plugins = {
+    plugins: dict[str, list[Mapping[str, Any]]] = {
+        "task": [{"use": spec.task}],
         "plant": [spec.plant],
         "excitation": [spec.excitation, *spec.held_out],
         "simulation": [spec.simulation],
         "estimator": [cell.estimator],
-        "metric": metrics,
+        "metric": [*metrics],
     }
     files = _model_files(spec.robot, robots_dir, folder)
     if not files:
         return ""
-    targets = [_target(kind, plugin, folder) for kind, some in plugins.items() for plugin in some]
-    specs = [resolve_paths(plugin, folder) for some in plugins.values() for plugin in some]
+    named = [(kind, plugin) for kind, group in plugins.items() for plugin in group]
+    targets = [_target(kind, plugin, folder) for kind, plugin in named]
+    specs = [resolve_paths(plugin, folder) for _, plugin in named]
     read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
     if spec.log is not None:
-        from sysid_bench.experiments.recorded.prepare import log_files
-
-        own = [_target("estimator", cell.estimator, folder)]
-        own += [_target("metric", metric, folder) for metric in metrics]
-        return fingerprint([*files, *log_files(spec.log, folder or Path())], own)
+        used = [
+            _target("task", {"use": spec.task}, folder),
+            _target("estimator", cell.estimator, folder),
+            *(_target("metric", metric, folder) for metric in metrics),
+        ]
+        return fingerprint([*files, *log_files(spec.log, folder or Path())], used)
     return fingerprint([*files, *read], targets)
 
 
 @cache
 def _model_files(robot: str, robots_dir: Path | None, folder: Path | None) -> tuple[Path, ...]:
-    from sysid_bench.models.manifest import find_manifest
-
     try:
         manifest = find_manifest(robot, robots_dir, folder)
     except SysidBenchError:
@@ -99,27 +101,27 @@ def _file(path: str) -> str:
 
 @cache
 def _model(path: str) -> list[str]:
-    """Hashes of a model file and of what it includes."""
-    met, waiting = {}, [Path(path)]
+    """Return the hashes of a model file and of its includes."""
+    hashes, waiting = {}, [Path(path)]
     while waiting:
         file = waiting.pop()
-        if str(file) in met:
+        if str(file) in hashes:
             continue
-        met[str(file)] = _file(str(file))
-        if met[str(file)] != "absent":
+        hashes[str(file)] = _file(str(file))
+        if hashes[str(file)] != "absent":
             names = _INCLUDE.findall(file.read_bytes())
             waiting += [file.parent / name.decode(errors="replace") for name in names]
-    return list(met.values())
+    return list(hashes.values())
 
 
 @cache
 def _plugin(name: str) -> str:
-    place = name.rpartition(":")[0] or name
-    if place.startswith("file:"):
-        return _file(place.removeprefix("file:"))
-    root = place.partition(".")[0]
+    module = name.rpartition(":")[0] or name
+    if module.startswith("file:"):
+        return _file(module.removeprefix("file:"))
+    root = module.partition(".")[0]
     if root == PACKAGE_FOLDER.name:
-        return ""  # its tree is in every fingerprint
+        return ""  # part of every fingerprint already
     try:
         spec = importlib.util.find_spec(root)
     except (ImportError, ValueError):

@@ -1,4 +1,4 @@
-"""What `execute` is told of one experiment: JSON values, so that any worker can do it."""
+"""Argument of `execute` for one experiment: JSON values, so that any worker can run it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,11 +12,11 @@ from sysid_bench.units import quantity
 
 
 def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict[str, Any]:
-    """The argument that asks for these cells, all of one experiment.
+    """Return the argument for these cells, all of one experiment.
 
     Plug-in files and robots are found from the suite's folder; `labels` begin every row.
     """
-    own = ("id", "estimator")
+    by_estimator = ("id", "estimator")
     return {
         "experiment": cells[0].spec.to_json(),
         "seed": suite.seed,
@@ -33,7 +33,7 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
             for entry in suite.metric
         ],
         "papers": {cell.id: _papers(cell, suite) for cell in cells} if suite.paper else {},
-        "labels": {key: value for key, value in cells[0].head.items() if key not in own},
+        "labels": {key: value for key, value in cells[0].head.items() if key not in by_estimator},
         "crosscheck": {
             "tolerance": quantity(suite.crosscheck.tolerance, "1"),
             "on_fail": suite.crosscheck.on_fail,

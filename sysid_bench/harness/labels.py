@@ -1,4 +1,4 @@
-"""Short texts for the values of a sweep, different for different values."""
+"""Labels of the values of a sweep: short texts, unique within the suite."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,26 +10,26 @@ from sysid_bench.harness.suite.model import Noise, Plugin, Prior, RobotEntry, Su
 from sysid_bench.harness.suite.names import Names
 
 BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}
-"""What follows the name of a robot whose suite says what its base does."""
+"""Suffix of a robot's name where the suite sets its base."""
 
 
-def distinct_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
-    """canonical(value) -> label, from (value, short text, long text).
-
-    The short text serves where it tells the values apart, then the long one, then a hash.
-    """
+def unique_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
+    """Return canonical(value) -> label from (value, short text, long text): the short text where it
+    is unique, else the long one, else the long one with a hash."""
     texts: dict[str, tuple[str, str]] = {}
     for value, short, long in choices:
         texts.setdefault(canonical(value), (short, long))
     labels = {key: short for key, (short, _) in texts.items()}
-    for finer in (lambda key: texts[key][1], lambda key: f"{texts[key][1]} #{digest(key)[:6]}"):
-        met = Counter(labels.values())
-        labels = {key: finer(key) if met[label] > 1 else label for key, label in labels.items()}
+    longer = {key: long for key, (_, long) in texts.items()}
+    hashed = {key: f"{long} #{digest(key)[:6]}" for key, long in longer.items()}
+    for finer in (longer, hashed):
+        count = Counter(labels.values())
+        labels = {key: finer[key] if count[label] > 1 else label for key, label in labels.items()}
     return labels
 
 
 def _plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
-    """Short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
+    """Return short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
     use = str(spec["use"])
     short = label or use.rpartition(":")[2]
     settings = " ".join(
@@ -39,24 +39,25 @@ def _plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[st
 
 
 def table_text(written: str | Mapping[str, Any], empty: str) -> str:
-    """ "q 1e-4 rad, tau 0.5 %" of a table of quantities; words stay."""
+    """Return "q 1e-4 rad, tau 0.5 %" for a table of quantities; words stay."""
     if isinstance(written, str):
         return written
     return ", ".join(f"{key} {value}" for key, value in written.items()) or empty
 
 
 def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
-    """axis -> canonical value -> label, unique within the suite."""
+    """Return axis -> canonical value -> label."""
     axes = suite.defaults
     plugins = {"plant": axes.plant, "excitation": axes.excitation, "simulation": axes.simulation}
     labels = {
-        axis: distinct_labels((p.spec, *_plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
+        axis: unique_labels((p.spec, *_plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
         for axis, specs in plugins.items()
     }
-    labels["estimator"] = distinct_labels(
+    labels["estimator"] = unique_labels(
         (e.spec, *_plugin_texts(e.spec, e.label)) for e in suite.estimator
     )
-    labels["robot"] = distinct_labels(
+    labels["task"] = unique_labels((task, *_plugin_texts({"use": task})) for task in axes.task)
+    labels["robot"] = unique_labels(
         (
             robot_key(source, entry.free_base, entry.sensor),
             *_robot_texts(names, suite, source, entry),
@@ -64,17 +65,17 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         for entry, source in suite.robots
     )
     payloads = [payload for entry in suite.robot for payload in entry.payloads]
-    labels["payload"] = distinct_labels(
+    labels["payload"] = unique_labels(
         (normal_payload(p), names.payload(p).name, table_text(p, "none")) for p in payloads
     )
-    labels["noise"] = distinct_labels(_noise_texts(noise) for noise in axes.noise)
-    labels["prior"] = distinct_labels(_prior_texts(prior) for prior in axes.prior)
-    labels["held_out"] = distinct_labels(_motion_texts(motions) for motions in axes.held_out)
+    labels["noise"] = unique_labels(_noise_texts(noise) for noise in axes.noise)
+    labels["prior"] = unique_labels(_prior_texts(prior) for prior in axes.prior)
+    labels["held_out"] = unique_labels(_motion_texts(motions) for motions in axes.held_out)
     return labels
 
 
 def robot_key(source: str, free_base: bool | None, sensor: str | None = None) -> Any:
-    """What tells robots apart: the source, and base and sensor where the suite says which."""
+    """Return the key of a robot: its source, with base and sensor where the suite sets them."""
     if sensor is not None:
         return [source, free_base, sensor]
     return source if free_base is None else [source, free_base]
@@ -82,8 +83,8 @@ def robot_key(source: str, free_base: bool | None, sensor: str | None = None) ->
 
 def _robot_texts(names: Names, suite: Suite, source: str, entry: RobotEntry) -> tuple[str, str]:
     base = BASES[entry.free_base]
-    at = "" if entry.sensor is None else f" @ {entry.sensor}"
-    return names.robot(source, suite.folder).name + base, source + base + at
+    sensor = "" if entry.sensor is None else f" @ {entry.sensor}"
+    return names.robot(source, suite.folder).name + base, source + base + sensor
 
 
 def _noise_texts(noise: Noise) -> tuple[Any, str, str]:

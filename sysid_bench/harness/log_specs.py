@@ -1,4 +1,4 @@
-"""A suite's [[log]] becomes specifications and labels: recordings in place of simulations."""
+"""Specifications and labels of a suite's [[log]]: recordings in place of simulations."""
 
 import itertools
 from collections.abc import Iterator, Mapping
@@ -10,13 +10,13 @@ from sysid_bench.signals.log_description import name_of
 from sysid_bench.vocabulary import LABELS
 
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
-"""Stands where a simulated experiment has a plant, an excitation, a simulation."""
+"""In place of the plant, excitation and simulation of a simulated experiment."""
 
 
 def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
-    """One specification for each way in which the recordings are looked at."""
-    ways = itertools.product(entry.terms, entry.choose, entry.filter, entry.moving)
-    for terms, choose, filter, moving in ways:
+    """Yield one specification for each combination of the sweeps of a log."""
+    sweeps = itertools.product(entry.terms, entry.choose, entry.filter, entry.moving)
+    for terms, choose, filter, moving in sweeps:
         signals = {"filter": filter, "derivatives": entry.derivatives}
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
@@ -46,13 +46,13 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
 
 
 def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
-    """What the rows of recordings are labelled with: `excitation` is what was trained on,
-    `held_out` what it is judged on."""
+    """Return the labels of rows of recordings: `excitation` names the training logs, `held_out` the
+    test logs."""
     assert spec.log is not None
     terms = "default" if spec.terms is None else " ".join(spec.terms) or "none"
     chosen = " ".join(spec.log["choose"])
     moving = f", |v| >= {spec.log['moving']:g}" if spec.log["moving"] else ""
-    told = {
+    labels = {
         "robot": robot,
         "task": spec.task,
         "terms": f"{terms}; choose {chosen}" if chosen else terms,
@@ -61,4 +61,4 @@ def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, s
         "signals": f"{spec.signals.get('filter', 'default')}, "
         f"{spec.signals.get('derivatives', 'default')}{moving}",
     }
-    return {axis: told.get(axis, "recorded") for axis in LABELS if axis != "estimator"}
+    return {axis: labels.get(axis, "recorded") for axis in LABELS if axis != "estimator"}

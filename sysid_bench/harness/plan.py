@@ -1,4 +1,4 @@
-"""A suite becomes its cells: one experiment and one estimator each."""
+"""Plan of a suite: its cells, one experiment and one estimator each."""
 
 import itertools
 import json
@@ -27,8 +27,8 @@ from sysid_bench.models.payload import parse_payload
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import CELL_FIELDS, LABELS
 
-# A crude model of the cost, on one core of 2025: set-up and cross-check of a robot, simulation and
-# regressor per sample of a motion, and the reduction and scoring per estimator.
+# Rough cost on one core of 2025: set-up and cross-check of a robot, simulation and regressor per
+# sample of a motion, reduction and scores per estimator.
 _SETUP_SECONDS = 0.3
 _SAMPLE_SECONDS = 1e-4
 _ESTIMATOR_SECONDS = 0.05
@@ -37,11 +37,11 @@ _LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
 
 @dataclass(frozen=True)
 class Cell:
-    """One future row. `facts` are the fields that the specification does not hold by itself."""
+    """One future row. `facts` are fields that depend on the models behind the names."""
 
     spec: ExperimentSpec
     estimator: Mapping[str, Any]  # {use, settings...} without a label
-    labels: Mapping[str, str]  # words.LABELS -> text
+    labels: Mapping[str, str]  # vocabulary.LABELS -> text
     facts: Mapping[str, Any]
     seconds: float  # expected; the share of one estimator in its experiment
 
@@ -57,7 +57,7 @@ class Cell:
 
     @property
     def head(self) -> dict[str, Any]:
-        """The fields that every row of this cell begins with, whatever became of it."""
+        """The first fields of the row of this cell, of any status."""
         return {
             "id": self.id,
             "experiment": self.experiment,
@@ -98,52 +98,52 @@ class Plan:
 
     @property
     def fields(self) -> frozenset[str]:
-        """What an expression may ask of these cells."""
+        """Names of fields that expressions can read."""
         return CELL_FIELDS.union(*(fields(cell) for cell in self.cells))
 
     def select(self, text: str | None) -> tuple[Cell, ...]:
-        """The cells that meet an expression; all of them where there is none."""
+        """Return the cells that meet an expression; all of them for None."""
         if text is None:
             return self.cells
         condition = Expression.parse(text, self.fields)
         return tuple(cell for cell in self.cells if condition.matches(fields(cell)))
 
-    def uncovered(self, text: str) -> list[str]:
-        """In words, the texts of an expression that no cell has at that field."""
-        flats = [fields(cell) for cell in self.cells]
-        told = []
-        for name, wanted in Expression.parse(text, self.fields).texts:
-            values = {word for flat in flats for word in _words(flat.get(name))}
+    def missing_values(self, text: str) -> list[str]:
+        """Return a sentence for each text of an expression that no cell has in that field."""
+        cell_fields = [fields(cell) for cell in self.cells]
+        sentences = []
+        for name, wanted in Expression.parse(text, self.fields).text_values:
+            values = {word for flat in cell_fields for word in _words(flat.get(name))}
             if values and wanted not in values:
                 near = get_close_matches(wanted, sorted(values), n=3, cutoff=0.5)
-                there = near or [*sorted(values)[:10], *["..."][: len(values) > 10]]
-                told.append(
+                shown = near or [*sorted(values)[:8], *["..."][: len(values) > 8]]
+                sentences.append(
                     f"No cell has {name} == {wanted!r}; {'nearest' if near else 'there'} "
-                    f"{'is' if len(there) == 1 else 'are'} {', '.join(there)}."
+                    f"{'is' if len(shown) == 1 else 'are'} {', '.join(shown)}."
                 )
-        return told
+        return sentences
 
     def to_json_lines(self) -> str:
-        """plan.jsonl: a run is resumed from it without the suite."""
+        """Text of plan.jsonl, from which a run is resumed without the suite."""
         return "".join(json.dumps(cell.to_json()) + "\n" for cell in self.cells)
 
     @classmethod
     def from_json_lines(cls, text: str) -> "Plan":
-        """The cells of a plan.jsonl; what was excluded or noted is not kept in it."""
+        """Read the cells of a plan.jsonl, which holds neither exclusions nor notes."""
         return cls(tuple(_cell_of(number, line) for number, line in _numbered(text)))
 
 
 def _check_rankings(suite: Suite, cells: Sequence[Cell]) -> None:
-    """A ranking tests against a method of the suite; found now, not when all has been computed."""
+    """Raise UsageError for a ranking against an unknown method, before all is computed."""
     methods = sorted({cell.labels["estimator"] for cell in cells})
     for entry in suite.ranking:
         if entry.against is not None and entry.against not in methods:
-            where = f"Asked by the ranking {entry.name!r}."
+            where = f"The ranking {entry.name!r} names it."
             raise unknown_name("estimator of this suite", entry.against, methods, where)
 
 
 def expand(suite: Suite, names: Names | None = None) -> Plan:
-    """All cells of a suite, without those that an [[exclude]] names and without duplicates."""
+    """Return all cells of a suite, without those of an [[exclude]] and without duplicates."""
     cells = _cells(suite, names or installed_names())
     _check_rankings(suite, cells)
     kept, excluded = _exclude(suite, cells)
@@ -153,7 +153,7 @@ def expand(suite: Suite, names: Names | None = None) -> Plan:
 
 
 def fields(cell: Cell) -> dict[str, Any]:
-    """The flat mapping that expressions look at; a tuple holds the names that a thing goes by."""
+    """Return the flat mapping that expressions read; a tuple holds alternative names."""
     spec = cell.spec
     flat: dict[str, Any] = {
         **cell.labels,
@@ -178,12 +178,13 @@ def fields(cell: Cell) -> dict[str, Any]:
     for axis, plugin in plugins.items():
         flat |= {f"{axis}.{key}": value for key, value in plugin.items()}
         flat[axis] = _names(cell.labels[axis], plugin["use"], plugin["use"].rpartition(":")[2])
+    flat["task"] = _names(cell.labels["task"], spec.task, spec.task.rpartition(":")[2])
     flat["robot"] = _names(cell.labels["robot"], *_robot_names(cell.labels["robot"], spec.robot))
     return flat
 
 
 def _robot_names(label: str, source: str) -> Iterator[str]:
-    """What a robot goes by beside its label: without its base, as written, and by its file."""
+    """Yield names of a robot besides its label: without its base, as written, and its file."""
     for base in BASES.values():
         if base and label.endswith(base):
             yield label.removesuffix(base)
@@ -193,7 +194,7 @@ def _robot_names(label: str, source: str) -> Iterator[str]:
 
 
 def _words(value: Any) -> tuple[str, ...]:
-    """The texts that a field goes by; none of a number."""
+    """Return the texts of a field, none for a number."""
     values = value if isinstance(value, tuple) else (value,)
     return tuple(word for word in values if isinstance(word, str))
 
@@ -262,15 +263,15 @@ def _cells(suite: Suite, names: Names) -> list[Cell]:
 
 
 def _log_cells(suite: Suite, names: Names, label: Mapping[str, str]) -> list[Cell]:
-    """The cells of recordings: what a simulation would be told is not there."""
+    """Cells of recordings, whose labels of simulation read "recorded"."""
     cells = []
     estimators = [estimator.spec for estimator in suite.estimator]
     drafts = [(entry, spec) for entry in suite.log for spec in log_specs(entry)]
     for entry, spec in drafts:
-        own = log_labels(entry, spec, names.robot(spec.robot, suite.folder).name)
+        labels = log_labels(entry, spec, names.robot(spec.robot, suite.folder).name)
         seconds = _SETUP_SECONDS / len(estimators) + _LOG_SECONDS
         cells += [
-            Cell(spec, estimator, {**own, "estimator": label[canonical(estimator)]}, {}, seconds)
+            Cell(spec, estimator, {**labels, "estimator": label[canonical(estimator)]}, {}, seconds)
             for estimator in estimators
         ]
     return cells
@@ -305,7 +306,8 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
 
 
 def _signals(signals: Signals) -> dict[str, Any]:
-    """A table of signals; calibrations are not written where there are none: ids are older."""
+    """Return the table of signals as JSON. Defaults of keys that are younger than ids are left out,
+    so that ids stay."""
     written = signals.model_dump(exclude_none=True)
     if signals.runs == "B":
         del written["runs"]
@@ -323,7 +325,7 @@ def _labelled(
 ) -> dict[str, str]:
     plain = {
         "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base, spec.sensor))],
-        "task": spec.task,
+        "task": label["task"][canonical(spec.task)],
         "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
         "rate": f"{spec.rate:.12g} Hz",
         "signals": _signals_text(spec.signals),
@@ -356,7 +358,7 @@ def _cost(spec: ExperimentSpec, estimators: int) -> float:
 def _number(written: Any, unit: str, default: float) -> float:
     try:
         return quantity(written, unit)
-    except SysidBenchError:  # a stranger's excitation may mean something else by this word
+    except SysidBenchError:  # a plug-in may use this key for something else
         return default
 
 
@@ -369,12 +371,12 @@ def _cell_of(number: int, line: str) -> Cell:
         data = json.loads(line)
         spec = ExperimentSpec.from_json(data["spec"])
         cell = Cell(spec, data["estimator"], data["labels"], data["facts"], data["seconds"])
-        told = data["id"]
+        written_id = data["id"]
     except (ValueError, KeyError, TypeError) as error:
-        raise UsageError(f"plan.jsonl:{number}: this line is no cell ({error!r}).") from error
-    if cell.id != told:
+        raise UsageError(f"plan.jsonl:{number}: not a valid cell ({error!r}).") from error
+    if cell.id != written_id:
         raise UsageError(
-            f"plan.jsonl:{number}: the cell {told} reads as {cell.id} with this version of "
+            f"plan.jsonl:{number}: the cell {written_id} reads as {cell.id} with this version of "
             "sysid_bench; run the suite into another folder (-o)."
         )
     return cell

@@ -1,15 +1,15 @@
-"""Runs a suite, or goes on with a run: only cells without a row are executed.
+"""Run a suite, or continue a run: only cells without a row are executed.
 
-Exit codes, the first that holds: 130 interrupted; 4 no cell was selected; 3 a selected cell is
-failed, timeout or crash; 1 a robot's cross-check failed; 4 nothing was measured (no row is ok);
-0. Codes 3 and 1 come before the second 4, for they say why nothing was measured.
+Exit codes, the first that applies: 130 interrupted; 4 no cell was selected; 3 a selected cell is
+failed, timeout or crash; 1 a robot's cross-check failed; 4 no row is ok; 0. Codes 3 and 1 precede
+the second 4 because they give its reason.
 """
 
 import os
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -24,7 +24,7 @@ from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names, installed_names
 from sysid_bench.harness.work.supervisor import Ending, OnEvent, supervise
-from sysid_bench.harness.work.worker_handle import Task, WorkerSettings
+from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 from sysid_bench.versions import environment
@@ -37,8 +37,8 @@ _RERUNS: Final = ("failed", "stale", "all")
 
 @dataclass(frozen=True)
 class RunResult:
-    """What became of the selected cells. `counts` is by status, `open` counts those without a
-    row, `asked` those that this call set out to run."""
+    """Outcome of the selected cells: `counts` by status, `open` cells without a row, `asked` cells
+    that this call had to run."""
 
     folder: RunFolder
     counts: Mapping[str, int]
@@ -64,50 +64,50 @@ def run(
     robots_dir: Path | None = None,
     overrides: Mapping[str, str] | None = None,
 ) -> RunResult:
-    """Executes the selected cells that have no row; a run folder needs no suite any more.
+    """Execute the selected cells that have no row; a run folder holds its own suite.
 
-    `limit` takes the first of the selected cells, in the order of the plan, whether they have a
-    row or not; `timeout` (s) and `jobs` (default: the cores) change no cell. `on_event` gets the
-    supervisor's events and, first, ("plan", {cells, open, tasks, seconds}). Raises UsageError
-    before anything runs.
+    `limit` takes the first selected cells in the order of the plan, with a row or without;
+    `timeout` (s) and `jobs` (default: the cores) change no cell. `on_event` gets ("plan", {cells,
+    open, tasks, seconds}), then the events of the supervisor. Raises UsageError before any run.
     """
-    _check(rerun, limit, jobs)
-    if timeout is not None:
-        _seconds(timeout)
+    _check(rerun, limit, jobs, timeout)
     names = names or installed_names(robots_dir)
-    folder = _folder(suite_or_folder, out, names, overrides, robots_dir)
+    folder = _run_folder(suite_or_folder, out, names, overrides, robots_dir)
     suite, plan = folder.suite, folder.plan
     robots_dir = robots_dir or suite.robots_dir
     selected = plan.select(select)[:limit]
-    limit_seconds = _seconds(suite.run.timeout if timeout is None else timeout)
     with folder.lock() as descriptor:
-        now = partial(
+        fingerprint = partial(
             cell_fingerprint,
             robots_dir=robots_dir,
             folder=suite.folder,
             metrics=[entry.spec for entry in suite.metric],
         )
-        todo = _todo(selected, folder.rows().rows, rerun, now)
-        tasks = [_task(cells, folder, call, robots_dir, now) for cells in _by_experiment(todo)]
-        if tasks:
+        todo = _todo(selected, folder.rows().rows, rerun, fingerprint)
+        work = [
+            _job(cells, folder, call, robots_dir, fingerprint) for cells in _by_experiment(todo)
+        ]
+        if work:
             folder.write_env(environment())
         if on_event is not None:
-            on_event("plan", _announcement(selected, todo, tasks))
-        place = WorkerSettings(
+            on_event("plan", _announcement(selected, todo, work))
+        settings = WorkerSettings(
             folder.path,
-            limit_seconds,
+            _seconds(suite.run.timeout if timeout is None else timeout),
             suite.run.threads,
             () if descriptor is None else (descriptor,),
         )
-        ending = supervise(tasks, place, jobs or os.cpu_count() or 1, fail_fast, on_event)
+        ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, on_event)
         folder.write_frames()
-    result = _result(folder, selected, todo, ending)
-    if select and not selected:
-        return replace(result, notes=(*result.notes, *plan.uncovered(select)))
-    return result
+    unmatched = plan.missing_values(select) if select and not selected else ()
+    return _result(folder, selected, todo, ending, unmatched)
 
 
-def _check(rerun: str | None, limit: int | None, jobs: int | None) -> None:
+def _check(
+    rerun: str | None, limit: int | None, jobs: int | None, timeout: float | str | None
+) -> None:
+    if timeout is not None:
+        _seconds(timeout)
     if rerun is not None and rerun not in _RERUNS:
         raise unknown_name("way to rerun", rerun, _RERUNS)
     for word, number in (("limit", limit), ("jobs", jobs)):
@@ -122,18 +122,18 @@ def _seconds(timeout: float | str) -> float:
     return seconds
 
 
-def _folder(
+def _run_folder(
     source: Suite | str | Path,
     out: Path | None,
     names: Names,
     overrides: Mapping[str, str] | None,
     robots_dir: Path | None,
 ) -> RunFolder:
-    """The run folder to work in: opened where `source` is one, made of a suite otherwise."""
+    """Open the run folder `source`, or make one of a suite."""
     if not isinstance(source, Suite) and Path(source).is_dir():
         if out is not None and out.resolve() != Path(source).resolve():
             raise UsageError(
-                f"{str(source)!r} is a run itself; it goes on where it is, without -o."
+                f"{str(source)!r} is a run itself; it continues in its own folder, without -o."
             )
         if overrides:
             raise UsageError(f"{str(source)!r} is a run: its suite is frozen; --set needs a suite.")
@@ -151,7 +151,7 @@ def _folder(
 def _signed(
     suite: Suite, source: str, robots_dir: Path | None, overrides: Mapping[str, str]
 ) -> Suite:
-    """The suite with what a later command needs to go on: the user's robots, and what was typed."""
+    """Return the suite with its origin: the user's robots and the typed command."""
     words = ["sysid-bench", "run", source]
     words += ["--robots", str(robots_dir)] if robots_dir else []
     words += [word for key, value in overrides.items() for word in ("--set", f"{key}={value}")]
@@ -178,54 +178,59 @@ def _todo(
 
 
 def _by_experiment(cells: Iterable[Cell]) -> list[list[Cell]]:
-    """The open cells of an experiment are one task: they share its data."""
+    """Group cells by experiment: those of one group share its data, and are one job."""
     groups: dict[str, list[Cell]] = {}
     for cell in cells:
         groups.setdefault(cell.experiment, []).append(cell)
     return list(groups.values())
 
 
-def _task(
+def _job(
     cells: Sequence[Cell],
     folder: RunFolder,
     call: str,
     robots_dir: Path | None,
     fingerprint: Callable[[Cell], str],
-) -> Task:
-    prints = {cell.id: fingerprint(cell) for cell in cells}
+) -> Job:
+    fingerprints = {cell.id: fingerprint(cell) for cell in cells}
     argument = job_of(cells, folder.suite, robots_dir) | {
-        "fingerprints": prints,
+        "fingerprints": fingerprints,
         "artifacts": str(folder.path.resolve() / "artifacts"),
     }
-    return Task(call, argument, tuple({**c.head, "fingerprint": prints[c.id]} for c in cells))
+    heads = ({**cell.head, "fingerprint": fingerprints[cell.id]} for cell in cells)
+    return Job(call, argument, tuple(heads))
 
 
 def _announcement(
-    selected: Sequence[Cell], todo: Sequence[Cell], tasks: Sequence[Task]
+    selected: Sequence[Cell], todo: Sequence[Cell], jobs: Sequence[Job]
 ) -> dict[str, Any]:
-    """What a progress bar weighs its parts with: expected seconds by cell."""
+    """Data of the event "plan": expected seconds by cell are the weights of a progress bar."""
     return {
         "cells": len(selected),
         "open": len(todo),
-        "tasks": len(tasks),
+        "tasks": len(jobs),
         "seconds": {cell.id: cell.seconds for cell in todo},
     }
 
 
 def _result(
-    folder: RunFolder, selected: Sequence[Cell], todo: Sequence[Cell], ending: Ending
+    folder: RunFolder,
+    selected: Sequence[Cell],
+    todo: Sequence[Cell],
+    ending: Ending,
+    unmatched: Iterable[str],
 ) -> RunResult:
     stored = folder.rows()
     rows = [stored.rows[cell.id] for cell in selected if cell.id in stored.rows]
-    met = Counter(str(row.get("status")) for row in rows)
-    counts = {status: met[status] for status in dict.fromkeys((*STATUSES, *met)) if met[status]}
+    number = Counter(str(row.get("status")) for row in rows)
+    counts = {name: number[name] for name in dict.fromkeys((*STATUSES, *number)) if number[name]}
     return RunResult(
         folder=folder,
         counts=counts,
         open=len(selected) - len(rows),
         asked=len(todo),
         exit_code=_exit_code(selected, rows, ending),
-        notes=tuple(_notes(stored.torn, stored.garbled)),
+        notes=(*_notes(stored.torn, stored.garbled), *unmatched),
     )
 
 
@@ -244,6 +249,6 @@ def _exit_code(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) ->
 
 def _notes(torn: int, garbled: Sequence[str]) -> Iterable[str]:
     if torn:
-        yield f"{torn} rows were cut off when a writer was killed; their cells ran again."
+        yield f"{torn} unfinished rows of killed writers were skipped; their cells ran again."
     if garbled:
-        yield f"{len(garbled)} lines are no rows and were passed over: {', '.join(garbled[:5])}."
+        yield f"{len(garbled)} invalid rows were skipped: {', '.join(garbled[:5])}."

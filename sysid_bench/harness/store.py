@@ -1,4 +1,4 @@
-"""The run folder: the frozen suite, the plan, the rows, and who may write into it."""
+"""Run folder: the frozen suite, the plan, the rows, and the lock of its writer."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.plan import Plan
-from sysid_bench.harness.suite.load_suite import Suite, dump_suite, parse_frozen
+from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.row_files import RowWriter, StoredRows, new_row_file, read_rows
 
 if TYPE_CHECKING:
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 try:
     import fcntl
-except ImportError:  # Windows has no flock: there, two runners on one folder are not noticed
+except ImportError:  # Windows has no flock: two runners on one folder are not detected there
     fcntl = None  # type: ignore[assignment]
 
 ORPHAN_SECONDS = 10.0
-"""How long the workers of a killed runner may take to die; they hold its lock until then."""
+"""Time for the workers of a killed runner to end; they hold its lock until then."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: Path, suite: Suite, plan: Plan, env: Mapping[str, Any]) -> "RunFolder":
-        """A new run, or the same run again: then suite and labels are brought up to date.
+        """Create a run; for an existing run with the same cells, update suite and labels.
 
         Raises UsageError where the folder holds a run of other cells.
         """
@@ -45,7 +45,7 @@ class RunFolder:
             folder._check_same(suite, plan)
         (path / "cells").mkdir(parents=True, exist_ok=True)
         (path / "logs").mkdir(exist_ok=True)
-        folder.write("run.toml", dump_suite(suite))
+        folder.write("run.toml", suite_text(suite))
         if not (path / "env.json").is_file():
             folder.write_env(env)
         folder.write("plan.jsonl", plan.to_json_lines())  # last: from now on it is a run
@@ -53,10 +53,10 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
-        """A run that exists; raises UsageError where there is none."""
+        """Open an existing run; raises UsageError where there is none."""
         if not (path / "plan.jsonl").is_file():
             raise UsageError(
-                f"{str(path)!r} is no run: it has no plan.jsonl. Start one with "
+                f"{str(path)!r} is not a run: it has no plan.jsonl. Start one with "
                 f"'sysid-bench run SUITE -o {path}'."
             )
         return cls(path)
@@ -64,7 +64,7 @@ class RunFolder:
     @cached_property
     def suite(self) -> Suite:
         """The suite as it was frozen."""
-        return parse_frozen(self._read("run.toml"), str(self.path / "run.toml"))
+        return parse_stored(self._read("run.toml"), str(self.path / "run.toml"))
 
     @cached_property
     def plan(self) -> Plan:
@@ -92,53 +92,53 @@ class RunFolder:
         return self.frames().joints
 
     def rows(self) -> StoredRows:
-        """What is stored now."""
+        """Read the rows stored so far."""
         return read_rows(self.path / "cells")
 
     def frames(self) -> Frames:
-        """The planned cells that have a row, with the labels of the present plan."""
+        """Return data frames of the planned cells that have a row, with the labels of the plan."""
         stored = self.rows().rows
         planned = (cell for cell in self.plan.cells if cell.id in stored)
         return data_frames({**stored[cell.id], **cell.head} for cell in planned)
 
     def write_frames(self) -> None:
-        """Writes cells.parquet, parameters.parquet and joints.parquet."""
+        """Write cells.parquet, parameters.parquet and joints.parquet."""
         self.frames().write(self.path)
 
     def new_writer(self, writer: str) -> RowWriter:
-        """A writer with a fresh file; for rows that no worker can write."""
+        """Open a writer with a new file, for rows that no worker can write."""
         return RowWriter(new_row_file(self.path / "cells", writer))
 
     def write_env(self, env: Mapping[str, Any]) -> None:
-        """Replaces env.json."""
+        """Replace env.json."""
         self.write("env.json", json.dumps(env, indent=2) + "\n")
 
     def write(self, name: str, text: str) -> None:
-        """A file of the folder, whole or not at all."""
-        beside = self.path / f".{name}.{os.getpid()}"
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(self.path / name)
+        """Write a file of the folder atomically."""
+        temporary = self.path / f".{name}.{os.getpid()}"
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(self.path / name)
 
     @contextmanager
     def lock(self) -> Iterator[int | None]:
-        """Keeps other runners out; yields the file descriptor to be inherited by workers.
+        """Lock the folder against other runners; yield the descriptor that workers inherit.
 
-        The lock ends when the last process that holds it dies: a killed runner's workers keep it
-        until they are gone, so that no row of theirs comes after the first look of the next run.
+        The lock ends with the last process that holds it: workers of a killed runner keep it until
+        they have ended, so that they add no row after the next run has read the rows.
         """
         if fcntl is None:
             yield None
             return
         descriptor = os.open(self.path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            self._seize(descriptor)
+            self._acquire(descriptor)
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, str(os.getpid()).encode(), 0)
             yield descriptor
         finally:
             os.close(descriptor)
 
-    def _seize(self, descriptor: int) -> None:
+    def _acquire(self, descriptor: int) -> None:
         until = time.monotonic() + ORPHAN_SECONDS
         while True:
             try:
@@ -146,9 +146,9 @@ class RunFolder:
                 return
             except BlockingIOError as error:
                 holder = os.pread(descriptor, 20, 0).decode()
-                if _lives(holder) or time.monotonic() > until:
+                if _is_alive(holder) or time.monotonic() > until:
                     raise UsageError(
-                        f"Another runner (process {holder or 'unknown'}) is at work in "
+                        f"Another runner (process {holder or 'unknown'}) is running in "
                         f"{str(self.path)!r}; wait for it, stop it, or choose another -o."
                     ) from error
             time.sleep(0.02)
@@ -163,20 +163,20 @@ class RunFolder:
             ) from error
 
     def _check_same(self, suite: Suite, plan: Plan) -> None:
-        mine = {cell.id for cell in self.plan.cells}
-        theirs = {cell.id for cell in plan.cells}
-        if mine == theirs:
+        stored = {cell.id for cell in self.plan.cells}
+        planned = {cell.id for cell in plan.cells}
+        if stored == planned:
             return
         keys = _different_keys(self.suite.model_dump(), suite.model_dump())
         raise UsageError(
-            f"{str(self.path)!r} holds another run: {len(mine - theirs)} of its cells are not in "
-            f"this plan, and {len(theirs - mine)} of this plan are not in it "
-            f"(what differs: {', '.join(keys) or 'the models behind the names'}). Choose another "
+            f"{str(self.path)!r} holds another run: {len(stored - planned)} of its cells are not "
+            f"in this plan, and {len(planned - stored)} of this plan are not in it "
+            f"(different keys: {', '.join(keys) or 'the models behind the names'}). Choose another "
             "-o, or remove the folder."
         )
 
 
-def _lives(process: str) -> bool:
+def _is_alive(process: str) -> bool:
     if not process.isdigit():
         return False
     try:

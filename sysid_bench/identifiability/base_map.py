@@ -76,7 +76,7 @@ def _dropped_factor(R: Array, pivots: Array, K: Array, count: int) -> Array:
     if count == 0:
         return np.zeros((0, R.shape[1]))
     _, values, Vt = np.linalg.svd(R - R[:, pivots] @ K, full_matrices=False)
-    return values[:count, None] * Vt[:count]
+    return np.asarray(values[:count, None] * Vt[:count])
 
 
 def _left_to_right_pivots(R: Array, rank: int) -> Array:

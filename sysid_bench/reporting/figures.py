@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.notation import ABSENT
 from sysid_bench.reporting.tables import Entry, Key, Table
@@ -149,7 +151,6 @@ def _separate(axes: "Axes", table: Table) -> None:
 
 
 def _heat_map(table: Table) -> "Figure":
-    import numpy as np
     from matplotlib.figure import Figure
 
     values = np.array([[_log(table.entry(r, c)) for c in table.columns] for r in table.rows])

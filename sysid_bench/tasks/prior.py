@@ -1,4 +1,4 @@
-"""What methods are told beforehand: drawn around the truth, never the truth by default."""
+"""Prior knowledge of methods: parameters drawn around the truth, by default never the truth."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -10,13 +10,13 @@ from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Prior
 
 LENGTH: Final = 0.1
-"""m; a known centre of mass is told with an error of a share of this."""
+"""m; errors of a given centre of mass are a share of this length."""
 
 
 @dataclass(frozen=True)
 class PriorSpread:
-    """Standard deviations of the draw: relative for mass, inertia and joint terms, metres for the
-    centre of mass."""
+    """Standard deviations of the draw: relative for mass, inertia and joint terms, in metres for
+    the centre of mass."""
 
     mass: float = 0.2
     com: float = 0.015
@@ -25,18 +25,22 @@ class PriorSpread:
 
 
 def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -> Prior:
-    """A physically possible prior around a task's truth; None tells the truth itself."""
+    """Draw a physically feasible prior around the truth of a task; `spread` None: the truth.
+
+    `std` (p,) are the deviations that methods are given, computed from the drawn values, because
+    those of the truth would reveal it.
+    """
     truth = task.truth
-    places = {name: i for i, name in enumerate(truth.parameters)}
+    index = {name: i for i, name in enumerate(truth.parameters)}
     theta = truth.theta.copy()
     std = np.zeros_like(theta)
     inertial = np.zeros(len(theta), dtype=bool)
     for body in task.bodies:
-        at = [places[column] for column in body.columns]
-        inertial[at] = True
+        columns = [index[column] for column in body.columns]
+        inertial[columns] = True
         if spread is not None:
-            theta[at] = _drawn(truth.theta[at], spread, rng)
-            std[at] = _declared(theta[at], spread)
+            theta[columns] = _drawn_body(truth.theta[columns], spread, rng)
+            std[columns] = _declared_std(theta[columns], spread)
     if spread is not None:
         draws = np.exp(spread.terms * rng.normal(size=(~inertial).sum()))
         theta[~inertial] *= draws
@@ -46,10 +50,10 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
 
 
 def with_known_errors(task: Task, share: float, rng: np.random.Generator) -> Task:
-    """The task with its known parts told with errors: masses, inertias and joint terms of this
-    share (standard deviation), centres of mass of the same share of LENGTH."""
+    """Return the task with errors in its given parameters, of relative standard deviation `share`;
+    of centres of mass, the same share of LENGTH."""
     spread = PriorSpread(share, share * LENGTH, share, share)
-    links = [_drawn(phi, spread, rng) for phi in task.known_links]
+    links = [_drawn_body(phi, spread, rng) for phi in task.known_links]
     terms = {
         term: values * np.exp(share * rng.normal(size=len(values)))
         for term, values in task.known_terms.items()
@@ -58,33 +62,38 @@ def with_known_errors(task: Task, share: float, rng: np.random.Generator) -> Tas
 
 
 def _floored(std: Array, names: tuple[str, ...]) -> Array:
-    """Nobody knows a parameter to be exactly zero: at least 1 % of the largest deviation among
-    parameters of the same kind (`.m`, `.fv`, ...), or a thousandth where the kind has none."""
-    out = std.copy()
+    """Raise small deviations: to 1 % of the largest among parameters of the same kind (`.m`, `.fv`,
+    ...), or to 1e-3 (SI) where the kind has none. A deviation of zero would be exact knowledge."""
+    floored = std.copy()
     kinds = np.array([name.rpartition(".")[2] for name in names])
     for kind in set(kinds):
-        like = kinds == kind
-        out[like] = np.maximum(out[like], 0.01 * std[like].max() or 1e-3)
-    return out
+        alike = kinds == kind
+        floored[alike] = np.maximum(std[alike], 0.01 * std[alike].max() or 1e-3)
+    return floored
 
 
-def _drawn(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Array:
-    """Mass scaled, centre of mass moved, density covariance stretched along drawn axes: every draw
-    is a body that can exist."""
+def _drawn_body(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Array:
+    """Draw phi (10,) of a feasible body: mass scaled, centre of mass moved, second moment of
+    density stretched along the axes of the body frame.
+
+    Scaling S to D S D with D > 0 keeps it positive definite, so that the triangle inequalities of
+    the inertia hold for every draw (Wensing et al. 2018).
+    """
     z_mass, z_com, z_axes = rng.normal(), rng.normal(size=3), rng.normal(size=3)
     mass, com, inertia = mass_com_inertia(phi)
     if mass <= 0:
         return phi.copy()
     factor = np.exp(spread.mass * z_mass)
-    covariance = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    covariance = 0.5 * np.trace(inertia) * np.eye(3) - inertia  # second moment about the centre
     stretch = np.diag(np.exp(0.5 * spread.inertia * z_axes))
     covariance = factor * stretch @ covariance @ stretch
     inertia = np.trace(covariance) * np.eye(3) - covariance
     return phi_of(factor * mass, com + spread.com * z_com, inertia)
 
 
-def _declared(phi: Array, spread: PriorSpread) -> Array:
-    """What the method is told of the spread, from the prior itself: (10,)."""
+def _declared_std(phi: Array, spread: PriorSpread) -> Array:
+    """Return the standard deviations (10,) of phi that methods are given, from the drawn phi:
+    first moments h = m c by linearisation, moments of inertia by the size of the body."""
     mass, com, inertia = mass_com_inertia(phi)
     size = float(np.trace(inertia)) / 3 + mass * float(com @ com)
     h = mass * np.sqrt((spread.mass * com) ** 2 + spread.com**2)

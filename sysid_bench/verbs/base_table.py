@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
+from sysid_bench.experiments.base_table import base_table
+from sysid_bench.models.load import load_robot
 
 
 def paper_table(
@@ -20,8 +22,6 @@ def paper_table(
     `values`: a JSON file or its content, from `identify --json-out` or {row: value}. Raises
     UsageError, which names the file.
     """
-    from sysid_bench.experiments.base_table import base_table
-    from sysid_bench.models.load import load_robot
 
     robot = load_robot(source, robots_dir=robots_dir)
     given = _read(Path(values)) if isinstance(values, (str, Path)) else values

@@ -15,7 +15,7 @@ from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.tasks.task import task_of
+from sysid_bench.tasks.task import named_task
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.task_terms import check_terms
 
@@ -94,11 +94,11 @@ def basis(
     used, and UnsupportedError where the robot has no such task.
     """
     check_terms(task, terms)
-    load = PAYLOADS[LOAD if task.endswith("payload") else "none"]
+    definition = named_task(task)
+    load = PAYLOADS[LOAD if definition.identifies_payload else "none"]
     robot = load_robot(source, load, free_base, robots_dir)
-    defaults = robot.manifest.terms if task == "robot" else ()
-    chosen = defaults if terms is None else tuple(terms)
-    posed = task_of(robot, task, chosen, sensor)
+    chosen = definition.default_terms(robot) if terms is None else tuple(terms)
+    posed = definition.unknowns(robot, chosen, sensor, None)
     R = structural_factor(robot, posed.parameters, posed.rows, posed.cuts)
     base = base_map(R, posed.parameters)
     inertial = {column for body in posed.bodies for column in body.columns}

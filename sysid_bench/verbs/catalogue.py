@@ -12,6 +12,7 @@ from sysid_bench.errors import SysidBenchError, unknown_name
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.payload import PAYLOADS
+from sysid_bench.tasks.task import TaskDefinition
 from sysid_bench.verbs.result import Result
 
 Entry = dict[str, Any]
@@ -36,8 +37,9 @@ class ShowResult(Result):
 
 
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
-    """Return everything of a kind (robots, payloads, excitations, estimators, suites, simulations,
-    plants, metrics, log-readers) with name and title; the title of an entry that cannot be read states why."""
+    """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
+    simulations, plants, metrics, log-readers) with name and title; the title of an entry that
+    cannot be read states the reason."""
     if kind not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
     return _LISTS[kind](robots_dir)
@@ -152,6 +154,13 @@ def _suite(name: str) -> Entry:
     return {"name": name, "file": str(file), **tomllib.loads(file.read_text(encoding="utf-8"))}
 
 
+def _task(name: str) -> Entry:
+    """A task with what it declares."""
+    definition = naming.resolve("task", name)
+    declared = [key for key in TaskDefinition.__annotations__ if key != "name"]
+    return {**_plugin("task")(name), **{key: getattr(definition, key) for key in declared}}
+
+
 def _metrics(robots_dir: Path | None) -> list[Entry]:
     """Built-in metrics with unit, direction and formula, then plug-ins of installed packages."""
     built_in = [
@@ -178,6 +187,7 @@ def _metric(name: str) -> Entry:
 _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "robots": _robots,
     "payloads": _payloads,
+    "tasks": _plugins("task"),
     "excitations": _plugins("excitation"),
     "estimators": _plugins("estimator"),
     "simulations": _plugins("simulation"),
@@ -188,6 +198,7 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
 }
 _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "payloads": _payload,
+    "tasks": _task,
     "excitations": _plugin("excitation"),
     "estimators": _plugin("estimator"),
     "simulations": _plugin("simulation"),

@@ -12,8 +12,8 @@ from sysid_bench.verbs.result import Result
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckPluginResult(Result):
-    """Verdict on a plug-in; `bias`: what an estimator it is biased towards by design; `broken`: failed checks
-    as {law, world, said}."""
+    """Verdict on a plug-in; `bias`: the declared bias of an estimator; `broken`: failed checks as
+    {law, world, said}."""
 
     estimator: str
     ok: bool

@@ -17,6 +17,7 @@ from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_pa
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.naming import build
+from sysid_bench.tasks.task import named_task
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.estimate_fields import (
     base_of,
@@ -31,10 +32,6 @@ from sysid_bench.verbs.identify_result import STD_FROM, IdentifyResult, body_lin
 from sysid_bench.verbs.result import OMIT_NONE, value_text
 from sysid_bench.verbs.task_terms import check_terms
 from sysid_bench.verbs.write_model import check_files, write_model
-
-ESTIMATOR: Final = {"terminal": "min-norm", "wrench": "wls", "wrench-payload": "wls"}
-"""Default estimator of a task: that of its source; weighted least squares where forces and moments
-are rows of one problem; `ols` elsewhere."""
 
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
@@ -140,8 +137,9 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
     ready = prepare_simulated(spec, robot)
+    definition = ready.source.task.definition
     estimate = estimate_parameters(method, ready.problem, ready.experiment)
-    sensor = excitation_fields(ready) if request.task == "wrench" else None
+    sensor = excitation_fields(ready) if definition.identifies_sub_tree else None
     if estimate.status != "ok":
         hint = f" {sensor['warning']}" if sensor and sensor["warning"] else ""
         raise EstimationError(f"{name} on {robot.robot.name}: {estimate.reason}{hint}")
@@ -172,7 +170,7 @@ def _result(
         model=loaded.robot.name,
         file=str(loaded.robot.manifest.path),
         task=request.task,
-        terms=list(identified_terms(_spec(request), loaded.robot)),
+        terms=list(identified_terms(_spec(request), loaded.robot, source.task.definition)),
         rows=list(problem.rows),
         estimator=_estimator(request),
         rank=figures.rank,
@@ -189,7 +187,7 @@ def _result(
         base=base_of(estimate, problem, errors),
         bodies=bodies,
         joints=joints_of(estimate, problem, errors),
-        payload=next(iter(bodies.values())) if request.task.endswith("payload") else None,
+        payload=next(iter(bodies.values())) if source.task.definition.identifies_payload else None,
         completed=request.complete,
         feasible=figures.feasible,
         plausible=figures.plausible,
@@ -205,7 +203,7 @@ def _result(
 
 
 def _estimator(request: SimulatedRequest) -> str:
-    return request.estimator or ESTIMATOR.get(request.task, "ols")
+    return request.estimator or named_task(request.task).default_estimator
 
 
 def _spec(request: SimulatedRequest) -> ExperimentSpec:

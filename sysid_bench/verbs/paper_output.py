@@ -5,13 +5,17 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.plan import Cell, fields
+from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
+from sysid_bench.reporting.torque_figure import torque_figure
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.plan import Cell
     from sysid_bench.harness.store import RunFolder
-    from sysid_bench.harness.suite.model import Paper
+    from sysid_bench.harness.suite.report_entries import Paper
     from sysid_bench.reporting.latex import Origin
 
 
@@ -30,9 +34,6 @@ def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[Listing, ..
 
 def draw_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
     """Draw the torque figures of a run as .pdf and .svg; title and path of the latter."""
-    import numpy as np
-
-    from sysid_bench.reporting.torque_figure import torque_figure
 
     files = []
     for entry, cell in _shown(run, drawn=True):
@@ -66,8 +67,6 @@ def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":
 
 def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
     """The first cell with an ok row that an entry selects."""
-    from sysid_bench.harness.plan import fields
-    from sysid_bench.harness.suite.expression import Expression
 
     rows = run.rows().rows
     wanted = None if entry.select is None else Expression.parse(entry.select)

@@ -165,7 +165,7 @@ def plan(
     names = installed_names(robots_dir)
     whole = expand(load_suite(places.suite(str(suite)), names, overrides), names)
     cells = whole.select(select)
-    why = whole.uncovered(select) if select and not cells else ()
+    why = whole.missing_values(select) if select and not cells else ()
     return PlanResult(replace(whole, cells=cells, notes=(*whole.notes, *why)))
 
 

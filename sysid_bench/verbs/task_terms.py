@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
-from sysid_bench.tasks.task import TASKS, WITH_TERMS
+from sysid_bench.tasks.task import named_task, tasks_with_terms
 
 
 def check_term_names(terms: Sequence[str] | None) -> None:
@@ -18,8 +18,8 @@ def check_term_names(terms: Sequence[str] | None) -> None:
 def check_terms(task: str, terms: Sequence[str] | None) -> None:
     """Raise UsageError for an unknown joint term, and for terms that the task takes as known."""
     check_term_names(terms)
-    if terms and task in TASKS and task not in WITH_TERMS:
+    if terms and not named_task(task).accepts_terms:
         raise UsageError(
             f"{', '.join(terms)} cannot be identified with the task {task!r}, which takes joint "
-            f"terms as known; leave --terms out, or use the task {' or '.join(WITH_TERMS)}."
+            f"terms as known; leave --terms out, or use the task {' or '.join(tasks_with_terms())}."
         )

@@ -11,19 +11,13 @@ from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import updated_mjcf
 from sysid_bench.models.writing.urdf_writer import updated_urdf
-from sysid_bench.tasks.task import SENSOR_TASKS
+from sysid_bench.tasks.task import named_task
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.verbs.estimate_fields import values_of
 
 SUFFIXES: Final = {"urdf": (".urdf",), "mjcf": (".xml", ".mjcf")}
 KEYS: Final = {"viscous": "damping", "coulomb": "frictionloss", "spring": "stiffness"}
 """Names of joint terms in URDF and MJCF files, where they differ from ours."""
-
-LOADS: Final = ("payload", "wrench-payload")
-"""Tasks whose unknowns are not part of the robot's model."""
-
-COMPOSITES: Final = ("link", "terminal")
-"""Tasks whose unknown body is the composite of a link and all that is welded to it."""
 
 
 def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path | None) -> None:
@@ -47,7 +41,7 @@ def _check_format(robot: RobotModel, task: str, target: Path) -> None:
             f"own format: name it *{suffixes[0]}."
         )
     _check_folder(robot, target)
-    if task in LOADS:
+    if not named_task(task).writes_model:
         raise UnsupportedError(
             f"The task {task!r} changes nothing of the robot's model; use the task 'link' for a "
             "model that carries its load."
@@ -79,14 +73,16 @@ def write_model(
     theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
     seen = ("identifiable",) * len(problem.parameters) if whole else verdicts(problem.base)
     verdict_of = dict(zip(problem.parameters, seen, strict=True))
-    bodies = {}
+    definition, bodies = named_task(task), {}
     for body in problem.bodies:
         phi = [theta.pop(column) for column in body.columns]
-        bodies[body.name] = phi - _welded(robot, body.name) if task in COMPOSITES else phi
+        bodies[body.name] = (
+            phi - _welded(robot, body.name) if definition.lumps_welded_bodies else phi
+        )
     joints: dict[str, dict[str, float]] = {}
     term_of = {suffix: term for term, suffix in SUFFIX.items()}
     # What remains behind a sensor are its constants (offsets, gains), which no model file holds.
-    for name, value in theta.items() if task not in SENSOR_TASKS else ():
+    for name, value in theta.items() if not definition.measures_sensor_only else ():
         joint, _, suffix = name.rpartition(".")
         term = term_of[suffix]
         joints.setdefault(joint, {})[KEYS.get(term, term)] = float(value)

@@ -57,7 +57,7 @@ def test_crosscheck_of_a_broken_file_is_a_verdict(cli: Run, tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     "kind",
-    ["robots", "payloads", "excitations", "estimators", "suites", "simulations", "plants"],
+    ["robots", "payloads", "tasks", "excitations", "estimators", "suites", "simulations", "plants"],
 )
 def test_list_gives_names_and_titles(cli: Run, kind: str) -> None:
     done = cli("list", kind, "--json")

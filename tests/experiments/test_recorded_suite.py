@@ -12,7 +12,7 @@ from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.plan import Cell, Plan, expand
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.suite.load_suite import dump_suite, parse_frozen, parse_suite
+from sysid_bench.harness.suite.load_suite import parse_stored, parse_suite, suite_text
 from sysid_bench.verbs.identify import identify
 from sysid_bench.verbs.reports import report, table
 from tests.robots import named_robot
@@ -162,7 +162,7 @@ def test_a_fingerprint_looks_at_the_recording(folder: Path, tmp_path: Path) -> N
         cell.id for cell in changed if cell.labels["excitation"] == "plain"
     )
     suite = parse_suite(SUITE, folder=tmp_path / "a")
-    assert parse_frozen(dump_suite(suite), "run.toml") == suite
+    assert parse_stored(suite_text(suite), "run.toml") == suite
     assert Plan.from_json_lines(plan(tmp_path / "a").to_json_lines()).cells == cells
 
 

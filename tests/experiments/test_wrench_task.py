@@ -237,7 +237,7 @@ def test_a_fault_is_gain_crosstalk_and_a_turn(seed: int) -> None:
 def test_requests_that_make_no_sense_say_why() -> None:
     with pytest.raises(UnsupportedError, match="the sensors l_arm, r_arm"):
         ready(**{**ARM, "sensor": None})
-    with pytest.raises(UnsupportedError, match="feels no joint term: viscous"):
+    with pytest.raises(UnsupportedError, match="does not measure joint terms: viscous"):
         ready(**ARM, terms=("viscous",))
     with pytest.raises(UnsupportedError, match="No payload is mounted behind"):
         ready(**{**WRIST, "payload": "none"})

@@ -245,12 +245,12 @@ def test_a_robot_goes_by_its_label_its_source_and_its_file(robot: str, count: in
 
 def test_texts_that_no_cell_has_are_told_with_their_nearest() -> None:
     plan = plan_of(BASED)
-    (told,) = plan.uncovered('robot in ["ur6", "leg"] and task == "robot" and repeat == 0')
+    (told,) = plan.missing_values('robot in ["ur6", "leg"] and task == "robot" and repeat == 0')
     assert "robot == 'ur6'" in told
     assert "ur5" in told
-    (told,) = plan.uncovered('not "zzzz" == estimator')
+    (told,) = plan.missing_values('not "zzzz" == estimator')
     assert "estimator == 'zzzz'; there is ols." in told
-    assert plan.uncovered('rate == "1 kHz" or robot != "nothing"') == []
+    assert plan.missing_values('rate == "1 kHz" or robot != "nothing"') == []
 
 
 def test_an_unknown_field_selects_nothing_and_says_so() -> None:

@@ -38,7 +38,7 @@ def test_a_run_folder_tells_what_it_was_made_of(tmp_path: Path) -> None:
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="is no run"):
+    with pytest.raises(UsageError, match="is not a run"):
         RunFolder.open(tmp_path)
 
 
@@ -99,7 +99,7 @@ def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
 
 def test_a_row_that_is_no_json_leaves_no_trace(tmp_path: Path) -> None:
     with RowWriter(new_row_file(tmp_path, "w")) as writer:
-        with pytest.raises(TypeError, match="no JSON value"):
+        with pytest.raises(TypeError, match="cannot be stored as JSON"):
             writer.append({"id": "a", "value": object()})
         writer.append({"id": "b"})
     assert read_rows(tmp_path).garbled == ()

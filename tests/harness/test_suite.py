@@ -14,11 +14,11 @@ from sysid_bench import vocabulary as words
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.suite.load_suite import (
-    dump_suite,
     load_suite,
     override,
-    parse_frozen,
+    parse_stored,
     parse_suite,
+    suite_text,
 )
 from sysid_bench.harness.suite.names import Names, installed_names
 from sysid_bench.naming import resolve_paths
@@ -42,11 +42,11 @@ SUITES = {
 @pytest.mark.parametrize("text", SUITES.values(), ids=SUITES)
 def test_a_frozen_suite_reads_back_as_the_same(text: str) -> None:
     suite = parse_suite(text, "suite.toml", Path("/some/where"), NAMES)
-    frozen = dump_suite(suite)
+    frozen = suite_text(suite)
     assert parse_suite(frozen, "run.toml", Path("/else/where"), NAMES) == suite
-    assert parse_frozen(frozen, "run.toml") == suite
+    assert parse_stored(frozen, "run.toml") == suite
     assert suite.folder == Path("/some/where")
-    assert expand(suite, NAMES) == expand(parse_frozen(frozen, "run.toml"), NAMES)
+    assert expand(suite, NAMES) == expand(parse_stored(frozen, "run.toml"), NAMES)
 
 
 def test_the_folder_is_no_part_of_an_id() -> None:
@@ -96,7 +96,7 @@ MISTAKES = [
         'metric = "torque_error", stat',
         'metric = "torque", stat',
         "table[0].cells.metric",
-        "condition",
+        "Did you mean 'torque_error'",
     ),
     ('"median"', '"medium"', "table[0].cells.stat", "'median'"),
     ("status != ", "statuss != ", "record.when", "'status'"),
@@ -188,7 +188,7 @@ def test_plugin_files_are_found_from_the_suites_folder() -> None:
 
 
 def test_a_file_that_is_no_toml_or_no_file(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no TOML"):
+    with pytest.raises(UsageError, match="not valid TOML"):
         read("name = ")
     with pytest.raises(UsageError, match="cannot be read"):
         load_suite(tmp_path / "absent.toml", NAMES)

@@ -5,7 +5,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.seeds import prior_seed
 from sysid_bench.harness.plan import expand
-from sysid_bench.harness.suite.load_suite import dump_suite, parse_suite
+from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 
 SUITE = """schema = 1
 name = "sensors"
@@ -52,7 +52,7 @@ def changed(more: str) -> str:
 @pytest.mark.parametrize("contacts", ['"detect"', '"1 s to 2 s"', '["1 s to 2 s", "3 s to 4 s"]'])
 def test_contacts_are_found_or_declared(contacts: str) -> None:
     made = parse_suite(changed(f"signals = {{ contacts = {contacts} }}"))
-    assert parse_suite(dump_suite(made)) == made
+    assert parse_suite(suite_text(made)) == made
     assert "contacts" in expand(made).cells[0].labels["signals"]
 
 

@@ -15,21 +15,21 @@ import pytest
 
 from sysid_bench.harness.work.row_files import StoredRows, read_rows
 from sysid_bench.harness.work.supervisor import Ending, supervise
-from sysid_bench.harness.work.worker_handle import Task, WorkerSettings
+from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
 
 HERE = Path(__file__).parent
 CHECKOUT = HERE.parents[1]
 
 
-def task(number: int, do: str = "", cells: int = 1, call: str = "harness_tasks:act") -> Task:
+def task(number: int, do: str = "", cells: int = 1, call: str = "harness_tasks:act") -> Job:
     ids = [f"{number}.{cell}" for cell in range(cells)]
     heads = tuple({"id": name, "robot": f"robot{number}"} for name in ids)
-    return Task(call, {"do": do, "cells": ids}, heads)
+    return Job(call, {"do": do, "cells": ids}, heads)
 
 
 def run(
     folder: Path,
-    tasks: list[Task],
+    tasks: list[Job],
     jobs: int = 2,
     timeout: float = 30.0,
     fail_fast: bool = False,
@@ -71,7 +71,7 @@ def test_an_exception_is_told_in_one_line_with_its_traceback(tmp_path: Path) -> 
         ("exit", "failed", "SystemExit: 3"),
         ("ask", "failed", "EOFError"),
         ("leave", "crash", "exit code 7"),
-        ("die", "crash", "SIGSEGV; its last words: Fatal Python error: Segmentation fault"),
+        ("die", "crash", "SIGSEGV; its last output: Fatal Python error: Segmentation fault"),
         ("segfault", "crash", "SIGSEGV"),
         ("hang", "timeout", "limit of 1 s"),
     ],
@@ -86,7 +86,7 @@ def test_every_kind_of_end_has_its_row(tmp_path: Path, do: str, status: str, rea
     ("call", "status", "reason"),
     [
         ("harness_tasks:silent", "failed", "ended without a row"),
-        ("harness_tasks:stranger", "failed", "'nobody'; it was asked for 0.0"),
+        ("harness_tasks:stranger", "failed", "'nobody'; the cells of this job are 0.0"),
         ("harness_tasks:absent", "failed", "AttributeError"),
         ("harness_no_module:act", "failed", "ModuleNotFoundError"),
         ("harness_hangs_at_import:act", "timeout", "limit of 1 s"),
@@ -171,7 +171,7 @@ def test_events_tell_every_row_and_every_task(tmp_path: Path) -> None:
 
 
 def test_an_argument_larger_than_a_pipe_does_not_hold_the_supervisor(tmp_path: Path) -> None:
-    big = Task("harness_hangs_at_import:act", "x" * 1_000_000, ({"id": "a"},))
+    big = Job("harness_hangs_at_import:act", "x" * 1_000_000, ({"id": "a"},))
     _, stored = run(tmp_path, [big, task(1)], timeout=3.0)
     assert {name: row["status"] for name, row in stored.rows.items()} == {
         "a": "timeout",
@@ -183,12 +183,12 @@ PARENT = """
 import sys, threading
 from pathlib import Path
 sys.path.insert(0, {here!r})
-from sysid_bench.harness.work.worker_handle import Task, WorkerSettings
+from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
 from sysid_bench.harness.work.supervisor import supervise
 cells = [str(n) for n in range(4)]
 def task(cell):
     argument = {{"do": "sleep {seconds}", "cells": [cell]}}
-    return Task("harness_tasks:act", argument, ({{"id": cell}},))
+    return Job("harness_tasks:act", argument, ({{"id": cell}},))
 tasks = [task(cell) for cell in cells]
 print(supervise(tasks, WorkerSettings(Path({folder!r}), 60.0, 1), 2,
                 on_event=lambda kind, data: print(kind, flush=True)), flush=True)

@@ -11,7 +11,7 @@ from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.experiments.robot_cache import cached_robot
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.plan import expand
-from sysid_bench.harness.suite.load_suite import dump_suite, parse_suite
+from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.verbs.catalogue import show
 from sysid_bench.verbs.crosscheck import crosscheck
@@ -77,7 +77,7 @@ def test_a_robot_may_come_on_both_bases() -> None:
     text = SUITE.format(use='["ur5", "solo12"]', base="free_base = true")
     text += '[[robot]]\nuse = ["ur5", "solo12"]\nfree_base = false\n'
     suite = parse_suite(text)
-    assert parse_suite(dump_suite(suite)) == suite
+    assert parse_suite(suite_text(suite)) == suite
     cells = expand(suite).cells
     labels = [cell.labels["robot"] for cell in cells]
     assert labels == [f"{r} ({b} base)" for b in ("free", "fixed") for r in ("ur5", "solo12")]

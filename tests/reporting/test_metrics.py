@@ -15,7 +15,7 @@ from sysid_bench.evaluation.metric_checks import check_metric
 from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.suite.load_suite import dump_suite, load_suite, parse_frozen
+from sysid_bench.harness.suite.load_suite import load_suite, parse_stored, suite_text
 from sysid_bench.metrics import METRICS, REASONS, checked_metric, metric_fields, names_of
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import Origin, to_latex
@@ -158,7 +158,7 @@ def test_tables_rankings_reports_and_selections_know_it(ran: RunFolder) -> None:
 
 def test_a_frozen_suite_keeps_the_record_without_the_file(folder: Path) -> None:
     suite = load_suite(folder / "own.toml")
-    frozen = parse_frozen(dump_suite(suite), "run.toml")
+    frozen = parse_stored(suite_text(suite), "run.toml")
     assert frozen == suite
     assert frozen.metrics["mean_error"] == dataclasses.replace(
         checked_metric(suite_metric(folder)), compute=None

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench import naming
+from sysid_bench import identify, naming
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_reader_checks import check_log_reader
 from sysid_bench.signals.log_table import LogTable
-from sysid_bench.verbs.identify_logs import identify_logs
 from tests.robots import named_robot
 
 from .logs import Recorded, recorded, write
@@ -80,10 +79,10 @@ def test_one_array_without_a_name(tmp_path: Path) -> None:
 
 def test_a_plug_in_reader_identifies_a_robot(raw: Path, log: Recorded) -> None:
     named = description(raw.parent, log, reader="file:mine.py:Reader")
-    answer = identify_logs("ur5", [named], filter="none", derivatives="from v", estimator="ols")
+    answer = identify("ur5", log=[named], filter="none", derivatives="from v", estimator="ols")
     assert answer["logs"][0]["samples"] == len(log.t)
     plain = write(raw.parent, log, name="plain")
-    same = identify_logs("ur5", [plain], filter="none", derivatives="from v", estimator="ols")
+    same = identify("ur5", log=[plain], filter="none", derivatives="from v", estimator="ols")
     assert answer["rmse_train"] == pytest.approx(same["rmse_train"], rel=1e-9)
     assert (
         check_log_reader(naming.build("log_reader", f"file:{raw.parent}/mine.py:Reader"), raw) == []

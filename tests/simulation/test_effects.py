@@ -67,7 +67,7 @@ def test_the_matched_plant_has_no_law() -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_an_unmodelled_effect_moves_the_held_out_torque_error_away_from_zero(name: str) -> None:
     made, exact = spec(robot=name), ready_once(name)
-    bound = dropped_bound(exact.problem, exact.held_out, exact.truth.theta)
+    bound = dropped_bound(exact.problem, exact.held_out, exact.source.truth.theta)
     for row in executed(made, "ols", "wls"):
         assert row["status"] == "ok", row["reason"]
         assert row["torque_error"] < 1e-9 + bound.torque_error

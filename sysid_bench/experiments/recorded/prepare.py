@@ -21,6 +21,7 @@ from sysid_bench.experiments.robot_cache import LoadedRobot
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
+from sysid_bench.naming import resolve_paths
 from sysid_bench.signals.log_checks import refuse_findings
 from sysid_bench.signals.log_description import LogDescription, log_description, name_of
 from sysid_bench.signals.processing import processing_of
@@ -64,7 +65,7 @@ def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Reco
     assert spec.log is not None
     folder, mass = loaded.folder or Path(), spec.log.get("true_mass")
     options = LogOptions(
-        task=spec.task,
+        task=str(resolve_paths({"use": spec.task}, folder)["use"]),
         terms=spec.terms,
         filter=spec.signals.get("filter"),
         derivatives=spec.signals.get("derivatives"),

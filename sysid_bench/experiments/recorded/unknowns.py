@@ -14,8 +14,9 @@ from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.naming import known
 from sysid_bench.regressors.qr_accumulation import upper_factor
-from sysid_bench.tasks.task import unknown_bodies
+from sysid_bench.tasks.task import TaskDefinition, named_task, unknown_bodies
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
 
 MASS: Final = "payload.m"
@@ -126,7 +127,8 @@ def unknowns_of(
     Raises UnsupportedError for another task than `robot` and `payload`, UsageError where the logs
     do not fit the task.
     """
-    unloaded, loaded = _robots(task, training, position_given)
+    definition = named_task(task)
+    unloaded, loaded = _robots(definition, training, position_given)
     robot = load_robot(training[0].robot.manifest) if unloaded is None else unloaded
     bodies = tuple(column for body in unknown_bodies(robot) for column in body.columns)
     rows = training[0].log.joints
@@ -135,7 +137,7 @@ def unknowns_of(
     motors = () if features is None or features.motors is None else features.motors.columns
     return Unknowns(
         robot,
-        loaded if task == "payload" else None,
+        loaded if definition.identifies_payload else None,
         bodies,
         robot.term_columns(tuple(term for term in terms if not is_motor(term))),
         rows,
@@ -147,21 +149,22 @@ def unknowns_of(
 
 
 def _robots(
-    task: str, training: Sequence[ProcessedLog], position_given: bool
+    task: TaskDefinition, training: Sequence[ProcessedLog], position_given: bool
 ) -> tuple[RobotModel | None, RobotModel | None]:
     """The robots of the first logs without and with a payload, where a task can use them."""
-    if task not in ("robot", "payload"):
+    if not task.supports_recordings:
+        served = [name for name in known("task") if named_task(name).supports_recordings]
         raise UnsupportedError(
-            f"The task {task!r} needs a robot with known parameters; with recordings there are "
-            "'robot' and 'payload'."
+            f"The task {task.name!r} needs a robot with known parameters; recordings support "
+            f"{' and '.join(map(repr, served))}."
         )
-    if position_given and task != "payload":
-        raise UsageError("A given position needs the task 'payload'.")
+    if position_given and not task.identifies_payload:
+        raise UsageError("A given position needs a task that identifies the payload: 'payload'.")
     unloaded = next((log.robot for log in training if not log.payload), None)
     loaded = next((log.robot for log in training if log.payload), None)
-    if task == "payload" and (unloaded is None or loaded is None):
+    if task.identifies_payload and (unloaded is None or loaded is None):
         raise UsageError(
-            "The task 'payload' compares recordings with and without the payload: give one --log "
-            "of each, and the loaded one a payload."
+            f"The task {task.name!r} compares recordings with and without the payload: give one "
+            "--log of each, and the loaded one a payload."
         )
     return unloaded, loaded

@@ -18,7 +18,7 @@ from sysid_bench.simulation.force_torque import (
     wrench_noise,
 )
 from sysid_bench.simulation.plant import Plant
-from sysid_bench.tasks.task import SENSOR_TASKS, Task
+from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Oracle, Recording, Trajectory
 
 
@@ -61,7 +61,7 @@ class SensorMeasurement:
         if not self.task.cuts:
             return oracle.tau
         wrench = self._wrench(oracle.motion)
-        alone = self.task.name in SENSOR_TASKS
+        alone = self.task.definition.measures_sensor_only
         if alone and len(self.task.parameters) > 10 * len(self.task.bodies):
             wrench += self.task.truth.theta[10 * len(self.task.bodies) :]
         return np.hstack([oracle.tau, wrench])

@@ -26,7 +26,7 @@ from sysid_bench.regressors.nested_sensors import measured_regression
 from sysid_bench.simulation.parametrised_plant import KnownModel
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
-from sysid_bench.tasks.task import SENSOR_TASKS, Task, task_of
+from sysid_bench.tasks.task import Task, TaskDefinition, named_task
 from sysid_bench.types import BaseMap, Extent, Prior, Problem
 
 
@@ -62,16 +62,16 @@ class NoiseFreePart:
 
 def noise_free_part(spec: ExperimentSpec, loaded: LoadedRobot) -> NoiseFreePart:
     """The noise-free part of a specification, made once for all specifications that share it."""
-    return _shared_part(canonical(_without_noise(spec).to_json()), loaded)
+    return _shared_part(canonical(_without_noise(spec, loaded).to_json()), loaded)
 
 
-def _without_noise(spec: ExperimentSpec) -> ExperimentSpec:
+def _without_noise(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentSpec:
     """The fields of a specification that its noise-free part depends on.
 
     The constants of a force/torque sensor are among its errors, and are unknowns of a sensor task:
     there nothing can be left out.
     """
-    if spec.task in SENSOR_TASKS:
+    if named_task(spec.task, loaded.folder).measures_sensor_only:
         return spec
     redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
     return replace(spec, noise={}, signals={}, repeat=spec.repeat if redrawn else 0)
@@ -81,8 +81,9 @@ def _without_noise(spec: ExperimentSpec) -> ExperimentSpec:
 def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     """The noise-free part of a specification given as canonical JSON, which hashes."""
     spec, robot = ExperimentSpec.from_json(json.loads(text)), loaded.robot
-    terms = identified_terms(spec, robot)
-    exact_task = task_of(robot, spec.task, terms, spec.sensor, partial(true_offset, spec))
+    definition = named_task(spec.task, loaded.folder)
+    terms = identified_terms(spec, robot, definition)
+    exact_task = definition.unknowns(robot, terms, spec.sensor, partial(true_offset, spec))
     task = _task_with_known_errors(spec, exact_task)
     base = loaded.base_map(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
@@ -94,12 +95,11 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     return NoiseFreePart(spec, task, builder, SimulatedRobot(spec, loaded, plant, design), prior)
 
 
-def identified_terms(spec: ExperimentSpec, robot: RobotModel) -> tuple[str, ...]:
-    """The joint terms that are identified; without any in `spec`, the task `robot` identifies those
-    of the manifest."""
-    if spec.terms is not None:
-        return spec.terms
-    return robot.manifest.terms if spec.task == "robot" else ()
+def identified_terms(
+    spec: ExperimentSpec, robot: RobotModel, task: TaskDefinition
+) -> tuple[str, ...]:
+    """The joint terms that are identified: those of `spec`, else the defaults of the task."""
+    return task.default_terms(robot) if spec.terms is None else spec.terms
 
 
 def _task_with_known_errors(spec: ExperimentSpec, task: Task) -> Task:

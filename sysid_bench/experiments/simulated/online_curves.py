@@ -26,7 +26,8 @@ HISTORY: Final = 400
 def online_curves(prepared: Prepared[SimulatedSource]) -> tuple[Curve, ...]:
     """The curves of an experiment with the task `wrench` and a prior; of any other, none."""
     problem = prepared.problem
-    if prepared.source.task.name != "wrench" or problem.prior is None or problem.samples == 0:
+    shown = prepared.source.task.definition.identifies_sub_tree
+    if not shown or problem.prior is None or problem.samples == 0:
         return ()
     track = _track_of(problem)
     motion = prepared.experiment.recording.motion

@@ -93,7 +93,7 @@ def repetitions(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
     paired. Raises UnsupportedError for tasks and signals that allow one recording alone.
     """
     order = spec.signals.get("runs", "B")
-    if "A" in order and (task.name != "payload" or task.cuts):
+    if "A" in order and (not task.definition.supports_runs_without_payload or task.cuts):
         raise UnsupportedError(
             "Runs without the payload identify the payload, from joint torques alone; the task is "
             f"{task.name!r}{' with sensors' if task.cuts else ''}."

@@ -51,15 +51,15 @@ class SimulatedSource:
 
     @cached_property
     def excitation(self) -> Excitation | None:
-        """Excited part of the sub-tree behind the sensor; None but for the task `wrench`."""
-        if self.task.name != "wrench":
+        """Excited part of the sub-tree behind the sensor; None for other tasks."""
+        if not self.task.definition.identifies_sub_tree:
             return None
         return sensor_excitation(self.noise_free.builder.robot, self.task.cuts[0], self.motion)
 
     @cached_property
     def contact_test(self) -> ContactTest | None:
-        """Wrench estimation on a motion of its own; None but for the task `wrench`."""
-        if self.task.name != "wrench":
+        """Wrench estimation on a motion of its own; None but for a task that identifies one."""
+        if not self.task.definition.identifies_sub_tree:
             return None
         return contact_test(self.spec, self.noise_free.builder.robot, self.task)
 
@@ -87,7 +87,7 @@ class SimulatedSource:
             self.extents,
             about_data=prepared.figures,
             # Without noise an interval has no width, and its coverage no meaning.
-            told=deviations if self.spec.noise else None,
+            errors=deviations if self.spec.noise else None,
         )
         contact = {}
         if self.contact_test is not None:

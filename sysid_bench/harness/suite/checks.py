@@ -1,9 +1,9 @@
-"""How the values of a suite file are checked: units, words, names, conditions, sweeps."""
+"""Validators of the values of a suite file: units, words, names, conditions, sweeps."""
 
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel, BeforeValidator, PlainValidator, ValidationInfo
 
@@ -15,9 +15,11 @@ from sysid_bench.types import Metric
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import CELL_FIELDS, ROW_FIELDS
 
+Value = TypeVar("Value")
+
 
 class CheckContext:
-    """What validators look names up in: one per reading of a suite."""
+    """Names, folder and fields that validators look up; one per reading of a suite."""
 
     def __init__(self, names: Names, folder: Path | None, settings: frozenset[str]) -> None:
         self.names, self.folder = names, folder
@@ -38,17 +40,18 @@ def check_context(info: ValidationInfo) -> CheckContext:
     return cast(CheckContext, info.context)
 
 
-def checked(check: Callable[[], object]) -> None:
-    """Pydantic collects ValueErrors; whatever a check or a stranger's code raises becomes one."""
+def checked(check: Callable[[], Value]) -> Value:
+    """Return the value of a check. Whatever it or a plug-in raises becomes a ValueError, because
+    pydantic collects those alone."""
     try:
-        check()
-    except (Exception, SystemExit) as error:  # a plug-in's file may call sys.exit()
+        return check()
+    except (Exception, SystemExit) as error:  # the file of a plug-in may call sys.exit()
         raise ValueError(name_error(error)) from error
 
 
 def quantity_field(unit: str, positive: bool = False, below: float = math.inf) -> PlainValidator:
     def check(value: Any) -> Any:
-        def sound() -> None:
+        def check_range() -> None:
             number = quantity(value, unit)
             if number < 0 or (positive and number == 0):
                 raise UsageError(
@@ -57,7 +60,7 @@ def quantity_field(unit: str, positive: bool = False, below: float = math.inf) -
             if not number < below:
                 raise UsageError(f"must be below {below:g}; got {value!r}.")
 
-        checked(sound)
+        checked(check_range)
         return value
 
     return PlainValidator(check)
@@ -86,7 +89,7 @@ def metric_name(kind: str, accepts: Callable[[Metric], bool]) -> BeforeValidator
 
 
 def items(value: Any) -> Any:
-    """A list is a sweep, anything else a sweep of one."""
+    """Return a sweep: a list as it is, anything else as a sweep of one value."""
     values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
     if not values:
         raise ValueError("an empty sweep leaves nothing to run; give a value or drop the key.")
@@ -94,19 +97,19 @@ def items(value: Any) -> Any:
 
 
 def optional_items(value: Any) -> Any:
-    """One or several, or none at all."""
+    """Return a tuple of one value or of a list, which may be empty."""
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
 
 def nonempty(value: Any) -> Any:
-    # Not pydantic's min_length: that complains again of a list whose elements are all wrong.
+    # Not min_length of pydantic: it reports a second error where all elements are wrong.
     if isinstance(value, (list, tuple)) and not value:
         raise ValueError("a suite needs at least one.")
     return value
 
 
 def listed_keys(value: Any) -> Any:
-    """Where the value itself is a list: only a list of lists is a sweep."""
+    """Return a sweep of values that are lists themselves: a list of lists is a sweep."""
     if isinstance(value, (list, tuple)) and value and all(_is_list(item) for item in value):
         return tuple(tuple(item) if _is_list(item) else item for item in value)
     return (tuple(value) if isinstance(value, (list, tuple)) else value,)
@@ -125,8 +128,8 @@ def plugin_kind(value: Any) -> str:
 
 
 def condition(row: bool, text: Any, info: ValidationInfo) -> str:
-    known = check_context(info).row_fields if row else check_context(info).cell_fields
+    context = check_context(info)
     if not isinstance(text, str):
-        raise ValueError(f"a condition is a text; got {text!r}.")
-    checked(lambda: Expression.parse(text, known))
+        raise ValueError(f"a condition is a string; got {text!r}.")
+    checked(lambda: Expression.parse(text, context.row_fields if row else context.cell_fields))
     return text

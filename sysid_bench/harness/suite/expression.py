@@ -1,7 +1,7 @@
-"""The one grammar of --select, `[[exclude]] when` and `[record] when`.
+"""Grammar of --select, `[[exclude]] when` and `[record] when`.
 
 `robot == "panda" and noise.tau < 0.01`, `estimator in ["ols", "wls"]`, `not robot.free_base`.
-Python's parser reads the text; what it means is said here, and nothing is ever evaluated.
+Python's parser reads the text; this module interprets the tree, without eval.
 """
 
 import ast
@@ -23,7 +23,7 @@ _ORDER: Final[Mapping[type[ast.cmpop], Callable[[Any, Any], bool]]] = {
 }
 _KNOWN: Final[tuple[type[ast.cmpop], ...]] = (ast.Eq, ast.NotEq, ast.In, ast.NotIn, *_ORDER)
 _GRAMMAR: Final = (
-    "Write comparisons (== != < <= > >= in, not in) of fields with texts, numbers, true, false, "
+    "Write comparisons (== != < <= > >= in, not in) of fields with strings, numbers, true, false, "
     "none or lists, joined by and, or, not and parentheses."
 )
 
@@ -38,7 +38,7 @@ class Expression:
 
     @classmethod
     def parse(cls, text: str, known: Iterable[str] | None = None) -> "Expression":
-        """Raises UsageError for a text outside the grammar, or a field that is not in `known`."""
+        """Read a condition; raises UsageError outside the grammar or for fields not in `known`."""
         tree = _read(text)
         fields: set[str] = set()
         try:
@@ -49,13 +49,13 @@ class Expression:
         if known is not None:
             names = sorted(set(known))
             for name in sorted(fields.difference(names)):
-                advice = "A text needs quotes." if "." not in name else ""
+                advice = "A string needs quotes." if "." not in name else ""
                 raise unknown_name(f"field in {text!r}", name, names, advice)
         return cls(text, frozenset(fields), tree)
 
     @property
-    def texts(self) -> list[tuple[str, str]]:
-        """(field, text) of every comparison for equality with a text."""
+    def text_values(self) -> list[tuple[str, str]]:
+        """Return (field, text) of every comparison for equality with a string."""
         found = []
         for node in ast.walk(self._tree):
             if not isinstance(node, ast.Compare):
@@ -70,10 +70,10 @@ class Expression:
         return found
 
     def matches(self, cell: Mapping[str, Any]) -> bool:
-        """Whether a cell, a flat mapping with dotted keys, meets the condition; never raises.
+        """Return whether a cell, a flat mapping with dotted keys, meets the condition.
 
-        A field that is absent or None meets no comparison but `== none`. A field that holds a
-        tuple goes by several names: any of them may be meant.
+        An absent field or None meets `== none` alone. A tuple holds alternative names: one that
+        meets the condition suffices.
         """
         return _holds(self._tree, cell)
 
@@ -81,7 +81,7 @@ class Expression:
 def _read(text: str) -> ast.expr:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python's own advice about escapes in strings
+            warnings.simplefilter("ignore")  # Python warns of escapes in strings
             return ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise UsageError(f"{text!r} cannot be read as a condition ({error}). {_GRAMMAR}") from error
@@ -101,7 +101,7 @@ def _check(node: ast.expr, text: str, fields: set[str]) -> None:
         case ast.Constant(value=bool()) | ast.Name():
             pass
         case _:
-            raise UsageError(f"{_source(node)!r} in {text!r} is no condition. {_GRAMMAR}")
+            raise UsageError(f"{_source(node)!r} in {text!r} is not a condition. {_GRAMMAR}")
 
 
 def _check_comparison(
@@ -109,12 +109,12 @@ def _check_comparison(
 ) -> None:
     for op, left, right in zip(ops, sides, sides[1:], strict=False):
         if not isinstance(op, _KNOWN):
-            raise UsageError(f"{text!r} compares in a way that is not known here. {_GRAMMAR}")
+            raise UsageError(f"{text!r} has an unknown comparison. {_GRAMMAR}")
         named = [side for side in (left, right) if not _is_literal(side)]
         if len(named) != 1:
             raise UsageError(
                 f"{_source(left)!r} and {_source(right)!r} in {text!r}: a comparison needs one "
-                "field and one value; a text needs quotes."
+                "field and one value; a string needs quotes."
             )
         fields.add(_name(named[0], text))
         if isinstance(op, (ast.In, ast.NotIn)) and (
@@ -146,7 +146,7 @@ def _literal(node: ast.expr) -> Any:
             return -number
         case ast.List(elts=parts) | ast.Tuple(elts=parts):
             return [_literal(part) for part in parts]
-    raise AssertionError(node)  # _check has seen every node
+    raise AssertionError(node)  # refused by _check before
 
 
 def _name(node: ast.expr, text: str) -> str:
@@ -214,7 +214,7 @@ def _ordered(order: Callable[[Any, Any], bool], left: Any, right: Any) -> bool:
 
 
 def _number(value: Any) -> float | None:
-    """The number or the SI number of a quantity ("0.5 %" is 0.005); None for other texts."""
+    """Return the number, in SI units for a quantity ("0.5 %" is 0.005); None for other strings."""
     try:
         if isinstance(value, (int, float)):
             return float(value)

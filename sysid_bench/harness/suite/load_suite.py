@@ -1,4 +1,4 @@
-"""A suite file becomes a `Suite`, with all its mistakes told at once; and text again."""
+"""Reading and writing of suite files; all mistakes are reported together."""
 
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -15,13 +15,13 @@ from sysid_bench.harness.suite.names import Names, installed_names, no_names
 from sysid_bench.harness.suite.toml_lines import Key, key_lines, toml_line
 from sysid_bench.harness.suite.toml_text import toml_text
 
-__all__ = ["Suite", "dump_suite", "load_suite", "override", "parse_frozen", "parse_suite"]
+__all__ = ["Suite", "load_suite", "override", "parse_stored", "parse_suite", "suite_text"]
 
 
 def load_suite(
     path: Path, names: Names | None = None, overrides: Mapping[str, str] | None = None
 ) -> Suite:
-    """The suite in a file; raises one UsageError with a line per mistake (see `parse_suite`)."""
+    """Read the suite of a file; raises one UsageError with a line per mistake (`parse_suite`)."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -36,10 +36,10 @@ def parse_suite(
     names: Names | None = None,
     overrides: Mapping[str, str] | None = None,
 ) -> Suite:
-    """The suite of a TOML text; relative robots and plug-in files lie in `folder`.
+    """Read the suite of a TOML text; relative robots and plug-in files are found from `folder`.
 
-    A frozen suite knows its folder itself ([origin]), and that one is taken. `overrides` are
-    `--set` pairs. Raises one UsageError: `file:line: key: what came, what there is`.
+    A frozen suite states its folder in [origin]. `overrides` are `--set` pairs. Raises one
+    UsageError with lines `file:line: key: value, possible values`.
     """
     data = _read(text, file)
     known_lines = key_lines(text)
@@ -50,15 +50,15 @@ def parse_suite(
     return _validate(data, file, known_lines, names or installed_names())
 
 
-def parse_frozen(text: str, file: str) -> Suite:
-    """The suite of a run folder: checked when it was planned, so names are taken as they are."""
+def parse_stored(text: str, file: str) -> Suite:
+    """Read the suite of a run folder, whose names were checked when it was planned."""
     return _validate(_read(text, file), file, key_lines(text), no_names())
 
 
 def override(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> dict[str, Any]:
-    """The data of a suite with `--set` pairs put in: {"defaults.rate": '"100 Hz"'}.
+    """Return the data of a suite with `--set` pairs: {"defaults.rate": '"100 Hz"'}.
 
-    Values are TOML; a word that is none is a text. List elements go by number: "robot.0.use".
+    Values are TOML, or else strings. List elements go by number: "robot.0.use".
     """
     data = tomllib.loads(suite) if isinstance(suite, str) else dict(suite)
     for dotted, text in settings.items():
@@ -66,8 +66,8 @@ def override(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> dic
     return data
 
 
-def dump_suite(suite: Suite) -> str:
-    """TOML that `parse_suite` reads as the same suite, with every default written out."""
+def suite_text(suite: Suite) -> str:
+    """Return TOML that `parse_suite` reads as the same suite, with every default."""
     return toml_text(suite.model_dump(by_alias=True))
 
 
@@ -75,7 +75,7 @@ def _read(text: str, file: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"{file}: this is no TOML: {error}.") from error
+        raise UsageError(f"{file}: not valid TOML: {error}.") from error
 
 
 def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], names: Names) -> Suite:
@@ -83,9 +83,9 @@ def _validate(data: Mapping[str, Any], file: str, lines: Mapping[Key, int], name
     try:
         return Suite.model_validate(data, context=context)
     except ValidationError as error:
-        told = [_tell(problem, data, file, lines) for problem in error.errors()]
-    # A sweep or default that is met twice would tell the same twice.
-    ordered = sorted(dict.fromkeys(told), key=lambda entry: (entry[0] is None, entry[0] or 0))
+        mistakes = [_mistake(problem, data, file, lines) for problem in error.errors()]
+    # A sweep or default that is used twice has the same mistake twice.
+    ordered = sorted(dict.fromkeys(mistakes), key=lambda entry: (entry[0] is None, entry[0] or 0))
     raise UsageError("\n".join(text for _, text in ordered))
 
 
@@ -96,27 +96,30 @@ def _folder_of(data: Mapping[str, Any]) -> Path | None:
 
 
 def _settings(data: Mapping[str, Any]) -> Iterable[str]:
-    """ "excitation.period" for every written setting: fields that expressions may ask for."""
+    """Yield "excitation.period" for every written setting: a field of expressions."""
     defaults = data.get("defaults")
-    places = dict(defaults) if isinstance(defaults, Mapping) else {}
-    places["estimator"] = data.get("estimator")
+    axes = dict(defaults) if isinstance(defaults, Mapping) else {}
+    axes["estimator"] = data.get("estimator")
     for axis in ("plant", "excitation", "simulation", "estimator"):
-        specs = places.get(axis)
+        specs = axes.get(axis)
         for spec in specs if isinstance(specs, list) else [specs]:
             if isinstance(spec, Mapping):
                 yield from (f"{axis}.{key}" for key in spec if key != "label")
 
 
-def _tell(problem: Any, data: Any, file: str, lines: Mapping[Key, int]) -> tuple[int | None, str]:
+def _mistake(
+    problem: Any, data: Any, file: str, lines: Mapping[Key, int]
+) -> tuple[int | None, str]:
+    """Return line and text of a mistake."""
     key = _written_key(problem["loc"], problem["type"], data)
     line = toml_line(lines, key)
-    place = f"{file}:{line}" if line else file
+    location = f"{file}:{line}" if line else file
     dotted = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key)
-    return line, f"{place}: {dotted.lstrip('.') or 'the whole file'}: {_what(problem, key)}"
+    return line, f"{location}: {dotted.lstrip('.') or 'the whole file'}: {_message(problem, key)}"
 
 
 def _written_key(loc: tuple[Any, ...], kind: str, data: Any) -> Key:
-    """Pydantic's location without the indices of one-value sweeps and the tags of unions."""
+    """Return the location of pydantic without indices of one-value sweeps and tags of unions."""
     key: list[str | int] = []
     for position, part in enumerate(loc):
         if key[-1:] in (["terms"], ["held_out"]) and position == 2 and not _of_lists(data):
@@ -139,7 +142,7 @@ def _of_lists(data: Any) -> bool:
     return isinstance(data, list) and bool(data) and all(isinstance(x, list) for x in data)
 
 
-def _what(problem: Any, key: Key) -> str:
+def _message(problem: Any, key: Key) -> str:
     if problem["type"] == "extra_forbidden":
         return _unknown_key(str(key[-1]), problem["input"], _keys_at(problem["loc"][:-1]))
     if problem["type"] == "missing":
@@ -162,7 +165,7 @@ def _short(value: Any) -> str:
 
 
 def _keys_at(loc: tuple[Any, ...]) -> list[str]:
-    """The keys of the table at a location, from the models themselves."""
+    """Return the keys of the table at a location."""
     model: Any = Suite
     for part in loc:
         fields = {field.alias or name: field for name, field in model.model_fields.items()}
@@ -197,7 +200,6 @@ def _put(data: Any, path: list[str], value: Any, dotted: str) -> Any:
         ]
     if not isinstance(data, Mapping):
         raise UsageError(
-            f"--set {dotted}: there is no {head!r} to set, because what holds it is "
-            f"{_short(data)}; set the whole of it."
+            f"--set {dotted}: there is no {head!r} to set in {_short(data)}; set the whole of it."
         )
     return {**data, head: _put(data.get(head, {}), rest, value, dotted)}

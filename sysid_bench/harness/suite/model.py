@@ -1,4 +1,4 @@
-"""The keys of a suite file. What is written stays as written; units and names are only checked."""
+"""Keys of a suite file. Values stay as written; units and names are checked."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -7,7 +7,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
     ConfigDict,
     Discriminator,
@@ -16,7 +15,6 @@ from pydantic import (
     StrictBool,
     StrictInt,
     StrictStr,
-    StringConstraints,
     Tag,
     ValidationInfo,
     model_validator,
@@ -31,45 +29,39 @@ from sysid_bench.harness.suite.checks import (
     condition,
     items,
     listed_keys,
-    metric_name,
     nonempty,
     one_of,
     optional_items,
     plugin_kind,
     quantity_field,
 )
-from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, metric_record, names_of
+from sysid_bench.harness.suite.names import TaskInfo
+from sysid_bench.harness.suite.report_entries import (
+    CellMetric,
+    Folder,
+    Label,
+    Paper,
+    RankingEntry,
+    RowCondition,
+    Section,
+    TableEntry,
+)
+from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, metric_record
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import resolve_paths
+from sysid_bench.signals.filters import filter_of
+from sysid_bench.signals.log_description import log_description, name_of
 from sysid_bench.types import Metric
 from sysid_bench.units import interval
-from sysid_bench.vocabulary import (
-    BESTS,
-    FINDINGS,
-    INTERVALS,
-    JOINT,
-    LABELS,
-    LEVEL_AXES,
-    PARAMETER,
-    STATISTICS,
-    STD_FROM,
-    TASKS,
-)
+from sysid_bench.vocabulary import FINDINGS
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
-RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
 Share = Annotated[Any, quantity_field("%")]
 Length = Annotated[Any, quantity_field("mm")]
 
 
-class Section(BaseModel):
-    """A table of the suite file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
 class Plugin(Section):
-    """A thing that is named, and its settings."""
+    """A plug-in: its name and its settings."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
     kind: ClassVar[str] = ""
@@ -77,12 +69,12 @@ class Plugin(Section):
 
     @property
     def spec(self) -> dict[str, Any]:
-        """{use, settings...}, without a label."""
+        """Return {use, settings...}, without a label."""
         return {"use": self.use, **(self.model_extra or {})}
 
     @model_validator(mode="after")
     def known(self, info: ValidationInfo) -> "Plugin":
-        checked(lambda: canonical(self.spec))  # ids need JSON values: no dates
+        checked(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
         spec = resolve_paths(self.spec, check_context(info).folder)
         checked(lambda: check_context(info).names.plugin(self.kind, spec))
         return self
@@ -95,7 +87,7 @@ class Estimator(Plugin):
     @model_validator(mode="after")
     def _no_reserved_keys(self) -> "Estimator":
         if "cell" in (self.model_extra or {}):
-            raise ValueError("'cell' is no possible setting of an estimator: it names the row.")
+            raise ValueError("'cell' cannot be a setting of an estimator: it names the row.")
         return self
 
 
@@ -112,15 +104,15 @@ class Plant(Plugin):
 
 
 class Noise(Section):
-    """Standard deviations of noise; `quantum` is the step of the encoder, `tau_correlation` how
-    alike the noise of the torque is from one recorded sample to the next (0: white)."""
+    """Standard deviations of noise. `quantum` is the step of the encoder, `tau_correlation` the
+    correlation of the torque's noise between successive samples (0: white)."""
 
     q: Annotated[Any, quantity_field("rad|m")] = None
     tau: Annotated[Any, quantity_field("N m|N|%")] = None
     quantum: Annotated[Any, quantity_field("rad|m")] = None
     tau_drift: Annotated[Any, quantity_field("N m|N")] = None  # per second
     tau_correlation: Annotated[Any, quantity_field("1", below=1.0)] = None
-    force: Annotated[Any, quantity_field("N")] = None  # and so on: force/torque sensors
+    force: Annotated[Any, quantity_field("N")] = None  # force/torque sensors, down to `touch`
     moment: Annotated[Any, quantity_field("N m")] = None
     force_offset: Annotated[Any, quantity_field("N")] = None
     moment_offset: Annotated[Any, quantity_field("N m")] = None
@@ -133,8 +125,8 @@ class Noise(Section):
 
 
 class Prior(Section):
-    """How far the declared parameters are drawn around the truth (standard deviations); `known`
-    those of the parts that the task takes as known, which are told exactly without it."""
+    """Standard deviations of the prior around the truth; `known` those of the parameters that the
+    task takes as given, which are exact without it."""
 
     mass: Share = "20 %"
     com: Length = "15 mm"
@@ -145,10 +137,8 @@ class Prior(Section):
 
 
 def _filter(value: Any) -> str:
-    from sysid_bench.signals.filters import filter_of
-
     text = str(value)
-    if text == "default":  # of recordings
+    if text == "default":  # recordings choose a filter by their rate
         return text
     checked(lambda: filter_of(text))
     return text
@@ -187,8 +177,8 @@ class Signals(Section):
     torque: Annotated[str, one_of("way to take torque", ("filtered", "raw"))] = "filtered"
     runs: Annotated[str, BeforeValidator(_runs)] = "B"  # A without, B with the payload
     contacts: Annotated[Any, PlainValidator(_contacts)] = None
-    """Periods that are left out: "10 s to 25 s", a list of such, or "detect"."""
-    calibration: Loads = None  # of force/torque sensors, with these payloads, which are known
+    """Periods that are left out: "10 s to 25 s", a list of them, or "detect"."""
+    calibration: Loads = None  # of force/torque sensors in situ, with these known payloads
 
 
 PriorChoice = Annotated[
@@ -213,14 +203,36 @@ Terms = tuple[Annotated[str, BeforeValidator(_term)], ...] | None
 def _motions(value: Any) -> Any:
     values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
     if not values:
-        raise ValueError("scores need at least one held-out motion; there is 'ptp', for one.")
+        raise ValueError("scores need at least one held-out motion, as 'ptp'.")
     return values
 
 
-class Defaults(Section):
-    """The sweeps: each key holds a tuple of values."""
+def _definition(value: Any, info: ValidationInfo) -> TaskInfo:
+    if not isinstance(value, str):
+        raise ValueError(
+            f"a task is a name, 'module:Class' or 'file:mine.py:Class'; got {value!r}."
+        )
+    context = check_context(info)
+    return checked(lambda: context.names.task(value, context.folder))
 
-    task: Annotated[tuple[Annotated[str, one_of("task", TASKS)], ...], Sweep] = ("robot",)
+
+def _task(value: Any, info: ValidationInfo) -> str:
+    _definition(value, info)
+    return str(value)
+
+
+def _task_of_recordings(value: Any, info: ValidationInfo) -> str:
+    if not _definition(value, info).supports_recordings:
+        raise ValueError(
+            f"the task {value!r} cannot be identified from recordings; 'robot' and 'payload' can."
+        )
+    return str(value)
+
+
+class Defaults(Section):
+    """Sweeps: each key holds a tuple of values."""
+
+    task: Annotated[tuple[Annotated[str, PlainValidator(_task)], ...], Sweep] = ("robot",)
     plant: Annotated[tuple[Annotated[Plant, Named], ...], Sweep] = Field(
         default=("matched",), validate_default=True
     )
@@ -267,11 +279,11 @@ class RobotEntry(Section):
 
 
 def _log(value: Any, info: ValidationInfo) -> Any:
-    from sysid_bench.signals.log_description import log_description
-
     if not isinstance(value, (str, Mapping)):
         raise ValueError(f"a log is a file of its own, or a table with its keys; got {value!r}.")
-    if not check_context(info).names.frozen:  # a frozen suite was checked when it was planned
+    if not check_context(
+        info
+    ).names.frozen:  # the files of a frozen suite were checked when it was planned
         folder = check_context(info).folder
         checked(lambda: log_description(value, folder or Path()))
     return value
@@ -291,13 +303,13 @@ Filters = tuple[Annotated[str | None, PlainValidator(_filter)], ...]
 
 
 class LogEntry(Section):
-    """Recordings of a real robot: `filter`, `moving`, `terms` and `choose` may be sweeps."""
+    """Recordings of a real robot; `filter`, `moving`, `terms` and `choose` may be sweeps."""
 
     robot: Annotated[Any, PlainValidator(_robot_name)]
     name: StrictStr | None = None
     train: Annotated[Logs, Sweep]
     test: Annotated[Logs, BeforeValidator(optional_items)] = ()
-    task: Annotated[str, one_of("task of recordings", ("robot", "payload"))] = "robot"
+    task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"
     terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)  # None: the robot's own
     choose: Annotated[tuple[Candidates, ...], ListSweep] = ((),)
     filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
@@ -309,9 +321,7 @@ class LogEntry(Section):
 
     @property
     def label(self) -> str:
-        """What rows are labelled with: its name, or its training logs."""
-        from sysid_bench.signals.log_description import name_of
-
+        """Label of its rows: its name, or its training logs."""
         return self.name or " + ".join(name_of(log) for log in self.train)
 
 
@@ -359,81 +369,6 @@ class MetricEntry(Plugin):
         return metric_from_record(self.record or {})
 
 
-AnyMetric = Annotated[str, metric_name("metric", lambda metric: True)]
-CellMetric = Annotated[str, metric_name("metric", lambda metric: metric.level == "cell")]
-RankedMetric = Annotated[str, metric_name("metric to rank by", lambda metric: metric.ranked)]
-
-
-class TableCells(Section):
-    metric: AnyMetric | None = None
-    stat: Annotated[str, one_of("statistic", STATISTICS)] = "median"
-    interval: Annotated[str, one_of("interval", INTERVALS)] = "none"
-
-
-Label = Annotated[str, one_of("label of a cell", (*LABELS, "repeat"))]
-Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
-
-
-Axis = Annotated[str, one_of("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM, JOINT))]
-
-
-class TableEntry(Section):
-    name: Folder
-    title: StrictStr | None = None
-    rows: tuple[Axis, ...] = ("robot", "payload")
-    columns: tuple[Axis, ...] = ("estimator",)
-    metrics: tuple[AnyMetric, ...] = ()
-    """Several, each a column; `cells` then has stat and interval alone."""
-    cells: TableCells = TableCells()
-    best: Annotated[str, one_of("way to mark the best", BESTS)] = "none"
-    select: RowCondition | None = None
-
-    @model_validator(mode="after")
-    def _metrics_fit_the_axes(self, info: ValidationInfo) -> "TableEntry":
-        if bool(self.metrics) == (self.cells.metric is not None):
-            raise ValueError("give metrics = [...], or cells = { metric = ... }; not both.")
-        known = {**METRICS, **check_context(info).metrics}
-        named = [known[name] for name in self.metrics or (str(self.cells.metric),)]
-        for level, axis in LEVEL_AXES.items():
-            fitting = [metric for metric in named if metric.level == level]
-            if len(fitting) != (len(named) if axis in (*self.rows, *self.columns) else 0):
-                raise ValueError(
-                    f"the metrics {', '.join(names_of(level))} and the label {axis!r} among rows "
-                    "or columns go together."
-                )
-        repeated = [metric.name for metric in named if metric.level == "repeats"]
-        if repeated and (
-            "repeat" in (*self.rows, *self.columns) or self.cells.interval not in ("none", "ci95")
-        ):
-            raise ValueError(
-                f"the metric {repeated[0]!r} is one of all repeats together: it has no value "
-                "by repeat, and no interval but 'ci95'."
-            )
-        return self
-
-
-class Paper(Section):
-    """A table or figure as papers print it: `model` (bodies and joints), `base-parameters` with the
-    values of a cell, `torques` measured and predicted along a test log."""
-
-    name: Folder
-    show: Annotated[str, one_of("thing to show", ("model", "base-parameters", "torques"))]
-    title: StrictStr = ""
-    select: RowCondition | None = None  # the first cell that meets it
-    test: StrictStr | None = None
-
-
-class RankingEntry(Section):
-    """Methods against each other over robots; one ranking for each value of the labels `apart`."""
-
-    name: Folder
-    title: StrictStr | None = None
-    metric: RankedMetric = "torque_error"
-    apart: tuple[Label, ...] = ()
-    against: StrictStr | None = None  # the method that the others are tested against
-    select: RowCondition | None = None
-
-
 class Worst(Section):
     metric: CellMetric
     count: StrictInt = Field(default=1, ge=1)
@@ -453,7 +388,7 @@ class Run(Section):
 
 
 class Origin(Section):
-    """Where a suite came from: its folder, the user's robots, the command that was typed."""
+    """Origin of a suite: its folder, the user's robots, the typed command."""
 
     folder: StrictStr
     robots: StrictStr | None = None
@@ -461,7 +396,7 @@ class Origin(Section):
 
 
 class Suite(Section):
-    """A suite as read: every key filled in, sweeps as tuples, quantities as written."""
+    """A suite with every key filled in, sweeps as tuples, quantities as written."""
 
     schema_: Annotated[Literal[1], Field(alias="schema")]
     name: Folder
@@ -469,7 +404,7 @@ class Suite(Section):
     seed: StrictInt = Field(default=0, ge=0)
     origin: Origin | None = None
     run: Run = Run()
-    defaults: Defaults = Field(default={}, validate_default=True)  # type: ignore[assignment]
+    defaults: Defaults = Field(default={}, validate_default=True)
     robot: tuple[RobotEntry, ...] = ()
     log: tuple[LogEntry, ...] = ()
     estimator: Annotated[tuple[Estimator, ...], BeforeValidator(nonempty)]
@@ -488,17 +423,17 @@ class Suite(Section):
                 "robot: this key is missing, and so is log; a suite needs at least one [[robot]] "
                 "to simulate, or a [[log]] of a real one."
             )
-        drawn = [entry.name for entry in self.paper if entry.show == "torques"]
-        if drawn and not self.log:
+        figures = [entry.name for entry in self.paper if entry.show == "torques"]
+        if figures and not self.log:
             raise ValueError(
-                f"paper: {', '.join(drawn)} shows torques along a test log; this suite has no "
+                f"paper: {', '.join(figures)} shows torques along a test log; this suite has no "
                 "[[log]]."
             )
         return self
 
     @property
     def folder(self) -> Path:
-        """Where relative robots and plug-in files are looked for."""
+        """Folder from which relative robots and plug-in files are found."""
         return Path(self.origin.folder) if self.origin else Path()
 
     @property
@@ -508,10 +443,10 @@ class Suite(Section):
 
     @property
     def robots_dir(self) -> Path | None:
-        """The folder of the user's own robots that the run was started with."""
+        """Folder of the user's own robots, with which the run was started."""
         return Path(self.origin.robots) if self.origin and self.origin.robots else None
 
     @property
     def robots(self) -> tuple[tuple[RobotEntry, str], ...]:
-        """Every robot with the table it is named in."""
+        """Pairs of a [[robot]] table and each robot that it names."""
         return tuple((entry, source) for entry in self.robot for source in entry.use)

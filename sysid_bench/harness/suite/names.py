@@ -1,4 +1,4 @@
-"""What the names in a suite are checked against: robots, payloads, plug-ins."""
+"""Look-up of the names in a suite: robots, payloads, tasks, plug-ins."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -8,10 +8,14 @@ from typing import Any, Protocol
 
 from sysid_bench import naming
 from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.payload import parse_payload
+from sysid_bench.models.sensor import cut_at, sensor_names
+from sysid_bench.tasks.task import named_task
 
 
 class Robot(Protocol):
-    """The part of a manifest that planning looks at."""
+    """The part of a manifest that planning reads."""
 
     @property
     def name(self) -> str: ...
@@ -20,7 +24,7 @@ class Robot(Protocol):
 
 
 class Load(Protocol):
-    """The part of a payload that planning looks at."""
+    """The part of a payload that planning reads."""
 
     @property
     def name(self) -> str: ...
@@ -28,34 +32,42 @@ class Load(Protocol):
     def mass(self) -> float: ...
 
 
+class TaskInfo(Protocol):
+    """The part of a task that planning reads."""
+
+    @property
+    def supports_recordings(self) -> bool: ...
+
+
 @dataclass(frozen=True)
 class Names:
-    """Functions that raise an error of sysid_bench.errors for what they do not know.
+    """Functions that look names up, and raise an error of sysid_bench.errors for unknown ones.
 
     `robot(source, folder)`, `payload(name or table)`, `plugin(kind, {use, settings})`, which builds
-    the thing and so proves its name and its settings, and `sensor(source, folder, text)`, which
-    cuts the robot at each of the places that are named.
+    the object and so checks its settings, `sensor(source, folder, text)`, which cuts the robot at
+    each of the named sensors, and `task(name, folder)`.
     """
 
     robot: Callable[[str, Path | None], Robot]
     payload: Callable[[str | Mapping[str, Any]], Load]
     plugin: Callable[[str, Mapping[str, Any]], object]
     sensor: Callable[[str, Path | None, str], object] = lambda source, folder, text: None
+    task: Callable[[str, Path | None], TaskInfo] = named_task
     frozen: bool = False  # nothing is looked up: the suite was checked before
 
 
 def installed_names(robots_dir: Path | None = None) -> Names:
-    """Everything this installation knows, with robots of `robots_dir` first."""
+    """Return the names of this installation, with robots of `robots_dir` first."""
     return Names(partial(_robot, robots_dir), _payload, naming.build, partial(_sensor, robots_dir))
 
 
 def no_names() -> Names:
-    """Accepts every name: for a frozen suite, which was checked when it was planned."""
-    return Names(_unseen_robot, _unseen_payload, _unseen_plugin, frozen=True)
+    """Return names that accept every word: a frozen suite was checked when it was planned."""
+    return Names(_unseen_robot, _unseen_payload, _unseen_plugin, task=_unseen_task, frozen=True)
 
 
 def name_error(error: BaseException) -> str:
-    """What to tell about a name that failed: our own errors speak for themselves."""
+    """Return the message of a failed look-up; errors of plug-ins with their type."""
     if isinstance(error, SysidBenchError):
         return str(error)
     return f"importing or making it raised {type(error).__name__}: {error}"
@@ -66,6 +78,7 @@ class _Unseen:
     name: str
     free_base: bool = False
     mass: float = 0.0
+    supports_recordings: bool = True
 
 
 def _unseen_robot(source: str, folder: Path | None) -> Robot:
@@ -76,6 +89,10 @@ def _unseen_payload(spec: str | Mapping[str, Any]) -> Load:
     return _Unseen(str(spec))
 
 
+def _unseen_task(name: str, folder: Path | None) -> TaskInfo:
+    return _Unseen(name)
+
+
 def _unseen_plugin(kind: str, spec: Mapping[str, Any]) -> object:
     if "use" not in spec:
         raise UsageError(f"A {kind} needs a name: {{ use = ... }}; got {sorted(spec)}.")
@@ -83,24 +100,18 @@ def _unseen_plugin(kind: str, spec: Mapping[str, Any]) -> object:
 
 
 def _robot(robots_dir: Path | None, source: str, folder: Path | None) -> Robot:
-    from sysid_bench.models.manifest import find_manifest
-
     return find_manifest(source, robots_dir, folder)
 
 
 def _sensor(robots_dir: Path | None, source: str, folder: Path | None, text: str) -> object:
-    from sysid_bench.models.load import load_robot
-    from sysid_bench.models.manifest import find_manifest
-    from sysid_bench.models.sensor import cut_at, sensor_names
+    from sysid_bench.models.load import load_robot  # loads MuJoCo
 
     manifest, names = find_manifest(source, robots_dir, folder), sensor_names(text)
     if set(names) <= {sensor.name for sensor in manifest.sensors}:
-        return names  # loading the model costs more than it would tell of them
+        return names  # known from the manifest, without loading the model
     robot = load_robot(manifest)
     return [cut_at(robot, name, ()) for name in names]
 
 
 def _payload(spec: str | Mapping[str, Any]) -> Load:
-    from sysid_bench.models.payload import parse_payload
-
     return parse_payload(spec)

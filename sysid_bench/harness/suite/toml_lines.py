@@ -1,4 +1,4 @@
-"""Where a key stands in a TOML text: tomllib reads values, but tells no line numbers."""
+"""Line numbers of the keys of a TOML text, which tomllib does not report."""
 
 import json
 import re
@@ -18,7 +18,7 @@ _SCALAR = re.compile(r"[^,\]}\n#]*")
 
 
 def toml_line(lines: Mapping[Key, int], key: Key) -> int | None:
-    """The line of `key`, or of the nearest thing around it; None where even that is absent."""
+    """Return the line of `key`, or of the nearest table around it; None where both are absent."""
     for end in range(len(key), 0, -1):
         if key[:end] in lines:
             return lines[key[:end]]
@@ -26,7 +26,7 @@ def toml_line(lines: Mapping[Key, int], key: Key) -> int | None:
 
 
 def key_lines(text: str) -> dict[Key, int]:
-    """Every key of a valid TOML text and its line (from 1), list elements by index.
+    """Return every key of a valid TOML text with its line (from 1), list elements by index.
 
     ("robot", 0, "payloads", 2) is the third payload of the first [[robot]].
     """
@@ -34,15 +34,15 @@ def key_lines(text: str) -> dict[Key, int]:
 
 
 class _Scanner:
-    """One walk through a text that tomllib has accepted; only keys and values are told apart."""
+    """One pass through a text that tomllib has accepted, which separates keys from values."""
 
     def __init__(self, text: str) -> None:
-        self.text, self.at = text, 0
+        self.text, self.position = text, 0
         self.lines: dict[Key, int] = {}
-        self.elements: dict[Key, int] = {}  # how many [[tables]] of a name were met
+        self.elements: dict[Key, int] = {}  # number of [[tables]] of a name so far
         table: Key = ()
         self.blank()
-        while self.at < len(text):
+        while self.position < len(text):
             if self.peek("["):
                 table = self.header()
             else:
@@ -50,13 +50,13 @@ class _Scanner:
             self.blank()
 
     def peek(self, mark: str) -> bool:
-        return self.text.startswith(mark, self.at)
+        return self.text.startswith(mark, self.position)
 
     def take(self, pattern: re.Pattern[str]) -> str:
-        match = pattern.match(self.text, self.at)
+        match = pattern.match(self.text, self.position)
         if match is None:
             return ""
-        self.at = match.end()
+        self.position = match.end()
         return match[0]
 
     def blank(self) -> None:
@@ -66,8 +66,8 @@ class _Scanner:
         self.lines.setdefault(key, self.text.count("\n", 0, start) + 1)
 
     def header(self) -> Key:
-        start, array = self.at, self.peek("[[")
-        self.at += 2 if array else 1
+        start, array = self.position, self.peek("[[")
+        self.position += 2 if array else 1
         name = self.dotted()
         key: Key = ()
         for part in name[:-1]:
@@ -78,11 +78,11 @@ class _Scanner:
             self.elements[key] = self.elements.get(key, 0) + 1
         key = self.last(key)
         self.note(key, start)
-        self.at += 2 if array else 1
+        self.position += 2 if array else 1
         return key
 
     def last(self, key: Key) -> Key:
-        """[a.b] after [[a]] lies in the last element of a."""
+        """Return the key of the last element: [a.b] after [[a]] belongs to it."""
         return (*key, self.elements[key] - 1) if key in self.elements else key
 
     def dotted(self) -> list[str]:
@@ -93,35 +93,35 @@ class _Scanner:
             self.blank()
             if not self.peek("."):
                 return parts
-            self.at += 1
+            self.position += 1
 
     def name(self) -> str:
         if self.peek("'"):
             return self.take(_STRINGS[3])[1:-1]
         if not self.peek('"'):
-            # A text that tomllib refuses could stand still here: always move on.
+            # Always advance: a text that tomllib refuses must not loop here.
             return self.take(_BARE) or self.skip_one()
         written = self.take(_STRINGS[2])
         try:
             return str(json.loads(written))
-        except json.JSONDecodeError:  # an escape that TOML has and JSON has not
+        except json.JSONDecodeError:  # an escape of TOML that JSON lacks
             return written[1:-1]
 
     def skip_one(self) -> str:
-        self.at += 1
-        return self.text[self.at - 1 : self.at]
+        self.position += 1
+        return self.text[self.position - 1 : self.position]
 
     def pair(self, table: Key) -> None:
-        start = self.at
+        start = self.position
         name = self.dotted()
         for end in range(1, len(name) + 1):
             self.note(table + tuple(name[:end]), start)
-        self.at += 1  # the equals sign
+        self.position += 1  # the equals sign
         self.value(table + tuple(name))
 
     def value(self, key: Key) -> None:
         self.blank()
-        self.note(key, self.at)
+        self.note(key, self.position)
         if self.peek("["):
             self.items(key, "]")
         elif self.peek("{"):
@@ -130,10 +130,10 @@ class _Scanner:
             self.take(_SCALAR)
 
     def items(self, key: Key, end: str) -> None:
-        self.at += 1
+        self.position += 1
         index = 0
         self.blank()
-        while self.at < len(self.text) and not self.peek(end):
+        while self.position < len(self.text) and not self.peek(end):
             if end == "]":
                 self.value((*key, index))
             else:
@@ -141,6 +141,6 @@ class _Scanner:
             index += 1
             self.blank()
             if self.peek(","):
-                self.at += 1
+                self.position += 1
             self.blank()
-        self.at += 1
+        self.position += 1

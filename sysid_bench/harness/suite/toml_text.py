@@ -1,4 +1,4 @@
-"""Plain data as TOML text: tables of the file as sections, everything inside them on one line."""
+"""TOML text of plain data: top-level tables as sections, their values on one line each."""
 
 import json
 import math
@@ -12,7 +12,7 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def toml_text(data: Mapping[str, Any]) -> str:
-    """TOML of a mapping; keys whose value is None are left out, tuples become arrays."""
+    """Return TOML of a mapping; keys with the value None are left out, tuples become arrays."""
     data = _without_none(data)
     lines = [_pair(key, value) for key, value in data.items() if not _is_section(value)]
     for key, value in data.items():
@@ -33,7 +33,7 @@ def _without_none(value: Any) -> Any:
 
 
 def _absent(value: Any) -> bool:
-    """A sweep of nothing but None is a key that was not written."""
+    """Return whether a key was not written: None, or a sweep of None alone."""
     return value is None or (isinstance(value, (list, tuple)) and [*value] == [None])
 
 
@@ -52,7 +52,7 @@ def _key(key: str) -> str:
 
 
 def _text(text: str) -> str:
-    # JSON's strings are TOML's, but for the one control character that JSON leaves as it is.
+    # JSON strings are TOML strings, but for DEL, which JSON does not escape.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -69,4 +69,6 @@ def _value(value: Any) -> str:
         return "{ " + ", ".join(_pair(*item) for item in value.items()) + " }" if value else "{}"
     if isinstance(value, list):
         return "[" + ", ".join(map(_value, value)) + "]"
-    raise UsageError(f"{value!r} ({type(value).__name__}) has no place in a suite; write a text.")
+    raise UsageError(
+        f"{value!r} ({type(value).__name__}) cannot be written in a suite; use a string."
+    )

@@ -1,4 +1,4 @@
-"""Rows on disk: append-only JSON lines, one writer per file, the last row of an id wins."""
+"""Row files: append-only JSON lines, one writer per file; of rows with one id the last holds."""
 
 import json
 import os
@@ -12,13 +12,13 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.types import Row
 
 SYNC_SECONDS = 1.0
-"""How often rows are forced to the disk: per row costs four times as much as writing it."""
+"""Interval of fsync; once per row would cost four times as much as writing it."""
 
 
 @dataclass(frozen=True)
 class StoredRows:
-    """The last row of every id. `torn` counts unfinished last lines, where a writer was killed;
-    `garbled` names every other line that is no row ("file:line")."""
+    """The last row of every id. `torn` counts unfinished last lines of writers that were killed;
+    `garbled` lists every other line that is not a row ("file:line")."""
 
     rows: dict[str, Row]
     torn: int
@@ -26,7 +26,7 @@ class StoredRows:
 
 
 class RowWriter:
-    """Appends rows to a file of its own; a row is with the operating system when append returns."""
+    """Appends rows to its own file; once `append` returns, the operating system holds the row."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -34,14 +34,14 @@ class RowWriter:
         self._synced = time.monotonic()
 
     def append(self, row: Row) -> None:
-        """One line, whole: what is no JSON value raises TypeError before anything is written."""
+        """Append one line. Raises TypeError before writing for values that are not JSON."""
         self._file.write(json.dumps(plain(row)).encode() + b"\n")
         self._file.flush()
         if time.monotonic() - self._synced > SYNC_SECONDS:
             self._sync()
 
     def close(self) -> None:
-        """Forces the rest to the disk; closing twice is allowed."""
+        """Force the rest to the disk; closing twice is allowed."""
         if not self._file.closed:
             self._sync()
             self._file.close()
@@ -63,7 +63,7 @@ class RowWriter:
 
 
 def new_row_file(folder: Path, writer: str) -> Path:
-    """A fresh empty file, numbered after all that exist: the order of names is that of time."""
+    """Create an empty file, numbered after all existing ones: names sort by time."""
     folder.mkdir(parents=True, exist_ok=True)
     number = 1 + max((_number(path) for path in _files(folder)), default=0)
     while True:
@@ -77,7 +77,7 @@ def new_row_file(folder: Path, writer: str) -> Path:
 
 
 def read_rows(folder: Path) -> StoredRows:
-    """All rows of a folder of row files; never fails on what a file holds."""
+    """Return all rows of a folder of row files; no content of a file raises."""
     rows: dict[str, Row] = {}
     torn, garbled = 0, []
     for path in _files(folder):
@@ -94,7 +94,7 @@ def read_rows(folder: Path) -> StoredRows:
 
 
 def stored_ids(path: Path) -> set[str]:
-    """The ids of the whole rows of one file."""
+    """Return the ids of the complete rows of one file."""
     rows = (_row(line) for _, line, _ in _lines(path))
     return {row["id"] for row in rows if row is not None}
 
@@ -109,7 +109,7 @@ def _number(path: Path) -> int:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes, bool]]:
-    """(number, line, whether it is an unfinished last one)."""
+    """Yield (number, line, True for an unfinished last line)."""
     pieces = path.read_bytes().split(b"\n")
     for number, line in enumerate(pieces, 1):
         if line.strip():

@@ -1,4 +1,4 @@
-"""One worker process as its supervisor sees it."""
+"""Handle of one worker process: its pipes, its job and its time limit."""
 
 import contextlib
 import json
@@ -18,16 +18,16 @@ from sysid_bench.harness.work.row_files import new_row_file, stored_ids
 from sysid_bench.types import Row
 
 Inbox = queue.SimpleQueue[tuple["Worker", dict[str, Any] | None]]
-"""(worker, what it told); None when it tells no more."""
+"""(worker, notice); None at the end of its output."""
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _LOG_TAIL = 65536
 
 
 @dataclass(frozen=True)
-class Task:
-    """A call "module:function" with its argument; `cells` are the heads (id, labels) of the rows
-    it owes. The function gets (argument, emit) and calls emit(row) once per cell."""
+class Job:
+    """A call "module:function" with its argument. `cells` hold the first fields (id, labels) of the
+    rows to compute; the function gets (argument, emit) and calls emit(row) once per cell."""
 
     call: str
     argument: Any
@@ -36,7 +36,8 @@ class Task:
 
 @dataclass(frozen=True)
 class WorkerSettings:
-    """What all workers of a run share. `keep_open` is inherited: the lock of the run folder."""
+    """Settings of all workers of a run. They inherit the descriptors `keep_open`: the lock of the
+    run folder."""
 
     folder: Path
     timeout: float  # s
@@ -46,19 +47,19 @@ class WorkerSettings:
 
 @dataclass(eq=False)
 class Worker:
-    """A process and the task it is at. Two threads carry its pipes, so that no full pipe and no
-    deaf worker can hold the supervisor."""
+    """A process and its present job. Two threads serve its pipes, so that a full pipe or a worker
+    that does not read cannot block the supervisor."""
 
     name: str
-    place: WorkerSettings
+    settings: WorkerSettings
     inbox: Inbox
-    task: Task | None = None
-    owed: dict[str, Row] = field(default_factory=dict)
+    job: Job | None = None
+    open_cells: dict[str, Row] = field(default_factory=dict)
     deadline: float = float("inf")
 
     def __post_init__(self) -> None:
-        self.rows_file = new_row_file(self.place.folder / "cells", self.name)
-        self.log_file = self.place.folder / "logs" / f"{self.name}.log"
+        self.rows_file = new_row_file(self.settings.folder / "cells", self.name)
+        self.log_file = self.settings.folder / "logs" / f"{self.name}.log"
         self.log_file.parent.mkdir(exist_ok=True)
         self._outbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
         with self.log_file.open("ab") as log:
@@ -68,37 +69,37 @@ class Worker:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
-                env=_environment(self.place.threads),
-                pass_fds=self.place.keep_open,
-                start_new_session=True,  # Ctrl-C is ours; and what it has started dies with it
+                env=_environment(self.settings.threads),
+                pass_fds=self.settings.keep_open,
+                start_new_session=True,  # Ctrl-C reaches the supervisor alone
             )
         self._threads = [
-            threading.Thread(target=carry, daemon=True) for carry in (self._send, self._receive)
+            threading.Thread(target=loop, daemon=True) for loop in (self._send, self._receive)
         ]
         for thread in self._threads:
             thread.start()
         path = [entry or os.getcwd() for entry in sys.path]
         self._outbox.put({"parent": os.getpid(), "path": path, "rows": str(self.rows_file)})
 
-    def send_task(self, task: Task) -> None:
-        """Hands over a task; its time runs from now, and again once its module is imported."""
-        self.task = task
-        self.owed = {cell["id"]: cell for cell in task.cells}
+    def start_job(self, task: Job) -> None:
+        """Send a job; its time limit counts from now, and again once its module is imported."""
+        self.job = task
+        self.open_cells = {cell["id"]: cell for cell in task.cells}
         self.log_start = self.log_file.stat().st_size
-        self.restart_clock()
-        cells = list(self.owed)
+        self.restart_timeout()
+        cells = list(self.open_cells)
         self._outbox.put({"call": task.call, "argument": task.argument, "cells": cells})
 
-    def restart_clock(self) -> None:
-        """Start-up and computing have the whole limit each."""
-        self.deadline = time.monotonic() + self.place.timeout
+    def restart_timeout(self) -> None:
+        """Give the job the whole time limit again: start-up and computing have one each."""
+        self.deadline = time.monotonic() + self.settings.timeout
 
-    def end_task(self) -> None:
-        """The task is over."""
-        self.task, self.owed, self.deadline = None, {}, float("inf")
+    def end_job(self) -> None:
+        """Forget the job."""
+        self.job, self.open_cells, self.deadline = None, {}, float("inf")
 
     def kill(self) -> None:
-        """Ends the process and all that it has started; rows that it stored are taken as done."""
+        """Kill the process and its children; cells whose rows it stored are not open any more."""
         _kill_group(self.process)
         self.process.wait()
         if self.process.stdin is not None:
@@ -107,29 +108,29 @@ class Worker:
             thread.join(timeout=1.0)
         if not any(thread.is_alive() for thread in self._threads):
             self._close_pipes()
-        if self.owed:
+        if self.open_cells:
             for done in stored_ids(self.rows_file):
-                self.owed.pop(done, None)
+                self.open_cells.pop(done, None)
 
     def stop(self) -> None:
-        """Lets an idle worker store its rows and go; a deaf one is killed."""
+        """Let an idle worker store its rows and end; kill one that does not within 5 s."""
         self._outbox.put(None)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(timeout=5.0)
         self.kill()
 
-    def stderr_tail(self) -> str:
-        """The fatal error in the log since the task began, or else its last line."""
+    def error_text(self) -> str:
+        """Return the fatal error in the log since the job began, or else its last line."""
         with self.log_file.open("rb") as log:
             size = log.seek(0, os.SEEK_END)
             log.seek(max(self.log_start, size - _LOG_TAIL))
             lines = log.read().decode(errors="replace").split("\n")
-        said = [line.strip() for line in lines if line.strip()]
-        fatal = [line for line in said if line.startswith("Fatal Python error")]
-        return (fatal or said[-1:] or [""])[0][:300]
+        written = [line.strip() for line in lines if line.strip()]
+        fatal = [line for line in written if line.startswith("Fatal Python error")]
+        return (fatal or written[-1:] or [""])[0][:300]
 
     def exit_reason(self) -> str:
-        """How the process ended: "killed by SIGSEGV" or "exit code 3"."""
+        """Return a sentence on the end of the process, with its signal or exit code."""
         code = self.process.returncode
         if code >= 0:
             return f"the worker ended with exit code {code}"
@@ -146,7 +147,7 @@ class Worker:
             try:
                 pipe.write(json.dumps(message).encode() + b"\n")
                 pipe.flush()
-            except OSError:  # it is dead; the other thread tells
+            except OSError:  # the process has ended; _receive reports it
                 return
 
     def _receive(self) -> None:
@@ -155,14 +156,14 @@ class Worker:
         for line in pipe:
             try:
                 self.inbox.put((self, json.loads(line)))
-            except ValueError:  # torn by its death
+            except ValueError:  # a line cut off by the end of the process
                 break
         self.inbox.put((self, None))
 
     def _close_pipes(self) -> None:
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
-                with contextlib.suppress(OSError):  # what was buffered for a dead process
+                with contextlib.suppress(OSError):  # flushing to a process that has ended
                     pipe.close()
 
 
@@ -170,7 +171,7 @@ def _environment(threads: int) -> Mapping[str, str]:
     environment = {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, str(threads))}
     home = Path(__file__).resolve().parents[3]
     if home.name not in ("site-packages", "dist-packages"):
-        # A checkout that is on our path without being installed must be on the worker's as well.
+        # A checkout on sys.path that is not installed has to be on the path of workers too.
         paths = [str(home), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment["PYTHONPATH"] = os.pathsep.join(paths)
     return environment

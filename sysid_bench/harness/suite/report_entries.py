@@ -1,0 +1,110 @@
+"""Keys of a suite that make its report: tables, rankings, and figures as papers print them."""
+
+from functools import partial
+from typing import Annotated
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    PlainValidator,
+    StrictStr,
+    StringConstraints,
+    ValidationInfo,
+    model_validator,
+)
+
+from sysid_bench.harness.suite.checks import check_context, condition, metric_name, one_of
+from sysid_bench.metrics import METRICS, names_of
+from sysid_bench.vocabulary import (
+    BESTS,
+    INTERVALS,
+    JOINT,
+    LABELS,
+    LEVEL_AXES,
+    PARAMETER,
+    STATISTICS,
+    STD_FROM,
+)
+
+RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
+
+
+class Section(BaseModel):
+    """A table of the suite file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+AnyMetric = Annotated[str, metric_name("metric", lambda metric: True)]
+CellMetric = Annotated[str, metric_name("metric", lambda metric: metric.level == "cell")]
+RankedMetric = Annotated[str, metric_name("metric to rank by", lambda metric: metric.ranked)]
+
+
+class TableCells(Section):
+    metric: AnyMetric | None = None
+    stat: Annotated[str, one_of("statistic", STATISTICS)] = "median"
+    interval: Annotated[str, one_of("interval", INTERVALS)] = "none"
+
+
+Label = Annotated[str, one_of("label of a cell", (*LABELS, "repeat"))]
+Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
+
+
+Axis = Annotated[str, one_of("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM, JOINT))]
+
+
+class TableEntry(Section):
+    name: Folder
+    title: StrictStr | None = None
+    rows: tuple[Axis, ...] = ("robot", "payload")
+    columns: tuple[Axis, ...] = ("estimator",)
+    metrics: tuple[AnyMetric, ...] = ()
+    """Several, each a column; `cells` then has stat and interval alone."""
+    cells: TableCells = TableCells()
+    best: Annotated[str, one_of("way to mark the best", BESTS)] = "none"
+    select: RowCondition | None = None
+
+    @model_validator(mode="after")
+    def _metrics_fit_the_axes(self, info: ValidationInfo) -> "TableEntry":
+        if bool(self.metrics) == (self.cells.metric is not None):
+            raise ValueError("give metrics = [...], or cells = { metric = ... }; not both.")
+        known = {**METRICS, **check_context(info).metrics}
+        named = [known[name] for name in self.metrics or (str(self.cells.metric),)]
+        for level, axis in LEVEL_AXES.items():
+            fitting = [metric for metric in named if metric.level == level]
+            if len(fitting) != (len(named) if axis in (*self.rows, *self.columns) else 0):
+                raise ValueError(
+                    f"the metrics {', '.join(names_of(level))} and the label {axis!r} among rows "
+                    "or columns go together."
+                )
+        repeated = [metric.name for metric in named if metric.level == "repeats"]
+        if repeated and (
+            "repeat" in (*self.rows, *self.columns) or self.cells.interval not in ("none", "ci95")
+        ):
+            raise ValueError(
+                f"the metric {repeated[0]!r} is one of all repeats together: it has no value "
+                "by repeat, and no interval but 'ci95'."
+            )
+        return self
+
+
+class Paper(Section):
+    """A table or figure as papers print it: `model` (bodies and joints), `base-parameters` with the
+    values of a cell, `torques` measured and predicted along a test log."""
+
+    name: Folder
+    show: Annotated[str, one_of("thing to show", ("model", "base-parameters", "torques"))]
+    title: StrictStr = ""
+    select: RowCondition | None = None  # the first cell that meets it
+    test: StrictStr | None = None
+
+
+class RankingEntry(Section):
+    """Comparison of methods over robots; one ranking for each value of the labels `apart`."""
+
+    name: Folder
+    title: StrictStr | None = None
+    metric: RankedMetric = "torque_error"
+    apart: tuple[Label, ...] = ()
+    against: StrictStr | None = None  # the method that the others are tested against
+    select: RowCondition | None = None

@@ -1,0 +1,95 @@
+"""A task in a file of its own runs in a suite, on the command line and through the check."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.fingerprint import cell_fingerprint
+from sysid_bench.harness.plan import expand
+from sysid_bench.harness.run import run
+from sysid_bench.harness.suite.load_suite import load_suite
+from sysid_bench.tasks.check_task import check_task
+from sysid_bench.tasks.task import named_task
+from sysid_bench.verbs.basis import basis
+from tests.robots import named_robot
+
+WRIST = Path(__file__).with_name("wrist.py")
+SUITE = """
+schema = 1
+name   = "wrist"
+
+[defaults]
+task       = ["link", "file:wrist.py:Wrist"]
+terms      = []
+excitation = { use = "fourier", period = "2 s", cycles = 1 }
+held_out   = ["ptp"]
+rate       = "50 Hz"
+
+[[robot]]
+use = "ur5"
+
+[[estimator]]
+use = "ols"
+"""
+
+
+@pytest.fixture
+def suite_file(tmp_path: Path) -> Path:
+    shutil.copy(WRIST, tmp_path / "wrist.py")
+    file = tmp_path / "suite.toml"
+    file.write_text(SUITE)
+    return file
+
+
+def test_a_task_in_a_file_beside_the_suite_runs_from_end_to_end(suite_file: Path) -> None:
+    result = run(suite_file, suite_file.parent / "out", jobs=1)
+    rows = list(result.folder.rows().rows.values())
+    assert {row["task"]: row["status"] for row in rows} == {"link": "ok", "Wrist": "ok"}
+    wrist = next(row for row in rows if row["task"] == "Wrist")
+    assert wrist["parameters"] == 20
+    assert wrist["torque_error"] < 1e-9
+
+
+def test_its_cells_are_selected_by_label_and_by_name(suite_file: Path) -> None:
+    plan = expand(load_suite(suite_file))
+    for name in ("Wrist", "file:wrist.py:Wrist"):
+        assert len(plan.select(f"task == '{name}'")) == 1
+    assert [cell.spec.task for cell in plan.cells] == ["link", "file:wrist.py:Wrist"]
+
+
+def test_a_changed_file_makes_its_rows_stale_and_no_others(suite_file: Path) -> None:
+    from sysid_bench.harness import fingerprint
+
+    cells, folder = expand(load_suite(suite_file)).cells, suite_file.parent
+    before = [cell_fingerprint(cell, None, folder) for cell in cells]
+    (folder / "wrist.py").write_text(WRIST.read_text() + "\n# another version\n")
+    for cached in (fingerprint._file, fingerprint._plugin, fingerprint._fingerprint):
+        cached.cache_clear()
+    after = [cell_fingerprint(cell, None, folder) for cell in cells]
+    assert [a == b for a, b in zip(before, after, strict=True)] == [True, False]
+
+
+def test_an_unknown_task_of_a_suite_is_named_with_its_line_and_all_tasks(suite_file: Path) -> None:
+    suite_file.write_text(SUITE.replace("file:wrist.py:Wrist", "wrenhc"))
+    with pytest.raises(UsageError, match=r"suite.toml:6: .*'wrench'.*terminal.*wrench-payload"):
+        load_suite(suite_file)
+    suite_file.write_text(SUITE.replace("file:wrist.py:Wrist", "file:wrong.py:Wrist"))
+    with pytest.raises(UsageError, match=r"wrong.py"):
+        load_suite(suite_file)
+
+
+def test_the_commands_take_it_by_its_file() -> None:
+    answer = basis("ur5", f"file:{WRIST}:Wrist", ("viscous",))
+    assert (answer["parameters"], answer["terms"]) == (20 + 6, ["viscous"])
+
+
+def test_an_object_that_is_not_a_task_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"'math:inf' is not a task: .*TaskDefinition"):
+        named_task("math:inf")
+
+
+def test_it_passes_the_check() -> None:
+    wrist = named_task(f"file:{WRIST}:Wrist")
+    assert check_task(wrist, named_robot("ur5", "sphere-1kg"), ("viscous", "coulomb")) == ()
