@@ -21,7 +21,7 @@ import numpy as np
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.wrench import SubtreeRegressors, sub_tree, subtree_dofs
+from sysid_bench.regressors.wrench import SubtreeRegressors, subtree_dofs, subtree_regressors
 from sysid_bench.types import Array, Trajectory
 
 
@@ -72,7 +72,7 @@ def sensor_newton_euler(
 ) -> SensorNewtonEuler:
     """Return the equations along a motion, with the external wrench on the body `base` distal to
     the sensor (None: no external wrench); raises UsageError for any other body."""
-    tree = sub_tree(robot, cut, motion)
+    tree = subtree_regressors(robot, cut, motion)
     if base is None:
         return SensorNewtonEuler(tree, None, None, None)
     return SensorNewtonEuler(tree, base, tree.wrench_transform(base), tree.jacobian(base))
@@ -93,8 +93,8 @@ def upstream_torque(
     dofs = [int(dof) for dof in instruments.tree.links[link].dofs if dof not in distal]
     upstream = phi.copy()
     upstream[list(_distal_bodies(robot, cut))] = 0.0
-    tau = newton_euler(instruments.tree, instruments.tree.composite_links(upstream), whole)[:, dofs]
-    J = sub_tree(robot, cut, motion).link_jacobian(link, dofs)
+    tau = newton_euler(instruments.tree, instruments.tree.link_parameters(upstream), whole)[:, dofs]
+    J = subtree_regressors(robot, cut, motion).link_jacobian(link, dofs)
     return tuple(robot.rows[dof] for dof in dofs), tau + np.einsum("nuc,nc->nu", J, f_b)
 
 

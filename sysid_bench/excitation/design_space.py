@@ -38,27 +38,27 @@ class DesignSpace:
         x, dx, ddx = (B @ C for B in bases)
         q = np.tile(self.brief.q0, (len(t), 1))
         v, a = np.zeros((2, len(t), sum(len(joint.dofs) for joint in self.brief.joints)))
-        moving = self.moving_joints
-        q[:, self.places], v[:, moving], a[:, moving] = x, dx, ddx
+        moving = self.v_indices
+        q[:, self.q_indices], v[:, moving], a[:, moving] = x, dx, ddx
         period = self.curves.duration if self.curves.periodic else None
         return self.brief.completed(Trajectory(t, q, v, a, self.curves.kind, period), near)
 
     @property
-    def moving_joints(self) -> Array:
+    def v_indices(self) -> Array:
         """Indices (k,) of the moving degrees of freedom in v."""
         return np.asarray(self.brief.dofs[self.dofs])
 
     @property
-    def places(self) -> list[int]:
+    def q_indices(self) -> list[int]:
         """Indices (k) of the moving degrees of freedom in q."""
         qadr = {joint.vadr: joint.qadr for joint in self.brief.joints}
-        return [qadr[int(dof)] for dof in self.moving_joints]
+        return [qadr[int(dof)] for dof in self.v_indices]
 
     def profile_gradient(self, motion: Trajectory, slopes: Slopes) -> Slopes:
         """Return slopes by x, dx, ddx (N, k) from those by q, v, a (N, nv) of every joint."""
         if self.brief.coupling is not None:
             slopes = pull_back(self.brief.coupling, motion, slopes)
-        x, dx, ddx = (slope[:, self.moving_joints] for slope in slopes)
+        x, dx, ddx = (slope[:, self.v_indices] for slope in slopes)
         return x, dx, ddx
 
     def bounds(self) -> tuple[Array, Array]:

@@ -110,5 +110,5 @@ def torque_model(robot: RobotModel) -> TorqueModel:
     between = np.argwhere(robot.joint_terms.viscous_coupling)
     terms = (*SUFFIX, *(f"{robot.rows[i]}.fv.{robot.rows[j]}" for i, j in between))
     columns = torque_regression(robot, robot.term_columns(terms))
-    links = robot.tree.composite_links(robot.phi)
+    links = robot.tree.link_parameters(robot.phi)
     return TorqueModel(columns, robot.term_values(terms), links, robot.tree, robot.coupling)

@@ -164,7 +164,7 @@ class Optimised:
             raise UsageError("An optimised motion needs a regressor to judge it by; none is given.")
         space = self.space(brief)
         draws = self.draws(space, rng)
-        information = torque_prior(space, brief.regress, draws)
+        information = excited_parameters(space, brief.regress, draws)
         criterion = design_criterion(self.objective, information, space, draws, known)
         limits = self.limits(brief, MARGIN)
         search = Search(space, information.smooth, criterion, limits, progress)
@@ -229,7 +229,7 @@ def _scaled_to_limits(
     low, high = (edge[space.dofs] for edge in (space.brief.low, space.brief.high))
     # The author of a model has usually checked its reference posture for collisions.
     room = 0.1 * (high - low)
-    reference = np.clip(space.brief.q0[space.places], low + room, high - room)
+    reference = np.clip(space.brief.q0[space.q_indices], low + room, high - room)
     for size in (0.6, 0.35, 0.2, 0.1, 0.05):
         if least <= 1.0:
             break
@@ -243,7 +243,7 @@ def _scaled_to_limits(
     return best
 
 
-def torque_prior(
+def excited_parameters(
     space: DesignSpace, information: InformationModel, draws: Sequence[Array]
 ) -> InformationModel:
     """Return the regressor of the base parameters that the motions `draws` excite.

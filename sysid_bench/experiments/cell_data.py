@@ -16,9 +16,9 @@ from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.models.random.random_states import random_states
-from sysid_bench.models.visuals import body_poses, shapes_of
+from sysid_bench.models.visuals import body_frames, shapes_of
 from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
-from sysid_bench.regressors.wrench import sub_tree
+from sysid_bench.regressors.wrench import subtree_regressors
 from sysid_bench.types import Array, CellData, Estimate, Row
 
 
@@ -48,7 +48,7 @@ def _collect(
 ) -> CellData:
     problem, model = prepared.problem, prepared.robot
     recording = prepared.experiment.recording
-    positions, quaternions = body_poses(model, recording.motion.q)
+    positions, quaternions = body_frames(model, recording.motion.q)
     r = problem.base.rank
     signals = (*model.torque_rows, *recording.wrench_rows)
     columns = [signals.index(row) for row in problem.rows]
@@ -81,7 +81,7 @@ def _gap(loaded: LoadedRobot, prepared: Prepared[SimulatedSource]) -> dict[str, 
         return {"gap_map": check.gap_map[rows], "gap_columns": check.columns}
     motion = random_states(robot, 5, np.random.default_rng(0))
     base = robot.body_names[cuts[0].body]
-    ours = sub_tree(robot, cuts[0], motion).base_wrench(base)
+    ours = subtree_regressors(robot, cuts[0], motion).base_wrench(base)
     theirs, _ = pinocchio_wrench_regressor(robot, cuts[0], motion, base)
     return {"gap_map": np.abs(ours - theirs.Y).max(axis=0), "gap_columns": theirs.columns}
 

@@ -15,7 +15,7 @@ MOST_NAMES: Final = 4
 """Maximal number of parameters listed for a near-degenerate direction."""
 
 
-def combinations(base: BaseMap, digits: int = DIGITS) -> tuple[str, ...]:
+def printed_base(base: BaseMap, digits: int = DIGITS) -> tuple[str, ...]:
     """Return the r base parameters as printed sums, each led by its pivot.
 
     Pivots are those of `base`: greedy from left to right, unless `rebase` exchanged them.

@@ -40,7 +40,7 @@ def structural_factor(
     parameters: tuple[str, ...],
     rows: tuple[str, ...] | None = None,
     cuts: tuple[SensorCut, ...] = (),
-    beside: Callable[[Trajectory], Array] | None = None,
+    appended: Callable[[Trajectory], Array] | None = None,
 ) -> Array:
     """Return the R factor (m, p) of the regressor over random states, whose row space is that of
     all motions.
@@ -54,7 +54,7 @@ def structural_factor(
     measured = [available.index(row) for row in (available if rows is None else rows)]
     count = 64 + 3 * len(carried) // len(measured)
     motion = random_states(robot, count, np.random.default_rng(SEED), NARROWEST)
-    more = np.zeros((count, len(measured), 0)) if beside is None else beside(motion)
+    more = np.zeros((count, len(measured), 0)) if appended is None else appended(motion)
     factors = []
     for block in columns.blocks(instruments.motion(motion)):
         both = np.concatenate([block.dense()[:, measured], more[block.samples]], axis=2)

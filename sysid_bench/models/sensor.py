@@ -194,7 +194,7 @@ def sensor_names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
-def the_sensor(robot: RobotModel, sensor: str | None) -> str:
+def default_sensor(robot: RobotModel, sensor: str | None) -> str:
     """Return the given name, or the only sensor of the robot's manifest; raises UnsupportedError,
     with the known sensors, for several or none."""
     if sensor is not None and len(sensor_names(sensor)) > 1:

@@ -73,7 +73,7 @@ class Tree:
         """All joints in tree order."""
         return tuple(joint for link in self.links for joint in link.joints)
 
-    def composite_links(self, phi: Array) -> Array:
+    def link_parameters(self, phi: Array) -> Array:
         """Return phi (n_links, 10) of each link with all bodies welded to it, from phi (nb, 10)."""
         total = np.zeros((len(self.links), 10))
         for b, link in enumerate(self.carrier):

@@ -40,7 +40,7 @@ def shapes_of(robot: RobotModel) -> tuple[Shape, ...]:
     return ()
 
 
-def body_poses(robot: RobotModel, q: Array) -> tuple[Array, Array]:
+def body_frames(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return positions (N, nb, 3) in m and quaternions (N, nb, 4), w first, of all bodies in the
     world, at q (N, nq)."""
     data = mujoco.MjData(robot.mj)

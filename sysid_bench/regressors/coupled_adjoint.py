@@ -36,7 +36,7 @@ def pull_back(regression: AnyRegression, motion: Trajectory, G: Array) -> Slopes
     followed = np.einsum("ndi,nip->ndp", coupling.follow(motion.q), G[:, :moving])
     weights[:, coupling.dependent] += followed
     q, v, a = adjoint.pull_back(tree, motion, weights)
-    if not coupling.constant:
+    if not coupling.linear:
         Y = tree.dense(motion).Y[:, coupling.dependent]
         by_closure = pull_back_follow(coupling, motion, np.einsum("ndp,nip->ndi", Y, G[:, :moving]))
         q[:, : by_closure.shape[1]] += by_closure
@@ -55,7 +55,7 @@ def pull_back_torque(
         return adjoint.pull_back_torque(tree, phi, motion, U)
     whole = np.einsum("nij,nj->ni", coupling.G(motion.q), U)
     q, v, a = adjoint.pull_back_torque(tree, phi, motion, whole)
-    if not coupling.constant:
+    if not coupling.linear:
         tau = newton_euler(tree, phi, motion)[:, coupling.dependent]
         q += pull_back_follow(coupling, motion, tau[:, :, None] * U[:, None])
     return q, v, a

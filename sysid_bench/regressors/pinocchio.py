@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from sysid_bench.models.coupling.equalities import ends_of, sums_of
+from sysid_bench.models.coupling.equalities import closure_frames, equality_terms
 from sysid_bench.models.pairing import FROM_PINOCCHIO, Pairing
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Regressor, Trajectory
@@ -65,7 +65,7 @@ def _loop_rows(robot: RobotModel, data: pin.Data, e: int) -> Array:
     """Relative twist [v; w] (6, nv) of the two ends of a loop; of a connect, v (3, nv) alone."""
     mj, pairing = robot.mj, robot.pairing
     ends = []
-    for body, p, _ in ends_of(mj, e):
+    for body, p, _ in closure_frames(mj, e):
         twist = np.zeros((6, robot.nv))
         joint = int(pairing.carrier[body - 1]) if body > 0 else 0
         if joint > 0:
@@ -83,7 +83,7 @@ def _loop_rows(robot: RobotModel, data: pin.Data, e: int) -> Array:
 def _sum_rows(robot: RobotModel, e: int, q: Array) -> Array:
     """Row (1, nv) of a joint or tendon equality at q (nq,): y = polynomial(x) in MuJoCo."""
     row, qadr = np.zeros((1, robot.nv)), {joint.vadr: joint.qadr for joint in robot.joints}
-    first, second = sums_of(robot.mj, e)
+    first, second = equality_terms(robot.mj, e)
     x = sum(c * (q[qadr[d]] - robot.mj.qpos0[qadr[d]]) for d, c in second.items())
     slope = sum(k * c * x ** (k - 1) for k, c in enumerate(robot.mj.eq_data[e, :5]) if k)
     for dof, coefficient in first.items():

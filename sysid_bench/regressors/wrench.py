@@ -109,7 +109,7 @@ class SubtreeRegressors:
         return np.concatenate(parts)
 
 
-def sub_tree(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> SubtreeRegressors:
+def subtree_regressors(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> SubtreeRegressors:
     """Return the regressors of a cut along a motion of the whole robot, fixed-base or floating; the
     pose, twist and acceleration of the sensor frame follow from the motion."""
     instruments = instruments_of(robot, (cut,))
@@ -132,7 +132,7 @@ def base_wrench_regressor(
 ) -> Regressor:
     """Return Y_n (N, 6, p), the wrench [n; f] of the sub-tree distal to a sensor, in the sensor
     frame or at the origin and in the axes of the body `base`. Traversaro et al. (2015), eq. 11."""
-    subtree = sub_tree(robot, cut, motion)
+    subtree = subtree_regressors(robot, cut, motion)
     prefix = cut.name if base is None else base
     rows = tuple(f"{prefix}.{row.rpartition('.')[2]}" for row in cut.rows)
     return Regressor(subtree.base_wrench(base), rows, subtree.columns)
@@ -143,11 +143,11 @@ def joint_torque_regressor(
 ) -> Regressor:
     """Return Y_c (N, k, p), the torques of the k degrees of freedom distal to a sensor, with the
     base at the sensor or at the body `base`. Traversaro et al. (2015), eq. 12."""
-    subtree = sub_tree(robot, cut, motion)
+    subtree = subtree_regressors(robot, cut, motion)
     return Regressor(subtree.joint_torque(base), subtree.rows, subtree.columns)
 
 
-def transferred_wrench(
+def transform_wrench(
     instruments: Instruments, motion: Trajectory, cut: SensorCut, stop: SensorCut, wrench: Array
 ) -> Array:
     """Return a wrench (N, 6) [n; f] at the sensor `stop`, transformed to the frame of the proximal

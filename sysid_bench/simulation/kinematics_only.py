@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from sysid_bench.models.coupling.equalities import ends_of, sums_of
+from sysid_bench.models.coupling.equalities import closure_frames, equality_terms
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import JointTerms, RobotModel
@@ -78,11 +78,11 @@ def _add_equality(
     loop = kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
     names = []
     if loop:
-        for end, (body, p, R) in enumerate(ends_of(mj, e)):
+        for end, (body, p, R) in enumerate(closure_frames(mj, e)):
             names.append(f"end {end} of equality {e}")
             bodies[body].add_site(name=names[-1], pos=p, quat=quaternion_of_matrix(R))
     else:
-        for side, terms in enumerate(sums_of(mj, e)):
+        for side, terms in enumerate(equality_terms(mj, e)):
             if terms:
                 names.append(f"sum {side} of equality {e}")
                 tendon = spec.add_tendon(name=names[-1])

@@ -40,7 +40,7 @@ class Noise:
         """Return the standard deviation (n,) of torque noise for noise-free torques (N, n)."""
         return np.asarray(self.tau + self.tau_relative * np.sqrt((tau**2).mean(axis=0)))
 
-    def in_time(self, white: Array) -> Array:
+    def correlated(self, white: Array) -> Array:
         """Return white draws w (N, n) with the correlation c of torque noise in time.
 
         e_t = c e_(t-1) + sqrt(1 - c^2) w_t with e_0 = w_0, so that the variance does not change.
@@ -87,7 +87,7 @@ def measure(
     oracle: Oracle,
     error: Array,
     torque_error: Array,
-    every: int,
+    stride: int,
     commanded: Trajectory | None,
     controller: Controller | None,
     ideal_rates: bool,
@@ -99,7 +99,7 @@ def measure(
     their positions follow from those of the independent joints.
     """
     motion = oracle.motion
-    kept = slice(None, None, every)
+    kept = slice(None, None, stride)
     step = motion.t[1] - motion.t[0]
     if robot.coupling is not None:
         error = robot.coupling.spread(error)
@@ -109,7 +109,7 @@ def measure(
         t=motion.t[kept],
         q=read.q,
         tau=oracle.tau[kept] + torque_error,
-        rate=float(1.0 / (every * step)),
+        rate=float(1.0 / (stride * step)),
         rows=robot.torque_rows,
         v=read.v if ideal_rates else None,
         a=read.a if ideal_rates else None,

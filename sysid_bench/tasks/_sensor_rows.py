@@ -20,7 +20,7 @@ def with_sensors(robot: RobotModel, task: Task, sensor: str | None, given: Array
     cuts = tuple(cut_at(robot, name, ()) for name in sensor_names(sensor))
     rows = robot.torque_rows + tuple(row for cut in cuts for row in cut.rows)
     # A sensor divides a link in two: composites are those of the divided tree.
-    known_links = instruments_of(robot, cuts).tree.composite_links(given)
+    known_links = instruments_of(robot, cuts).tree.link_parameters(given)
     return replace(task, rows=rows, cuts=cuts, known_links=known_links)
 
 
@@ -56,7 +56,7 @@ def sensor_task(
         parameters += tuple(f"{row}.{SUFFIX['offset']}" for cut in cuts for row in cut.rows)
         constants = np.zeros(6 * len(cuts)) if offset is None else offset(len(cuts))
         theta = np.concatenate([theta, constants])
-    known_links = instruments_of(robot, cuts).tree.composite_links(given)
+    known_links = instruments_of(robot, cuts).tree.link_parameters(given)
     return Task(
         definition, unknown, Truth(parameters, theta), known_links, {}, rows=cuts[0].rows, cuts=cuts
     )

@@ -46,8 +46,8 @@ def _wrong_links(task: Task, robot: RobotModel) -> Iterator[str]:
     for body in task.bodies:
         phi[robot.body_names.index(body.name)] = [truth[column] for column in body.columns]
     tree = instruments_of(robot, task.cuts).tree
-    expected = tree.composite_links(robot.phi)
-    error = np.abs(task.known_links + tree.composite_links(phi) - expected)
+    expected = tree.link_parameters(robot.phi)
+    error = np.abs(task.known_links + tree.link_parameters(phi) - expected)
     bound = TOLERANCE * _scale(expected)
     sensed = task.definition.measures_sensor_only
     bodies = task.cuts[0].bodies if sensed else range(len(robot.body_names))

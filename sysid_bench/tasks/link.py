@@ -36,7 +36,7 @@ def tool_link(robot: RobotModel) -> tuple[Body, Array, Array]:
     link = int(robot.tree.carrier[robot.tool_body])
     if link < 0:
         raise UnsupportedError(f"The tool {robot.body_names[robot.tool_body]!r} does not move.")
-    phi = robot.tree.composite_links(robot.phi)[link]
+    phi = robot.tree.link_parameters(robot.phi)[link]
     given = robot.phi.copy()
     given[np.asarray(robot.tree.carrier) == link] = 0.0
     return robot.bodies[robot.tree.links[link].body], phi, given

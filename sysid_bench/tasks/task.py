@@ -168,7 +168,7 @@ def joint_torque_task(
             known_terms[term][dof] = 0.0
         else:
             coupling[dof, other] = 0.0
-    truth, known_links = Truth(parameters, theta), robot.tree.composite_links(given)
+    truth, known_links = Truth(parameters, theta), robot.tree.link_parameters(given)
     return Task(
         definition, bodies, truth, known_links, known_terms, rows=rows, known_coupling=coupling
     )

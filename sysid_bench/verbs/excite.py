@@ -12,7 +12,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.geometry import collision_model
 from sysid_bench.excitation.information import InformationModel, information_model, torque_model
-from sysid_bench.excitation.optimised import Optimised, design_figures, torque_prior
+from sysid_bench.excitation.optimised import Optimised, design_figures, excited_parameters
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
@@ -242,7 +242,7 @@ def _figures(question: _Question, C: Array, seed: int) -> dict[str, Any]:
     with."""
     space = question.method.space(question.problem)
     draws = question.method.draws(space, np.random.default_rng(seed))
-    information = torque_prior(space, question.information, draws)
+    information = excited_parameters(space, question.information, draws)
     grid = space.curves.grid()
     random = [design_figures(information, space.motion(draw, grid)) for draw in draws]
     medians = {f"start_{key}": float(np.median([r[key] for r in random])) for key in _COMPARED}

@@ -84,8 +84,8 @@ def read_motion(
     space = method.space(problem)
     q = np.tile(problem.q0, (len(table), 1))
     v, a = np.zeros((2, len(table), sum(len(joint.dofs) for joint in problem.joints)))
-    moving = space.moving_joints
-    for array, columns, key in ((q, space.places, "q"), (v, moving, "v"), (a, moving, "a")):
+    moving = space.v_indices
+    for array, columns, key in ((q, space.q_indices, "q"), (v, moving, "v"), (a, moving, "a")):
         array[:, columns] = table[[f"{joint}.{key}" for joint in joints]].to_numpy()
     t = table["t"].to_numpy() if "t" in table else np.arange(len(table)) / problem.rate
     return problem.completed(Trajectory(t, q, v, a, file.name))
@@ -125,7 +125,7 @@ def write_motion(
     elif kind == "ros2":
         text = (ros2.json_text if file.suffix == ".json" else ros2.yaml_text)(commands)
     else:
-        commands, report = damiao.within_range(commands, drives, clamp)
+        commands, report = damiao.limit_commands(commands, drives, clamp)
         warnings += [_hot_motor(entry) for entry in report if entry["hot"]]
         if kind == "can":
             text = damiao.can_log(commands, drives)

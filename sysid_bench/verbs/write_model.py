@@ -110,5 +110,5 @@ def _welded(robot: RobotModel, name: str) -> Array:
     phi[link] = 0.0
     if robot.payload_body is not None:
         phi[robot.payload_body] = 0.0
-    composite: Array = tree.composite_links(phi)[tree.carrier[link]]
+    composite: Array = tree.link_parameters(phi)[tree.carrier[link]]
     return composite

@@ -140,10 +140,10 @@ def test_a_link_is_written_with_its_load_and_moves_as_the_loaded_robot(
     loaded = named_robot(name, payload)
     again = load_robot(target)
     link = int(loaded.tree.carrier[loaded.tool_body])
-    wanted = loaded.tree.composite_links(loaded.phi)
+    wanted = loaded.tree.link_parameters(loaded.phi)
     scale = np.abs(wanted[link]).max()
     np.testing.assert_allclose(
-        again.tree.composite_links(again.phi), wanted, rtol=0, atol=1e-9 * scale
+        again.tree.link_parameters(again.phi), wanted, rtol=0, atol=1e-9 * scale
     )
     assert body["mass"] == pytest.approx(wanted[link][0], abs=1e-9)
     if payload == "none":
@@ -157,8 +157,8 @@ def test_an_mjcf_is_written_with_its_load(data_folder: Path, tmp_path: Path) -> 
         identify(source, "link", "box-2kg", model_out=target)
         loaded, again = load_robot(source, PAYLOADS["box-2kg"]), load_robot(target)
         np.testing.assert_allclose(
-            again.tree.composite_links(again.phi),
-            loaded.tree.composite_links(loaded.phi),
+            again.tree.link_parameters(again.phi),
+            loaded.tree.link_parameters(loaded.phi),
             atol=1e-9,
         )
 
@@ -186,7 +186,7 @@ def test_noise_has_a_spread_and_its_seed_a_draw() -> None:
     truth = named_robot("ur5", "box-2kg")
     link = int(truth.tree.carrier[truth.tool_body])
     for told in (body, different):
-        error = abs(told["mass"] - truth.tree.composite_links(truth.phi)[link][0])
+        error = abs(told["mass"] - truth.tree.link_parameters(truth.phi)[link][0])
         assert 0 < error < 5 * told["std"]["m"]
 
 
@@ -293,8 +293,8 @@ def test_a_random_robot_is_written_from_its_own_text(name: str, tmp_path: Path) 
     assert told["rank"] == 10
     robot, again = load_robot(name), load_robot(target)
     np.testing.assert_allclose(
-        again.tree.composite_links(again.phi),
-        robot.tree.composite_links(robot.phi),
+        again.tree.link_parameters(again.phi),
+        robot.tree.link_parameters(robot.phi),
         rtol=0,
         atol=1e-9,
     )

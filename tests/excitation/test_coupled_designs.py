@@ -14,7 +14,7 @@ from sysid_bench.excitation.optimised import (
     Optimised,
     design_criterion,
     design_figures,
-    torque_prior,
+    excited_parameters,
 )
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
@@ -71,7 +71,7 @@ def test_slopes_pass_through_the_joints_that_follow(name: str) -> None:
     space, rng = made.space(told), np.random.default_rng(1)
     draws = [space.random(rng, 0.8) for _ in range(8)]
     assert told.regress is not None
-    asked = torque_prior(space, told.regress, draws).smooth
+    asked = excited_parameters(space, told.regress, draws).smooth
     limits = made.limits(told)
     assert {"follower position", "follower acceleration", "torque"} <= {x.kind for x in limits}
     search = Search(space, asked, design_criterion(made.objective, asked, space, draws), limits)
@@ -99,7 +99,7 @@ def test_a_design_closes_and_keeps_the_limits_of_all_joints(name: str) -> None:
     design = made.solve(told, np.random.default_rng(0))
     space = made.space(told)
     assert told.regress is not None
-    asked = torque_prior(space, told.regress, made.draws(space, np.random.default_rng(0)))
+    asked = excited_parameters(space, told.regress, made.draws(space, np.random.default_rng(0)))
     best = space.motion(design.C, space.curves.grid())
     assert design_figures(asked, best)["log_det"] > design_figures(asked, known)["log_det"]
     assert all(used.use <= 1.0 for used in made.report(design.C, told).values())
@@ -139,7 +139,7 @@ def test_a_design_is_for_what_a_sensor_sees_too(name: str, sensor: str) -> None:
     space, rng = made.space(told), np.random.default_rng(1)
     draws = [space.random(rng, 0.8) for _ in range(3)]
     assert told.regress is not None
-    seen = torque_prior(space, told.regress, draws).smooth
+    seen = excited_parameters(space, told.regress, draws).smooth
     search = Search(space, seen, design_criterion("D", seen, space, draws), made.limits(told))
     C, step = draws[0], 1e-6
     slope = search._slope_at(C)

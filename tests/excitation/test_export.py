@@ -17,9 +17,9 @@ from sysid_bench.excitation.export.damiao import (
     MOTORS,
     can_log,
     damiao_drives,
+    limit_commands,
     read_frame,
     table_text,
-    within_range,
 )
 from sysid_bench.excitation.export.ros2 import json_text, yaml_text
 
@@ -43,7 +43,7 @@ def test_every_frame_says_what_was_commanded_within_a_quantum(
     told = {"motor": name, "kp": 37.0, "kd": 1.3, **(OWN_LIMITS if name in SECRET else {})}
     asked = commands(seed, size=size)
     drives = damiao_drives(asked.joints, {"all": told})
-    inside, _ = within_range(asked, drives, most=1.0)
+    inside, _ = limit_commands(asked, drives, most=1.0)
     text = can_log(inside, drives)
     frames = [bytes.fromhex(line.split("#")[1]) for line in text.splitlines()]
     data = np.array([list(f) for f in frames], dtype=np.uint8).reshape(len(asked), 3, 8)
@@ -78,7 +78,7 @@ def test_known_frames_are_those_of_the_protocol() -> None:
 def test_python_can_reads_the_log_back(tmp_path: Path) -> None:
     asked = commands(1)
     drives = damiao_drives(asked.joints, {"all": {"motor": "DM4340"}})
-    inside, _ = within_range(asked, drives, most=1.0)
+    inside, _ = limit_commands(asked, drives, most=1.0)
     file = tmp_path / "motion.log"
     file.write_text(can_log(inside, drives))
     with can.LogReader(str(file)) as reader:
@@ -97,7 +97,7 @@ def test_python_can_reads_the_log_back(tmp_path: Path) -> None:
 def test_clamping_counts_what_it_clamps(name: str) -> None:
     asked = commands(3, count=400, size=MOTORS[name].speed or 1.0)
     drives = damiao_drives(asked.joints, {"all": {"motor": name, "share": 0.5}})
-    inside, report = within_range(asked, drives, most=1.0)
+    inside, report = limit_commands(asked, drives, most=1.0)
     for j, (drive, entry) in enumerate(zip(drives, report, strict=True)):
         assert drive.speed == pytest.approx(0.5 * (MOTORS[name].speed or 0.0))
         for key, limit in (("v", drive.speed), ("tau", drive.torque)):
@@ -110,7 +110,7 @@ def test_clamping_counts_what_it_clamps(name: str) -> None:
     some = max(share for entry in report for share in entry["clamped"].values())
     assert some > 0
     with pytest.raises(UsageError, match="limit of its motor"):
-        within_range(asked, drives, most=0.99 * some)
+        limit_commands(asked, drives, most=0.99 * some)
 
 
 def test_scaling_never_stands_in_for_a_limit() -> None:
@@ -152,7 +152,7 @@ def test_csv_and_the_table_read_back() -> None:
         names = [f"{joint}.{key}" for joint in asked.joints]
         np.testing.assert_array_equal(table[names].to_numpy(), getattr(asked, key))
     drives = damiao_drives(asked.joints, {"all": {"motor": "DM4310"}})
-    inside, report = within_range(asked, drives, most=1.0)
+    inside, report = limit_commands(asked, drives, most=1.0)
     text = table_text(inside, drives, report)
     table = pd.read_csv(io.StringIO(text), comment="#")
     np.testing.assert_allclose(table["j1.v"], inside.v[:, 1], rtol=1e-8)

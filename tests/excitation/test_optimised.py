@@ -12,7 +12,7 @@ from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.geometry import collision_model
 from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.limit_use import smooth_bound
-from sysid_bench.excitation.optimised import Optimised, design_criterion, torque_prior
+from sysid_bench.excitation.optimised import Optimised, design_criterion, excited_parameters
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
@@ -76,7 +76,7 @@ def test_slopes_of_a_search_are_its_differences(family: str, objective: object, 
     space, rng = made.space(told), np.random.default_rng(seed)
     draws = [space.random(rng, 0.5) for _ in range(8)]
     assert told.regress is not None
-    asked = torque_prior(space, told.regress, draws).smooth
+    asked = excited_parameters(space, told.regress, draws).smooth
     criterion = design_criterion(objective, asked, space, draws)  # type: ignore[arg-type]
     search = Search(space, asked, criterion, made.limits(told))
     C, step = draws[0], 1e-6

@@ -15,7 +15,7 @@ from sysid_bench.evaluation.wrench_estimation import (
 from sysid_bench.identifiability.subspaces import structural_subspaces
 from sysid_bench.identification.linear.online_estimation import RecursiveEstimator, batch_estimate
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.wrench import sub_tree
+from sysid_bench.regressors.wrench import subtree_regressors
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.simulation.force_torque import contact_torque, sensor_wrench
 from sysid_bench.tasks.prior import PriorSpread, prior_of
@@ -45,7 +45,7 @@ def cad(draw: int) -> Prior:
 def rows() -> Array:
     """Y_n B (N, 6, 38) of the training motion."""
     robot, cut, _ = arm()
-    return np.asarray(sub_tree(robot, cut, training()[0]).Y_n @ basis())
+    return np.asarray(subtree_regressors(robot, cut, training()[0]).Y_n @ basis())
 
 
 @cache
@@ -55,7 +55,7 @@ def test_run() -> tuple[SensorNewtonEuler, Array, Array, Array]:
     made = motion(30.0, 1.0, 12)
     touch = touched(made)
     method = sensor_newton_euler(robot, cut, made, BASE)
-    tau = newton_euler(robot.tree, robot.tree.composite_links(robot.phi), made)
+    tau = newton_euler(robot.tree, robot.tree.link_parameters(robot.phi), made)
     tau = (tau - contact_torque(plant, touch, made))[:, list(method.tree.dofs)]
     return method, sensor_wrench(plant, (cut,), made, touch), tau, touch.wrench
 
@@ -104,7 +104,7 @@ def test_joints_before_the_sensor_need_the_links_between() -> None:
     short = Trajectory(made.t, made.q[:, :-6], made.v[:, :-6], made.a[:, :-6])
     names, tau = upstream_torque(robot, cut, short, robot.phi, f_b)
     assert names[-3:] == ("l_shoulder_pitch", "l_shoulder_roll", "l_shoulder_yaw")
-    whole = newton_euler(robot.tree, robot.tree.composite_links(robot.phi), short)
+    whole = newton_euler(robot.tree, robot.tree.link_parameters(robot.phi), short)
     whole -= contact_torque(plant, touched(short), short)
     columns = [robot.rows.index(name) for name in names[-3:]]
     np.testing.assert_allclose(tau[:, -3:], whole[:, columns], atol=1e-11)
@@ -133,7 +133,7 @@ def test_recursion_ends_where_the_batch_does() -> None:
 def test_on_line_torques_start_at_cad_and_leave_it_behind(draw: int) -> None:
     robot, cut, _ = arm()
     made, f = training()
-    tree = sub_tree(robot, cut, made)
+    tree = subtree_regressors(robot, cut, made)
     prior = cad(draw)
     track = RecursiveEstimator(every=20).run(rows(), noisy(f, draw), SIGMA, *_prior_in_basis(prior))
     running = np.repeat(track.beta @ basis().T, 20, axis=0)[: len(made)]
@@ -180,7 +180,7 @@ def test_noisy_encoders_and_filtered_rates_suffice() -> None:
         signals = {"filter": "butter 4 8 Hz zero-phase", "derivatives": "from q"}
         done = processing_of(signals).apply(raw, robot.joints)
         assert done.wrench is not None
-        W = sub_tree(robot, cut, done.motion).Y_n @ basis()
+        W = subtree_regressors(robot, cut, done.motion).Y_n @ basis()
         error.append(np.linalg.norm(solved(W, done.wrench) - basis().T @ task().truth.theta))
     assert np.median(error) < 2e-3
 
@@ -225,7 +225,7 @@ def test_the_kalman_version_follows_what_changes() -> None:
     made, f = training()
     load = np.zeros(len(task().parameters))
     load[task().parameters.index("l_hand.m")] = 0.5
-    tree = sub_tree(robot, cut, made)
+    tree = subtree_regressors(robot, cut, made)
     later = (made.t > 30)[:, None] * (tree.Y_n @ load)
     start, P = _prior_in_basis(cad(0))
     new = basis().T @ (task().truth.theta + load)

@@ -20,7 +20,7 @@ from sysid_bench.models.manifest import Sensor, find_manifest
 from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.sensor import cut_at, instruments_of
 from sysid_bench.regressors.nested_sensors import measured_regression
-from sysid_bench.regressors.wrench import sub_tree
+from sysid_bench.regressors.wrench import subtree_regressors
 from sysid_bench.simulation.force_torque import (
     Contact,
     WrenchNoise,
@@ -46,7 +46,7 @@ def test_mujocos_sensor_feels_what_the_regressor_tells(seed: int) -> None:
     motion, rng = states(robot, 5, seed), np.random.default_rng(seed)
     for name in rng.permutation(robot.body_names)[:3]:
         cut = cut_at(robot, name)
-        made = sub_tree(robot, cut, motion)
+        made = subtree_regressors(robot, cut, motion)
         free = made.Y_n @ robot.phi[list(cut.bodies)].ravel()
         assert relative_gap(free, sensor_wrench(plant_of(robot), (cut,), motion)) < 1e-12
         touch = Contact(int(rng.choice(cut.bodies)), rng.normal(size=(5, 6)))

@@ -17,7 +17,7 @@ from sysid_bench.identifiability.subspaces import (
 from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import cut_at
-from sysid_bench.regressors.wrench import sub_tree
+from sysid_bench.regressors.wrench import subtree_regressors
 from sysid_bench.types import Trajectory
 from tests.robots import named_robot, revolute_tree, robot_of, states
 
@@ -105,7 +105,7 @@ def test_a_locked_joint_is_named_before_its_torque_is_trusted(case: str) -> None
     robot = named_robot("icub")
     cut = cut_at(robot, "l_arm_ft_sensor")
     told = excitation_of(
-        sub_tree(robot, cut, _moving(robot, names)), structural_subspaces(robot, cut)
+        subtree_regressors(robot, cut, _moving(robot, names)), structural_subspaces(robot, cut)
     )
     assert (told.rank, told.structural) == (rank, 38)
     assert told.unpredictable == lost
@@ -124,13 +124,13 @@ def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cut = cut_at(robot, robot.body_names[0])
     moved = tuple(rng.choice(robot.rows[6:], 3, replace=False))
-    made = sub_tree(robot, cut, _moving(robot, moved, seed))
+    made = subtree_regressors(robot, cut, _moving(robot, moved, seed))
     told = excitation_of(made, structural_subspaces(robot, cut))
     basis, _ = row_space(made.Y_n)
     change = np.array(rng.normal(size=made.Y_n.shape[-1:]))
     change = change - basis @ (basis.T @ change)
     assert np.abs(made.Y_n @ change).max() < 1e-10
-    other = sub_tree(robot, cut, states(robot, 50, seed + 1))
+    other = subtree_regressors(robot, cut, states(robot, 50, seed + 1))
     bases = [robot.body_names[b] for b in cut.bodies]
     errors = np.max([np.abs(other.joint_torque(b) @ change).max(axis=0) for b in bases], axis=0)
     for row, size in zip(other.rows, errors, strict=True):
@@ -151,4 +151,6 @@ def test_data_of_another_sub_tree_are_refused() -> None:
     robot = named_robot("icub")
     arm, foot = cut_at(robot, "l_arm_ft_sensor"), cut_at(robot, "l_foot_ft_sensor")
     with pytest.raises(UsageError, match="columns"):
-        excitation_of(sub_tree(robot, foot, states(robot, 5)), structural_subspaces(robot, arm))
+        excitation_of(
+            subtree_regressors(robot, foot, states(robot, 5)), structural_subspaces(robot, arm)
+        )

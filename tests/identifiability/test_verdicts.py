@@ -13,9 +13,9 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.distances import subspace_distance
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
-    combinations,
     expression,
     near_degenerate,
+    printed_base,
 )
 from sysid_bench.identifiability.base_map import CONDITION, base_map, qr_pivots
 from sysid_bench.identifiability.nullspace import parameter_nullspace, structural_rank
@@ -162,7 +162,7 @@ def test_sums_are_printed_as_papers_do() -> None:
     K = np.array([[1.0, 0.0, -1.0, 0.04, 0.0], [0.0, 1.0, 0.0, -2.5e-4, 1e-13]])
     names = ("link2.Ixx", "link2.Ixy", "link2.Iyy", "link3.m", "link3.hx")
     base = BaseMap(K, np.array([0, 1]), names, np.inf, 0, np.ones(2))
-    assert combinations(base) == (
+    assert printed_base(base) == (
         "link2.Ixx - link2.Iyy + 0.04 link3.m",
         "link2.Ixy - 0.00025 link3.m",
     )

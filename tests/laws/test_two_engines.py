@@ -62,7 +62,7 @@ def check(robot: RobotModel, count: int = 5, seed: int = 0) -> None:
     armature = robot.joint_terms.armature * motion.a
     assert relative_gap(tau + armature, inverse_torque(robot, motion)) <= CLOSURE
     assert (
-        relative_gap(newton_euler(robot.tree, robot.tree.composite_links(robot.phi), motion), tau)
+        relative_gap(newton_euler(robot.tree, robot.tree.link_parameters(robot.phi), motion), tau)
         <= GAP
     )
     assert relative_gap(ours.torque(motion, theta), tau) <= GAP
@@ -148,7 +148,7 @@ def test_torque_is_linear_in_the_parameters(seed: int) -> None:
     together = ours.torque(motion, one + s * other)
     parts = ours.torque(motion, one) + s * ours.torque(motion, other)
     np.testing.assert_allclose(together, parts, atol=1e-9 * np.abs(parts).max())
-    lumped = [robot.tree.composite_links(theta.reshape(-1, 10)) for theta in (one, other)]
+    lumped = [robot.tree.link_parameters(theta.reshape(-1, 10)) for theta in (one, other)]
     ours_too = newton_euler(robot.tree, lumped[0] + s * lumped[1], motion)
     np.testing.assert_allclose(ours_too, parts, atol=1e-9 * np.abs(parts).max())
 

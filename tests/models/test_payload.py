@@ -146,9 +146,9 @@ def check_composite(bare: RobotModel, loaded: RobotModel, payload: Payload) -> N
             np.testing.assert_array_equal(one, other)
     # The torque of both is the torque of the robot and that of the payload's masses at the tool.
     motion = states(bare, 3)
-    parts = bare.tree.composite_links(bare.phi)
+    parts = bare.tree.link_parameters(bare.phi)
     carrier = int(bare.tree.carrier[bare.tool_body])
-    alone = loaded.tree.composite_links(
+    alone = loaded.tree.link_parameters(
         np.where(np.arange(len(loaded.phi))[:, None] == b, loaded.phi, 0.0)
     )
     if carrier >= 0:
@@ -156,9 +156,9 @@ def check_composite(bare: RobotModel, loaded: RobotModel, payload: Payload) -> N
         points, masses = cloud(payload)
         parts[carrier] += in_carrier(bare, masses, points @ R.T + p)
         assert np.count_nonzero(alone.any(axis=1)) == 1
-    np.testing.assert_allclose(loaded.tree.composite_links(loaded.phi), parts, atol=1e-10)
-    tau = newton_euler(loaded.tree, loaded.tree.composite_links(loaded.phi), motion)
-    sum_of_both = newton_euler(bare.tree, bare.tree.composite_links(bare.phi), motion)
+    np.testing.assert_allclose(loaded.tree.link_parameters(loaded.phi), parts, atol=1e-10)
+    tau = newton_euler(loaded.tree, loaded.tree.link_parameters(loaded.phi), motion)
+    sum_of_both = newton_euler(bare.tree, bare.tree.link_parameters(bare.phi), motion)
     sum_of_both = sum_of_both + newton_euler(loaded.tree, alone, motion)
     np.testing.assert_allclose(tau, sum_of_both, atol=1e-9 * np.abs(tau).max())
 

@@ -9,7 +9,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, Sensor
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.random.random_tree import random_robot
-from sysid_bench.models.sensor import cut_at, floating_subtree, instruments_of, the_sensor
+from sysid_bench.models.sensor import cut_at, default_sensor, floating_subtree, instruments_of
 from tests.robots import named_robot, robot_of, states
 
 ARM = """<mujoco><worldbody><body name="foot"><body name="upper"><joint name="a" axis="0 1 0"/>
@@ -46,7 +46,7 @@ def test_sites_bodies_and_manifest_names_cut_too() -> None:
     assert site.rows[3] == "tip.fx"
     named = _with_sensors(robot_of(ARM), Sensor(name="wrist", at="tip"))
     assert cut_at(named, "wrist").rows[0] == "wrist.nx"
-    assert the_sensor(named, None) == "wrist"
+    assert default_sensor(named, None) == "wrist"
 
 
 def _with_sensors(robot, *sensors):  # type: ignore[no-untyped-def]
@@ -87,12 +87,12 @@ def test_a_joint_that_moves_is_no_sensor() -> None:
 
 def test_no_sensor_or_several_ask_which() -> None:
     with pytest.raises(UnsupportedError, match="has no force/torque sensor"):
-        the_sensor(robot_of(ARM), None)
+        default_sensor(robot_of(ARM), None)
     two = _with_sensors(robot_of(ARM), Sensor(name="s", at="tip"), Sensor(name="t", at="lower"))
     with pytest.raises(UnsupportedError, match="sensors s, t"):
-        the_sensor(two, None)
+        default_sensor(two, None)
     with pytest.raises(UnsupportedError, match="use one at a time"):
-        the_sensor(two, "s, t")
+        default_sensor(two, "s, t")
     with pytest.raises(UnsupportedError, match="measure the same"):
         instruments_of(two, (cut_at(two, "tip"), cut_at(two, "plate")))
 

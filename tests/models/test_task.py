@@ -78,7 +78,7 @@ def test_the_truths_of_all_tasks_are_one(loaded: RobotModel) -> None:
     own = [i for i in range(len(phi)) if i != loaded.payload_body]
     phi[own] = robot.truth.theta.reshape(-1, 10)
     np.testing.assert_allclose(
-        loaded.tree.composite_links(phi), loaded.tree.composite_links(loaded.phi), atol=1e-10
+        loaded.tree.link_parameters(phi), loaded.tree.link_parameters(loaded.phi), atol=1e-10
     )
     np.testing.assert_array_equal(payload.truth.theta, loaded.phi[loaded.payload_body])
     if loaded.tree.carrier[loaded.tool_body] < 0:
@@ -86,11 +86,11 @@ def test_the_truths_of_all_tasks_are_one(loaded: RobotModel) -> None:
     link = task_of(loaded, "link", ())
     carrier = int(loaded.tree.carrier[loaded.tool_body])
     np.testing.assert_allclose(
-        link.truth.theta, loaded.tree.composite_links(phi)[carrier], atol=1e-10
+        link.truth.theta, loaded.tree.link_parameters(phi)[carrier], atol=1e-10
     )
     with_link = link.known_links.copy()
     with_link[carrier] += link.truth.theta
-    np.testing.assert_allclose(with_link, loaded.tree.composite_links(loaded.phi), atol=1e-10)
+    np.testing.assert_allclose(with_link, loaded.tree.link_parameters(loaded.phi), atol=1e-10)
 
 
 def test_a_task_is_well_formed(loaded: RobotModel) -> None:

@@ -83,7 +83,7 @@ def test_slopes_on_chosen_columns_of_named_robots(name: str) -> None:
 def test_slopes_of_torque_are_its_differences(text: str, seed: int) -> None:
     robot = robot_of(text)
     motion = states(robot, 3, seed)
-    phi = robot.tree.composite_links(robot.phi)
+    phi = robot.tree.link_parameters(robot.phi)
     U = np.random.default_rng(seed).normal(size=motion.v.shape)
 
     def value(moved: Trajectory) -> Array:

@@ -60,7 +60,7 @@ def test_both_kernels_say_the_same(name: str | int, level: str, choose: Choose) 
     robot = named_robot(name) if isinstance(name, str) else random_robot(name, 12)
     motion = states(robot, 70)
     ours = regression(robot, every_column(robot))
-    phi = robot.tree.composite_links(robot.phi)
+    phi = robot.tree.link_parameters(robot.phi)
 
     def rows() -> Array:
         return np.concatenate([block.dense() for block in ours.blocks(motion)])

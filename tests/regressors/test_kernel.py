@@ -119,7 +119,7 @@ def test_newton_euler_does_not_depend_on_block_sizes(
 ) -> None:
     robot = named_robot("ur5")
     motion = states(robot, 100)
-    phi = robot.tree.composite_links(robot.phi)
+    phi = robot.tree.link_parameters(robot.phi)
     whole = newton_euler(robot.tree, phi, motion)
     for size in (1, 7, 99):
         monkeypatch.setattr(kernel.blocks, "__defaults__", (size,))

@@ -128,7 +128,7 @@ def test_displaced_orientations_stay_orientations(seed: int, size: float) -> Non
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.98])
 def test_torque_noise_has_the_memory_that_was_asked_for(correlation: float) -> None:
     white = np.random.default_rng(0).normal(size=(400, 3000))  # 3000 series of 400 samples
-    noise = Noise(tau=1.0, tau_correlation=correlation).in_time(white)
+    noise = Noise(tau=1.0, tau_correlation=correlation).correlated(white)
     error = 5 / np.sqrt(white.shape[1])
     assert np.abs(noise.std(axis=1) - 1.0).max() < error  # from the first sample on
     for lag in (1, 10, 100):

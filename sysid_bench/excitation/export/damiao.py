@@ -183,7 +183,7 @@ def damiao_drives(
     return drives
 
 
-def within_range(
+def limit_commands(
     commands: Commands, drives: tuple[DamiaoDrive, ...], most: float
 ) -> tuple[Commands, list[dict[str, Any]]]:
     """Return the commands clamped to the limits of their motors, and a report per joint.

@@ -105,11 +105,11 @@ class Unknowns:
         """Triangular factor R (m, p) of the regressor over random states with and, where there is
         one, without the payload."""
         robot, load = self.robot_parameters, self.payload_parameters
-        R = structural_factor(self.robot, robot, self.rows, beside=self._motor_terms(self.robot))
+        R = structural_factor(self.robot, robot, self.rows, appended=self._motor_terms(self.robot))
         if self.loaded is None:
             return R
         motors = self._motor_terms(self.loaded)
-        R_loaded = structural_factor(self.loaded, robot + load, self.rows, beside=motors)
+        R_loaded = structural_factor(self.loaded, robot + load, self.rows, appended=motors)
         m, zeros = len(robot), np.zeros((len(R), len(load)))
         return upper_factor([np.hstack([R[:, :m], zeros, R[:, m:]]), R_loaded])
 

@@ -19,7 +19,7 @@ from sysid_bench.identifiability.subspaces import Excitation, excitation_of, str
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, last_body
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.wrench import sub_tree
+from sysid_bench.regressors.wrench import subtree_regressors
 from sysid_bench.simulation.force_torque import (
     Contact,
     contact_torque,
@@ -68,7 +68,7 @@ class ContactTest:
 def sensor_excitation(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> Excitation:
     """The part of a sub-tree's identifiable subspace that a motion excites."""
     return excitation_of(
-        sub_tree(robot, cut, motion),
+        subtree_regressors(robot, cut, motion),
         structural_subspaces(robot, cut, (robot.body_names[cut.body],)),
     )
 
@@ -84,7 +84,7 @@ def contact_test(spec: ExperimentSpec, robot: RobotModel, task: Task) -> Contact
     wrench[: len(motion) // 2] = 0.0
     touch, plant = Contact(last_body(robot, cut), wrench), plant_of(robot)
     method = sensor_newton_euler(robot, cut, motion, robot.body_names[touch.body])
-    tau = newton_euler(robot.tree, robot.tree.composite_links(robot.phi), motion)
+    tau = newton_euler(robot.tree, robot.tree.link_parameters(robot.phi), motion)
     tau -= contact_torque(plant, touch, motion)
     f_b = sensor_wrench(plant, (cut,), motion, touch)
     white = np.random.default_rng(seed_of(noise_seed(spec), "touch"))

@@ -16,7 +16,7 @@ from sysid_bench.identification.linear.online_estimation import (
     RecursiveEstimator,
     rows_of,
 )
-from sysid_bench.regressors.wrench import sub_tree
+from sysid_bench.regressors.wrench import subtree_regressors
 from sysid_bench.types import Array, Curve, Problem, Trajectory
 
 HISTORY: Final = 400
@@ -31,7 +31,7 @@ def online_curves(prepared: Prepared[SimulatedSource]) -> tuple[Curve, ...]:
         return ()
     track = _track_of(problem)
     motion = prepared.experiment.recording.motion
-    kept = Trajectory(*(x[track.places] for x in (motion.t, motion.q, motion.v, motion.a)))
+    kept = Trajectory(*(x[track.indices] for x in (motion.t, motion.q, motion.v, motion.a)))
     return (
         *_torques(prepared, track, kept),
         _convergence(problem, track, problem.base.K @ prepared.source.truth.theta, kept.t),
@@ -71,7 +71,7 @@ def _spread(problem: Problem) -> list[Array]:
 def _torques(
     prepared: Prepared[SimulatedSource], track: ParameterTrack, motion: Trajectory
 ) -> list[Curve]:
-    tree = sub_tree(prepared.robot, prepared.source.task.cuts[0], motion)
+    tree = subtree_regressors(prepared.robot, prepared.source.task.cuts[0], motion)
     problem = prepared.problem
     assert problem.prior is not None
     index = {name: i for i, name in enumerate(problem.parameters)}

@@ -65,7 +65,7 @@ def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task)
         recording = record(spec, simulated, sensors).recording
         instruments = instruments_of(robot, cuts)
         motion = instruments.motion(recording.motion)
-        model = newton_euler(instruments.tree, instruments.tree.composite_links(robot.phi), motion)
+        model = newton_euler(instruments.tree, instruments.tree.link_parameters(robot.phi), motion)
         assert recording.wrench is not None
         readings.append(recording.wrench[:, :6])
         known.append(model[:, robot.nv : robot.nv + 6])

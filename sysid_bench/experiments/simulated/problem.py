@@ -12,7 +12,7 @@ from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.nested_sensors import MeasuredRegressor
 from sysid_bench.regressors.qr_accumulation import accumulate, dense_blocks
 from sysid_bench.regressors.regression import TERM
-from sysid_bench.regressors.wrench import transferred_wrench
+from sysid_bench.regressors.wrench import transform_wrench
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, BaseMap, Prior, Problem, Recording, Trajectory
 
@@ -49,7 +49,7 @@ class ProblemBuilder:
         for stop in self.task.end_sensors:
             cut, names = self.task.cuts[0], self.instruments.measured
             root, end = ([names.index(row) for row in sensor.rows] for sensor in (cut, stop))
-            b[:, root] -= transferred_wrench(self.instruments, motion, cut, stop, measured[:, end])
+            b[:, root] -= transform_wrench(self.instruments, motion, cut, stop, measured[:, end])
         motion = self.instruments.motion(motion)
         return Problem(
             parameters=self.task.parameters,

@@ -171,7 +171,7 @@ def record(
         robot,
         oracle,
         error,
-        torque_std * noise.in_time(draws.torque),
+        torque_std * noise.correlated(draws.torque),
         decimation,
         # Without a controller the robot moves exactly as commanded, which is the ground truth.
         commanded=None if controller is None else commanded,

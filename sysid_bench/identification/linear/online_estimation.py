@@ -22,7 +22,7 @@ class ParameterTrack:
     `places` (K,), the last sample included; which samples are `used` (N,), and the normalised
     innovation squared `gap` (N,) of each sample, per row."""
 
-    places: Array
+    indices: Array
     beta: Array
     std: Array
     covariance: Array

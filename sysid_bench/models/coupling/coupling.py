@@ -49,7 +49,7 @@ class Coupling:
         )
 
     @property
-    def constant(self) -> bool:
+    def linear(self) -> bool:
         """True where G is constant."""
         return all(group.linear for group in self.groups)
 

@@ -65,7 +65,7 @@ def _reason_without_coupling(mj: mujoco.MjModel, e: int) -> str:
         return "it couples no joints"
     if kind in (_JOINT, _TENDON):
         return ""
-    one, other = (body for body, _, _ in ends_of(mj, e))
+    one, other = (body for body, _, _ in closure_frames(mj, e))
     if mj.body_mocapid[one] >= 0 or mj.body_mocapid[other] >= 0:
         return "a mocap body is moved by hand"
     if not (_joints_on(mj, _path(mj, one, other)) or _joints_on(mj, _path(mj, other, one))):
@@ -80,7 +80,7 @@ def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
     return _loop(mj, e, kind == _WELD and mj.eq_data[e, 10] > 0)
 
 
-def sums_of(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
+def equality_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
     """Return the two sums {dof: coefficient} that a joint or tendon equality relates; the second
     may be empty."""
     sum_of = _joint_sum if int(mj.eq_type[e]) == _JOINT else _tendon_sum
@@ -89,7 +89,7 @@ def sums_of(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, flo
 
 
 def _relation(mj: mujoco.MjModel, e: int) -> Relation:
-    first, second = sums_of(mj, e)
+    first, second = equality_terms(mj, e)
     dofs = tuple(sorted(first | second))
     coefficients = np.array(mj.eq_data[e, :5])
     if not second:
@@ -121,7 +121,7 @@ def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
 
 
 def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> Loop:
-    (one, p1, R1), (other, p2, R2) = ends_of(mj, e)
+    (one, p1, R1), (other, p2, R2) = closure_frames(mj, e)
     paths = _path(mj, one, other), _path(mj, other, one)
     joints = [j for path in paths for j in _joints_on(mj, path)]
     for j in joints:
@@ -136,7 +136,7 @@ def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> Loop:
     return Loop(_name(mj, e), dofs, first, second, rigid)
 
 
-def ends_of(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:
+def closure_frames(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:
     """Return (body, p, R) of the two frames that a connect or weld makes coincide."""
     ids = int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])
     if int(mj.eq_objtype[e]) == _SITE:
