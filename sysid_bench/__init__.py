@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.identify_simulated import SimulatedRequest
     from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
     from sysid_bench.verbs.recordings import record, view
-    from sysid_bench.verbs.reports import report, table
+    from sysid_bench.verbs.report import report, table
     from sysid_bench.verbs.result import Result
-    from sysid_bench.verbs.runs import (
+    from sysid_bench.verbs.run import (
         CellResult,
         PlanResult,
         RunResult,
@@ -61,9 +61,9 @@ _PUBLIC: Final = {
     "verbs.identify_simulated": ("SimulatedRequest",),
     "verbs.init_robot": ("InitRobotResult", "init_robot"),
     "verbs.recordings": ("record", "view"),
-    "verbs.reports": ("report", "table"),
+    "verbs.report": ("report", "table"),
     "verbs.result": ("Result",),
-    "verbs.runs": (
+    "verbs.run": (
         *("CellResult", "PlanResult", "RunResult", "StatusResult"),
         *("cell", "plan", "run", "status"),
     ),

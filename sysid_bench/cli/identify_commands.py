@@ -18,7 +18,7 @@ from sysid_bench.cli.common import (
     task_option,
     terms_option,
 )
-from sysid_bench.cli.option_parsing import (
+from sysid_bench.cli.options import (
     parse_contacts,
     parse_names,
     parse_noise,

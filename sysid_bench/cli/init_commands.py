@@ -7,7 +7,7 @@ import click
 
 import sysid_bench
 from sysid_bench.cli.common import OK, json_option, option_group, print_result, run_command
-from sysid_bench.cli.option_parsing import parse_names
+from sysid_bench.cli.options import parse_names
 
 
 class _Conventions(NamedTuple):

@@ -19,7 +19,7 @@ from sysid_bench.cli.common import (
     task_option,
     terms_option,
 )
-from sysid_bench.cli.option_parsing import (
+from sysid_bench.cli.options import (
     parse_limits,
     parse_motors,
     parse_objective,

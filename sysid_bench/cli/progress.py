@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sysid_bench.harness.work.supervisor import OnEvent
+    from sysid_bench.harness.work.supervise import OnEvent
 
 
 @contextmanager

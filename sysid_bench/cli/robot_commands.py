@@ -20,7 +20,7 @@ from sysid_bench.cli.common import (
     task_option,
     terms_option,
 )
-from sysid_bench.cli.option_parsing import parse_names, parse_terms
+from sysid_bench.cli.options import parse_names, parse_terms
 from sysid_bench.errors import UsageError
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from sysid_bench.cli.common import (
     robots_option,
     run_command,
 )
-from sysid_bench.cli.option_parsing import parse_pairs
+from sysid_bench.cli.options import parse_pairs
 from sysid_bench.cli.progress import run_progress
 from sysid_bench.errors import SysidBenchError
 

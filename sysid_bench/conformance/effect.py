@@ -21,7 +21,7 @@ from sysid_bench.conformance.findings import (
 )
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.experiments.robot_cache import cached_robot
+from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Trajectory
 
@@ -46,7 +46,7 @@ def effect_cases() -> tuple[EffectCase, ...]:
     """An arm and a random tree, along Fourier series."""
     cases = []
     for name in ("ur5", "random:7"):
-        robot = cached_robot(name, "none", None, None).robot
+        robot = loaded_robot(name, "none", None, None).robot
         motion = Fourier(period=2.0, cycles=1).design(
             design_problem(robot, 50.0), np.random.default_rng(1)
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.conformance.estimator import TestProblem
-from sysid_bench.experiments.robot_cache import cached_robot
+from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.spec import ExperimentSpec
 
@@ -56,7 +56,7 @@ def problems_of_kind(
 
 
 @cache
-def problems_for(simulating: bool) -> tuple[TestProblem, ...]:
+def shared_problems(simulating: bool) -> tuple[TestProblem, ...]:
     """`problems_of_kind`, made once per process."""
     return problems_of_kind(simulating)
 
@@ -69,7 +69,7 @@ def experiment_spec(changes: Mapping[str, Any]) -> ExperimentSpec:
 def _problem(changes: Mapping[str, Any], robots_dir: Path | None) -> TestProblem:
     spec = experiment_spec(changes)
     robots = None if robots_dir is None else str(robots_dir)
-    ready = prepare_simulated(spec, cached_robot(spec.robot, spec.payload, robots, None))
+    ready = prepare_simulated(spec, loaded_robot(spec.robot, spec.payload, robots, None))
     name = f"{spec.robot}, task {spec.task}, {'noise of 1 %' if spec.noise else 'exact'}"
     return TestProblem(
         name, ready.problem, ready.source.truth.theta, not spec.noise, ready.experiment

@@ -19,12 +19,12 @@ from sysid_bench.conformance.findings import (
     finding_of_error,
     findings_of,
 )
+from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
-from sysid_bench.excitation.geometry import collision_model
 from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.limit_use import largest_use
 from sysid_bench.excitation.robot_limits import joint_limits
-from sysid_bench.experiments.robot_cache import cached_robot
+from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.types import Array, Trajectory
 
 RATE: Final = 100.0
@@ -58,7 +58,7 @@ def design_cases() -> tuple[DesignCase, ...]:
 
 def _case(name: str) -> DesignCase:
     """The design problem of a robot whose inertial parameters are unknown to the estimator."""
-    loaded = cached_robot(name, "none", None, None)
+    loaded = loaded_robot(name, "none", None, None)
     robot = loaded.robot
     base = loaded.base_map(robot.inertial_columns)
     brief = replace(

@@ -8,7 +8,7 @@ from sysid_bench.conformance.estimator_problems import experiment_spec
 from sysid_bench.conformance.findings import Finding
 from sysid_bench.evaluation.metric_checks import check_metric
 from sysid_bench.evaluation.score import score
-from sysid_bench.experiments.robot_cache import cached_robot
+from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
@@ -37,7 +37,7 @@ def metric_cells() -> tuple[MetricInput, ...]:
 
 def _cell(changes: Mapping[str, Any]) -> MetricInput:
     spec = experiment_spec({"held_out": ({"use": "ptp"},), **changes})
-    prepared = prepare_simulated(spec, cached_robot(spec.robot, spec.payload, None, None))
+    prepared = prepare_simulated(spec, loaded_robot(spec.robot, spec.payload, None, None))
     estimate = identify(WLS(), prepared.problem, prepared.experiment)
     scores = score(estimate, prepared.problem, prepared.held_out, prepared.source.truth)
     return MetricInput(estimate, prepared.problem, prepared.held_out, scores)

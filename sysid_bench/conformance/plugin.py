@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.conformance.effect import check_effect
 from sysid_bench.conformance.estimator import check
-from sysid_bench.conformance.estimator_problems import problems_for, problems_of_kind
+from sysid_bench.conformance.estimator_problems import problems_of_kind, shared_problems
 from sysid_bench.conformance.excitation import check_excitation
 from sysid_bench.conformance.findings import Finding
 from sysid_bench.conformance.metric import check_metric_plugin
@@ -21,7 +21,7 @@ def check_estimator(estimator: Any, robots_dir: Path | None = None) -> list[Find
     """Findings of an estimator on the test problems of its kind: `solve` or `fit`."""
     simulating = not hasattr(estimator, "solve")
     if robots_dir is None:
-        return check(estimator, problems_for(simulating))
+        return check(estimator, shared_problems(simulating))
     return check(estimator, problems_of_kind(simulating, robots_dir))
 
 

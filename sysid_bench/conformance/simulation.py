@@ -21,7 +21,7 @@ from sysid_bench.conformance.findings import (
 )
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.experiments.robot_cache import cached_robot
+from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import Plant, plant_of
@@ -51,7 +51,7 @@ Law = Callable[[Any, SimulationCase, Trajectory, Any], str | None]
 def simulation_cases() -> tuple[SimulationCase, ...]:
     """A tree without Coulomb friction (sticking joints have no unique torque), plain and with an
     effect that its identified model lacks."""
-    robot = cached_robot("random:94", "none", None, None).robot
+    robot = loaded_robot("random:94", "none", None, None).robot
     return (
         SimulationCase("random:94", plant_of(robot)),
         SimulationCase("random:94 with Stribeck friction", plant_of(robot, (Stribeck(),))),

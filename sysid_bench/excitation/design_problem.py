@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.geometry import CollisionModel
+from sysid_bench.excitation.collision_model import CollisionModel
 from sysid_bench.excitation.information import InformationModel, TorqueModel
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel

@@ -49,7 +49,7 @@ class InformationModel:
         nv = motion.v.shape[1]  # sensors come after all joints
         return q[:, :nv], v[:, :nv], a[:, :nv]
 
-    def subset(self, names: tuple[str, ...]) -> "InformationModel":
+    def select_columns(self, names: tuple[str, ...]) -> "InformationModel":
         """Return the same model of some of its base parameters."""
         return replace(self, columns=tuple(self.regression.columns.index(name) for name in names))
 

@@ -7,11 +7,11 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
-from sysid_bench.excitation.criteria import Criterion, criterion_weights
+from sysid_bench.excitation.collision_model import box_limit, collision_limit
+from sysid_bench.excitation.criterion import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_count
 from sysid_bench.excitation.design_space import DesignSpace
-from sysid_bench.excitation.geometry import box_limit, collision_limit
 from sysid_bench.excitation.information import InformationModel
 from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
 from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
@@ -257,7 +257,7 @@ def excited_parameters(
     base = base_map(R, information.names)
     if base.rank == 0:
         raise UnsupportedError("These motions excite none of the task's parameters.")
-    return information.subset(base.names)
+    return information.select_columns(base.names)
 
 
 def design_criterion(

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 
 from sysid_bench.errors import ModelError
-from sysid_bench.excitation.criteria import Criterion
+from sysid_bench.excitation.criterion import Criterion
 from sysid_bench.excitation.design_space import DesignSpace
 from sysid_bench.excitation.information import InformationModel
 from sysid_bench.excitation.limit_use import Limit, smooth_bound

@@ -13,7 +13,7 @@ from sysid_bench.identifiability.base_expressions import base_expressions, expre
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.sign_bounds import infeasible_signs, smallest_feasible_change
 from sysid_bench.identifiability.structural import structural_factor
-from sysid_bench.identifiability.symbols import lengths_of, symbolic_coefficient
+from sysid_bench.identifiability.symbolic_coefficient import lengths_of, symbolic_coefficient
 from sysid_bench.identifiability.verdicts import coefficients
 from sysid_bench.models.dh.dh_robot import mjcf_of
 from sysid_bench.models.dh.dh_table import read_table

@@ -7,8 +7,8 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.experiments.execute import load_experiment, method_of
+from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.robot_cache import LoadedRobot
 from sysid_bench.experiments.simulated.online_curves import online_curves
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.problem import measured_signals
@@ -16,7 +16,7 @@ from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.models.random.random_states import random_states
-from sysid_bench.models.visuals import body_frames, shapes_of
+from sysid_bench.models.shapes import body_frames, shapes_of
 from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
 from sysid_bench.regressors.wrench import subtree_regressors
 from sysid_bench.types import Array, CellData, Estimate, Row

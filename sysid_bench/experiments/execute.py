@@ -8,11 +8,11 @@ from typing import Any
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
+from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.own_metrics import own_metrics
 from sysid_bench.experiments.paper_data import store_paper_data
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.robot_cache import LoadedRobot, cached_robot
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
@@ -50,7 +50,7 @@ def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, Loaded
     """The specification of an `argument`, and its robot."""
     spec = ExperimentSpec.from_json(argument["experiment"])
     folders = argument["robots_dir"], argument["folder"]
-    return spec, cached_robot(spec.robot, spec.payload, *folders, spec.free_base)
+    return spec, loaded_robot(spec.robot, spec.payload, *folders, spec.free_base)
 
 
 def _robot_fields(loaded: LoadedRobot, rule: Mapping[str, Any]) -> Row:

@@ -2,9 +2,9 @@
 
 from typing import Any
 
+from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.prepare import prepare_recorded
-from sysid_bench.experiments.robot_cache import LoadedRobot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.spec import ExperimentSpec
 

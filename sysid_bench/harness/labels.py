@@ -13,7 +13,7 @@ BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}
 """Suffix of a robot's name where the suite sets its base."""
 
 
-def unique_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
+def _unique_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
     """Return canonical(value) -> label from (value, short text, long text): the short text where it
     is unique, else the long one, else the long one with a hash."""
     texts: dict[str, tuple[str, str]] = {}
@@ -50,14 +50,14 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     axes = suite.defaults
     plugins = {"plant": axes.plant, "excitation": axes.excitation, "simulation": axes.simulation}
     labels = {
-        axis: unique_labels((p.spec, *_plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
+        axis: _unique_labels((p.spec, *_plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
         for axis, specs in plugins.items()
     }
-    labels["estimator"] = unique_labels(
+    labels["estimator"] = _unique_labels(
         (e.spec, *_plugin_texts(e.spec, e.label)) for e in suite.estimator
     )
-    labels["task"] = unique_labels((task, *_plugin_texts({"use": task})) for task in axes.task)
-    labels["robot"] = unique_labels(
+    labels["task"] = _unique_labels((task, *_plugin_texts({"use": task})) for task in axes.task)
+    labels["robot"] = _unique_labels(
         (
             robot_key(source, entry.free_base, entry.sensor),
             *_robot_texts(names, suite, source, entry),
@@ -65,12 +65,12 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         for entry, source in suite.robots
     )
     payloads = [payload for entry in suite.robot for payload in entry.payloads]
-    labels["payload"] = unique_labels(
+    labels["payload"] = _unique_labels(
         (normal_payload(p), names.payload(p).name, table_text(p, "none")) for p in payloads
     )
-    labels["noise"] = unique_labels(_noise_texts(noise) for noise in axes.noise)
-    labels["prior"] = unique_labels(_prior_texts(prior) for prior in axes.prior)
-    labels["held_out"] = unique_labels(_motion_texts(motions) for motions in axes.held_out)
+    labels["noise"] = _unique_labels(_noise_texts(noise) for noise in axes.noise)
+    labels["prior"] = _unique_labels(_prior_texts(prior) for prior in axes.prior)
+    labels["held_out"] = _unique_labels(_motion_texts(motions) for motions in axes.held_out)
     return labels
 
 

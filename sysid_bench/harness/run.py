@@ -23,7 +23,7 @@ from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names, installed_names
-from sysid_bench.harness.work.supervisor import Ending, OnEvent, supervise
+from sysid_bench.harness.work.supervise import Ending, OnEvent, supervise
 from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.units import quantity

@@ -153,7 +153,7 @@ def subspace_residual(basis: Array, other: Array) -> float:
     return float(np.linalg.norm(rest, 2))
 
 
-def subspace_sine(left: Array, right: Array) -> float:
+def subspace_gap(left: Array, right: Array) -> float:
     """Return the sine of the largest principal angle between two subspaces with orthonormal bases
     (p, r); 1 if their dimensions differ."""
     if left.shape != right.shape:

@@ -17,14 +17,14 @@ def name_elements(spec: mujoco.MjSpec) -> None:
     taken = {element.name for element in [*spec.bodies, *spec.joints]}
     for body in spec.bodies:
         if not body.name:
-            body.name = unused_name(f"body{body.id}", taken)
+            body.name = free_name(f"body{body.id}", taken)
     for joint in spec.joints:
         if not joint.name:
             only = len(free) == 1 and int(joint.type) == FREE
-            joint.name = unused_name("root" if only else f"joint{joint.id + 1}", taken)
+            joint.name = free_name("root" if only else f"joint{joint.id + 1}", taken)
 
 
-def unused_name(name: str, taken: Collection[str]) -> str:
+def free_name(name: str, taken: Collection[str]) -> str:
     """The name with as many underscores behind it as make it differ from those taken."""
     while name in taken:
         name += "_"

@@ -5,7 +5,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
-from sysid_bench.models.element_names import unused_name
+from sysid_bench.models.element_names import free_name
 from sysid_bench.models.tree import FREE
 from sysid_bench.models.urdf.inertia_repair import MASSLESS, TINY_MASS, TINY_MOMENT
 
@@ -27,7 +27,7 @@ def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
         )
     repairs = _give_mass(spec, roots[0])
     names = tuple(joint.name for joint in spec.joints)
-    roots[0].add_freejoint(name=unused_name("root", names))
+    roots[0].add_freejoint(name=free_name("root", names))
     return repairs
 
 

@@ -68,18 +68,18 @@ def _stated(manifest: Manifest, joint: str) -> Iterator[StatedTerms]:
 
 def _apply(joint: mujoco.MjsJoint, terms: StatedTerms) -> None:
     if terms.viscous is not None:
-        joint.damping = linear_polynomial(joint.damping, terms.viscous)
+        joint.damping = _linear_polynomial(joint.damping, terms.viscous)
     if terms.coulomb is not None:
         joint.frictionloss = terms.coulomb
     if terms.armature is not None:
         joint.armature = terms.armature
     if terms.spring is not None:
-        joint.stiffness = linear_polynomial(joint.stiffness, terms.spring)
+        joint.stiffness = _linear_polynomial(joint.stiffness, terms.spring)
     if terms.spring_reference is not None:
         joint.springref = terms.spring_reference
 
 
-def linear_polynomial(like: Any, value: float) -> Any:
+def _linear_polynomial(like: Any, value: float) -> Any:
     """The value in the form of `like`: MuJoCo 4 keeps polynomials of damping and stiffness, whose
     first coefficient is the linear one; earlier versions keep one number."""
     if np.ndim(like) == 0:

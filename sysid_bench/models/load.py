@@ -22,16 +22,16 @@ from sysid_bench.models.coupling.equalities import (
     select_equalities,
 )
 from sysid_bench.models.coupling.mimic import mimic_equalities
-from sysid_bench.models.element_names import name_elements, unused_name
+from sysid_bench.models.element_names import free_name, name_elements
 from sysid_bench.models.free_base import add_free_base
 from sysid_bench.models.joint_terms import apply_joint_terms, model_joint_terms
 from sysid_bench.models.limits import limits_of, stated_limits
-from sysid_bench.models.locking import lock_joints
+from sysid_bench.models.lock_joints import lock_joints
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf.mjcf_spec import mjcf_spec
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, RobotModel
-from sysid_bench.models.tool import mount_payload, tool_frame
+from sysid_bench.models.tool import add_payload, tool_frame
 from sysid_bench.models.tree import FREE, tree_of
 from sysid_bench.models.urdf.canonical_urdf import Urdf, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml, read_file
@@ -96,7 +96,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
     names = _body_names(bare)
     tool, pose = tool_frame(bare, manifest, names)
     if payload:
-        mount_payload(spec, tool + 1, pose, payload, unused_name("payload", names))
+        add_payload(spec, tool + 1, pose, payload, free_name("payload", names))
     equalities = equalities_of(bare) if manifest.couplings and bare.neq else None
     if equalities is not None:
         select_equalities(spec, equalities)

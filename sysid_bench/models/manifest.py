@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from sysid_bench import places
 from sysid_bench.errors import ModelError, UsageError, unknown_name
-from sysid_bench.models.packages import PACKAGES, is_packaged, package_file, unknown_file
+from sysid_bench.models.package_file import PACKAGES, is_packaged, package_file, unknown_file
 from sysid_bench.models.random.random_mechanism import random_mechanism
 from sysid_bench.models.random.random_tree import random_robot
 

@@ -36,7 +36,7 @@ def tool_frame(
     raise ModelError(f"{manifest.name}: {unknown_name('tool body or site', manifest.tool, known)}")
 
 
-def mount_payload(spec: mujoco.MjSpec, body: int, pose: Pose, payload: Payload, name: str) -> None:
+def add_payload(spec: mujoco.MjSpec, body: int, pose: Pose, payload: Payload, name: str) -> None:
     """Add a body with the inertia of a payload at `pose` in the body with this id of a spec."""
     parent = next(b for b in spec.bodies if b.id == body)
     load = parent.add_body(name=name, pos=pose[0], quat=pose[1])

@@ -173,7 +173,7 @@ def wrench_transform(
     return X
 
 
-def subtree_parameters(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
+def _subtree_parameters(robot: RobotModel, cut: SensorCut) -> tuple[str, ...]:
     """Return the names of the inertial parameters distal to a sensor, ten per body."""
     return tuple(column for body in cut.bodies for column in robot.bodies[body].columns)
 
@@ -185,7 +185,7 @@ def _sub_tree(
     root: range,
     motion: Trajectory,
 ) -> SubtreeRegressors:
-    columns = subtree_parameters(robot, cut)
+    columns = _subtree_parameters(robot, cut)
     dofs = subtree_dofs(robot, cut)
     rows = [*root, *dofs]
     blocks_of_rows = regression(robot, columns, measured).blocks(motion)

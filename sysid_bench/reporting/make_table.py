@@ -15,7 +15,7 @@ from sysid_bench.reporting.best_entries import with_best
 from sysid_bench.reporting.notation import ABSENT
 from sysid_bench.reporting.repeat_errors import repeat_statistic
 from sysid_bench.reporting.selection import SWEEPABLE, Choose, label, selected, with_labels
-from sysid_bench.reporting.statistics import INTERVALS, STATISTICS, interval_of, statistic_of
+from sysid_bench.reporting.statistic import INTERVALS, STATISTICS, interval_of, statistic_of
 from sysid_bench.reporting.tables import METRIC, Entry, Key, Table
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import BESTS

@@ -7,7 +7,7 @@ from string import ascii_lowercase
 from typing import Final
 
 from sysid_bench.reporting.notation import Notation, notation
-from sysid_bench.reporting.statistics import INTERVALS, STATISTICS
+from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
 from sysid_bench.types import Metric
 
 Key = tuple[str, ...]

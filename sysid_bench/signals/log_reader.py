@@ -40,7 +40,7 @@ def read_table(path: Path, reader: ReaderSpec | None = None) -> LogTable:
         raise UsageError(f"There is no recorded file {str(path)!r} ({error.strerror}).") from error
     if not path.is_file():
         raise UsageError(f"{str(path)!r} is not a file; name the recorded file itself.")
-    spec = reader_spec(path, reader)
+    spec = _reader_spec(path, reader)
     make = naming.resolve(KIND, spec["use"])
     settings = json.dumps(spec, sort_keys=True, default=str)
     return _table(path, (state.st_mtime_ns, state.st_size), make, settings)
@@ -68,7 +68,7 @@ def _table(path: Path, state: tuple[int, int], make: Any, settings: str) -> LogT
     return table
 
 
-def reader_spec(path: Path, reader: ReaderSpec | None = None) -> Mapping[str, Any]:
+def _reader_spec(path: Path, reader: ReaderSpec | None = None) -> Mapping[str, Any]:
     """Return {use = name, settings} of the reader named, or of the one for the suffix of a file.
 
     Raises UsageError with the suffixes that can be read.
@@ -97,7 +97,7 @@ def plugin_file(path: Path, reader: ReaderSpec | None = None) -> Path | None:
 
     What it returns depends on its code, so rows made with it are stale when that changes.
     """
-    use = reader_spec(path, reader)["use"]
+    use = _reader_spec(path, reader)["use"]
     if use in naming.BUILTIN[KIND]:
         return None
     try:

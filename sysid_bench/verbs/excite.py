@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
-from sysid_bench.excitation.geometry import collision_model
 from sysid_bench.excitation.information import InformationModel, information_model, torque_model
 from sysid_bench.excitation.optimised import Optimised, design_figures, excited_parameters
 from sysid_bench.identifiability.structural import structural_base

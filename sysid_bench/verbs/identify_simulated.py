@@ -8,9 +8,9 @@ from typing import Any, Final
 from sysid_bench.errors import EstimationError, ModelError
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.score import score
+from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.robot_cache import LoadedRobot, cached_robot
-from sysid_bench.experiments.simulated.noise_free import identified_terms
+from sysid_bench.experiments.simulated.noise_free import unknown_terms
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_payload
@@ -132,7 +132,7 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     method = build("estimator", name)
     spec = _spec(request)
     folder = None if request.robots_dir is None else str(request.robots_dir)
-    robot = cached_robot(spec.robot, spec.payload, folder, None, request.free_base)
+    robot = loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
     check_files(robot.robot, request.task, request.model_out, request.json_out)
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
@@ -170,7 +170,7 @@ def _result(
         model=loaded.robot.name,
         file=str(loaded.robot.manifest.path),
         task=request.task,
-        terms=list(identified_terms(_spec(request), loaded.robot, source.task.definition)),
+        terms=list(unknown_terms(_spec(request), loaded.robot, source.task.definition)),
         rows=list(problem.rows),
         estimator=_estimator(request),
         rank=figures.rank,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid_bench import IdentifyResult, places
-from sysid_bench.cli.option_parsing import parse_noise, parse_payload, parse_terms
+from sysid_bench.cli.options import parse_noise, parse_payload, parse_terms
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot

@@ -31,7 +31,7 @@ from sysid_bench.evaluation.cramer_rao import (
     trajectory_bound,
     white_bound,
 )
-from sysid_bench.evaluation.distances import (
+from sysid_bench.evaluation.distance import (
     entropic_distance,
     geodesic_distance,
     subspace_distance,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
+from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
-from sysid_bench.excitation.geometry import collision_model
 from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.optimised import (
     Optimised,

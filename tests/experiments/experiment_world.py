@@ -10,8 +10,8 @@ import numpy as np
 
 from sysid_bench import places
 from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.robot_cache import LoadedRobot, cached_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -54,7 +54,7 @@ def robot_of(source: str, payload: str | Mapping[str, Any] = "none") -> RobotMod
 
 
 def subject_of(source: str, payload: str | Mapping[str, Any] = "none") -> LoadedRobot:
-    return cached_robot(source, payload, None, str(MODELS))
+    return loaded_robot(source, payload, None, str(MODELS))
 
 
 def spec(**changes: Any) -> ExperimentSpec:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.experiments import robot_cache as robots
+from sysid_bench.experiments import loaded_robot as robots
 from sysid_bench.experiments.execute import execute
-from sysid_bench.experiments.robot_cache import KEPT, cached_robot
+from sysid_bench.experiments.loaded_robot import KEPT, loaded_robot
 from sysid_bench.experiments.simulated import noise_free
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.types import Row
@@ -270,13 +270,13 @@ def test_held_out_torques_are_exact() -> None:
 
 
 def test_a_worker_keeps_its_robots() -> None:
-    one, two = (cached_robot("ur5", "box-2kg", None, None) for _ in range(2))
+    one, two = (loaded_robot("ur5", "box-2kg", None, None) for _ in range(2))
     assert one is two
     assert one.base_map(("x",)[:0] + one.robot.inertial_columns) is one.base_map(
         one.robot.inertial_columns
     )
-    assert cached_robot("ur5", {"mass": 2.0}, None, None) is not one
-    assert cached_robot("ur5", {"mass": 2}, None, None).robot.payload.mass == 2.0
+    assert loaded_robot("ur5", {"mass": 2.0}, None, None) is not one
+    assert loaded_robot("ur5", {"mass": 2}, None, None).robot.payload.mass == 2.0
     assert robots._load.cache_info().maxsize == KEPT
 
 

@@ -14,7 +14,7 @@ from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_stored, parse_suite, suite_text
 from sysid_bench.verbs.identify import identify
-from sysid_bench.verbs.reports import report, table
+from sysid_bench.verbs.report import report, table
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write
 

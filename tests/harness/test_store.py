@@ -19,7 +19,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import data_frames
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_ids
+from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_cells
 
 
 def make(folder: Path, text: str = FULL) -> RunFolder:
@@ -92,7 +92,7 @@ def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
     writer = RowWriter(new_row_file(tmp_path, "w"))
     for number in range(5):
         writer.append({"id": str(number)})
-        assert stored_ids(writer.path) == {str(n) for n in range(number + 1)}
+        assert stored_cells(writer.path) == {str(n) for n in range(number + 1)}
     writer.close()
     writer.close()
 
@@ -103,7 +103,7 @@ def test_a_row_that_is_no_json_leaves_no_trace(tmp_path: Path) -> None:
             writer.append({"id": "a", "value": object()})
         writer.append({"id": "b"})
     assert read_rows(tmp_path).garbled == ()
-    assert stored_ids(writer.path) == {"b"}
+    assert stored_cells(writer.path) == {"b"}
 
 
 def test_numbers_that_are_none_become_none() -> None:

@@ -224,7 +224,7 @@ def test_words_are_those_of_the_other_rooms() -> None:
     from sysid_bench.evaluation.repeats import WITH_BOUND
     from sysid_bench.metrics import METRICS
     from sysid_bench.models.manifest import TERMS
-    from sysid_bench.reporting.statistics import INTERVALS, STATISTICS
+    from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
     from sysid_bench.signals.log_checks import NAMES
 
     assert set(words.TERMS) == set(TERMS)

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from sysid_bench.harness.work.row_files import StoredRows, read_rows
-from sysid_bench.harness.work.supervisor import Ending, supervise
+from sysid_bench.harness.work.supervise import Ending, supervise
 from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
 
 HERE = Path(__file__).parent
@@ -184,7 +184,7 @@ import sys, threading
 from pathlib import Path
 sys.path.insert(0, {here!r})
 from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
-from sysid_bench.harness.work.supervisor import supervise
+from sysid_bench.harness.work.supervise import supervise
 cells = [str(n) for n in range(4)]
 def task(cell):
     argument = {{"do": "sleep {seconds}", "cells": [cell]}}

@@ -8,7 +8,7 @@ from sysid_bench.identifiability.sign_bounds import (
     lower_bound,
     smallest_feasible_change,
 )
-from sysid_bench.identifiability.symbols import lengths_of, symbolic_coefficient
+from sysid_bench.identifiability.symbolic_coefficient import lengths_of, symbolic_coefficient
 from sysid_bench.spatial.inertia import NAMES, pseudo_inertia
 from sysid_bench.types import Array, Body
 

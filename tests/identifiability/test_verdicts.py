@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from sysid_bench import places
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.distances import subspace_distance
+from sysid_bench.evaluation.distance import subspace_distance
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     expression,

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from sysid_bench.identification.linear.column_selection import FoldedRow, select_columns
+from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
 from sysid_bench.types import Array
 
 
-def folded(W: Array, b: Array, part: Array) -> FoldedRow:
+def folded(W: Array, b: Array, part: Array) -> FoldRow:
     both = np.column_stack([W, b])
     train, test = (np.linalg.qr(both[kept], mode="r") for kept in (~part, part))
-    return FoldedRow(np.asarray(train), np.asarray(test))
+    return FoldRow(np.asarray(train), np.asarray(test))
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.evaluation.distances import subspace_distance
+from sysid_bench.evaluation.distance import subspace_distance
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.dh.dh_expression import read_expression
 from sysid_bench.models.dh.dh_robot import mjcf_of

@@ -8,7 +8,7 @@ import pytest
 
 from sysid_bench import places
 from sysid_bench.errors import ModelError, UsageError
-from sysid_bench.experiments.robot_cache import cached_robot
+from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
@@ -88,7 +88,7 @@ def test_a_robot_may_come_on_both_bases() -> None:
 
 @pytest.mark.parametrize(("base", "nv"), [(None, 18), (True, 18), (False, 12)])
 def test_the_suite_decides_whether_the_base_floats(base: bool | None, nv: int) -> None:
-    assert cached_robot("solo12", "none", None, None, base).robot.nv == nv
+    assert loaded_robot("solo12", "none", None, None, base).robot.nv == nv
 
 
 def test_a_base_is_yes_or_no() -> None:

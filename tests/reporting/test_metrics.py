@@ -25,7 +25,7 @@ from sysid_bench.types import Metric, MetricInput, Score
 from sysid_bench.verbs.catalogue import list_, show
 from sysid_bench.verbs.check_plugin import check_plugin
 from sysid_bench.verbs.recordings import _matching
-from sysid_bench.verbs.reports import report, table
+from sysid_bench.verbs.report import report, table
 from sysid_bench.vocabulary import ERRORS, LEVEL_AXES
 from sysid_bench.vocabulary import METRICS as CELL_METRICS
 

@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.verbs.reports import report, table
+from sysid_bench.verbs.report import report, table
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
 from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog, process_log
@@ -17,7 +18,6 @@ from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regresso
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.recorded.term_selection import select_terms
 from sysid_bench.experiments.recorded.unknowns import unknowns_of
-from sysid_bench.experiments.robot_cache import LoadedRobot
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest

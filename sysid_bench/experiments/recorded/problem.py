@@ -72,7 +72,7 @@ class LogProblemBuilder:
         regression, indices = self.regression(log)
         rows = [regression.rows.index(row) for row in self.unknowns.rows]
         extra = [self.extra_columns(log, row) for row in self.unknowns.rows]
-        moving = [self.moving_rows(log, row) for row in self.unknowns.rows]
+        moving = [self._moving_rows(log, row) for row in self.unknowns.rows]
         columns = [
             np.concatenate([indices[regression.touched[i]], of_extra])
             for i, (_, of_extra) in zip(rows, extra, strict=True)
@@ -121,13 +121,13 @@ class LogProblemBuilder:
     def _rms_torque(self, logs: Sequence[ProcessedLog], row: str) -> float:
         """RMS of the measured torque of a joint, known parts included."""
         parts = [
-            log.recording.tau[self.moving_rows(log, row), log.robot.torque_rows.index(row)]
+            log.recording.tau[self._moving_rows(log, row), log.robot.torque_rows.index(row)]
             for log in logs
         ]
         tau = np.concatenate(parts)
         return float(np.sqrt((tau**2).mean())) if len(tau) else 0.0
 
-    def moving_rows(self, log: ProcessedLog, row: str) -> Array:
+    def _moving_rows(self, log: ProcessedLog, row: str) -> Array:
         """Samples (N,) at which a joint moves fast enough."""
         v = log.recording.motion.v[:, log.robot.rows.index(row)]
         return np.asarray(np.abs(v) >= self.preprocessing.moving)
@@ -164,7 +164,7 @@ def _blocks(builder: LogProblemBuilder, logs: tuple[ProcessedLog, ...]) -> Itera
         regression, indices = builder.regression(log)
         tau, motion = builder.torque(log), log.recording.motion
         rows = [regression.rows.index(row) for row in builder.unknowns.rows]
-        moving = np.stack([builder.moving_rows(log, row) for row in builder.unknowns.rows], axis=1)
+        moving = np.stack([builder._moving_rows(log, row) for row in builder.unknowns.rows], axis=1)
         features = [builder.extra_columns(log, row) for row in builder.unknowns.rows]
         for block in regression.blocks(motion):
             W = np.zeros((block.count, len(rows), len(builder.columns)))

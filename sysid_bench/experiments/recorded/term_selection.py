@@ -8,7 +8,7 @@ from sysid_bench.experiments.recorded.extra_columns import extra_columns, is_mot
 from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, fold_factors
 from sysid_bench.experiments.recorded.unknowns import Unknowns
-from sysid_bench.identification.linear.column_selection import FoldedRow, select_columns
+from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
 from sysid_bench.identification.linear.normal_qr import spread
 from sysid_bench.models.manifest import is_term
 from sysid_bench.regressors.qr_accumulation import upper_factor
@@ -89,7 +89,7 @@ def _with_candidates(
     )
 
 
-def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list[list[FoldedRow]]:
+def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list[list[FoldRow]]:
     """Training and left-out rows of each part and joint."""
     width = len(builder.columns)
     left_out = [
@@ -98,7 +98,7 @@ def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list
     ]
     return [
         [
-            FoldedRow(
+            FoldRow(
                 upper_factor(left_out[other][k] for other in range(FOLDS) if other != f),
                 left_out[f][k],
             )

@@ -18,7 +18,7 @@ import numpy as np
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.design_problem import DesignProblem
-from sysid_bench.experiments.robot_cache import LoadedRobot
+from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.versions import code_and_libraries
 

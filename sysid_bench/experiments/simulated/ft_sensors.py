@@ -23,7 +23,7 @@ from sysid_bench.types import Array, Oracle, Recording, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class SensorMeasurement:
+class MeasuredSensors:
     """The sensors of a task on the moving plant. Without any, recordings are left as they are."""
 
     spec: ExperimentSpec
@@ -40,7 +40,7 @@ class SensorMeasurement:
             return raw
         white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench", self.run))
         noise = wrench_noise(self.spec.noise)
-        motion = decimated_motion(oracle.motion, decimation)
+        motion = sampled_motion(oracle.motion, decimation)
         contact = self._contact(motion)
         if contact is not None:
             tau = contact_torque(self.plant, contact, motion)
@@ -84,7 +84,7 @@ class SensorMeasurement:
         return Contact(last_body(self.plant.robot, self.task.cuts[0]), wrench)
 
 
-def true_offset(spec: ExperimentSpec, count: int) -> Array:
+def sensor_offset(spec: ExperimentSpec, count: int) -> Array:
     """True offsets (6 count,) [n; f] of the measured sensor and of those that end its sub-tree."""
     return np.concatenate([error.offset for error in _sensor_errors(spec, count)])
 
@@ -99,7 +99,7 @@ def _by_sensor(wrenches: Array) -> list[Array]:
     return np.split(wrenches, wrenches.shape[1] // 6, axis=1)
 
 
-def decimated_motion(motion: Trajectory, decimation: int) -> Trajectory:
+def sampled_motion(motion: Trajectory, decimation: int) -> Trajectory:
     """Every `decimation`-th sample of a motion."""
     part = slice(None, None, decimation)
     return replace(motion, t=motion.t[part], q=motion.q[part], v=motion.v[part], a=motion.a[part])

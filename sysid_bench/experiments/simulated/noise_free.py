@@ -8,17 +8,17 @@ from functools import cached_property, lru_cache, partial
 import numpy as np
 
 from sysid_bench.canonical_json import canonical
+from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
-from sysid_bench.excitation.geometry import collision_model
 from sysid_bench.excitation.information import TorqueModel, information_model
-from sysid_bench.experiments.robot_cache import LoadedRobot
+from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.seeds import known_seed, prior_seed
-from sysid_bench.experiments.simulated.ft_sensors import SensorMeasurement, true_offset
+from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sensor_offset
 from sysid_bench.experiments.simulated.method_model import known_model
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.simulated.record import SimulatedRobot, held_out_motions
 from sysid_bench.experiments.spec import REDRAWN, ExperimentSpec
-from sysid_bench.models.bounding_boxes import body_extents
+from sysid_bench.models.body_extents import body_extents
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
 from sysid_bench.regressors.coupled import torque_regression
@@ -53,7 +53,7 @@ class NoiseFreePart:
     @cached_property
     def held_out(self) -> dict[str, Problem]:
         """Problems of other motions, with exact signals."""
-        sensors = SensorMeasurement(self.spec, self.simulated.plant, self.task)
+        sensors = MeasuredSensors(self.spec, self.simulated.plant, self.task)
         return {
             name: self.builder.build(oracle.motion, sensors.exact(oracle))
             for name, oracle in held_out_motions(self.spec, self.simulated).items()
@@ -82,8 +82,8 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     """The noise-free part of a specification given as canonical JSON, which hashes."""
     spec, robot = ExperimentSpec.from_json(json.loads(text)), loaded.robot
     definition = named_task(spec.task, loaded.folder)
-    terms = identified_terms(spec, robot, definition)
-    exact_task = definition.unknowns(robot, terms, spec.sensor, partial(true_offset, spec))
+    terms = unknown_terms(spec, robot, definition)
+    exact_task = definition.unknowns(robot, terms, spec.sensor, partial(sensor_offset, spec))
     task = _task_with_known_errors(spec, exact_task)
     base = loaded.base_map(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
@@ -95,9 +95,7 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     return NoiseFreePart(spec, task, builder, SimulatedRobot(spec, loaded, plant, design), prior)
 
 
-def identified_terms(
-    spec: ExperimentSpec, robot: RobotModel, task: TaskDefinition
-) -> tuple[str, ...]:
+def unknown_terms(spec: ExperimentSpec, robot: RobotModel, task: TaskDefinition) -> tuple[str, ...]:
     """The joint terms that are identified: those of `spec`, else the defaults of the task."""
     return task.default_terms(robot) if spec.terms is None else spec.terms
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.robot_cache import LoadedRobot
 from sysid_bench.experiments.seeds import noise_seed
-from sysid_bench.experiments.simulated.ft_sensors import SensorMeasurement
+from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.method_model import (
     KnownTorque,
     SimulateModel,
@@ -37,7 +37,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     builder, simulated = noise_free.builder, noise_free.simulated
     order = repetitions(spec, noise_free.task)
     first_loaded = next(repetition for repetition in order if repetition.loaded)
-    sensors = SensorMeasurement(spec, simulated.plant, noise_free.task)
+    sensors = MeasuredSensors(spec, simulated.plant, noise_free.task)
     sampled = record(spec, simulated, sensors, first_loaded)
     processed = preprocess(spec, loaded, builder, sampled)
     runs = _runs(spec, noise_free, order, Run(True, processed.recording))
@@ -107,7 +107,7 @@ def _runs(
             runs.append(main)
             continue
         simulated = robots[repetition.loaded]
-        sensors = SensorMeasurement(spec, simulated.plant, noise_free.task)
+        sensors = MeasuredSensors(spec, simulated.plant, noise_free.task)
         sampled = record(spec, simulated, sensors, repetition)
         runs.append(Run(repetition.loaded, sampled.recording))
     return tuple(runs)

@@ -8,8 +8,8 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.experiments.robot_cache import LoadedRobot
-from sysid_bench.experiments.simulated.ft_sensors import SensorMeasurement
+from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_signals
 from sysid_bench.experiments.simulated.record import SampledRecording, SimulatedRobot, record
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -58,7 +58,7 @@ def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task)
         robot = load_robot(loaded.robot.manifest, parse_payload(payload), spec.free_base)
         cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
         plant = plant_of(robot, [loaded.build_plugin("plant", spec.plant)])
-        sensors = SensorMeasurement(spec, plant, replace(task, cuts=cuts), run)
+        sensors = MeasuredSensors(spec, plant, replace(task, cuts=cuts), run)
         simulated = SimulatedRobot(
             spec, replace(loaded, robot=robot), plant, partial(design_problem, robot)
         )

@@ -10,7 +10,7 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.excitation.design_problem import DesignProblem
-from sysid_bench.experiments.robot_cache import LoadedRobot
+from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.seeds import (
     drift_seed,
     held_out_seed,
@@ -19,7 +19,7 @@ from sysid_bench.experiments.seeds import (
     run_seed,
 )
 from sysid_bench.experiments.simulated.commanded import design_motion
-from sysid_bench.experiments.simulated.ft_sensors import SensorMeasurement, decimated_motion
+from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sampled_motion
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,
@@ -51,7 +51,7 @@ class SimulatedRobot:
         return self.loaded.build_plugin("simulation", self.spec.simulation)
 
     @property
-    def decimation(self) -> int:
+    def sample_step(self) -> int:
         """Steps of the simulation per sample of the recording."""
         rate: float = self.simulation.design_rate(self.spec.rate)
         return round(rate / self.spec.rate)
@@ -138,7 +138,7 @@ def _bound(
     std: tuple[float, ...],
     correlation: float,
 ) -> Array | None:
-    motion, rows = decimated_motion(oracle.motion, decimation), builder.row_indices
+    motion, rows = sampled_motion(oracle.motion, decimation), builder.row_indices
     row_std = np.array(std)[list(rows)]
     if correlation == 0.0:
         covariance = white_bound(builder.build(motion, oracle.tau[::decimation]), row_std)
@@ -151,7 +151,7 @@ def _bound(
 def record(
     spec: ExperimentSpec,
     simulated: SimulatedRobot,
-    sensors: SensorMeasurement,
+    sensors: MeasuredSensors,
     repetition: Repetition | None = None,
 ) -> SampledRecording:
     """The recording of one repeat, and of one of its runs where there are several."""
@@ -159,7 +159,7 @@ def record(
         (0, noise_seed(spec)) if repetition is None else (repetition.index, repetition.seed)
     )
     robot, commanded = simulated.plant.robot, simulated.commanded
-    decimation = simulated.decimation
+    decimation = simulated.sample_step
     noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
     processing = processing_of(spec.signals)
     rng = np.random.default_rng(seed)

@@ -49,7 +49,7 @@ def checked(check: Callable[[], Value]) -> Value:
         raise ValueError(name_error(error)) from error
 
 
-def quantity_field(unit: str, positive: bool = False, below: float = math.inf) -> PlainValidator:
+def quantity_of(unit: str, positive: bool = False, below: float = math.inf) -> PlainValidator:
     def check(value: Any) -> Any:
         def check_range() -> None:
             number = quantity(value, unit)
@@ -108,7 +108,7 @@ def nonempty(value: Any) -> Any:
     return value
 
 
-def listed_keys(value: Any) -> Any:
+def key_list(value: Any) -> Any:
     """Return a sweep of values that are lists themselves: a list of lists is a sweep."""
     if isinstance(value, (list, tuple)) and value and all(_is_list(item) for item in value):
         return tuple(tuple(item) if _is_list(item) else item for item in value)

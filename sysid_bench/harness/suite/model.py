@@ -28,12 +28,12 @@ from sysid_bench.harness.suite.checks import (
     checked,
     condition,
     items,
-    listed_keys,
+    key_list,
     nonempty,
     one_of,
     optional_items,
     plugin_kind,
-    quantity_field,
+    quantity_of,
 )
 from sysid_bench.harness.suite.names import TaskInfo
 from sysid_bench.harness.suite.report_entries import (
@@ -56,8 +56,8 @@ from sysid_bench.units import interval
 from sysid_bench.vocabulary import FINDINGS
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
-Share = Annotated[Any, quantity_field("%")]
-Length = Annotated[Any, quantity_field("mm")]
+Share = Annotated[Any, quantity_of("%")]
+Length = Annotated[Any, quantity_of("mm")]
 
 
 class Plugin(Section):
@@ -107,21 +107,21 @@ class Noise(Section):
     """Standard deviations of noise. `quantum` is the step of the encoder, `tau_correlation` the
     correlation of the torque's noise between successive samples (0: white)."""
 
-    q: Annotated[Any, quantity_field("rad|m")] = None
-    tau: Annotated[Any, quantity_field("N m|N|%")] = None
-    quantum: Annotated[Any, quantity_field("rad|m")] = None
-    tau_drift: Annotated[Any, quantity_field("N m|N")] = None  # per second
-    tau_correlation: Annotated[Any, quantity_field("1", below=1.0)] = None
-    force: Annotated[Any, quantity_field("N")] = None  # force/torque sensors, down to `touch`
-    moment: Annotated[Any, quantity_field("N m")] = None
-    force_offset: Annotated[Any, quantity_field("N")] = None
-    moment_offset: Annotated[Any, quantity_field("N m")] = None
-    force_drift: Annotated[Any, quantity_field("N")] = None  # per second
-    moment_drift: Annotated[Any, quantity_field("N m")] = None  # per second
-    gain: Annotated[Any, quantity_field("%")] = None
-    crosstalk: Annotated[Any, quantity_field("%")] = None
-    mounting: Annotated[Any, quantity_field("rad")] = None
-    touch: Annotated[Any, quantity_field("N")] = None  # on the last body, for the middle third
+    q: Annotated[Any, quantity_of("rad|m")] = None
+    tau: Annotated[Any, quantity_of("N m|N|%")] = None
+    quantum: Annotated[Any, quantity_of("rad|m")] = None
+    tau_drift: Annotated[Any, quantity_of("N m|N")] = None  # per second
+    tau_correlation: Annotated[Any, quantity_of("1", below=1.0)] = None
+    force: Annotated[Any, quantity_of("N")] = None  # force/torque sensors, down to `touch`
+    moment: Annotated[Any, quantity_of("N m")] = None
+    force_offset: Annotated[Any, quantity_of("N")] = None
+    moment_offset: Annotated[Any, quantity_of("N m")] = None
+    force_drift: Annotated[Any, quantity_of("N")] = None  # per second
+    moment_drift: Annotated[Any, quantity_of("N m")] = None  # per second
+    gain: Annotated[Any, quantity_of("%")] = None
+    crosstalk: Annotated[Any, quantity_of("%")] = None
+    mounting: Annotated[Any, quantity_of("rad")] = None
+    touch: Annotated[Any, quantity_of("N")] = None  # on the last body, for the middle third
 
 
 class Prior(Section):
@@ -188,7 +188,7 @@ PriorChoice = Annotated[
 ]
 Named = BeforeValidator(as_plugin)
 Sweep = BeforeValidator(items)
-ListSweep = BeforeValidator(listed_keys)
+ListSweep = BeforeValidator(key_list)
 
 
 def _term(value: Any) -> Any:
@@ -248,7 +248,7 @@ class Defaults(Section):
     simulation: Annotated[tuple[Annotated[Simulation, Named], ...], Sweep] = Field(
         default=("inverse",), validate_default=True
     )
-    rate: Annotated[tuple[Annotated[Any, quantity_field("Hz", positive=True)], ...], Sweep] = (
+    rate: Annotated[tuple[Annotated[Any, quantity_of("Hz", positive=True)], ...], Sweep] = (
         "200 Hz",
     )
     noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
@@ -317,7 +317,7 @@ class LogEntry(Section):
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
     accept: tuple[Annotated[str, one_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False
-    true_mass: Annotated[Any, quantity_field("kg", positive=True)] = None
+    true_mass: Annotated[Any, quantity_of("kg", positive=True)] = None
 
     @property
     def label(self) -> str:
@@ -331,7 +331,7 @@ class Exclude(Section):
 
 
 class Crosscheck(Section):
-    tolerance: Annotated[Any, quantity_field("1", positive=True)] = 1e-12
+    tolerance: Annotated[Any, quantity_of("1", positive=True)] = 1e-12
     on_fail: Annotated[
         str, one_of("answer to a failed cross-check", ("skip-robot", "continue"))
     ] = "skip-robot"
@@ -378,11 +378,11 @@ class Worst(Section):
 class Record(Section):
     when: RowCondition | None = None
     worst: Worst | None = None
-    max_hz: Annotated[Any, quantity_field("Hz", positive=True)] = 50.0
+    max_hz: Annotated[Any, quantity_of("Hz", positive=True)] = 50.0
 
 
 class Run(Section):
-    timeout: Annotated[Any, quantity_field("s", positive=True)] = "60 s"
+    timeout: Annotated[Any, quantity_of("s", positive=True)] = "60 s"
     threads: StrictInt = Field(default=1, ge=1)
     repeats: StrictInt = Field(default=1, ge=1)
 

@@ -93,7 +93,7 @@ def read_rows(folder: Path) -> StoredRows:
     return StoredRows(rows, torn, tuple(garbled))
 
 
-def stored_ids(path: Path) -> set[str]:
+def stored_cells(path: Path) -> set[str]:
     """Return the ids of the complete rows of one file."""
     rows = (_row(line) for _, line, _ in _lines(path))
     return {row["id"] for row in rows if row is not None}

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.harness.work.row_files import new_row_file, stored_ids
+from sysid_bench.harness.work.row_files import new_row_file, stored_cells
 from sysid_bench.types import Row
 
 Inbox = queue.SimpleQueue[tuple["Worker", dict[str, Any] | None]]
@@ -109,7 +109,7 @@ class Worker:
         if not any(thread.is_alive() for thread in self._threads):
             self._close_pipes()
         if self.open_cells:
-            for done in stored_ids(self.rows_file):
+            for done in stored_cells(self.rows_file):
                 self.open_cells.pop(done, None)
 
     def stop(self) -> None:
@@ -129,7 +129,7 @@ class Worker:
         fatal = [line for line in written if line.startswith("Fatal Python error")]
         return (fatal or written[-1:] or [""])[0][:300]
 
-    def exit_reason(self) -> str:
+    def reason(self) -> str:
         """Return a sentence on the end of the process, with its signal or exit code."""
         code = self.process.returncode
         if code >= 0:

@@ -17,7 +17,7 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     samples_of,
     sigmas,
     simulatable_start,
-    step_length,
+    step_size,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Recording, Trajectory
 
@@ -64,13 +64,13 @@ class IV:
                 return Estimate(
                     beta, covariance=inverse @ inverse.T, stats={"iterations": float(count)}
                 )
-            if step_length(R, moved) > SHRINKS * before:
+            if step_size(R, moved) > SHRINKS * before:
                 share *= 0.5
-            before = step_length(R, moved)
+            before = step_size(R, moved)
             theta, simulated = _towards(theta + share * (goal - theta), theta, experiment)
         raise EstimationError(
             f"The method did not converge in {self.iterations} iterations: the last changed the "
-            f"base parameters by {step_length(R, moved):.3g} standard deviations; the noise is "
+            f"base parameters by {step_size(R, moved):.3g} standard deviations; the noise is "
             "too large."
         )
 

@@ -8,8 +8,8 @@ from scipy.linalg import cholesky_banded, lapack
 from scipy.sparse import bsr_array, csr_array, diags_array, eye_array, kron
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.noise_level import white_noise
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
+from sysid_bench.identification.linear.white_noise import white_noise
 from sysid_bench.identification.simulation_based.forward_dynamics import scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
     covariance,
@@ -17,7 +17,7 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     regressor_of,
     residual_factor,
     rows_of,
-    step_length,
+    step_size,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
@@ -56,7 +56,7 @@ class ML:
         for count in range(1, self.iterations + 1):
             line = data.line(beta, q)
             R, step, q_new, rest = line.solved(sigma)
-            size = step_length(R, step)
+            size = step_size(R, step)
             if has_converged(R, step, beta):
                 return Estimate(
                     beta + step, covariance=covariance(R), stats={"iterations": float(count)}

@@ -66,13 +66,13 @@ class Divergence:
         """Hessian (p, p) at x0: the affine-invariant metric."""
         feasible, out = self.feasible, np.zeros((len(self.x0), len(self.x0)))
         inverse = np.linalg.inv(feasible.pseudo_inertias(self.x0))
-        out[feasible.indices[:, :, None], feasible.indices[:, None, :]] = metric_blocks(inverse)
+        out[feasible.indices[:, :, None], feasible.indices[:, None, :]] = _metric_blocks(inverse)
         out[feasible.nonnegative, feasible.nonnegative] = 1 / self.x0[feasible.nonnegative] ** 2
         out[self.free, self.free] = self.pull
         return out
 
 
-def metric_blocks(S: Array) -> Array:
+def _metric_blocks(S: Array) -> Array:
     """tr(S E_k S E_l) (nb, 10, 10) of symmetric S (nb, 4, 4), E_k = dJ / dx_k."""
     left, right = S[:, None] @ BASIS, BASIS @ S[:, None]
     return np.asarray(left.reshape(-1, 10, 16) @ right.reshape(-1, 10, 16).swapaxes(1, 2))
@@ -192,7 +192,7 @@ class _Iterate:
         """Newton's matrix, factored: the map of a gradient (m,) to a direction."""
         d, feasible, T = self.d, self.d.feasible, self.coordinates.T
         curved = np.empty_like(T)  # Hessian by x, block diagonal, times T
-        places, blocks = feasible.indices.ravel(), metric_blocks(self.scaling)
+        places, blocks = feasible.indices.ravel(), _metric_blocks(self.scaling)
         curved[places] = (blocks @ T[feasible.indices]).reshape(-1, T.shape[1])
         curved[feasible.nonnegative] = (self.z / self.terms)[:, None] * T[feasible.nonnegative]
         curved[d.free] = self.weight * d.pull[:, None] * T[d.free]

@@ -20,7 +20,7 @@ RIDGE: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class FoldedRow:
+class FoldRow:
     """One row (joint) in one fold: factors R (k + 1, k + 1) of [W | b] of the training and the
     validation part, with all candidate columns."""
 
@@ -39,7 +39,7 @@ class ColumnSelection:
 
 
 def select_columns(
-    folds: Sequence[Sequence[FoldedRow]],
+    folds: Sequence[Sequence[FoldRow]],
     start: Sequence[int],
     candidates: Sequence[tuple[Sequence[int], int]],
 ) -> ColumnSelection:
@@ -74,14 +74,14 @@ def select_columns(
     return ColumnSelection(tuple(sorted(current)), tuple(steps), before, after)
 
 
-def _weights(folds: Sequence[Sequence[FoldedRow]]) -> Array:
+def _weights(folds: Sequence[Sequence[FoldRow]]) -> Array:
     """1 / |b| of each row over the training parts of all folds."""
     sizes = np.array([[np.linalg.norm(row.train[:, -1]) for row in fold] for fold in folds])
     total = np.sqrt((sizes**2).sum(axis=0))
     return np.where(total > 0, 1.0 / np.where(total > 0, total, 1.0), 0.0)
 
 
-def _gram(fold: Sequence[FoldedRow], weights: Array) -> Array:
+def _gram(fold: Sequence[FoldRow], weights: Array) -> Array:
     """Normal matrix [W | b]' [W | b] of a fold's training part, rows weighted."""
     return sum(
         (weight**2 * row.train.T @ row.train for row, weight in zip(fold, weights, strict=True)),
@@ -90,7 +90,7 @@ def _gram(fold: Sequence[FoldedRow], weights: Array) -> Array:
 
 
 def _errors(
-    folds: Sequence[Sequence[FoldedRow]], grams: Sequence[Array], columns: Sequence[int]
+    folds: Sequence[Sequence[FoldRow]], grams: Sequence[Array], columns: Sequence[int]
 ) -> Array:
     """Relative error (rows,) on the validation parts of all folds."""
     errors = np.zeros(len(folds[0]))

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.noise_level import white_noise
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
+from sysid_bench.identification.linear.white_noise import white_noise
 from sysid_bench.identification.simulation_based.forward_dynamics import ForwardModel, scalar_joints
-from sysid_bench.identification.simulation_based.gauss_newton import residual_factor, step_length
+from sysid_bench.identification.simulation_based.gauss_newton import residual_factor, step_size
 from sysid_bench.types import Array, Estimate, Experiment
 
 START_ERROR = 0.1
@@ -92,7 +92,7 @@ class JointFilter:
         if not np.isfinite(belief.mean).all() or np.array_equal(beta, first):
             raise EstimationError("The filter's state is not finite, or it has not left its start.")
         R = stacked_factor(self.experiment.problem)
-        if step_length(R, beta - first) > 100 * step_length(R, first):
+        if step_size(R, beta - first) > 100 * step_size(R, first):
             raise EstimationError("The filter diverges from its start: the noise is too large.")
         part = slice(2 * self.n, None)
         return Estimate(beta, covariance=belief.covariance[part, part])

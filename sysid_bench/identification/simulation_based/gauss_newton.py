@@ -100,7 +100,7 @@ class GaussNewton:
                 )
         raise EstimationError(
             f"The method did not converge in {self.iterations} steps: the last changed beta by "
-            f"{step_length(R, change):.3g} standard deviations; the noise is too large, or the "
+            f"{step_size(R, change):.3g} standard deviations; the noise is too large, or the "
             "start too far."
         )
 
@@ -129,8 +129,8 @@ def _goal(simulatable: SimulatableSet, trial: Candidate, R: Array) -> tuple[Arra
     if exact is not trial.theta:
         return exact, True
     nearest = simulatable.nearest(wanted, R[:r, :r])
-    miss = step_length(R, simulatable.problem.base.K @ nearest - wanted)
-    return nearest, miss <= REPEATS * step_length(R, wanted)
+    miss = step_size(R, simulatable.problem.base.K @ nearest - wanted)
+    return nearest, miss <= REPEATS * step_size(R, wanted)
 
 
 def _better(
@@ -178,10 +178,10 @@ def has_converged(
     R: Array, change: Array, beta: Array, share: float = CONVERGED, rounding: float = ROUNDING
 ) -> bool:
     """Return whether a step (r,) is small against the noise, or against rounding."""
-    return step_length(R, change) <= max(share, rounding * step_length(R, beta))
+    return step_size(R, change) <= max(share, rounding * step_size(R, beta))
 
 
-def step_length(R: Array, change: Array) -> float:
+def step_size(R: Array, change: Array) -> float:
     """RMS length of a step (r,) in standard deviations of beta."""
     r = len(change)
     return float(np.linalg.norm(R[:r, :r] @ change) / np.sqrt(max(r, 1)))

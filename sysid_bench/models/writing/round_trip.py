@@ -24,7 +24,7 @@ PARAMETERS, TORQUES = 1e-12, 1e-11
 def check_round_trip(path: Path, text: str, update: Update) -> None:
     """Read the written text in the folder of the source; raises ModelError where parameters or
     torques at random states differ from those requested."""
-    with sibling_file(path, text) as copy:
+    with _sibling_file(path, text) as copy:
         try:
             again = load_robot(Manifest(path.stem, copy, couplings=False))
         except ModelError as error:
@@ -51,7 +51,7 @@ def check_round_trip(path: Path, text: str, update: Update) -> None:
 
 
 @contextlib.contextmanager
-def sibling_file(path: Path, text: str) -> Iterator[Path]:
+def _sibling_file(path: Path, text: str) -> Iterator[Path]:
     """A temporary hidden file with this text in the folder of the source, so that included files
     and meshes are found. Raises ModelError where that folder is not writable."""
     try:

@@ -146,7 +146,7 @@ class _Supervisor:
     def _end_crashed(self, worker: Worker) -> None:
         worker.kill()
         text = worker.error_text()
-        reason = worker.exit_reason() + (f"; its last output: {text}" if text else "")
+        reason = worker.reason() + (f"; its last output: {text}" if text else "")
         self._end_job(worker, "crash", reason)
         self.workers.remove(worker)
 

@@ -16,10 +16,10 @@ from sysid_bench.harness.run import run as execute
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.suite.names import installed_names
-from sysid_bench.harness.work.supervisor import OnEvent
+from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.verbs.folders import find_cell, open_run
 from sysid_bench.verbs.recordings import record_selected
-from sysid_bench.verbs.reports import printed_tables, report
+from sysid_bench.verbs.report import printed_tables, report
 from sysid_bench.verbs.result import Result
 
 INTERRUPTED = 130

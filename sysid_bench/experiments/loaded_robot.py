@@ -57,7 +57,7 @@ class LoadedRobot:
         return self._bases[key]
 
 
-def cached_robot(
+def loaded_robot(
     source: str,
     payload: str | Mapping[str, Any],
     robots_dir: str | None,

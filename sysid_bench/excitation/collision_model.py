@@ -16,7 +16,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.limit_use import Limit
 from sysid_bench.models.coupling.derivatives import Slopes
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.visuals import shapes_of
+from sysid_bench.models.shapes import shapes_of
 from sysid_bench.types import Array, Shape, Trajectory
 
 _REACH: Final = 0.08
