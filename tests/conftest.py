@@ -36,12 +36,14 @@ def data_folder() -> Path:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    return _no_data_is_a_failure((yield))
+    report: pytest.TestReport = _no_data_is_a_failure((yield))
+    return report
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    return _no_data_is_a_failure((yield))
+    report: pytest.CollectReport = _no_data_is_a_failure((yield))
+    return report
 
 
 def _no_data_is_a_failure(report: Any) -> Any:

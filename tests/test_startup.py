@@ -37,7 +37,8 @@ def heavy_after(code: str) -> list[str]:
     last = f"import json, sys\nprint(json.dumps([m for m in {HEAVY!r} if m in sys.modules]))"
     done = python(f"{code}\n{last}")
     assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+    modules: list[str] = json.loads(done.stdout.splitlines()[-1])
+    return modules
 
 
 def test_importing_the_package_loads_nothing_heavy() -> None:

@@ -65,8 +65,8 @@ class Arm:
         C = rng.normal(size=(11, 7))
         C[0] *= 0.3
         motion = self.space.motion(C, self.space.curves.grid())
-        return C / max(np.abs(limit.use(motion)).max() for limit in joint_limits(
-            self.brief, self.space.dofs))  # fmt: skip
+        limits = joint_limits(self.brief, self.space.dofs)
+        return np.asarray(C / max(np.abs(limit.use(motion)).max() for limit in limits))
 
     def pinocchio_seconds(self) -> float:
         """CPU time of one evaluation by Pinocchio's Python loop and a decomposition."""
@@ -128,7 +128,7 @@ def by_differences(arm: Arm, search: Search, rng: np.random.Generator) -> None:
                 -search._limits_at(x.reshape(11, 7) * scale, s)[1] * scale.ravel()
             ),
         }
-        found = minimize(  # type: ignore[call-overload]
+        found = minimize(
             value, (C / scale).ravel(), method="SLSQP", constraints=[constraint],
             bounds=Bounds((low / scale).ravel(), (high / scale).ravel()),
             options={"maxiter": 150, "ftol": 1e-5},

@@ -44,7 +44,7 @@ def scored(
 
 
 def rms(x: Array, axis: int | None = None) -> Array:
-    return np.sqrt((x**2).mean(axis=axis))
+    return np.asarray(np.sqrt((x**2).mean(axis=axis)))
 
 
 def rows_of(problems: list[Problem]) -> tuple[Array, Array]:
@@ -69,7 +69,7 @@ def torques_of(problems: list[Problem]) -> np.ndarray:
 def judged(size: np.ndarray, problem: Problem) -> np.ndarray:
     """The rows that carry torque and that an unknown acts on."""
     acts = np.abs(dense(problem)[0]).max(axis=(0, 2), initial=0.0) > 0
-    return acts & (size >= SMALL_JOINT * largest_of_its_kind(size, problem.kinds))
+    return np.asarray(acts & (size >= SMALL_JOINT * largest_of_its_kind(size, problem.kinds)))
 
 
 @pytest.mark.parametrize("place", PLACES, ids=str)

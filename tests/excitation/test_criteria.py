@@ -11,7 +11,9 @@ from sysid_bench.types import Array
 
 
 def rows_of(seed: int, r: int = 4, m: int = 9) -> Array:
-    return np.random.default_rng(seed).normal(size=(m, r)) * np.array([1.0, 3.0, 0.2, 1.0])[:r]
+    return np.asarray(
+        np.random.default_rng(seed).normal(size=(m, r)) * np.array([1.0, 3.0, 0.2, 1.0])[:r]
+    )
 
 
 def criterion(weights: dict[str, float], seed: int, known: int) -> Criterion:

@@ -45,7 +45,9 @@ def lengths(robot: RobotModel) -> list[tuple[int, int]]:
 
 
 def angle_of(quaternion: Array) -> Array:
-    return 2 * np.arctan2(np.linalg.norm(quaternion[:, 1:], axis=1), np.abs(quaternion[:, 0]))
+    return np.asarray(
+        2 * np.arctan2(np.linalg.norm(quaternion[:, 1:], axis=1), np.abs(quaternion[:, 0]))
+    )
 
 
 @pytest.mark.parametrize("use", EXCITATIONS)

@@ -39,4 +39,4 @@ def test_settings_that_make_no_motion_are_refused() -> None:
         )
     for wrong in ({"duration": 1.0, "rest": 2.0}, {"move": 0.0}, {"joints": "elbow"}):
         with pytest.raises(UsageError):
-            RandomWaypoints(**wrong)  # type: ignore[arg-type]
+            RandomWaypoints(**wrong)

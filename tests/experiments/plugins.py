@@ -100,7 +100,9 @@ class Output:
         noise = max(float(np.std(rest - W @ free)), 1e-9 * float(np.std(rest)))
         pull = 1.0 / np.maximum(prior.std, 1e-9)
         stack = np.concatenate([W / noise, np.diag(pull)])
-        return np.linalg.lstsq(stack, np.concatenate([rest / noise, pull * prior.theta]))[0]
+        return np.asarray(
+            np.linalg.lstsq(stack, np.concatenate([rest / noise, pull * prior.theta]))[0]
+        )
 
     def possible(
         self, experiment: Experiment, theta: Array, step: Array

@@ -87,7 +87,7 @@ def test_mass_matrices_and_bias_forces_agree(robot: RobotModel) -> None:
 
 
 def _symmetric(upper: Array) -> Array:
-    return np.triu(upper) + np.triu(upper, 1).T
+    return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
 
 
 def test_power_is_the_same_in_both_coordinates(robot: RobotModel) -> None:

@@ -9,6 +9,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, Sensor
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.random.random_tree import random_robot
+from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import cut_at, default_sensor, floating_subtree, instruments_of
 from tests.robots import named_robot, robot_of, states
 
@@ -49,7 +50,7 @@ def test_sites_bodies_and_manifest_names_cut_too() -> None:
     assert default_sensor(named, None) == "wrist"
 
 
-def _with_sensors(robot, *sensors):  # type: ignore[no-untyped-def]
+def _with_sensors(robot: RobotModel, *sensors: Sensor) -> RobotModel:
 
     return replace(robot, manifest=Manifest("arm", robot.manifest.path, sensors=sensors))
 

@@ -47,7 +47,9 @@ def plant_torque(robot: RobotModel, motion: Trajectory) -> Array:
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]
         mujoco.mj_inverse(mj, data)
         tau[k] = data.qfrc_inverse
-    return tau + robot.joint_terms.coulomb * np.sign(motion.v) + robot.joint_terms.offset
+    return np.asarray(
+        tau + robot.joint_terms.coulomb * np.sign(motion.v) + robot.joint_terms.offset
+    )
 
 
 def known_torque(robot: RobotModel, task: Task, motion: Trajectory) -> Array:

@@ -259,7 +259,7 @@ def test_wrong_words_are_usage(mjcf: Path) -> None:
         ({}, {"j1": {"damping": np.inf}}, "must be finite"),
     ):
         with pytest.raises(UsageError, match=told):
-            updated_mjcf(mjcf, bodies, joints)  # type: ignore[arg-type]
+            updated_mjcf(mjcf, bodies, joints)
 
 
 def test_the_other_format_is_refused(mjcf: Path, urdf: Path) -> None:

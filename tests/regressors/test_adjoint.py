@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sysid_bench.models.coupling.derivatives import Slopes
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.adjoint import (
-    Slopes,
     pull_back,
     pull_back_torque,
     smoothed,

@@ -17,7 +17,7 @@ COUNTS = (1, 2, 1023, 1024, 1025)
 
 
 def gram(R: Array) -> Array:
-    return R.T @ R
+    return np.asarray(R.T @ R)
 
 
 @pytest.fixture(scope="module", params=["ur5", "solo12", "tree"])

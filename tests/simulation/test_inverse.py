@@ -37,7 +37,7 @@ def stated_terms(robot: RobotModel, motion: Trajectory) -> Array:
             if joint.kind in ("hinge", "slide"):
                 deflection = motion.q[:, joint.qadr] - terms.spring_reference[dof]
                 tau[:, dof] += terms.spring[dof] * deflection
-    return tau
+    return np.asarray(tau)
 
 
 def by_pinocchio(robot: RobotModel, motion: Trajectory) -> Array:
@@ -47,7 +47,7 @@ def by_pinocchio(robot: RobotModel, motion: Trajectory) -> Array:
     q = pairing.configuration(motion.q)
     v, a = pairing.rates(motion.q, motion.v, motion.a)
     tau = np.array([pin.rnea(pairing.model, data, *state) for state in zip(q, v, a, strict=True)])
-    return pairing.rows_to_mujoco(motion.q, tau) + robot.joint_terms.armature * motion.a
+    return np.asarray(pairing.rows_to_mujoco(motion.q, tau) + robot.joint_terms.armature * motion.a)
 
 
 @pytest.mark.parametrize("payload", ["none", "sphere-offset-1kg"])

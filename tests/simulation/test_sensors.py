@@ -106,7 +106,7 @@ def test_recordings_are_every_so_manieth_control_step() -> None:
 
 
 def norm(q: Array) -> Array:
-    return np.linalg.norm(q, axis=1)
+    return np.asarray(np.linalg.norm(q, axis=1))
 
 
 @given(seed=st.integers(0, 999), size=st.floats(0.0, 0.5))
