@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
-from click.shell_completion import CompletionItem
 
 from sysid_bench.errors import SysidBenchError
 
 if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
     from sysid_bench import Result
 
 OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
@@ -35,7 +36,9 @@ class _Name(click.ParamType[str]):
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
+    ) -> "list[CompletionItem]":
+        from click.shell_completion import CompletionItem
+
         from sysid_bench.naming import known  # entry points: 30 ms that --help would wait for
 
         names = known(self.kind)

@@ -27,7 +27,6 @@ from sysid_bench.cli.options import (
     parse_terms,
 )
 from sysid_bench.cli.progress import search_progress
-from sysid_bench.units import quantity
 
 
 class _Settings(NamedTuple):
@@ -180,6 +179,8 @@ def excite(
     Exit code 1 where a limit is violated, 130 after an interrupt (the best motion so far is
     written).
     """
+    from sysid_bench.units import quantity
+
     request = sysid_bench.ExciteRequest(
         robot,
         parse_objective(objective),

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
-from sysid_bench.units import interval, quantity
 
 _UNITS = {"period": "s", "clearance": "m", "floor": "m", "torque_share": "1"}
 
@@ -51,6 +50,8 @@ def parse_noise(text: str | None) -> dict[str, str]:
 
 def parse_contacts(text: str | None) -> list[str] | str | None:
     """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raise UsageError for others."""
+    from sysid_bench.units import interval
+
     if text is None or text == "detect":
         return text
     periods = list(parse_names(text))
@@ -73,6 +74,8 @@ def parse_limits(words: Sequence[str]) -> dict[str, list[float]]:
 
 def parse_settings(options: Mapping[str, Any], boxes: Sequence[str]) -> dict[str, Any]:
     """Settings of the excitation `optimised` in SI units; options that are None are left out."""
+    from sysid_bench.units import quantity
+
     settings: dict[str, Any] = {
         key: quantity(value, _UNITS[key]) if key in _UNITS else value
         for key, value in options.items()
