@@ -12,7 +12,6 @@ from typing import Any
 from sysid_bench import naming
 from sysid_bench.canonical_json import digest
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.experiments.recorded.prepare import log_files
 from sysid_bench.harness.plan import Cell
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.naming import resolve_paths
@@ -56,6 +55,8 @@ def cell_fingerprint(
     specs = [resolve_paths(plugin, folder) for _, plugin in named]
     read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
     if spec.log is not None:
+        from sysid_bench.experiments.recorded.prepare import log_files
+
         used = [
             _target("task", {"use": spec.task}, folder),
             _target("estimator", cell.estimator, folder),

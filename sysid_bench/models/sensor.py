@@ -252,7 +252,9 @@ def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
             "or a body: name the body distal to it."
         )
     known = [*(s.name for s in robot.manifest.sensors), *fixed, *sites, *robot.body_names]
-    raise unknown_name("sensor, fixed joint, site or body", at, known)
+    declared = ", ".join(f"{s.name} at {s.at}" for s in robot.manifest.sensors[:8])
+    advice = f"Sensors of the robot: {declared}." if declared else ""
+    raise unknown_name("sensor, fixed joint, site or body", at, known, advice)
 
 
 def _urdf_joints(robot: RobotModel) -> tuple[dict[str, str], dict[str, str]]:

@@ -128,7 +128,7 @@ def test_the_folder_that_init_writes_is_a_robot(tmp_path: Path) -> None:
     assert answer["warnings"] == []
     assert robot.manifest.massless == ("link5",)
     assert (tmp_path / "new" / "dh.csv").read_text() == (tmp_path / "table1.csv").read_text()
-    with pytest.raises(UsageError, match="holds a robot already"):
+    with pytest.raises(UsageError, match="already holds a robot"):
         init_robot(tmp_path / "table1.csv", tmp_path / "new")
 
 

@@ -90,9 +90,13 @@ class Unknowns:
         K = np.zeros((r + k, p + k))
         K[:r, :p], K[r:, p:] = base.K, np.eye(k)
         return replace(
-            base, row_space=None, K=K, pivots=np.append(base.pivots, np.arange(p, p + k)),
+            base,
+            K=K,
+            pivots=np.append(base.pivots, np.arange(p, p + k)),
             parameters=self.parameters,
-        )  # fmt: skip
+            row_space=None,
+            dropped=None,
+        )
 
     @property
     def bodies(self) -> tuple[Body, ...]:

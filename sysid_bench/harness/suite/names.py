@@ -10,8 +10,6 @@ from sysid_bench import naming
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
-from sysid_bench.models.sensor import cut_at, sensor_names
-from sysid_bench.tasks.task import named_task
 
 
 class Robot(Protocol):
@@ -39,6 +37,12 @@ class TaskInfo(Protocol):
     def supports_recordings(self) -> bool: ...
 
 
+def _task(name: str, folder: Path | None) -> TaskInfo:
+    from sysid_bench.tasks.task import named_task
+
+    return named_task(name, folder)
+
+
 @dataclass(frozen=True)
 class Names:
     """Functions that look names up, and raise an error of sysid_bench.errors for unknown ones.
@@ -52,7 +56,7 @@ class Names:
     payload: Callable[[str | Mapping[str, Any]], Load]
     plugin: Callable[[str, Mapping[str, Any]], object]
     sensor: Callable[[str, Path | None, str], object] = lambda source, folder, text: None
-    task: Callable[[str, Path | None], TaskInfo] = named_task
+    task: Callable[[str, Path | None], TaskInfo] = _task
     frozen: bool = False  # nothing is looked up: the suite was checked before
 
 
@@ -105,6 +109,7 @@ def _robot(robots_dir: Path | None, source: str, folder: Path | None) -> Robot:
 
 def _sensor(robots_dir: Path | None, source: str, folder: Path | None, text: str) -> object:
     from sysid_bench.models.load import load_robot  # loads MuJoCo
+    from sysid_bench.models.sensor import cut_at, sensor_names
 
     manifest, names = find_manifest(source, robots_dir, folder), sensor_names(text)
     if set(names) <= {sensor.name for sensor in manifest.sensors}:
