@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.verbs.folders import open_run
     from sysid_bench.verbs.identify import identify
-    from sysid_bench.verbs.identify_recorded import RecordedRequest
+    from sysid_bench.verbs.identify_recorded import RecordedRequest, RecordedResult
     from sysid_bench.verbs.identify_result import IdentifyResult
-    from sysid_bench.verbs.identify_simulated import SimulatedRequest
+    from sysid_bench.verbs.identify_simulated import SimulatedRequest, SimulatedResult
     from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
     from sysid_bench.verbs.recordings import record, view
     from sysid_bench.verbs.report import report, table
@@ -56,9 +56,9 @@ _PUBLIC: Final = {
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
     "verbs.folders": ("open_run",),
     "verbs.identify": ("identify",),
-    "verbs.identify_recorded": ("RecordedRequest",),
+    "verbs.identify_recorded": ("RecordedRequest", "RecordedResult"),
     "verbs.identify_result": ("IdentifyResult",),
-    "verbs.identify_simulated": ("SimulatedRequest",),
+    "verbs.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
     "verbs.init_robot": ("InitRobotResult", "init_robot"),
     "verbs.recordings": ("record", "view"),
     "verbs.report": ("report", "table"),
@@ -75,7 +75,8 @@ _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in 
 __all__ = [
     "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult", "DoctorResult",
     "ExciteRequest", "ExciteResult", "IdentifyResult", "InitRobotResult", "PlanResult",
-    "RecordedRequest", "Result", "RunResult", "ShowResult", "SimulatedRequest", "StatusResult",
+    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
+    "SimulatedResult", "StatusResult",
     "basis", "cell", "check_plugin", "crosscheck", "doctor", "excite", "identify", "init_robot",
     "list_", "load_robot", "open_run", "paper_table", "plan", "record", "report", "run", "show",
     "status", "table", "view",

@@ -400,9 +400,9 @@ class Metric:
     @property
     def arrow(self) -> str:
         """The direction of better values as one character; empty where there is none."""
-        return {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", None: ""}[
-            self.better
-        ]
+        return {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}"}.get(
+            self.better or "", ""
+        )
 
 
 ShapeKind = Literal["mesh", "box", "sphere", "cylinder", "capsule", "ellipsoid"]

@@ -46,7 +46,7 @@ class _Name(click.ParamType[str]):
 
 
 class _TaskOption(click.Option):
-    """Lists the registered tasks in its help, once somebody asks for it."""
+    """Lists the registered tasks in its help, only when it is printed."""
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         from sysid_bench.naming import known

@@ -140,7 +140,7 @@ def _has_consistent_derivatives(
     excitation: Any, case: DesignCase, motion: Trajectory
 ) -> str | None:
     """v and a equal the central differences of q and v, hinges and slides alone: velocities of
-    free and ball joints are no derivatives of their quaternions."""
+    free and ball joints are not derivatives of their quaternions."""
     joints = [joint for joint in case.brief.joints if joint.kind in ("hinge", "slide")]
     q = motion.q[:, [joint.qadr for joint in joints]]
     v, a = (array[:, [joint.vadr for joint in joints]] for array in (motion.v, motion.a))

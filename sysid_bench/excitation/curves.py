@@ -87,7 +87,7 @@ def _fourier_polynomial(period: float, harmonics: int) -> Curves:
 
 
 _DEGREE: Final = 5
-"""Of B-splines: jerk is continuous, too, so that motors and gears are not excited to vibrate."""
+"""Degree of B-splines: jerk is continuous, so that motors and gears are not excited to vibrate."""
 
 
 def _b_spline(duration: float, harmonics: int) -> Curves:

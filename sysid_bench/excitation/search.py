@@ -24,7 +24,7 @@ Progress = Callable[[int, float], None]
 """(evaluation, best value so far): called after each evaluation once a feasible motion exists."""
 
 _SHARPNESS: Final = (60.0, 240.0)
-"""Of the smooth maxima, stage by stage: loose bounds with wide basins first, then tight ones."""
+"""Exponents of the smooth maxima by stage: loose bounds with wide basins, then tight ones."""
 
 _NEAR: Final = 0.6
 """Use of a torque, clearance or box below which its slope is taken as zero: it costs as much as

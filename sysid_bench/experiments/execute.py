@@ -9,8 +9,8 @@ from typing import Any
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.own_metrics import own_metrics
 from sysid_bench.experiments.paper_data import store_paper_data
+from sysid_bench.experiments.plugin_metrics import own_metrics
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec

@@ -101,6 +101,8 @@ def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
     Zeros are left out, and so is the correlation of torque without noise: exact signals are {},
     however they are written. Raises UsageError for unknown keys and impossible values.
     """
+    if not isinstance(written, Mapping):
+        raise UsageError(f"noise must be a table such as {{'tau': '0.5 %'}}; got {written!r}.")
     noise = {}
     for key, value in written.items():
         relative = key == "tau" and isinstance(value, str) and split_quantity(value)[1] == "%"
@@ -134,6 +136,8 @@ def normal_payload(written: str | Mapping[str, Any]) -> str | dict[str, Any]:
     """The table of a payload without its name, numbers as floats."""
     if isinstance(written, str):
         return written
+    if not isinstance(written, Mapping):
+        raise UsageError(f"a payload is a name or a table {{mass = ...}}; got {written!r}.")
     return {key: _floats(value) for key, value in written.items() if key != "name"}
 
 

@@ -6,7 +6,8 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical, digest
 from sysid_bench.experiments.spec import normal_noise, normal_payload, normal_prior
-from sysid_bench.harness.suite.model import Noise, Plugin, Prior, RobotEntry, Suite
+from sysid_bench.harness.suite.data_entries import Noise, Prior
+from sysid_bench.harness.suite.model import Plugin, RobotEntry, Suite
 from sysid_bench.harness.suite.names import Names
 
 BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}

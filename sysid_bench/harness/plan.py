@@ -20,8 +20,9 @@ from sysid_bench.experiments.spec import (
 )
 from sysid_bench.harness.labels import BASES, labels_of, robot_key
 from sysid_bench.harness.log_specs import log_labels, log_specs
+from sysid_bench.harness.suite.data_entries import Prior, Signals
 from sysid_bench.harness.suite.expression import Expression
-from sysid_bench.harness.suite.model import Prior, Signals, Suite
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, installed_names
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.units import quantity

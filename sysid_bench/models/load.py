@@ -70,7 +70,7 @@ class _Source:
 
 
 def _read_source(manifest: Manifest, free: bool) -> _Source:
-    """Read a URDF or MJCF, told apart by the root element, not by the suffix."""
+    """Read a URDF or MJCF, distinguished by the root element, not by the suffix."""
     data = read_file(manifest.path) if manifest.text is None else manifest.text.encode()
     root = parse_xml(data, manifest.path.name).tag
     if root == "robot":

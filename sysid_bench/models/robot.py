@@ -128,7 +128,7 @@ class RobotModel:
 
     @property
     def torque_kinds(self) -> tuple[str, ...]:
-        """`row_kinds` of `torque_rows` (n,)."""
+        """Kinds of `torque_rows` (n,)."""
         return tuple(self._row_kinds[dof] for dof in self.torque_dofs)
 
     @cached_property

@@ -43,7 +43,7 @@ _DIGIT_WORDS: Final = (
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the numbers come from: the run, a hash of its suite, the command that prints them."""
+    """Origin of the numbers: the run, a hash of its suite, the command that prints them."""
 
     run: str
     suite_hash: str

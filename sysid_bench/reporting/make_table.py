@@ -244,7 +244,7 @@ def _notes(cells: "pd.DataFrame", metric: Metric, shown: Sequence[str]) -> Itera
 
 
 def _too_few(metrics: Iterable[Metric], entries: Entries) -> tuple[str, ...]:
-    """Why a metric of all repeats is missing."""
+    """Reason why a metric of all repeats is missing."""
     repeated = [metric for metric in metrics if metric.level == "repeats"]
     if not repeated or not any(e.value is None and e.missing for e in entries.values()):
         return ()

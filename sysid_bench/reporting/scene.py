@@ -23,7 +23,7 @@ _SHORTEST_STICK = 1e-6  # m
 
 @dataclass(frozen=True, eq=False)
 class RecordingScene:
-    """Which shapes of an Evidence can be drawn, and in words why others cannot."""
+    """Drawable shapes of a cell, and the reasons why others cannot be drawn."""
 
     cell: CellData
     shapes: tuple[Shape, ...]

@@ -105,7 +105,7 @@ class Task:
 
     @property
     def has_known_part(self) -> bool:
-        """Whether the torque of given parameters has to be subtracted from the measured one."""
+        """True if the torque of given parameters has to be subtracted from the measured one."""
         terms = (*self.known_terms.values(), self.known_coupling)
         return bool(self.known_links.any() or any(v is not None and v.any() for v in terms))
 

@@ -60,7 +60,7 @@ class CrosscheckResult(Result):
         ]
 
     def summary(self) -> str:
-        """What was measured, and the reason of a failure."""
+        """Measured values, and the reason of a failure."""
         return "\n".join(self.figures() + ([f"{self.robot}: {self.reason}"] if self.reason else []))
 
     def _coupling_lines(self) -> list[str]:

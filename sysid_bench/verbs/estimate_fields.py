@@ -96,7 +96,7 @@ def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
     for name, verdict in zip(problem.parameters, verdicts(problem.base), strict=True):
         if verdict != "identifiable":
             by_verdict[verdict].append(name)
-    # Parameters without effect, as those of a fixed base, come last: nobody misses them.
+    # Parameters without effect, as those of a fixed base, come last.
     names, without_effect = [*by_verdict["combination"], *by_verdict["none"]], by_verdict["none"]
     if not names:
         return []

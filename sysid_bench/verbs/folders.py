@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sysid_bench.errors import unknown_name
+from sysid_bench.errors import UsageError
 from sysid_bench.harness.store import RunFolder
 
 
@@ -16,6 +16,10 @@ def find_cell(run_folder: RunFolder, identifier: str) -> str:
     ids = [cell.id for cell in run_folder.plan.cells]
     found = [i for i in ids if i.startswith(identifier)] if identifier else []
     if len(found) != 1:
-        count = f"{len(found)} cells begin with it" if found else "no cell has it"
-        raise unknown_name("cell", identifier, found[:8] or ids[:8], f"({count}; of {len(ids)}.)")
+        count = f"{len(found)} cell ids begin" if found else "No cell id begins"
+        shown = f": {', '.join(found[:8])}" if found else ""
+        raise UsageError(
+            f"{count} with {identifier!r}{shown}; the run has {len(ids)} cells, listed "
+            "in its plan.jsonl."
+        )
     return found[0]

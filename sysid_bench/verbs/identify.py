@@ -9,6 +9,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.verbs.identify_recorded import RecordedRequest, identify_recorded
 from sysid_bench.verbs.identify_result import IdentifyResult
 from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
+from sysid_bench.verbs.task_terms import check_term_names
 
 PathLike = str | Path
 
@@ -48,6 +49,8 @@ def identify(
     Raises UsageError for unknown names or contradictory data, ModelError for a model that cannot be
     used or values that must not be written, EstimationError where the method fails.
     """
+    check_term_names(terms)
+    terms = None if terms is None else tuple(terms)
     logs, tests = _paths(log), _paths(test)
     of_logs = {
         "test": tests, "accept": accept, "choose": choose, "position-given": position_given,
@@ -66,7 +69,7 @@ def identify(
                 logs=logs,
                 tests=tests,
                 task=task,
-                terms=None if terms is None else tuple(terms),
+                terms=terms,
                 estimator=estimator,
                 filter=filter,
                 derivatives=derivatives,
@@ -86,7 +89,7 @@ def identify(
                 model=str(model),
                 task=task,
                 payload=payload,
-                terms=None if terms is None else tuple(terms),
+                terms=terms,
                 estimator=estimator,
                 noise=noise,
                 seed=seed,

@@ -8,7 +8,9 @@ from sysid_bench.tasks.task import named_task, tasks_with_terms
 
 
 def check_term_names(terms: Sequence[str] | None) -> None:
-    """Raise UsageError with the nearest name for an unknown joint term."""
+    """Raise UsageError with the nearest name for an unknown joint term, and for a single text."""
+    if isinstance(terms, str):
+        raise UsageError(f"terms is a sequence of names, as [{terms!r}]; got the text {terms!r}.")
     for term in terms or ():
         if not is_term(term):
             advice = f"{TERM_ADVICE} Separate several by commas, or: none."

@@ -11,7 +11,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.cell_summary import summary
-from sysid_bench.reporting.recording import TIMELINE, record, view, viewer
+from sysid_bench.reporting.rerun_recording import TIMELINE, record, view, viewer
 from sysid_bench.reporting.scene import MESH_BUDGET, scene_of
 from sysid_bench.types import CellData, Shape, Trajectory
 

@@ -84,7 +84,7 @@ def _read(text: str) -> ast.expr:
             warnings.simplefilter("ignore")  # Python warns of escapes in strings
             return ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise UsageError(f"{text!r} cannot be read as a condition ({error}). {_GRAMMAR}") from error
+        raise UsageError(f"{text!r} cannot be read as a condition. {_GRAMMAR}") from error
 
 
 def _check(node: ast.expr, text: str, fields: set[str]) -> None:

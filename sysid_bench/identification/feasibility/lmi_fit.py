@@ -1,4 +1,5 @@
-"""Quadratic programs over the feasible set, solved by Clarabel on the R factor."""
+"""Feasible fits under linear matrix inequalities (LMIs): a quadratic objective on the R factor
+over the feasible set, solved by Clarabel."""
 
 from dataclasses import dataclass
 from functools import lru_cache

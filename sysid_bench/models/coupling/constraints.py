@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import polynomial
 
-from sysid_bench.models.coupling.chain import Chain
+from sysid_bench.models.coupling.serial_chain import Chain
 from sysid_bench.types import Array
 
 

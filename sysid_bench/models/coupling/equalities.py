@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.coupling.chain import Chain, ChainJoint, Step
 from sysid_bench.models.coupling.constraints import Constraint, Loop, Relation
+from sysid_bench.models.coupling.serial_chain import Chain, ChainJoint, Step
 from sysid_bench.models.tree import HINGE, SLIDE
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array

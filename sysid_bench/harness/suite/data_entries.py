@@ -1,0 +1,116 @@
+"""Keys of a suite about the data of an experiment: payloads, noise, prior, signals."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    PlainValidator,
+    StrictBool,
+    Tag,
+    ValidationInfo,
+)
+
+from sysid_bench.harness.suite.checks import (
+    check_context,
+    checked,
+    one_of,
+    plugin_kind,
+    quantity_of,
+)
+from sysid_bench.harness.suite.report_entries import Section
+from sysid_bench.signals.filters import filter_of
+from sysid_bench.units import interval
+
+Share = Annotated[Any, quantity_of("%")]
+Length = Annotated[Any, quantity_of("mm")]
+
+
+class Noise(Section):
+    """Standard deviations of noise. `quantum` is the step of the encoder, `tau_correlation` the
+    correlation of the torque's noise between successive samples (0: white)."""
+
+    q: Annotated[Any, quantity_of("rad|m")] = None
+    tau: Annotated[Any, quantity_of("N m|N|%")] = None
+    quantum: Annotated[Any, quantity_of("rad|m")] = None
+    tau_drift: Annotated[Any, quantity_of("N m|N")] = None  # per second
+    tau_correlation: Annotated[Any, quantity_of("1", below=1.0)] = None
+    force: Annotated[Any, quantity_of("N")] = None  # force/torque sensors, down to `touch`
+    moment: Annotated[Any, quantity_of("N m")] = None
+    force_offset: Annotated[Any, quantity_of("N")] = None
+    moment_offset: Annotated[Any, quantity_of("N m")] = None
+    force_drift: Annotated[Any, quantity_of("N")] = None  # per second
+    moment_drift: Annotated[Any, quantity_of("N m")] = None  # per second
+    gain: Annotated[Any, quantity_of("%")] = None
+    crosstalk: Annotated[Any, quantity_of("%")] = None
+    mounting: Annotated[Any, quantity_of("rad")] = None
+    touch: Annotated[Any, quantity_of("N")] = None  # on the last body, for the middle third
+
+
+class Prior(Section):
+    """Standard deviations of the prior around the truth; `known` those of the parameters that the
+    task takes as given, which are exact without it."""
+
+    mass: Share = "20 %"
+    com: Length = "15 mm"
+    inertia: Share = "30 %"
+    terms: Share = "30 %"
+    known: Share = None
+    redrawn: StrictBool | None = None  # true: another draw with each repeat
+
+
+def _filter(value: Any) -> str:
+    text = str(value)
+    if text == "default":  # recordings choose a filter by their rate
+        return text
+    checked(lambda: filter_of(text))
+    return text
+
+
+Filters = tuple[Annotated[str | None, PlainValidator(_filter)], ...]
+
+
+def _payload(value: Any, info: ValidationInfo) -> Any:
+    if not isinstance(value, (str, Mapping)):
+        raise ValueError(f"a payload is a name or a table {{ mass = ... }}; got {value!r}.")
+    checked(lambda: check_context(info).names.payload(value))
+    return value
+
+
+Load = Annotated[Any, PlainValidator(_payload)]
+Loads = tuple[Load, ...] | None
+
+
+def _runs(value: Any) -> Any:
+    if not isinstance(value, str) or not value or set(value) - {"A", "B"} or "B" not in value:
+        raise ValueError(
+            "runs are recordings of the same motion in the order taken, A without and B with the "
+            f"payload, one B at least: 'B', 'AB', 'ABBA'; got {value!r}."
+        )
+    return value
+
+
+def _contacts(value: Any) -> Any:
+    if value != "detect":
+        texts = [value] if isinstance(value, str) else list(value)
+        checked(lambda: [interval(text) for text in texts])
+        return texts
+    return value
+
+
+class Signals(Section):
+    filter: Annotated[str, PlainValidator(_filter)] = "none"
+    derivatives: Annotated[str, one_of("way to differentiate", ("from q", "exact"))] = "exact"
+    torque: Annotated[str, one_of("way to take torque", ("filtered", "raw"))] = "filtered"
+    runs: Annotated[str, BeforeValidator(_runs)] = "B"  # A without, B with the payload
+    contacts: Annotated[Any, PlainValidator(_contacts)] = None
+    """Periods that are left out: "10 s to 25 s", a list of them, or "detect"."""
+    calibration: Loads = None  # of force/torque sensors in situ, with these known payloads
+
+
+PriorChoice = Annotated[
+    Annotated[Prior, Tag("table")]
+    | Annotated[str, one_of("prior", ("truth", "none")), Tag("word")],
+    Discriminator(plugin_kind),
+]
