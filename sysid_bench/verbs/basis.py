@@ -22,6 +22,9 @@ from sysid_bench.verbs.task_terms import check_terms
 LOAD: Final = "point-1kg"
 """Payload mounted for payload tasks. Identifiability depends on its position in the tree alone."""
 
+SHOWN: Final = 8
+"""Names in one line of the summary."""
+
 _WORDS: Final = {
     "identifiable": "identifiable",
     "combination": "in combinations alone",
@@ -74,8 +77,13 @@ class BasisResult(Result):
         for verdict, words in _WORDS.items():
             names = [name for name, value in self.verdicts.items() if value == verdict]
             if names:
-                lines.append(f"  {len(names)} {words}: {', '.join(names)}")
+                lines.append(f"  {len(names)} {words}: {_first(names)}")
         return "\n".join(lines)
+
+
+def _first(names: list[str]) -> str:
+    more = len(names) - SHOWN
+    return ", ".join(names[:SHOWN]) + (f" and {more} more (--json)" if more > 0 else "")
 
 
 def basis(
