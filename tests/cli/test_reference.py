@@ -61,6 +61,8 @@ def test_errors_across_days_are_what_the_suite_gives(cli: Run, data_folder: Path
                'excitation == "PSM" and estimator == "wls"')  # fmt: skip
     assert done.returncode == 0, done.stderr
     committed = (REFERENCE.parent / "dvrk-real.md").read_text(encoding="utf-8").splitlines()
-    numbers = {line for line in done.stdout.splitlines() if line.startswith("| PSM | 0.0")}
+    # Tables by joint have six numbers; the table of times has one, which differs from run to run.
+    lines = [line for line in done.stdout.splitlines() if line.startswith("| PSM | 0.0")]
+    numbers = {line for line in lines if line.count("|") == 8}
     assert len(numbers) == 2
     assert numbers <= set(committed)
