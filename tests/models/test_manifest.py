@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from sysid_bench import places
 from sysid_bench.errors import ModelError, SysidBenchError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest, read_manifest
@@ -174,13 +175,23 @@ def test_every_way_to_name_a_robot_finds_the_same_file(
     assert find_manifest("own", robots_dir=tmp_path / "robots").path == own / "r.urdf"
 
 
-@pytest.mark.parametrize(
-    "name", ["ur55", "no/such.urdf", "absent.xml", "file:x", "", "robots", "."]
-)
-def test_unknown_names_list_what_there_is(name: str) -> None:
+@pytest.mark.parametrize("name", ["ur55", "", "robots", "."])
+def test_unknown_names_list_the_nearest_eight(name: str) -> None:
+    known = places.robots()
     with pytest.raises(UsageError) as refusal:
         find_manifest(name)
-    assert re.search(r"panda|The nearest of \d+: \w+, ", str(refusal.value))
+    found = re.search(rf"The nearest of {len(known)}: ([\w, ]+)\.", str(refusal.value))
+    assert found is not None
+    listed = found[1].split(", ")
+    assert len(set(listed)) == 8
+    assert set(listed) <= set(known)
+
+
+@pytest.mark.parametrize("name", ["no/such.urdf", "absent.xml", "file:x"])
+def test_absent_files_list_the_named_robots(name: str) -> None:
+    with pytest.raises(UsageError) as refusal:
+        find_manifest(name)
+    assert "panda" in str(refusal.value)
 
 
 def test_the_nearest_robot_is_offered() -> None:
