@@ -12,11 +12,16 @@ import pytest
 from sysid_bench.conformance.metric import metric_cells
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.metric_checks import check_metric
+from sysid_bench.experiments.loaded_robot import loaded_robot
+from sysid_bench.experiments.simulated.prepare import prepare_simulated
 from sysid_bench.harness.fingerprint import cell_fingerprint
+from sysid_bench.harness.plan import Cell
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite, parse_stored, suite_text
+from sysid_bench.identification.identify import identify
 from sysid_bench.metrics import METRICS, REASONS, checked_metric, metric_fields, names_of
+from sysid_bench.naming import build
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.make_table import make_table
@@ -132,13 +137,29 @@ def test_the_catalogue_lists_and_shows_metrics() -> None:
 
 
 def test_its_value_is_a_field_of_every_row(ran: RunFolder) -> None:
-    for row in ran.rows().rows.values():
+    rows = ran.rows().rows
+    assert len(rows) == len(ran.plan.cells) == 4
+    for cell in ran.plan.cells:
+        row = rows[cell.id]
         assert row["status"] == "ok"
-        assert row["mean_error"] == pytest.approx(row["torque_error"], rel=3.0)
+        assert row["mean_error"] == pytest.approx(mean_error_of(cell), rel=1e-9)
         assert row["share"] == 0.25
 
 
+def mean_error_of(cell: Cell) -> float:
+    """Mean |b - W beta| over mean |b| on the held-out motions, from the stacked rows."""
+    spec = cell.spec
+    prepared = prepare_simulated(spec, loaded_robot(spec.robot, spec.payload, None, None))
+    method = build("estimator", cell.estimator)
+    beta = identify(method, prepared.problem, prepared.experiment).beta
+    tests = prepared.held_out.values()
+    b = np.concatenate([problem.b for problem in tests])
+    W = np.vstack([problem.W for problem in tests])
+    return float(np.abs(b - W @ beta).sum() / np.abs(b).sum())
+
+
 def test_an_exception_empties_its_field_and_nothing_else(ran: RunFolder) -> None:
+    assert ran.rows().rows
     for row in ran.rows().rows.values():
         assert row["fails"] is None
         assert row[REASONS] == {"fails": "ZeroDivisionError: no torque"}
