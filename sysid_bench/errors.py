@@ -1,11 +1,15 @@
 """Errors with one root; messages name the input, the possible values and the remedy."""
 
+import errno
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Final
 
 SHOWN: Final = 8
 """Most names that a message lists."""
+_MACHINE_ERRORS: Final = frozenset(
+    (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ENFILE, errno.ENOMEM)
+)
 
 
 class SysidBenchError(Exception):
@@ -52,6 +56,20 @@ def first_names(names: Iterable[str]) -> str:
     unique = list(dict.fromkeys(names))
     more = "" if len(unique) < 4 else f" and {len(unique) - 3} more"
     return ", ".join(unique[:3]) + more
+
+
+def status_of(error: BaseException) -> str:
+    """Return the status of a cell that ends with this error.
+
+    Storage and quotas of the machine are `lost`: they say nothing about a method.
+    """
+    if isinstance(error, UnsupportedError):
+        return "unsupported"
+    if isinstance(error, MemoryError):
+        return "memory"
+    if isinstance(error, OSError) and error.errno in _MACHINE_ERRORS:
+        return "lost"
+    return "failed"
 
 
 def reason_of(error: BaseException) -> str:

@@ -106,6 +106,11 @@ def known(kind: str) -> dict[str, str]:
     return dict(BUILTIN.get(kind, {})) | {point.name: point.value for point in _points(kind)}
 
 
+def is_builtin(kind: str, name: str) -> bool:
+    """Return True for a name of this package: its code is not third-party."""
+    return name in BUILTIN.get(kind, {}) or name.startswith("sysid_bench.")
+
+
 def resolve(kind: str, name: str) -> Any:
     """Return the object of a name; raises UsageError with the nearest names."""
     table = known(kind)

@@ -12,9 +12,16 @@ FINDINGS: Final = (
     "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
 )  # fmt: skip
 """Findings in a recording that a user can accept."""
-STATUSES: Final = ("ok", "failed", "timeout", "crash", "unsupported", "skipped")
-FAILURES: Final = ("failed", "timeout", "crash")
-"""Statuses of failures; `unsupported` and `skipped` are valid results."""
+STATUSES: Final = (
+    "ok", "failed", "timeout", "crash", "memory", "lost", "unsupported", "skipped",
+)  # fmt: skip
+FAILURES: Final = ("failed", "timeout", "crash", "memory", "lost")
+"""Statuses of failures; `unsupported` and `skipped` are valid results. `lost` is the machine's: the
+process was killed from outside, or storage failed."""
+MACHINE_FIELDS: Final = frozenset(("seconds", "seconds_experiment", "load", "peak_memory"))
+"""Fields of a row that differ from run to run on the same machine; all others are reproduced."""
+MOST_LOSSES: Final = 3
+"""A resumed run repeats a `lost` cell until it was lost this often."""
 
 LABELS: Final = (
     "robot",

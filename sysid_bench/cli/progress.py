@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from sysid_bench.vocabulary import FAILURES
+
 if TYPE_CHECKING:
     from sysid_bench.harness.work.supervise import OnEvent
 
@@ -42,7 +44,7 @@ def run_progress() -> Iterator["OnEvent"]:
                 bar.update(task, total=sum(costs.values()) or 1.0, cells=data["open"])
             elif kind == "row":
                 cells["done"] += 1
-                cells["failed"] += data["status"] in ("failed", "timeout", "crash")
+                cells["failed"] += data["status"] in FAILURES
                 words = f"running ({cells['failed']} failed)" if cells["failed"] else "running"
                 bar.update(
                     task, advance=costs.get(data["id"], 0.0), done=cells["done"], description=words

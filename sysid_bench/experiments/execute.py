@@ -2,48 +2,96 @@
 
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
+from functools import partial
 from typing import Any
 
 from sysid_bench.canonical_json import plain
-from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
+from sysid_bench.errors import SysidBenchError, reason_of, status_of
+from sysid_bench.experiments.job_channel import JobChannel, JobDied
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
+from sysid_bench.experiments.machine_use import PeakMemory, machine_fields
 from sysid_bench.experiments.paper_data import store_paper_data
 from sysid_bench.experiments.plugin_metrics import own_metrics
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.third_party import is_third_party_cell, uses_third_party_data
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.versions import versions
 
-Emit = Callable[[Row], None]
+def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
+    """Run the experiment of `argument` (see harness/job.py) and emit a row for each open cell.
+
+    Third-party code runs in processes of its own: an experiment whose data depend on it as a whole,
+    otherwise the cells of third-party estimators and metrics, one by one. Built-in methods see the
+    same process whoever else is in the suite.
+    """
+    if not uses_third_party_data(argument):
+        _execute(argument, channel)
+        return
+    death = channel.isolate(partial(_execute, argument))
+    if death is not None:
+        raise JobDied(death)
 
 
-def execute(argument: Mapping[str, Any], emit: Emit) -> None:
-    """Run the experiment of `argument` (see harness/job.py) and emit a row for each estimator."""
+def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
+    estimators = [entry for entry in argument["estimators"] if entry["cell"] in channel.cells]
+    headers = {entry["cell"]: _header(argument, entry) for entry in estimators}
     try:
         spec, loaded = load_experiment(argument)
         shared = _robot_fields(loaded, argument["crosscheck"])
     except SysidBenchError as error:
-        _emit_all(argument, emit, {"status": "failed", "reason": str(error)})
+        _emit_all(headers, channel, {"status": "failed", "reason": str(error)})
         return
     if shared["crosscheck"] == "failed" and argument["crosscheck"]["on_fail"] == "skip-robot":
         reason = f"cross-check failed: {loaded.check.reason(argument['crosscheck']['tolerance'])}"
-        _emit_all(argument, emit, shared | {"status": "skipped", "reason": reason})
+        _emit_all(headers, channel, shared | {"status": "skipped", "reason": reason})
         return
     start = time.perf_counter()
     try:
         prepared = prepare(spec, loaded)
     except SysidBenchError as error:
-        status = "unsupported" if isinstance(error, UnsupportedError) else "failed"
-        _emit_all(argument, emit, shared | {"status": status, "reason": str(error)})
+        outcome = {"status": status_of(error), "reason": str(error)}
+        _emit_all(headers, channel, shared | outcome)
         return
     shared["seconds_experiment"] = time.perf_counter() - start
-    for estimator in argument["estimators"]:
-        emit(_header(argument, estimator) | shared | _result(argument, estimator, prepared))
+    for entry in estimators:
+        header = headers[entry["cell"]] | shared
+        channel.begin(entry["cell"])
+        if is_third_party_cell(argument, entry):
+            _emit_isolated(argument, entry, prepared, header, channel)
+        else:
+            _emit_result(argument, entry, prepared, header, channel)
+
+
+def _emit_isolated(
+    argument: Mapping[str, Any],
+    entry: Mapping[str, Any],
+    prepared: Prepared[Any],
+    header: Row,
+    channel: JobChannel,
+) -> None:
+    prepared.fields  # noqa: B018 - computed before the fork, once for all cells
+    death = channel.isolate(partial(_emit_result, argument, entry, prepared, header))
+    if death is not None and entry["cell"] in channel.cells:
+        row = prepared.fields | machine_fields(None) | death.fields
+        channel.emit(header | _explained(row, prepared))
+
+
+def _emit_result(
+    argument: Mapping[str, Any],
+    entry: Mapping[str, Any],
+    prepared: Prepared[Any],
+    header: Row,
+    channel: JobChannel,
+) -> None:
+    peak = PeakMemory()
+    row = _result(argument, entry, prepared)
+    channel.emit(header | row | machine_fields(peak))
 
 
 def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, LoadedRobot]:
@@ -69,9 +117,9 @@ def _robot_fields(loaded: LoadedRobot, rule: Mapping[str, Any]) -> Row:
     return dict(plain(fields))
 
 
-def _emit_all(argument: Mapping[str, Any], emit: Emit, fields: Row) -> None:
-    for estimator in argument["estimators"]:
-        emit(_header(argument, estimator) | fields)
+def _emit_all(headers: Mapping[str, Row], channel: JobChannel, fields: Row) -> None:
+    for header in headers.values():
+        channel.emit(header | fields)
 
 
 def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
@@ -93,7 +141,7 @@ def _result(
     """Status, scores and parameters of one estimator; an exception of a plug-in is a failed row."""
     try:
         return _explained(_scored(argument, estimator, prepared), prepared)
-    except (Exception, SystemExit) as error:
+    except BaseException as error:  # Ctrl-C of a user reaches the supervisor alone
         return _explained(_failure(error) | prepared.fields, prepared)
 
 
@@ -126,7 +174,7 @@ def _explained(row: Row, prepared: Prepared[Any]) -> Row:
 
 def _failure(error: BaseException) -> Row:
     """Status and reason; errors of plug-ins, which are not ours, with their traceback."""
-    row: Row = {"status": "failed", "reason": reason_of(error)}
+    row: Row = {"status": status_of(error), "reason": reason_of(error)}
     if not isinstance(error, SysidBenchError):
         row["traceback"] = "".join(traceback.format_exception(error))
     return row

@@ -1,7 +1,7 @@
 """Run a suite, or continue a run: only cells without a row are executed.
 
 Exit codes, the first that applies: 130 interrupted; 4 no cell was selected; 3 a selected cell is
-failed, timeout or crash; 1 a robot's cross-check failed; 4 no row is ok; 0. Codes 3 and 1 precede
+failed, timeout, crash, memory or lost; 1 a robot's cross-check failed; 4 no row is ok; 0. Codes 3 and 1 precede
 the second 4 because they give its reason.
 """
 
@@ -28,7 +28,7 @@ from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 from sysid_bench.versions import environment
-from sysid_bench.vocabulary import FAILURES, STATUSES
+from sysid_bench.vocabulary import FAILURES, MOST_LOSSES, STATUSES
 
 Rerun = Literal["failed", "stale", "all"]
 EXECUTE: Final = "sysid_bench.experiments.execute:execute"
@@ -83,19 +83,23 @@ def run(
             folder=suite.folder,
             metrics=[entry.spec for entry in suite.metric],
         )
-        todo = _todo(selected, folder.rows().rows, rerun, fingerprint)
+        stored = folder.rows().rows
+        todo = _todo(selected, stored, rerun, fingerprint)
+        losses = {cell.id: stored.get(cell.id, {}).get("losses", 0) for cell in todo}
         work = [
-            _job(cells, folder, call, robots_dir, fingerprint) for cells in _by_experiment(todo)
+            _job(cells, folder, call, robots_dir, fingerprint, losses)
+            for cells in _by_experiment(todo)
         ]
         if work:
             folder.write_env(environment())
         if on_event is not None:
             on_event("plan", _announcement(selected, todo, work))
         settings = WorkerSettings(
-            folder.path,
-            _seconds(suite.run.timeout if timeout is None else timeout),
-            suite.run.threads,
-            () if descriptor is None else (descriptor,),
+            folder=folder.path,
+            timeout=_seconds(suite.run.timeout if timeout is None else timeout),
+            threads=suite.run.threads,
+            keep_open=() if descriptor is None else (descriptor,),
+            memory=quantity(suite.run.memory, "B"),
         )
         ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, on_event)
         folder.write_frames()
@@ -170,6 +174,8 @@ def _todo(
         row = rows.get(cell.id)
         if row is None or rerun == "all":
             return True
+        if row.get("status") == "lost" and row.get("losses", 1) < MOST_LOSSES:
+            return True
         if rerun == "failed":
             return row.get("status") not in ("ok", "unsupported")
         return rerun == "stale" and row.get("fingerprint") != fingerprint(cell)
@@ -191,13 +197,17 @@ def _job(
     call: str,
     robots_dir: Path | None,
     fingerprint: Callable[[Cell], str],
+    losses: Mapping[str, int],
 ) -> Job:
     fingerprints = {cell.id: fingerprint(cell) for cell in cells}
     argument = job_of(cells, folder.suite, robots_dir) | {
         "fingerprints": fingerprints,
         "artifacts": str(folder.path.resolve() / "artifacts"),
     }
-    heads = ({**cell.head, "fingerprint": fingerprints[cell.id]} for cell in cells)
+    heads = (
+        {**cell.head, "fingerprint": fingerprints[cell.id], "losses": losses[cell.id]}
+        for cell in cells
+    )
     return Job(call, argument, tuple(heads))
 
 

@@ -293,6 +293,7 @@ class Record(Section):
 
 class Run(Section):
     timeout: Annotated[Any, quantity_of("s", positive=True)] = "60 s"
+    memory: Annotated[Any, quantity_of("B", positive=True)] = "4 GB"
     threads: StrictInt = Field(default=1, ge=1)
     repeats: StrictInt = Field(default=1, ge=1)
 

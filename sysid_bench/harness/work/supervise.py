@@ -1,7 +1,8 @@
 """Supervision of worker processes: every cell of a started job gets a row, whatever happens.
 
-A job that raises gives `failed` rows, one that exceeds the time limit `timeout` rows, one that ends
-its process `crash` rows. Other jobs are not affected.
+The end of a worker, by itself (`crash`), over its limits (`timeout`, `memory`) or from outside
+(`lost`), is the row of the cell that it was computing; the others of the experiment go on in a fresh
+worker. An end before the first cell, while the experiment was prepared, is a row of each of them.
 """
 
 import queue
@@ -9,12 +10,13 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Literal
 
+from sysid_bench.errors import UsageError
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_handle import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
@@ -26,7 +28,11 @@ OnEvent = Callable[[str, Mapping[str, Any]], None]
 
 Ending = Literal["finished", "stopped", "interrupted"]
 _POLL_SECONDS = 0.5
-"""A dead worker whose pipe a grandchild keeps open is seen after this time."""
+"""A dead worker whose pipe a grandchild keeps open is seen after this time, and so is memory."""
+
+
+class StorageError(UsageError):
+    """A row that the file system does not take."""
 
 
 def supervise(
@@ -38,12 +44,12 @@ def supervise(
 ) -> Ending:
     """Run all jobs on at most `max_workers` processes; rows go to `settings.folder`/cells.
 
-    Return "stopped" after the first failure under `fail_fast`, "interrupted" after Ctrl-C or
-    SIGTERM: workers are killed, stored rows stay, and open cells have no row.
+    Return "stopped" after the first failure under `fail_fast`, "interrupted" after Ctrl-C,
+    SIGTERM or SIGHUP: workers are killed, stored rows stay, and open cells have no row.
     """
     supervisor = _Supervisor(jobs, settings, max_workers, fail_fast, on_event or _ignore)
     try:
-        with _sigterm_as_interrupt():
+        with _signals_as_interrupt():
             return supervisor.run()
     except KeyboardInterrupt:
         return "interrupted"
@@ -65,6 +71,7 @@ class _Supervisor:
         self.inbox: Inbox = queue.SimpleQueue()
         self.writer: RowWriter | None = None
         self.failures = 0
+        self._next_look = 0.0
 
     def run(self) -> Ending:
         """Assign jobs, read notices and check time limits until no job is left."""
@@ -120,47 +127,98 @@ class _Supervisor:
 
     def _handle_notice(self, worker: Worker, notice: dict[str, Any] | None) -> None:
         if notice is None:
-            self._end_crashed(worker)
+            self._end_dead(worker)
+        elif notice["job"] != worker.number or worker.job is None:
+            return  # of a job that has ended
         elif "begin" in notice:
             worker.restart_timeout()
+        elif "cell" in notice:
+            worker.begin_cell(notice["cell"])
         elif "row" in notice:
-            worker.open_cells.pop(notice["row"], None)
+            worker.close_cell(notice["row"])
             self._count(notice["row"], notice["status"], notice["reason"])
+        else:
+            self._handle_end(worker, notice)
+
+    def _handle_end(self, worker: Worker, notice: Mapping[str, Any]) -> None:
+        """Handle the last notice of a job: {done}, {failed}, {dead} or {full}."""
+        if "full" in notice:
+            raise StorageError(
+                f"A row cannot be stored in {str(self.settings.folder)!r} ({notice['full']}). Make "
+                "room and run again: stored rows stay, and only open cells run."
+            )
+        if "dead" in notice:
+            self._end_job(worker, notice["status"], notice["dead"])
         elif "done" in notice:
             call = worker.job.call if worker.job else ""
-            self._end_job(worker, "failed", f"{call} ended without a row for this cell.")
+            self._settle(worker, worker.open_cells, "failed", f"{call} ended without a row.")
+            self._close_job(worker)
         else:
-            self._end_job(worker, "failed", notice["failed"], {"traceback": notice["traceback"]})
+            more = {"traceback": notice["traceback"]}
+            self._settle(worker, worker.open_cells, notice["status"], notice["failed"], more)
+            self._close_job(worker)
 
     def _check_workers(self) -> None:
         now = time.monotonic()
+        look = now >= self._next_look
+        if look:
+            self._next_look = now + _POLL_SECONDS
         for worker in list(self.workers):
             if worker.deadline <= now:
-                worker.kill()
-                reason = f"longer than the limit of {self.settings.timeout:g} s"
-                self._end_job(worker, "timeout", reason)
-                self.workers.remove(worker)
+                limit = f"longer than the limit of {self.settings.timeout:g} s"
+                self._kill(worker, "timeout", limit)
             elif worker.process.poll() is not None:
-                self._end_crashed(worker)
+                self._end_dead(worker)
+            elif look and worker.job is not None and worker.uses_too_much_memory():
+                limit = f"more than the limit of {(self.settings.memory or 0.0) / 1e9:g} GB"
+                self._kill(worker, "memory", limit)
 
-    def _end_crashed(self, worker: Worker) -> None:
+    def _kill(self, worker: Worker, status: str, reason: str) -> None:
         worker.kill()
-        text = worker.error_text()
-        reason = worker.reason() + (f"; its last output: {text}" if text else "")
-        self._end_job(worker, "crash", reason)
+        self._end_job(worker, status, reason)
         self.workers.remove(worker)
 
-    def _end_job(
-        self, worker: Worker, status: str, reason: str, more: Mapping[str, Any] | None = None
-    ) -> None:
-        """End the job: its open cells get rows with this status."""
+    def _end_dead(self, worker: Worker) -> None:
+        worker.kill()
+        self._end_job(worker, *worker.end_of_process())
+        self.workers.remove(worker)
+
+    def _end_job(self, worker: Worker, status: str, reason: str) -> None:
+        """End the job of a process that is gone: its present cell is settled, the others go on.
+
+        Without a present cell the experiment was being prepared, which is a row of every cell.
+        """
         if worker.job is None:
             return
-        for cell in worker.open_cells.values():
-            self._write({**cell, "status": status, "reason": reason, **(more or {})})
-        cells = [cell["id"] for cell in worker.job.cells]
+        present = worker.current
+        if present in worker.open_cells:
+            self._settle(worker, [present], status, reason)
+        elif not worker.has_begun:
+            place = f"while the experiment was prepared: {reason}"
+            self._settle(worker, worker.open_cells, status, place)
+        if worker.open_cells:
+            self.waiting.appendleft(worker.job.of(worker.open_cells))
+        self._close_job(worker)
+
+    def _close_job(self, worker: Worker) -> None:
+        if worker.job is None:
+            return
+        cells = [cell["id"] for cell in worker.job.cells if cell["id"] not in worker.open_cells]
         worker.end_job()
         self.on_event("task", {"worker": worker.name, "cells": cells})
+
+    def _settle(
+        self,
+        worker: Worker,
+        cells: Iterable[str],
+        status: str,
+        reason: str,
+        more: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Write rows with this status for cells of the present job."""
+        for cell in list(cells):
+            head = worker.open_cells.pop(cell)
+            self._write({**_row_head(head, status), "status": status, "reason": reason, **(more or {})})
 
     def _write(self, row: Row) -> None:
         if self.writer is None:
@@ -173,13 +231,20 @@ class _Supervisor:
         self.on_event("row", {"id": cell, "status": status, "reason": reason})
 
 
+def _row_head(head: Row, status: str) -> Row:
+    """First fields of a row; the number of `losses` only where it is lost again."""
+    losses = head.get("losses", 0)
+    fields = {key: value for key, value in head.items() if key != "losses"}
+    return {**fields, "losses": losses + 1} if status == "lost" else fields
+
+
 def _ignore(kind: str, data: Mapping[str, Any]) -> None:
     pass
 
 
 @contextmanager
-def _sigterm_as_interrupt() -> Iterator[None]:
-    """Treat SIGTERM as Ctrl-C; signal handlers can be set in the main thread alone."""
+def _signals_as_interrupt() -> Iterator[None]:
+    """Treat SIGTERM and SIGHUP as Ctrl-C; handlers can be set in the main thread alone."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -187,8 +252,13 @@ def _sigterm_as_interrupt() -> Iterator[None]:
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    names = ("SIGTERM", "SIGHUP")  # Windows has no SIGHUP
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    # A process started by nohup ignores SIGHUP, and goes on doing so.
+    taken = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    before = [signal.signal(number, interrupt) for number in taken]
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in zip(taken, before, strict=True):
+            signal.signal(number, handler)

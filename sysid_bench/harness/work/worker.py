@@ -1,31 +1,39 @@
 """Worker process, `python -m sysid_bench.harness.work.worker`, with JSON lines in both directions.
 
-In: settings {parent, path, rows}, then jobs {call, argument, cells}; null ends the worker.
-Out: {begin}, {row: id, status, reason}, and {done} or {failed: reason, traceback}.
-A row is stored before it is announced, so that it survives the supervisor. The worker ends at once
-when its input ends.
+In: settings {parent, path, rows, memory}, then jobs {number, call, argument, cells, losses}; null
+ends the worker. Out, each with the number of its job: {begin}, {cell: id} before a cell,
+{row: id, status, reason}, and {done: value}, {failed: reason, status, traceback}, {dead: reason,
+status} or {full: reason} where a row cannot be stored. A row is stored before it is announced, so that it survives the supervisor. The worker ends
+at once when its input ends.
 """
 
 import contextlib
-import ctypes
 import faulthandler
 import importlib
 import json
 import os
 import queue
-import signal
 import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.canonical_json import plain
+from sysid_bench.errors import UsageError, reason_of, status_of
+from sysid_bench.experiments.job_channel import Death, JobChannel, JobDied
+from sysid_bench.harness.work.isolation import CAN_FORK, Message, Send, run_isolated
+from sysid_bench.harness.work.processes import with_parent
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
 
-Notify = Callable[[dict[str, Any]], None]
+Function = Callable[[Any, JobChannel], Any]
+
+
+class _StorageError(Exception):
+    """A row that the file system does not take."""
 
 
 def main() -> None:
@@ -36,7 +44,8 @@ def main() -> None:
     settings = json.loads(jobs_in.readline() or b"null")
     if settings is None:
         return
-    _end_with_parent(settings["parent"])
+    with_parent(settings["parent"])
+    _limit_memory(settings["memory"])
     threading.Thread(target=_listen, args=(jobs_in, inbox), daemon=True).start()
     sys.path[:] = list(dict.fromkeys([*settings["path"], *sys.path]))
     with RowWriter(Path(settings["rows"])) as writer:
@@ -45,7 +54,7 @@ def main() -> None:
             if job is None:
                 writer.close()
                 os._exit(0)  # exit hooks of libraries may hang
-            _run(job, writer, _notifier(notices_out))
+            _run(job, writer, _notifier(notices_out, job["number"]))
 
 
 def _take_pipes() -> tuple[BinaryIO, BinaryIO]:
@@ -60,15 +69,14 @@ def _take_pipes() -> tuple[BinaryIO, BinaryIO]:
     return jobs_in, notices_out
 
 
-def _end_with_parent(parent: int) -> None:
-    """Let Linux kill this process with its parent, also while compiled code keeps _listen from
-    running."""
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError, AttributeError):
-            pr_set_pdeathsig = 1
-            ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
-            if os.getppid() != parent:  # it ended before the call
-                os._exit(1)
+def _limit_memory(limit: float | None) -> None:
+    """Let allocations beyond the limit (bytes) raise MemoryError, in this process and its forks."""
+    if limit is None:
+        return
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (int(limit), int(limit)))
 
 
 def _listen(jobs_in: BinaryIO, inbox: "queue.SimpleQueue[bytes]") -> None:
@@ -77,10 +85,14 @@ def _listen(jobs_in: BinaryIO, inbox: "queue.SimpleQueue[bytes]") -> None:
     os._exit(1)
 
 
-def _notifier(notices_out: BinaryIO) -> Notify:
-    def notify(notice: dict[str, Any]) -> None:
+def _notifier(notices_out: BinaryIO, number: int) -> Send:
+    process = os.getpid()
+
+    def notify(notice: Message) -> None:
+        if os.getpid() != process:  # a fork that came back from a plug-in
+            os._exit(1)
         try:
-            notices_out.write(json.dumps(notice).encode() + b"\n")
+            notices_out.write(json.dumps({"job": number, **notice}).encode() + b"\n")
             notices_out.flush()
         except OSError:  # the supervisor has ended
             os._exit(1)
@@ -88,34 +100,105 @@ def _notifier(notices_out: BinaryIO) -> Notify:
     return notify
 
 
-def _run(job: Mapping[str, Any], writer: RowWriter, notify: Notify) -> None:
-    open_cells = set(job["cells"])
-
-    def emit(row: Row) -> None:
-        if row.get("id") not in open_cells:
-            raise UsageError(
-                f"{job['call']} emitted a row for {row.get('id')!r}; the cells of this job are "
-                f"{', '.join(sorted(open_cells))}."
-            )
-        writer.append(row)
-        notify({"row": row["id"], "status": row.get("status"), "reason": row.get("reason")})
-
+def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> None:
     try:
         function = _function(job["call"])
         notify({"begin": True})
-        function(job["argument"], emit)
-    except BaseException as error:  # sys.exit() of a plug-in fails its job, and no more
-        notify({"failed": reason_of(error), "traceback": traceback.format_exc()})
+        channel = _StoringChannel(job["call"], set(job["cells"]), job["losses"], writer, notify)
+        value = function(job["argument"], channel)
+    except _StorageError as error:
+        notify({"full": reason_of(error.__cause__ or error)})
+    except JobDied as ended:
+        notify({"dead": ended.death.reason, "status": ended.death.status})
+    except BaseException as error:  # sys.exit() of a plug-in fails its job, and nothing more
+        text = traceback.format_exc()
+        notify({"failed": reason_of(error), "status": status_of(error), "traceback": text})
     else:
-        notify({"done": True})
+        notify({"done": value})
 
 
-def _function(call: str) -> Callable[[Any, Callable[[Row], None]], None]:
+def _function(call: str) -> Function:
     module, _, name = call.partition(":")
-    found: Callable[[Any, Callable[[Row], None]], None] = getattr(
-        importlib.import_module(module), name
-    )
+    found: Function = getattr(importlib.import_module(module), name)
     return found
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """Channel that accepts rows of the open cells of a job alone, and isolates functions."""
+
+    call: str
+    open_cells: set[str]
+
+    @property
+    def cells(self) -> frozenset[str]:
+        return frozenset(self.open_cells)
+
+    def emit(self, row: Row) -> None:
+        """Store and announce a row. Raises UsageError for a cell that is not open, TypeError for
+        values that are not JSON."""
+        if row.get("id") not in self.open_cells:
+            raise UsageError(
+                f"{self.call} emitted a row for {row.get('id')!r}; the cells of this job are "
+                f"{', '.join(sorted(self.open_cells))}."
+            )
+        self._store(row)
+        self.open_cells.discard(row["id"])
+
+    def isolate(self, function: Callable[[JobChannel], Any]) -> Death | None:
+        if not CAN_FORK:
+            function(self)
+            return None
+        return run_isolated(
+            lambda send: function(_ForkedChannel(self.call, self.open_cells, send)), self._receive
+        )
+
+    def begin(self, cell: str) -> None:
+        raise NotImplementedError
+
+    def _store(self, row: Row) -> None:
+        raise NotImplementedError
+
+    def _receive(self, message: Message) -> None:
+        """Take a message of a forked channel as if it were a call."""
+        if "cell" in message:
+            self.begin(message["cell"])
+        elif "row" in message:
+            self.emit(message["row"])
+
+
+@dataclass(frozen=True)
+class _StoringChannel(_Channel):
+    """Channel of the worker itself: rows go to its file, notices to the supervisor."""
+
+    losses: Mapping[str, int]
+    writer: RowWriter
+    notify: Send
+
+    def begin(self, cell: str) -> None:
+        self.notify({"cell": cell})
+
+    def _store(self, row: Row) -> None:
+        if row.get("status") == "lost":
+            row = {**row, "losses": self.losses.get(row["id"], 0) + 1}
+        try:
+            self.writer.append(row)
+        except OSError as error:
+            raise _StorageError from error
+        self.notify({"row": row["id"], "status": row.get("status"), "reason": row.get("reason")})
+
+
+@dataclass(frozen=True)
+class _ForkedChannel(_Channel):
+    """Channel of a forked process, whose messages its parent passes on."""
+
+    send: Send
+
+    def begin(self, cell: str) -> None:
+        self.send({"cell": cell})
+
+    def _store(self, row: Row) -> None:
+        self.send({"row": plain(row)})
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Handle of one worker process: its pipes, its job and its time limit."""
+"""Handle of one worker process: its pipes, its job, its time limit and its memory."""
 
 import contextlib
 import json
@@ -9,11 +9,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from sysid_bench.harness.work.bounded_log import BoundedLog
+from sysid_bench.harness.work.isolation import end_of_process
+from sysid_bench.harness.work.processes import MARK, descendants, kill_marked, tree_bytes
 from sysid_bench.harness.work.row_files import new_row_file, stored_cells
 from sysid_bench.types import Row
 
@@ -21,17 +25,20 @@ Inbox = queue.SimpleQueue[tuple["Worker", dict[str, Any] | None]]
 """(worker, notice); None at the end of its output."""
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_LOG_TAIL = 65536
 
 
 @dataclass(frozen=True)
 class Job:
     """A call "module:function" with its argument. `cells` hold the first fields (id, labels) of the
-    rows to compute; the function gets (argument, emit) and calls emit(row) once per cell."""
+    rows to compute, and the number of their `losses`; the function gets (argument, JobChannel)."""
 
     call: str
     argument: Any
     cells: tuple[Row, ...]
+
+    def of(self, cells: Mapping[str, Row]) -> "Job":
+        """The same job for some of its cells."""
+        return replace(self, cells=tuple(cells.values()))
 
 
 @dataclass(frozen=True)
@@ -40,74 +47,114 @@ class WorkerSettings:
     run folder."""
 
     folder: Path
-    timeout: float  # s
+    timeout: float  # s, of a cell, and of the preparation of its experiment
     threads: int
     keep_open: tuple[int, ...] = ()
+    memory: float | None = None  # bytes of a worker and of all that it starts
 
 
 @dataclass(eq=False)
 class Worker:
-    """A process and its present job. Two threads serve its pipes, so that a full pipe or a worker
-    that does not read cannot block the supervisor."""
+    """A process and its present job. Threads serve its pipes, so that a full pipe or a worker that
+    does not read cannot block the supervisor."""
 
     name: str
     settings: WorkerSettings
     inbox: Inbox
+    number: int = 0  # of the present job
     job: Job | None = None
     open_cells: dict[str, Row] = field(default_factory=dict)
+    current: str | None = None  # the cell that has begun
+    has_begun: bool = False  # True once the job has begun a cell: its experiment is prepared
     deadline: float = float("inf")
 
     def __post_init__(self) -> None:
         self.rows_file = new_row_file(self.settings.folder / "cells", self.name)
         self.log_file = self.settings.folder / "logs" / f"{self.name}.log"
         self.log_file.parent.mkdir(exist_ok=True)
+        self._log = BoundedLog(self.log_file)
+        self._log_start = 0
+        self._mark = uuid.uuid4().hex
         self._outbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        with self.log_file.open("ab") as log:
-            self.log_start = log.tell()
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "sysid_bench.harness.work.worker"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                env=_environment(self.settings.threads),
-                pass_fds=self.settings.keep_open,
-                start_new_session=True,  # Ctrl-C reaches the supervisor alone
-            )
-        self._threads = [
-            threading.Thread(target=loop, daemon=True) for loop in (self._send, self._receive)
-        ]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "sysid_bench.harness.work.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**_environment(self.settings.threads), MARK: self._mark},
+            pass_fds=self.settings.keep_open,
+            start_new_session=True,  # Ctrl-C reaches the supervisor alone
+        )
+        loops: tuple[Callable[[], None], ...] = (self._send, self._receive, self._keep_log)
+        self._threads = [threading.Thread(target=loop, daemon=True) for loop in loops]
         for thread in self._threads:
             thread.start()
-        path = [entry or os.getcwd() for entry in sys.path]
-        self._outbox.put({"parent": os.getpid(), "path": path, "rows": str(self.rows_file)})
+        self._outbox.put(
+            {
+                "parent": os.getpid(),
+                "path": [entry or os.getcwd() for entry in sys.path],
+                "rows": str(self.rows_file),
+                "memory": self.settings.memory,
+            }
+        )
 
-    def start_job(self, task: Job) -> None:
+    def start_job(self, job: Job) -> None:
         """Send a job; its time limit counts from now, and again once its module is imported."""
-        self.job = task
-        self.open_cells = {cell["id"]: cell for cell in task.cells}
-        self.log_start = self.log_file.stat().st_size
+        self.job, self.number = job, self.number + 1
+        self.current, self.has_begun = None, False
+        self.open_cells = {cell["id"]: cell for cell in job.cells}
+        self._log_start = self._log.total
         self.restart_timeout()
-        cells = list(self.open_cells)
-        self._outbox.put({"call": task.call, "argument": task.argument, "cells": cells})
+        losses = {cell["id"]: cell["losses"] for cell in job.cells if cell.get("losses")}
+        self._outbox.put(
+            {
+                "number": self.number,
+                "call": job.call,
+                "argument": job.argument,
+                "cells": list(self.open_cells),
+                "losses": losses,
+            }
+        )
+
+    def begin_cell(self, cell: str) -> None:
+        """Start the time limit of a cell."""
+        self.current, self.has_begun = cell, True
+        self._log_start = self._log.total
+        self.restart_timeout()
+
+    def close_cell(self, cell: str) -> None:
+        """Forget a cell, whose row is stored."""
+        self.open_cells.pop(cell, None)
+        self.current = None
+        self.restart_timeout()
 
     def restart_timeout(self) -> None:
-        """Give the job the whole time limit again: start-up and computing have one each."""
+        """Give the whole time limit again: start-up, preparation and each cell have one each."""
         self.deadline = time.monotonic() + self.settings.timeout
 
     def end_job(self) -> None:
         """Forget the job."""
-        self.job, self.open_cells, self.deadline = None, {}, float("inf")
+        self.job, self.current, self.open_cells, self.deadline = None, None, {}, float("inf")
+
+    def uses_too_much_memory(self) -> bool:
+        """True where the worker and all that it started are over the limit."""
+        limit = self.settings.memory
+        return limit is not None and tree_bytes(self.process.pid, limit) > limit
 
     def kill(self) -> None:
-        """Kill the process and its children; cells whose rows it stored are not open any more."""
+        """Kill the process and all that it has started; cells whose rows it stored are not open any
+        more."""
+        below = descendants(self.process.pid)
         _kill_group(self.process)
         self.process.wait()
+        kill_marked(self._mark, below)
         if self.process.stdin is not None:
             self._outbox.put(StopIteration)
         for thread in self._threads:
             thread.join(timeout=1.0)
         if not any(thread.is_alive() for thread in self._threads):
             self._close_pipes()
+        self._log.close()
         if self.open_cells:
             for done in stored_cells(self.rows_file):
                 self.open_cells.pop(done, None)
@@ -119,26 +166,24 @@ class Worker:
             self.process.wait(timeout=5.0)
         self.kill()
 
-    def error_text(self) -> str:
-        """Return the fatal error in the log since the job began, or else its last line."""
-        with self.log_file.open("rb") as log:
-            size = log.seek(0, os.SEEK_END)
-            log.seek(max(self.log_start, size - _LOG_TAIL))
-            lines = log.read().decode(errors="replace").split("\n")
+    def end_of_process(self) -> tuple[str, str]:
+        """Return status and sentence for the end of the process, with its last output."""
+        status, reason = end_of_process(self.process.returncode)
+        text = self._error_text()
+        return status, reason + (f"; its last output: {text}" if text else "")
+
+    def _error_text(self) -> str:
+        """Return the fatal error in the log since the cell began, or else its last line."""
+        lines = self._log.since(self._log_start).split("\n")
         written = [line.strip() for line in lines if line.strip()]
         fatal = [line for line in written if line.startswith("Fatal Python error")]
         return (fatal or written[-1:] or [""])[0][:300]
 
-    def reason(self) -> str:
-        """Return a sentence on the end of the process, with its signal or exit code."""
-        code = self.process.returncode
-        if code >= 0:
-            return f"the worker ended with exit code {code}"
-        try:
-            name = signal.Signals(-code).name
-        except ValueError:
-            name = f"signal {-code}"
-        return f"the worker was killed by {name}"
+    def _keep_log(self) -> None:
+        pipe = self.process.stderr
+        assert pipe is not None
+        while data := os.read(pipe.fileno(), 1 << 16):
+            self._log.write(data)
 
     def _send(self) -> None:
         pipe = self.process.stdin
@@ -161,7 +206,7 @@ class Worker:
         self.inbox.put((self, None))
 
     def _close_pipes(self) -> None:
-        for pipe in (self.process.stdin, self.process.stdout):
+        for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
             if pipe is not None:
                 with contextlib.suppress(OSError):  # flushing to a process that has ended
                     pipe.close()

@@ -1,0 +1,52 @@
+"""Way of a job's results: what `execute` needs of the process that runs it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from sysid_bench.types import Row
+
+
+@dataclass(frozen=True)
+class Death:
+    """End of an isolated process without its result: `status` of the cell that it computed."""
+
+    status: str
+    reason: str
+    traceback: str = ""
+
+    @property
+    def fields(self) -> Row:
+        """The end as fields of a row."""
+        row: Row = {"status": self.status, "reason": self.reason}
+        return row | {"traceback": self.traceback} if self.traceback else row
+
+
+class JobDied(Exception):  # noqa: N818 - not a fault of this process
+    """A job whose isolated process ended before its cells had rows."""
+
+    def __init__(self, death: Death) -> None:
+        super().__init__(death.reason)
+        self.death = death
+
+
+class JobChannel(Protocol):
+    """Channel from a job to its supervisor."""
+
+    @property
+    def cells(self) -> frozenset[str]:
+        """Ids of the cells to compute; others of the experiment have a row already."""
+
+    def begin(self, cell: str) -> None:
+        """Announce a cell: its time limit starts, and it answers for the end of the process."""
+
+    def emit(self, row: Row) -> None:
+        """Store the row of a cell and announce it."""
+
+    def isolate(self, function: Callable[["JobChannel"], Any]) -> Death | None:
+        """Run a function in a process of its own, a fork of this one with all that is prepared.
+
+        Its channel leads to this one. Nothing that it changes (modules, global state, descriptors)
+        reaches this process, and no process that it started survives it. Return None after a
+        complete run, else its end.
+        """

@@ -1,0 +1,64 @@
+"""Third-party code of an experiment: plug-ins that are not of this package."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from sysid_bench.errors import UsageError
+from sysid_bench.naming import BUILTIN, is_builtin, resolve
+from sysid_bench.regressors.transmission import MOTOR
+from sysid_bench.signals.log_description import LogDescription, log_description
+from sysid_bench.signals.log_reader import KIND as LOG_READER
+from sysid_bench.vocabulary import TERMS
+
+
+def uses_third_party_data(argument: Mapping[str, Any]) -> bool:
+    """True where plug-ins of others make the data: motions, effects, tasks, log readers, terms."""
+    spec = argument["experiment"]
+    if spec.get("log") is None:
+        names = _simulation_plugins(spec)
+    else:
+        names = _log_plugins(spec, Path(argument["folder"]))
+    return any(not is_builtin(kind, name) for kind, name in names)
+
+
+def is_third_party_cell(argument: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
+    """True where an estimator (an `entry` of `argument["estimators"]`) or a metric is of others."""
+    return bool(argument.get("metrics")) or not is_builtin("estimator", entry["use"])
+
+
+def _simulation_plugins(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of the plug-ins of a simulated experiment."""
+    yield "task", spec["task"]
+    for kind in ("plant", "excitation", "simulation"):
+        yield kind, spec[kind]["use"]
+    for motion in spec["held_out"]:
+        yield "excitation", motion["use"]
+
+
+def _log_plugins(spec: Mapping[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of the plug-ins of an experiment with recordings."""
+    yield "task", spec["task"]
+    log = spec["log"]
+    for name in (*(spec["terms"] or ()), *log["choose"]):
+        if name.removeprefix(f"{MOTOR}.") not in TERMS:
+            yield "term", name.removeprefix(f"{MOTOR}.")
+    for written in (*log["train"], *log["test"]):
+        try:
+            yield from _readers(log_description(written, folder))
+        except UsageError:  # reported by the preparation
+            continue
+
+
+def _readers(log: LogDescription) -> Iterator[tuple[str, str]]:
+    for part in (log.q, log.v, log.tau, log.time):
+        if part is not None:
+            reader = log.reader_of(part) or {"use": _builtin_reader(log.file_of(part))}
+            yield LOG_READER, reader if isinstance(reader, str) else reader["use"]
+
+
+def _builtin_reader(path: Path) -> str:
+    """Return the name of our reader for the suffix of a file, the suffix itself without one."""
+    suffix = path.suffix.lower()
+    names = BUILTIN[LOG_READER]
+    return next((n for n in names if suffix in resolve(LOG_READER, n).suffixes), suffix)
