@@ -1,11 +1,12 @@
 """Execution of one experiment: a row for each of its estimators, whatever happens."""
 
+import math
 import time
 import traceback
 from collections.abc import Mapping
 from dataclasses import fields
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, reason_of, status_of
@@ -22,6 +23,8 @@ from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.versions import versions
+_ERRORS: Final = ("rmse_train", "rmse_test", "torque_error")
+
 
 def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     """Run the experiment of `argument` (see harness/job.py) and emit a row for each open cell.
@@ -160,8 +163,18 @@ def _scored(
     scores = prepared.score(method, estimate)
     score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})
     cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
+    row |= _unusable(row, scores)
     store_paper_data(argument, estimator["cell"], estimate, prepared)
     return row | scores | prepared.fields | own_metrics(argument, cell) | {"stats": stats}
+
+
+def _unusable(row: Row, scores: Row) -> Row:
+    """Status of an estimate whose errors overflow: it predicts no torque, whatever it claims."""
+    bad = [name for name in _ERRORS if not math.isfinite(scores.get(name) or 0.0)]
+    if row["status"] != "ok" or not bad:
+        return {}
+    reason = f"the estimate gives no finite {' and '.join(bad)}"
+    return {"status": "failed", "reason": f"{reason}; {row['reason']}".rstrip("; ")}
 
 
 def _explained(row: Row, prepared: Prepared[Any]) -> Row:

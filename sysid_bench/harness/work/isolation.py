@@ -10,6 +10,7 @@ import os
 import select
 import signal
 import sys
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -22,6 +23,7 @@ from sysid_bench.harness.work.processes import kill_children, with_parent
 Message = dict[str, Any]
 Send = Callable[[Message], None]
 CAN_FORK: Final = hasattr(os, "fork") and hasattr(select, "poll")
+_GRACE_SECONDS = 2.0
 _POLL_MILLISECONDS = 200
 """Interval of the check for a dead process whose pipe one of its children keeps open."""
 
@@ -39,15 +41,19 @@ def run_isolated(function: Callable[[Send], Any], receive: Callable[[Message], N
         _run_child(function, write_end)
     os.close(write_end)
     last: Message | None = None
+    killed = True
     try:
         for message in _messages(read_end, child):
             if "end" in message:
                 last = message
                 break
             receive(message)
+        killed = last is None and not _ends_by_itself(child)
     finally:
         os.close(read_end)
         state = _end_child(child)
+    if last is None and killed:
+        return Death("crash", "its process closed the pipe of its result")
     if last is None:
         return Death(*end_of_process(os.waitstatus_to_exitcode(state)))
     return None if last["end"] is None else Death(*last["end"])
@@ -76,6 +82,7 @@ def _run_child(function: Callable[[Send], Any], pipe: int) -> None:
     """Run the function, send its end and leave; the process never returns from here."""
     process = os.getpid()
     with_parent(os.getppid())
+    _close_others(pipe)
 
     def send(message: Message) -> None:
         if os.getpid() != process:  # a fork of the function came back from it: not our result
@@ -90,6 +97,15 @@ def _run_child(function: Callable[[Send], Any], pipe: int) -> None:
         os._exit(1)
     finally:
         os._exit(0)
+
+
+def _close_others(kept: int) -> None:
+    """Close what the parent has open (row file, notices, lock of the run) but the standard streams.
+    """
+    for descriptor in map(int, os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else ()):
+        if descriptor > 2 and descriptor != kept:
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
 
 
 def _send_end(function: Callable[[Send], Any], send: Send) -> None:
@@ -130,6 +146,16 @@ def _has_ended(child: int) -> bool:
     """True for a dead child; it stays a zombie, so that its exit status is still there."""
     flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
     return os.waitid(os.P_PID, child, flags) is not None
+
+
+def _ends_by_itself(child: int) -> bool:
+    """Wait for the end of a child whose pipe is closed, as that of a dying process is first."""
+    until = time.monotonic() + _GRACE_SECONDS
+    while not _has_ended(child):
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.01)
+    return True
 
 
 def _end_child(child: int) -> int:

@@ -128,7 +128,7 @@ class _Supervisor:
     def _handle_notice(self, worker: Worker, notice: dict[str, Any] | None) -> None:
         if notice is None:
             self._end_dead(worker)
-        elif notice["job"] != worker.number or worker.job is None:
+        elif notice.get("job") != worker.number or worker.job is None:
             return  # of a job that has ended
         elif "begin" in notice:
             worker.restart_timeout()

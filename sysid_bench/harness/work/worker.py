@@ -163,8 +163,8 @@ class _Channel:
         """Take a message of a forked channel as if it were a call."""
         if "cell" in message:
             self.begin(message["cell"])
-        elif "row" in message:
-            self.emit(message["row"])
+        elif "row" in message and message["row"].get("id") in self.open_cells:
+            self.emit(message["row"])  # a row of any other cell is forged: the child refuses it too
 
 
 @dataclass(frozen=True)

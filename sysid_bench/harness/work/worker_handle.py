@@ -4,9 +4,11 @@ import contextlib
 import json
 import os
 import queue
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import uuid
@@ -75,13 +77,14 @@ class Worker:
         self._log = BoundedLog(self.log_file)
         self._log_start = 0
         self._mark = uuid.uuid4().hex
+        self._scratch = tempfile.mkdtemp(prefix="sysid_bench_")
         self._outbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self.process = subprocess.Popen(
             [sys.executable, "-m", "sysid_bench.harness.work.worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            env={**_environment(self.settings.threads), MARK: self._mark},
+            env={**_environment(self.settings.threads), MARK: self._mark, "TMPDIR": self._scratch},
             pass_fds=self.settings.keep_open,
             start_new_session=True,  # Ctrl-C reaches the supervisor alone
         )
@@ -155,6 +158,7 @@ class Worker:
         if not any(thread.is_alive() for thread in self._threads):
             self._close_pipes()
         self._log.close()
+        shutil.rmtree(self._scratch, ignore_errors=True)
         if self.open_cells:
             for done in stored_cells(self.rows_file):
                 self.open_cells.pop(done, None)

@@ -1,0 +1,287 @@
+"""Faulty estimators, one class a fault. They know nothing of the harness but `solve(problem)`."""
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from typing import Any, NoReturn
+
+import numpy as np
+
+from sysid_bench.types import Estimate
+
+
+def ols(problem: Any) -> Estimate:
+    return Estimate(np.linalg.lstsq(problem.W, problem.b, rcond=None)[0])
+
+
+class _Fault:
+    def solve(self, problem: Any) -> Any:
+        self.act(problem)
+        return ols(problem)
+
+    def act(self, problem: Any) -> Any:
+        raise NotImplementedError
+
+
+# Exceptions
+
+
+class Raises(_Fault):
+    def act(self, problem: Any) -> NoReturn:
+        raise ValueError("<script>alert(1)</script> $x^2$ & _ %")
+
+
+class Exits(_Fault):
+    def act(self, problem: Any) -> NoReturn:
+        sys.exit(0)
+
+
+class Interrupts(_Fault):
+    def act(self, problem: Any) -> NoReturn:
+        raise KeyboardInterrupt("mine")
+
+
+class EndsGenerator(_Fault):
+    def act(self, problem: Any) -> NoReturn:
+        raise GeneratorExit("mine")
+
+
+class Recurses(_Fault):
+    def act(self, problem: Any) -> None:
+        self.act(problem)
+
+
+class UnreadableError(_Fault):
+    def act(self, problem: Any) -> NoReturn:
+        class Broken(Exception):
+            def __str__(self) -> str:
+                raise RuntimeError("not even a message")
+
+        raise Broken
+
+
+# Answers
+
+
+class AnswersNan:
+    def solve(self, problem: Any) -> Estimate:
+        return Estimate(np.full(problem.base.rank, np.nan))
+
+
+class AnswersInf:
+    def solve(self, problem: Any) -> Estimate:
+        return Estimate(np.full(problem.base.rank, np.inf))
+
+
+class AnswersHuge:
+    def solve(self, problem: Any) -> Estimate:
+        return Estimate(np.full(problem.base.rank, 1e300))
+
+
+class AnswersTooMany:
+    def solve(self, problem: Any) -> Estimate:
+        return Estimate(np.zeros(problem.base.rank + 1))
+
+
+class AnswersMatrix:
+    def solve(self, problem: Any) -> Estimate:
+        return Estimate(np.zeros((problem.base.rank, 1)))
+
+
+class AnswersComplex:
+    def solve(self, problem: Any) -> Estimate:
+        return Estimate(ols(problem).beta + 1j)
+
+
+class AnswersText:
+    def solve(self, problem: Any) -> Estimate:
+        return Estimate(np.array(["a"] * problem.base.rank))
+
+
+class AnswersNone:
+    def solve(self, problem: Any) -> None:
+        return None
+
+
+class AnswersObject:
+    def solve(self, problem: Any) -> Estimate:
+        return Estimate(ols(problem).beta, stats={"x": object()})  # type: ignore[dict-item]
+
+
+# Ends of the process
+
+
+class Segfaults(_Fault):
+    def act(self, problem: Any) -> None:
+        ctypes.string_at(0)
+
+
+class Aborts(_Fault):
+    def act(self, problem: Any) -> None:
+        os.abort()
+
+
+class Leaves(_Fault):
+    def act(self, problem: Any) -> None:
+        os._exit(0)
+
+
+class KillsItself(_Fault):
+    def act(self, problem: Any) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class ClosesDescriptors(_Fault):
+    def act(self, problem: Any) -> None:
+        os.closerange(0, 64)
+
+
+# Time and memory
+
+
+class Hangs(_Fault):
+    def act(self, problem: Any) -> None:
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+        while True:
+            time.sleep(0.1)
+
+
+class Allocates(_Fault):
+    def act(self, problem: Any) -> None:
+        kept = []
+        while True:
+            kept.append(np.ones(4_000_000))
+
+
+class AllocatesQuietly(_Fault):
+    """Allocates and hides the error: the limit still holds."""
+
+    def act(self, problem: Any) -> None:
+        kept = []
+        while True:
+            try:
+                kept.append(np.ones(4_000_000))
+            except MemoryError:
+                raise RuntimeError("hidden") from None
+
+
+class Prints(_Fault):
+    def act(self, problem: Any) -> None:
+        for _ in range(300):
+            sys.stdout.write("x" * 100_000 + "\n")
+
+
+# State of the process
+
+
+class ChangesFolder(_Fault):
+    def act(self, problem: Any) -> None:
+        os.chdir("/")
+        os.umask(0o777)
+        for name in ("HOME", "TMPDIR"):
+            os.environ[name] = "/nonexistent"
+        os.environ.pop("PATH", None)
+
+
+class ChangesDefaults(_Fault):
+    def act(self, problem: Any) -> None:
+        np.random.seed(0)
+        np.seterr(all="raise")
+        warnings.simplefilter("error")
+        sys.setrecursionlimit(120)
+
+
+class WritesData(_Fault):
+    """Makes shared arrays writable and overwrites them."""
+
+    def act(self, problem: Any) -> None:
+        for array in (problem.W, problem.b):
+            try:
+                array.flags.writeable = True
+                array[...] = 0.0
+            except ValueError:
+                continue
+        raise RuntimeError("overwritten")
+
+
+class PatchesScores(_Fault):
+    """Replaces functions of the harness that the cells after it need."""
+
+    def act(self, problem: Any) -> None:
+        from sysid_bench.evaluation.score import RowErrors
+        from sysid_bench.experiments import execute
+
+        RowErrors.relative = property(lambda self: 1e-9)  # type: ignore[assignment, method-assign]
+        execute.identify = lambda *_: (_ for _ in ()).throw(RuntimeError("patched"))  # type: ignore[attr-defined]
+
+
+class PatchesNumpy(_Fault):
+    def act(self, problem: Any) -> None:
+        np.linalg.lstsq = np.linalg.svd = np.dot = None  # type: ignore[assignment]
+        raise RuntimeError("patched")
+
+
+class StartsThread(_Fault):
+    def act(self, problem: Any) -> None:
+        def spin() -> None:
+            while True:
+                time.sleep(0.01)
+
+        threading.Thread(target=spin).start()
+
+
+class LeavesFiles(_Fault):
+    def act(self, problem: Any) -> None:
+        tempfile.mkstemp(prefix="sysid_litter_")
+        tempfile.mkdtemp(prefix="sysid_litter_")
+
+
+# Processes
+
+
+class Forks(_Fault):
+    def act(self, problem: Any) -> None:
+        if os.fork() == 0:
+            time.sleep(3600)
+            os._exit(0)
+
+
+class ForksSession(_Fault):
+    def act(self, problem: Any) -> None:
+        if os.fork() == 0:
+            os.setsid()
+            if os.fork() == 0:
+                time.sleep(3600)
+            os._exit(0)
+
+
+class ForksAndReturns(_Fault):
+    """Both processes come back from `solve`."""
+
+    def act(self, problem: Any) -> None:
+        os.fork()
+
+
+class StartsProgram(_Fault):
+    def act(self, problem: Any) -> None:
+        token = os.environ["SYSID_TEST_FAULT"]
+        command = ["sh", "-c", "sleep 3601; true", token]
+        subprocess.Popen(command, start_new_session=True, env={})
+
+
+class WritesToDescriptors(_Fault):
+    """Writes garbage into every open descriptor."""
+
+    def act(self, problem: Any) -> None:
+        for descriptor in range(3, 64):
+            try:
+                os.write(descriptor, b'{"row": {"id": "forged", "status": "ok"}}\n')
+            except OSError:
+                continue

@@ -1,0 +1,137 @@
+"""Laws of isolation: whatever one estimator does, the rows of all others are those of a run without
+it, bit for bit; nothing stays behind; and the exit code says what happened."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sysid_bench.harness.run import RunResult, run
+from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.vocabulary import MACHINE_FIELDS
+
+FAULTY = Path(__file__).parent / "faulty.py"
+SOUND = ("ols", "wls", "ridge")
+STATUS: Mapping[str, str] = {
+    **dict.fromkeys(
+        ("Raises", "Exits", "Interrupts", "EndsGenerator", "Recurses", "UnreadableError"), "failed"
+    ),
+    **dict.fromkeys(("AnswersNan", "AnswersInf", "AnswersHuge", "AnswersTooMany"), "failed"),
+    **dict.fromkeys(("AnswersMatrix", "AnswersComplex", "AnswersText"), "failed"),
+    **dict.fromkeys(("AnswersNone", "AnswersObject"), "failed"),
+    **dict.fromkeys(("Segfaults", "Aborts", "Leaves", "ClosesDescriptors"), "crash"),
+    "KillsItself": "lost",
+    "Hangs": "timeout",
+    "Allocates": "memory",
+    "AllocatesQuietly": "failed",
+    "Prints": "ok",
+    **dict.fromkeys(("ChangesFolder", "ChangesDefaults"), "ok"),
+    **dict.fromkeys(("WritesData", "PatchesNumpy", "PatchesScores"), "failed"),
+    **dict.fromkeys(("StartsThread", "LeavesFiles", "Forks", "ForksSession"), "ok"),
+    **dict.fromkeys(("ForksAndReturns", "StartsProgram"), "ok"),
+    "WritesToDescriptors": "ok",
+}
+"""The status of each fault; `ok` where the method answers rightly and misbehaves besides."""
+
+PLACES = {"first": 0, "middle": 1, "last": 3}
+
+
+def suite(*estimators: str) -> Any:
+    # A hang has to be waited for; on a loaded machine sound cells must still be in time.
+    timeout = "15 s" if fault("Hangs") in estimators else "60 s"
+    text = f"""
+        schema = 1
+        name = "faults"
+        [run]
+        timeout = "{timeout}"
+        memory = "1.5 GB"
+        [defaults]
+        excitation = {{ use = "fourier", harmonics = 3, period = "2 s" }}
+        held_out = ["ptp"]
+        noise = {{ tau = "1 %" }}
+        [[robot]]
+        use = "scara"
+        """
+    for use in estimators:
+        text += f'\n[[estimator]]\nuse = "{use}"\n'
+    return parse_suite(text, folder=Path(__file__).parent)
+
+
+def fault(name: str) -> str:
+    return f"file:{FAULTY}:{name}"
+
+
+def rows(result: RunResult) -> dict[str, dict[str, Any]]:
+    """Rows by estimator, without the fields of the machine."""
+    stored = result.folder.rows()
+    assert (stored.torn, stored.garbled) == (0, ())
+    return {
+        row["estimator"]: {k: v for k, v in row.items() if k not in MACHINE_FIELDS}
+        for row in stored.rows.values()
+    }
+
+
+@pytest.fixture(scope="session")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    found = rows(run(suite(*SOUND), tmp_path_factory.mktemp("undisturbed") / "run", jobs=1))
+    assert {row["status"] for row in found.values()} == {"ok"}
+    return found
+
+
+@pytest.fixture
+def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of temporary files, and a token in the environment of every process."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setenv("SYSID_TEST_FAULT", tmp_path.name)
+    return folder
+
+
+def left_behind(token: str) -> list[str]:
+    """Processes of this test but itself: by their environment, or by their arguments."""
+    found = []
+    for process in Path("/proc").iterdir():
+        if process.name.isdigit() and int(process.name) != os.getpid():
+            try:
+                known = (process / "environ").read_bytes() + (process / "cmdline").read_bytes()
+            except OSError:
+                continue
+            if token.encode() in known:
+                found.append((process / "cmdline").read_bytes().decode())
+    return found
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("name", STATUS)
+def test_a_fault_is_one_row(
+    tmp_path: Path, scratch: Path, undisturbed: dict[str, Any], name: str, place: str
+) -> None:
+    order = list(SOUND)
+    order.insert(PLACES[place], fault(name))
+    result = run(suite(*order), tmp_path / "run", jobs=1)
+    found = rows(result)
+    assert found.pop(name)["status"] == STATUS[name]
+    assert found == undisturbed
+    assert result.exit_code == (0 if STATUS[name] == "ok" else 3)
+    assert left_behind(tmp_path.name) == []
+    assert list(scratch.iterdir()) == []
+    logs = sum(file.stat().st_size for file in (tmp_path / "run" / "logs").iterdir())
+    assert logs < 4e6
+
+
+def test_all_faults_in_one_suite(
+    tmp_path: Path, scratch: Path, undisturbed: dict[str, Any]
+) -> None:
+    order = [fault(name) for name in STATUS]
+    for place, name in zip((0, len(order) // 2, len(order) + 2), SOUND, strict=True):
+        order.insert(place, name)
+    result = run(suite(*order), tmp_path / "run", jobs=2)
+    found = rows(result)
+    assert {name: row["status"] for name, row in found.items() if name in STATUS} == STATUS
+    assert {name: found[name] for name in SOUND} == undisturbed
+    assert left_behind(tmp_path.name) == []
+    assert list(scratch.iterdir()) == []
