@@ -23,6 +23,7 @@ from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.versions import versions
+
 _ERRORS: Final = ("rmse_train", "rmse_test", "torque_error")
 
 

@@ -14,6 +14,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.plan import Plan
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
+from sysid_bench.harness.work.processes import holders
 from sysid_bench.harness.work.row_files import RowWriter, StoredRows, new_row_file, read_rows
 
 if TYPE_CHECKING:
@@ -148,10 +149,17 @@ class RunFolder:
                 holder = os.pread(descriptor, 20, 0).decode()
                 if _is_alive(holder) or time.monotonic() > until:
                     raise UsageError(
-                        f"Another runner (process {holder or 'unknown'}) is running in "
+                        f"Another runner, {self._lock_holder(holder)}, is running in "
                         f"{str(self.path)!r}; wait for it, stop it, or choose another -o."
                     ) from error
             time.sleep(0.02)
+
+    def _lock_holder(self, written: str) -> str:
+        """Processes that hold the lock; the one that wrote its number where they are not seen."""
+        others = [
+            text for text in holders(self.path / ".lock") if f"process {os.getpid()} " not in text
+        ]
+        return " and ".join(others[:3]) or f"process {written or 'unknown'}"
 
     def _read(self, name: str) -> str:
         try:

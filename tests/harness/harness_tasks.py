@@ -1,30 +1,43 @@
 """Trivial tasks for workers: each does what argument["do"] says, then emits its rows."""
 
 import ctypes
+import mmap
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-Emit = Callable[[dict[str, Any]], None]
+from sysid_bench.experiments.job_channel import JobChannel, JobDied
 
 
-def act(argument: dict[str, Any], emit: Emit) -> None:
-    """argument: {do, cells}; rows are emitted after the act, or before it for "late-..."."""
-    do = argument["do"]
-    if do.startswith("late-"):
-        emit({"id": argument["cells"][0], "status": "ok"})
-        do = do.removeprefix("late-")
-    perform(do)
+def act(argument: dict[str, Any], channel: JobChannel) -> None:
+    """argument: {do, cells}; the act precedes the first cell, or comes in the Nth for "in N ..."."""
+    do, inside = argument["do"], None
+    if do.startswith("in "):
+        _, number, do = do.split(maxsplit=2)
+        inside = argument["cells"][int(number)]
+    else:
+        perform(do)
     for cell in argument["cells"]:
-        emit({"id": cell, "status": "ok", "pid": os.getpid()})
+        if cell in channel.cells:
+            channel.begin(cell)
+            if cell == inside:
+                perform(do)
+            channel.emit({"id": cell, "status": "ok", "pid": os.getpid()})
 
 
-def perform(do: str) -> None:
+def act_apart(argument: dict[str, Any], channel: JobChannel) -> None:
+    """Does the same in a process of its own."""
+    death = channel.isolate(partial(act, argument))
+    if death is not None:
+        raise JobDied(death)
+
+
+def perform(do: str) -> None:  # noqa: C901 - a table of acts
     match do.split():
         case ["raise"]:
             raise ValueError("no\nnumbers")
@@ -36,6 +49,18 @@ def perform(do: str) -> None:
             os.kill(os.getpid(), signal.SIGSEGV)
         case ["segfault"]:
             ctypes.string_at(0)
+        case ["killed"]:
+            os.kill(os.getpid(), signal.SIGKILL)
+        case ["allocate"]:
+            kept = []
+            while True:  # mapped files do not count as data: the supervisor sees their pages
+                kept.append(mmap.mmap(-1, 50_000_000))
+                kept[-1].write(b"x" * 50_000_000)
+        case ["flood"]:
+            print("the first line")
+            for _ in range(40):
+                print("x" * 100_000)
+            print("the last line", flush=True)
         case ["hang"]:
             time.sleep(1000)
         case ["grandchild", born]:
@@ -51,27 +76,37 @@ def perform(do: str) -> None:
             time.sleep(float(seconds))
 
 
-def silent(argument: Any, emit: Emit) -> None:
+def sleep_in_each(argument: dict[str, Any], channel: JobChannel) -> None:
+    for cell in sorted(channel.cells):
+        channel.begin(cell)
+        time.sleep(argument["seconds"])
+        channel.emit({"id": cell, "status": "ok"})
+
+
+def silent(argument: Any, channel: JobChannel) -> None:
     """Owes rows and gives none."""
 
 
-def stranger(argument: Any, emit: Emit) -> None:
+def stranger(argument: Any, channel: JobChannel) -> None:
     """Emits a row that nobody asked for."""
-    emit({"id": "nobody", "status": "ok"})
+    channel.emit({"id": "nobody", "status": "ok"})
 
 
-def execute(argument: dict[str, Any], emit: Emit) -> None:
+def execute(argument: dict[str, Any], channel: JobChannel) -> None:
     """Stands for the experiment: a row per estimator; settings of the estimator say what happens.
 
     A file named in SYSID_TEST_LOG gets a line per executed cell.
     """
     for estimator in argument["estimators"]:
+        if estimator["cell"] not in channel.cells:
+            continue
+        channel.begin(estimator["cell"])
         time.sleep(estimator.get("seconds", 0.0))
         perform(estimator.get("do", ""))
         if "SYSID_TEST_LOG" in os.environ:
             with Path(os.environ["SYSID_TEST_LOG"]).open("a") as log:
                 log.write(estimator["cell"] + "\n")
-        emit(
+        channel.emit(
             {
                 **argument["labels"],
                 "id": estimator["cell"],

@@ -1,5 +1,6 @@
 """Laws of the supervisor: every cell of every task gets its row, whatever its neighbours do."""
 
+import json
 import os
 import signal
 import subprocess
@@ -99,13 +100,63 @@ def test_a_call_that_is_wrong_itself(tmp_path: Path, call: str, status: str, rea
     assert reason in stored.rows["0.0"]["reason"]
 
 
-@pytest.mark.parametrize("do", ["raise", "die", "hang"])
-def test_rows_that_were_emitted_stay(tmp_path: Path, do: str) -> None:
-    _, stored = run(tmp_path, [task(0, f"late-{do}", cells=3)], timeout=3.0)
-    status = [stored.rows[f"0.{n}"]["status"] for n in range(3)]
-    assert status[0] == "ok"
-    assert len(set(status[1:])) == 1
-    assert "ok" not in status[1:]
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize("call", ["act", "act_apart"])
+@pytest.mark.parametrize(
+    ("do", "status"),
+    [("die", "crash"), ("leave", "crash"), ("hang", "timeout"), ("killed", "lost")],
+)
+def test_the_end_of_a_process_is_the_row_of_its_cell_alone(
+    tmp_path: Path, do: str, status: str, call: str, place: int
+) -> None:
+    job = task(0, f"in {place} {do}", cells=3, call=f"harness_tasks:{call}")
+    _, stored = run(tmp_path, [job, task(1)], jobs=1, timeout=3.0 if do == "hang" else 30.0)
+    found = {name: row["status"] for name, row in stored.rows.items()}
+    expected = dict.fromkeys(("0.0", "0.1", "0.2", "1.0"), "ok")
+    assert found == {**expected, f"0.{place}": status}
+
+
+@pytest.mark.parametrize("call", ["act", "act_apart"])
+def test_an_end_before_the_first_cell_is_a_row_of_each(tmp_path: Path, call: str) -> None:
+    job = task(0, "die", cells=3, call=f"harness_tasks:{call}")
+    _, stored = run(tmp_path, [job, task(1)], jobs=1)
+    assert {name: row["status"] for name, row in stored.rows.items()} == {
+        "0.0": "crash", "0.1": "crash", "0.2": "crash", "1.0": "ok"
+    }  # fmt: skip
+    assert stored.rows["0.2"]["reason"].startswith("while the experiment was prepared")
+
+
+def test_each_cell_has_the_whole_time_limit(tmp_path: Path) -> None:
+    """Three cells of 1.5 s are within a limit of 3 s, of which they take half again as much."""
+    jobs = [task(0, "in 0 sleep 1.5", cells=1), task(1, "in 0 sleep 1.5", cells=1)]
+    job = Job("harness_tasks:sleep_in_each", {"seconds": 1.5}, tuple({"id": c} for c in "abc"))
+    _, stored = run(tmp_path, [job, *jobs], jobs=1, timeout=3.0)
+    assert {row["status"] for row in stored.rows.values()} == {"ok"}
+
+
+def test_memory_over_the_limit_is_a_row_of_its_cell(tmp_path: Path) -> None:
+    settings = WorkerSettings(tmp_path, 60.0, 1, memory=600e6)
+    job = task(0, "in 1 allocate", cells=3)
+    supervise([job], settings, 1)
+    found = {name: row["status"] for name, row in read_rows(tmp_path / "cells").rows.items()}
+    assert found == {"0.0": "ok", "0.1": "memory", "0.2": "ok"}
+
+
+def test_a_lost_cell_counts_its_losses(tmp_path: Path) -> None:
+    job = Job(
+        "harness_tasks:act", {"do": "in 0 killed", "cells": ["a"]}, ({"id": "a", "losses": 1},)
+    )
+    _, stored = run(tmp_path, [job])
+    assert (stored.rows["a"]["status"], stored.rows["a"]["losses"]) == ("lost", 2)
+
+
+def test_output_is_bounded(tmp_path: Path) -> None:
+    assert only(tmp_path, "flood")["status"] == "ok"
+    log = (tmp_path / "logs" / "worker1.log").read_text()
+    assert len(log) < 1.2e6
+    assert log.startswith("the first line")
+    assert "left out" in log
+    assert log.rstrip().endswith("the last line")
 
 
 def test_prints_go_to_the_log(tmp_path: Path) -> None:
@@ -231,11 +282,14 @@ def test_a_deaf_orphan_writes_no_row_without_the_help_of_linux(
         assert worker.stdin is not None
         assert worker.stdout is not None
         rows = tmp_path / "rows.jsonl"
-        worker.stdin.write(
-            f'{{"parent": {os.getpid()}, "path": ["{HERE}"], "rows": "{rows}"}}\n'
-            '{"call": "harness_tasks:act", "argument": {"do": "sleep 1000", "cells": ["a"]}, '
-            '"cells": ["a"]}\n'
-        )
+        settings = {
+            "parent": os.getpid(), "path": [str(HERE)], "rows": str(rows), "memory": None
+        }  # fmt: skip
+        job = {
+            "number": 1, "call": "harness_tasks:act", "cells": ["a"], "losses": {},
+            "argument": {"do": "sleep 1000", "cells": ["a"]},
+        }  # fmt: skip
+        worker.stdin.write(json.dumps(settings) + "\n" + json.dumps(job) + "\n")
         worker.stdin.flush()
         assert "begin" in worker.stdout.readline()
         worker.stdin.close()

@@ -28,7 +28,9 @@ _POLL_MILLISECONDS = 200
 """Interval of the check for a dead process whose pipe one of its children keeps open."""
 
 
-def run_isolated(function: Callable[[Send], Any], receive: Callable[[Message], None]) -> Death | None:
+def run_isolated(
+    function: Callable[[Send], Any], receive: Callable[[Message], None]
+) -> Death | None:
     """Fork, run `function(send)` in the child and hand its messages to `receive` in the parent.
 
     Return None where the function has returned, else its end: an exception is `failed` (or
@@ -100,9 +102,10 @@ def _run_child(function: Callable[[Send], Any], pipe: int) -> None:
 
 
 def _close_others(kept: int) -> None:
-    """Close what the parent has open (row file, notices, lock of the run) but the standard streams.
-    """
-    for descriptor in map(int, os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else ()):
+    """Close what the parent has open (row file, notices, lock of the run) but the standard streams."""
+    for descriptor in map(
+        int, os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else ()
+    ):
         if descriptor > 2 and descriptor != kept:
             with contextlib.suppress(OSError):
                 os.close(descriptor)

@@ -218,7 +218,9 @@ class _Supervisor:
         """Write rows with this status for cells of the present job."""
         for cell in list(cells):
             head = worker.open_cells.pop(cell)
-            self._write({**_row_head(head, status), "status": status, "reason": reason, **(more or {})})
+            self._write(
+                {**_row_head(head, status), "status": status, "reason": reason, **(more or {})}
+            )
 
     def _write(self, row: Row) -> None:
         if self.writer is None:
