@@ -1,8 +1,8 @@
 """Run a suite, or continue a run: only cells without a row are executed.
 
 Exit codes, the first that applies: 130 interrupted; 4 no cell was selected; 3 a selected cell is
-failed, timeout, crash, memory or lost; 1 a robot's cross-check failed; 4 no row is ok; 0. Codes 3 and 1 precede
-the second 4 because they give its reason.
+failed, timeout, crash, memory or lost; 1 a robot's cross-check failed; 4 no row is ok; 0. Codes 3
+and 1 precede the second 4 because they give its reason.
 """
 
 import os

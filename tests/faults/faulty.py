@@ -96,7 +96,7 @@ class AnswersMatrix:
 
 class AnswersComplex:
     def solve(self, problem: Any) -> Estimate:
-        return Estimate(ols(problem).beta + 1j)
+        return Estimate(np.full(problem.base.rank, 1j))
 
 
 class AnswersText:

@@ -1,7 +1,7 @@
 """Run of a function in a forked process, whose messages come back through a pipe.
 
-Third-party code runs here: it may replace functions, leak, crash, fork or close descriptors, and the
-forking process, with its prepared experiment, stays as it was.
+Third-party code runs here: it may replace functions, leak, crash, fork or close descriptors, and
+the forking process, with its prepared experiment, stays as it was.
 """
 
 import contextlib
@@ -103,9 +103,8 @@ def _run_child(function: Callable[[Send], Any], pipe: int) -> None:
 
 def _close_others(kept: int) -> None:
     """Close what the parent has open (row file, notices, lock of the run) but the standard streams."""
-    for descriptor in map(
-        int, os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else ()
-    ):
+    open_now = os.listdir("/proc/self/fd") if sys.platform == "linux" else ()
+    for descriptor in map(int, open_now):
         if descriptor > 2 and descriptor != kept:
             with contextlib.suppress(OSError):
                 os.close(descriptor)

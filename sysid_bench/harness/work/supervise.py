@@ -1,8 +1,8 @@
 """Supervision of worker processes: every cell of a started job gets a row, whatever happens.
 
 The end of a worker, by itself (`crash`), over its limits (`timeout`, `memory`) or from outside
-(`lost`), is the row of the cell that it was computing; the others of the experiment go on in a fresh
-worker. An end before the first cell, while the experiment was prepared, is a row of each of them.
+(`lost`), is the row of the cell that it was computing; the others of the experiment go on in a
+fresh worker. An end before the first cell, while the experiment was prepared, is a row of each of them.
 """
 
 import queue

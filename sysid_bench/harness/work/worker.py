@@ -2,9 +2,9 @@
 
 In: settings {parent, path, rows, memory}, then jobs {number, call, argument, cells, losses}; null
 ends the worker. Out, each with the number of its job: {begin}, {cell: id} before a cell,
-{row: id, status, reason}, and {done: value}, {failed: reason, status, traceback}, {dead: reason,
-status} or {full: reason} where a row cannot be stored. A row is stored before it is announced, so that it survives the supervisor. The worker ends
-at once when its input ends.
+{row: id, status, reason}, and at the end {done: value}, {failed: reason, status, traceback},
+{dead: reason, status}, or {full: reason} where a row cannot be stored. A row is stored before it is
+announced, so that it survives the supervisor. The worker ends at once when its input ends.
 """
 
 import contextlib
