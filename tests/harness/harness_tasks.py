@@ -15,7 +15,7 @@ from sysid_bench.experiments.job_channel import JobChannel, JobDied
 
 
 def act(argument: dict[str, Any], channel: JobChannel) -> None:
-    """argument: {do, cells}; the act precedes the first cell, or comes in the Nth for "in N ..."."""
+    """argument: {do, cells}; the act precedes the first cell, or is in cell N for "in N ..."."""
     do, inside = argument["do"], None
     if do.startswith("in "):
         _, number, do = do.split(maxsplit=2)

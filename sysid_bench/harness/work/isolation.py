@@ -102,7 +102,7 @@ def _run_child(function: Callable[[Send], Any], pipe: int) -> None:
 
 
 def _close_others(kept: int) -> None:
-    """Close what the parent has open (row file, notices, lock of the run) but the standard streams."""
+    """Close what the parent has open (row file, notices, lock), except the standard streams."""
     open_now = os.listdir("/proc/self/fd") if sys.platform == "linux" else ()
     for descriptor in map(int, open_now):
         if descriptor > 2 and descriptor != kept:

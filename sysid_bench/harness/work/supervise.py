@@ -2,7 +2,8 @@
 
 The end of a worker, by itself (`crash`), over its limits (`timeout`, `memory`) or from outside
 (`lost`), is the row of the cell that it was computing; the others of the experiment go on in a
-fresh worker. An end before the first cell, while the experiment was prepared, is a row of each of them.
+fresh worker. An end before the first cell, while the experiment was prepared, is a row of each of
+them.
 """
 
 import queue
