@@ -12,6 +12,7 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, reason_of, status_of
 from sysid_bench.experiments.job_channel import JobChannel, JobDied
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
+from sysid_bench.experiments.loaded_sources import loaded_sources
 from sysid_bench.experiments.machine_use import PeakMemory, machine_fields
 from sysid_bench.experiments.paper_data import store_paper_data
 from sysid_bench.experiments.plugin_metrics import own_metrics
@@ -86,6 +87,12 @@ def _emit_isolated(
         channel.emit(header | _explained(row, prepared))
 
 
+def _sources(argument: Mapping[str, Any], entry: Mapping[str, Any]) -> Row:
+    """Third-party files and distributions behind a row, none for built-in methods."""
+    third_party = uses_third_party_data(argument) or is_third_party_cell(argument, entry)
+    return {"sources": loaded_sources()} if third_party else {}
+
+
 def _emit_result(
     argument: Mapping[str, Any],
     entry: Mapping[str, Any],
@@ -95,7 +102,7 @@ def _emit_result(
 ) -> None:
     peak = PeakMemory()
     row = _result(argument, entry, prepared)
-    channel.emit(header | row | machine_fields(peak))
+    channel.emit(header | row | _sources(argument, entry) | machine_fields(peak))
 
 
 def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, LoadedRobot]:

@@ -17,12 +17,16 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.naming import resolve_paths
 from sysid_bench.versions import PACKAGE_FOLDER, source_hash, versions
 
-_INCLUDE = re.compile(rb"""<include\s+file\s*=\s*["']([^"']+)["']""")
+_FILE = re.compile(rb"""\s(?:file|filename)\s*=\s*["']([^"']+)["']""")
+_FOLDER = re.compile(rb"""\s(?:meshdir|assetdir)\s*=\s*["']([^"']*)["']""")
+_ABSENT = "absent"
+_PICTURES = (".png", ".jpg", ".jpeg", ".tga", ".mtl", ".ktx")
 
 
 def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
-    """Return 16 hex digits of this package's source, the bytes of model files (with the includes of
-    an MJCF) and motions, the files of plug-ins ("module:object", "file:x.py:object") and versions.
+    """Return 16 hex digits of this package's source, the bytes of model files (with all that they
+    name) and motions, the files of plug-ins ("module:object", "file:x.py:object") and versions; ""
+    where one of them is absent.
 
     A plug-in counts with the whole package that holds it. Files are read once per process.
     """
@@ -37,7 +41,7 @@ def cell_fingerprint(
     metrics: Sequence[Mapping[str, Any]] = (),
 ) -> str:
     """Return the fingerprint of all that the row of a cell depends on, the specs of its plug-in
-    `metrics` included; "" for an absent robot."""
+    `metrics` included; "" where a part of it is absent."""
     spec = cell.spec
     plugins: dict[str, list[Mapping[str, Any]]] = {
         "task": [{"use": spec.task}],
@@ -82,10 +86,14 @@ def _target(kind: str, plugin: Mapping[str, Any], folder: Path | None) -> str:
 
 @cache
 def _fingerprint(models: tuple[str, ...], plugins: tuple[str, ...]) -> str:
+    files = [_model(path) for path in models]
+    code = [_plugin(name) for name in plugins]
+    if _ABSENT in (*(state for states in files for state in states), *code):
+        return ""
     parts = [
         source_hash(str(PACKAGE_FOLDER)),
-        [_model(path) for path in models],
-        [_plugin(name) for name in plugins],
+        files,
+        code,
         versions(),
         sys.version_info[:2],
     ]
@@ -97,22 +105,41 @@ def _file(path: str) -> str:
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError:
-        return "absent"
+        return _ABSENT
 
 
 @cache
 def _model(path: str) -> list[str]:
-    """Return the hashes of a model file and of its includes."""
-    hashes, waiting = {}, [Path(path)]
+    """Return the hashes of a model file and of all files that it names: includes, attached models,
+    meshes and height fields, since MuJoCo can compute inertias from them. Pictures do not count."""
+    hashes, waiting, folders = dict[str, str](), [Path(path)], [Path(path).parent]
     while waiting:
         file = waiting.pop()
         if str(file) in hashes:
             continue
         hashes[str(file)] = _file(str(file))
-        if hashes[str(file)] != "absent":
-            names = _INCLUDE.findall(file.read_bytes())
-            waiting += [file.parent / name.decode(errors="replace") for name in names]
+        if file.suffix in (".xml", ".mjcf", ".urdf") and hashes[str(file)] != _ABSENT:
+            text = file.read_bytes()
+            folders += [file.parent, *_mesh_folders(text, Path(path).parent)]
+            waiting += _named_files(text, folders)
     return list(hashes.values())
+
+
+def _mesh_folders(text: bytes, folder: Path) -> list[Path]:
+    return [folder / name.decode(errors="replace") for name in _FOLDER.findall(text)]
+
+
+def _named_files(text: bytes, folders: Iterable[Path]) -> list[Path]:
+    """Return the existing files that a model names, in any folder where an engine looks."""
+    names = dict.fromkeys(name.decode(errors="replace") for name in _FILE.findall(text))
+    below = list(dict.fromkeys(folders))
+    files = [
+        folder / name.removeprefix("package://").removeprefix("file://")
+        for name in names
+        if not name.lower().endswith(_PICTURES)
+        for folder in (*below, *(above for first in below for above in first.parents))
+    ]
+    return [file for file in files if file.is_file()]
 
 
 @cache
@@ -128,7 +155,7 @@ def _plugin(name: str) -> str:
     except (ImportError, ValueError):
         spec = None
     if spec is None:
-        return "absent"
+        return _ABSENT
     if spec.submodule_search_locations:
         return digest([source_hash(folder) for folder in spec.submodule_search_locations])
-    return _file(spec.origin) if spec.origin else "absent"
+    return _file(spec.origin) if spec.origin else _ABSENT

@@ -18,7 +18,9 @@ from sysid_bench import places
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.job import job_of
-from sysid_bench.harness.plan import Cell, expand
+from sysid_bench.harness.plan import Cell, Plan, expand
+from sysid_bench.harness.shard import Shard
+from sysid_bench.harness.staleness import is_stale, stale_cells, stale_note
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
@@ -55,6 +57,7 @@ def run(
     jobs: int | None = None,
     select: str | None = None,
     limit: int | None = None,
+    shard: Shard | None = None,
     timeout: float | str | None = None,
     rerun: Rerun | None = None,
     fail_fast: bool = False,
@@ -66,7 +69,8 @@ def run(
 ) -> RunResult:
     """Execute the selected cells that have no row; a run folder holds its own suite.
 
-    `limit` takes the first selected cells in the order of the plan, with a row or without;
+    `limit` takes the first selected cells in the order of the plan, with a row or without, `shard`
+    a part of the plan for one of several machines (see harness/merge.py);
     `timeout` (s) and `jobs` (default: the cores) change no cell. `on_event` gets ("plan", {cells,
     open, tasks, seconds}), then the events of the supervisor. Raises UsageError before any run.
     """
@@ -75,7 +79,7 @@ def run(
     folder = _run_folder(suite_or_folder, out, names, overrides, robots_dir)
     suite, plan = folder.suite, folder.plan
     robots_dir = robots_dir or suite.robots_dir
-    selected = plan.select(select)[:limit]
+    selected = _selected(plan, select, shard)[:limit]
     with folder.lock() as descriptor:
         fingerprint = partial(
             cell_fingerprint,
@@ -103,8 +107,16 @@ def run(
         )
         ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, on_event)
         folder.write_frames()
+        repeated = {cell.id for cell in todo}
+        kept = [cell for cell in selected if cell.id not in repeated]
+        stale = stale_note(len(stale_cells(kept, stored, fingerprint)))
     unmatched = plan.missing_values(select) if select and not selected else ()
-    return _result(folder, selected, todo, ending, unmatched)
+    return _result(folder, selected, todo, ending, (*filter(None, [stale]), *unmatched))
+
+
+def _selected(plan: Plan, select: str | None, shard: Shard | None) -> tuple[Cell, ...]:
+    cells = plan.select(select)
+    return cells if shard is None else shard.cells(cells)
 
 
 def _check(
@@ -178,7 +190,7 @@ def _todo(
             return True
         if rerun == "failed":
             return row.get("status") not in ("ok", "unsupported")
-        return rerun == "stale" and row.get("fingerprint") != fingerprint(cell)
+        return rerun == "stale" and is_stale(row, fingerprint(cell))
 
     return [cell for cell in selected if wanted(cell)]
 
@@ -228,7 +240,7 @@ def _result(
     selected: Sequence[Cell],
     todo: Sequence[Cell],
     ending: Ending,
-    unmatched: Iterable[str],
+    more: Iterable[str],
 ) -> RunResult:
     stored = folder.rows()
     rows = [stored.rows[cell.id] for cell in selected if cell.id in stored.rows]
@@ -240,7 +252,7 @@ def _result(
         open=len(selected) - len(rows),
         asked=len(todo),
         exit_code=_exit_code(selected, rows, ending),
-        notes=(*_notes(stored.torn, stored.garbled), *unmatched),
+        notes=(*_notes(stored.torn, stored.garbled), *more),
     )
 
 

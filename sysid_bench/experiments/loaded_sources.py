@@ -1,0 +1,104 @@
+"""Source files and distributions that third-party code has really loaded into this process."""
+
+import contextlib
+import hashlib
+import re
+import sys
+import sysconfig
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
+from pathlib import Path
+
+from sysid_bench.versions import PACKAGE_FOLDER
+
+
+def loaded_sources() -> dict[str, str]:
+    """Return {path: SHA-256} of the third-party source files and {distribution: version} of the
+    third-party packages in this process.
+
+    The standard library, this package and the distributions that it requires are left out: they
+    are in the fingerprint of every row. Third-party code is loaded in isolated processes alone, so
+    that all that is found belongs to the present cell.
+    """
+    sources = dict[str, str]()
+    for name, path in _modules():
+        if _is_installed(path):
+            sources |= _distributions(name.partition(".")[0])
+        elif not _is_ours(path):
+            sources[str(path)] = file_hash(path)
+    return dict(sorted(sources.items()))
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file, "absent" where it cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return "absent"
+
+
+def changed_sources(sources: Mapping[str, str]) -> list[str]:
+    """Return the sources of a row that are there and differ now; what is gone proves nothing."""
+    return [name for name, state in sources.items() if _present(name) not in (state, "absent")]
+
+
+@cache
+def _present(name: str) -> str:
+    """State of a source now: the hash of a path, the version of a distribution."""
+    if Path(name).is_absolute():
+        return file_hash(Path(name))
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "absent"
+
+
+def _modules() -> Iterator[tuple[str, Path]]:
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, "__file__", None)
+        if isinstance(file, str):
+            yield name, Path(file).resolve()
+
+
+def _is_ours(path: Path) -> bool:
+    return PACKAGE_FOLDER in path.parents or _standard_library() in path.parents
+
+
+def _is_installed(path: Path) -> bool:
+    return any(part in ("site-packages", "dist-packages") for part in path.parts)
+
+
+@cache
+def _standard_library() -> Path:
+    return Path(sysconfig.get_path("stdlib")).resolve()
+
+
+@cache
+def _owners() -> Mapping[str, list[str]]:
+    return packages_distributions()
+
+
+def _distributions(top: str) -> dict[str, str]:
+    return {name: version(name) for name in _owners().get(top, ()) if name not in _required()}
+
+
+@cache
+def _required() -> frozenset[str]:
+    """Distributions that this one requires, themselves or through others, extras included."""
+    found, waiting = set[str](), ["sysid-bench"]
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        found.add(name)
+        with contextlib.suppress(PackageNotFoundError):
+            waiting += [_canonical(text) for text in requires(name) or ()]
+    owners = {owner for names in _owners().values() for owner in names}
+    return frozenset(owner for owner in owners if _canonical(owner) in found)
+
+
+def _canonical(requirement: str) -> str:
+    """Normalised name of a distribution at the head of a requirement (PEP 503)."""
+    match = re.match(r"[A-Za-z0-9._-]+", requirement)
+    return re.sub(r"[-_.]+", "-", match[0]).lower() if match else ""

@@ -1,0 +1,135 @@
+"""Merge of runs of one plan, as shards on several machines leave them."""
+
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from sysid_bench.canonical_json import canonical
+from sysid_bench.errors import UsageError, first_names
+from sysid_bench.harness.store import RunFolder
+from sysid_bench.types import Row
+from sysid_bench.vocabulary import MACHINE_FIELDS, STATUSES
+
+_WORTH: Final = ("ok", "unsupported", "skipped", "failed", "crash", "memory", "timeout", "lost")
+"""Statuses, the best first: of the rows of a cell the first in this order is kept."""
+_EXCEPT: Final = MACHINE_FIELDS | {"fingerprint", "versions", "sources", "traceback", "losses"}
+
+
+@dataclass(frozen=True)
+class MergeResult:
+    """Merged run. `contradictions`: cells with different ok rows; nothing is written then. `twice`:
+    cells that several runs computed with equal results, a test of reproducibility."""
+
+    folder: RunFolder | None
+    rows: int
+    open: int
+    twice: int
+    contradictions: tuple[str, ...] = ()
+
+    @property
+    def exit_code(self) -> int:
+        """1 where rows contradict each other, else 0."""
+        return 1 if self.contradictions else 0
+
+
+def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResult:
+    """Merge runs of the same plan into the folder `out`, which is then a run like any other.
+
+    Of several rows of a cell an ok row is kept before any other. Raises UsageError for runs of
+    different plans, for an `out` that exists, and, unless `mixed`, for rows of different code.
+    """
+    folders = [RunFolder.open(path) for path in paths]
+    if (out / "plan.jsonl").exists():
+        raise UsageError(f"{str(out)!r} is a run already; choose another -o, or remove it.")
+    first = _check_same_plan(folders)
+    candidates = _candidates(folders)
+    if not mixed:
+        _check_same_code(candidates)
+    contradictions = tuple(cell for cell, rows in candidates.items() if _contradict(rows))
+    planned = [cell.id for cell in first.plan.cells]
+    twice = sum(sum(row["status"] == "ok" for row in rows) > 1 for rows in candidates.values())
+    if contradictions:
+        return MergeResult(None, len(candidates), len(planned), twice, contradictions)
+    folder = RunFolder.create(out, first.suite, first.plan, _environment(folders))
+    with folder.new_writer("merge") as writer:
+        for cell in planned:
+            if cell in candidates:
+                writer.append(min(candidates[cell], key=_worth))
+    _copy_artifacts(folders, out)
+    folder.write_frames()
+    return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice)
+
+
+def _check_same_plan(folders: Sequence[RunFolder]) -> RunFolder:
+    if not folders:
+        raise UsageError("Name the runs to merge.")
+    first = folders[0]
+    wanted = {cell.id for cell in first.plan.cells}
+    for folder in folders[1:]:
+        ids = {cell.id for cell in folder.plan.cells}
+        if ids != wanted:
+            raise UsageError(
+                f"{str(folder.path)!r} holds another plan than {str(first.path)!r}: "
+                f"{len(ids - wanted)} cells more and {len(wanted - ids)} fewer. Merge runs of one "
+                "suite."
+            )
+    return first
+
+
+def _candidates(folders: Iterable[RunFolder]) -> dict[str, list[Row]]:
+    """Return the rows of each planned cell, in the order of the runs."""
+    found: dict[str, list[Row]] = {}
+    for folder in folders:
+        planned = {cell.id for cell in folder.plan.cells}
+        for cell, row in folder.rows().rows.items():
+            if cell in planned and row.get("status") in STATUSES:
+                found.setdefault(cell, []).append(row)
+    return found
+
+
+def _check_same_code(candidates: Mapping[str, Sequence[Row]]) -> None:
+    mixed = [
+        cell
+        for cell, rows in candidates.items()
+        if len({row.get("fingerprint") for row in rows if row["status"] == "ok"}) > 1
+    ]
+    code = {canonical(row.get("versions")) for rows in candidates.values() for row in rows}
+    if mixed or len(code) > 1:
+        where = f" (cells {first_names(mixed)})" if mixed else ""
+        raise UsageError(
+            f"The runs were made by different code, models or libraries{where}; merge them "
+            "nevertheless with --mixed, or run the older ones again with --rerun stale."
+        )
+
+
+def _contradict(rows: Sequence[Row]) -> bool:
+    results = {canonical(_result(row)) for row in rows if row["status"] == "ok"}
+    return len(results) > 1
+
+
+def _result(row: Row) -> Row:
+    """The part of a row that every machine should reproduce."""
+    return {key: value for key, value in row.items() if key not in _EXCEPT}
+
+
+def _worth(row: Row) -> int:
+    return _WORTH.index(row["status"])
+
+
+def _environment(folders: Sequence[RunFolder]) -> dict[str, Any]:
+    """The environment of the first run, and those of all as `machines`."""
+    every = [folder.env for folder in folders]
+    machines = [entry for env in every for entry in env.get("machines", [env])]
+    unique = list({canonical(machine): machine for machine in machines}.values())
+    return {**every[0], "machines": unique}
+
+
+def _copy_artifacts(folders: Sequence[RunFolder], out: Path) -> None:
+    """Copy the stored data of cells; the first run that has a cell's folder gives it."""
+    for folder in folders:
+        for source in sorted((folder.path / "artifacts").glob("*/paper")):
+            target = out / "artifacts" / source.parent.name / "paper"
+            if not target.exists():
+                shutil.copytree(source, target)
