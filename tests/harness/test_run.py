@@ -2,6 +2,7 @@
 
 import os
 import random
+import signal
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.work.processes import children_of
 from sysid_bench.harness.work.row_files import read_rows
 
 HERE = Path(__file__).parent
@@ -144,6 +146,35 @@ def test_rerun_stale_runs_what_a_change_has_touched(tmp_path: Path, executed: An
     (changed,) = result.folder.plan.select('robot == "two"')
     assert executed() == [changed.id]
     assert go(suite, tmp_path / "run", rerun="stale").asked == 0
+
+
+def test_a_lost_cell_is_repeated_twice_and_then_left(tmp_path: Path, executed: Any) -> None:
+    suite = suite_of("", 'do = "killed"', "")
+    for asked, losses in ((3, 1), (1, 2), (1, 3), (0, 3), (0, 3)):
+        result = go(suite, tmp_path)
+        assert (result.asked, result.exit_code) == (asked, 3)
+        assert result.counts == {"ok": 2, "lost": 1}
+        (lost,) = [r for r in result.folder.rows().rows.values() if r["status"] == "lost"]
+        assert lost["losses"] == losses
+    assert go(suite, tmp_path, rerun="failed").asked == 1
+
+
+def test_a_worker_killed_from_outside_is_repaired_by_a_plain_resume(tmp_path: Path) -> None:
+    """The sentence of the reason says who ended it; the second run has all rows."""
+    suite = suite_of("", "seconds = 2", "")
+
+    def kill(kind: str, data: Any) -> None:
+        if kind == "row" and not killed:
+            killed.extend(children_of(os.getpid()))
+            for process in killed:
+                os.kill(process, signal.SIGKILL)
+
+    killed: list[int] = []
+    first = run(suite, tmp_path, jobs=1, names=ANY, call=CALL, on_event=kill)
+    assert "lost" in first.counts
+    lost = [r for r in first.folder.rows().rows.values() if r["status"] == "lost"]
+    assert all("SIGKILL" in row["reason"] for row in lost)
+    assert go(suite_of("", "seconds = 2", ""), tmp_path).counts == {"ok": 3}
 
 
 def test_fail_fast_leaves_open_cells_open(tmp_path: Path) -> None:

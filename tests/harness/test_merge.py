@@ -1,0 +1,105 @@
+"""Laws of shards: together they are the plan, and merged they are the run of one machine."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from harness_world import FULL, NAMES, read
+
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.merge import merge
+from sysid_bench.harness.plan import expand
+from sysid_bench.harness.run import run
+from sysid_bench.harness.shard import Shard
+from sysid_bench.harness.work.row_files import read_rows
+from sysid_bench.vocabulary import MACHINE_FIELDS
+
+CALL = "harness_tasks:execute"
+
+
+def go(out: Path, **settings: Any) -> Path:
+    run(read(FULL), out, jobs=2, names=NAMES, call=CALL, **settings)
+    return out
+
+
+def rows(folder: Path) -> dict[str, Any]:
+    stored = read_rows(folder / "cells").rows
+    return {
+        name: {key: value for key, value in row.items() if key not in MACHINE_FIELDS}
+        for name, row in stored.items()
+    }
+
+
+def falsify(folder: Path, cell: str, **fields: Any) -> None:
+    """Append a row with other results, as a faulty machine would."""
+    row = read_rows(folder / "cells").rows[cell] | fields
+    (folder / "cells" / "999999-other.jsonl").write_text(json.dumps(row) + "\n")
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 100])
+def test_shards_are_disjoint_whole_experiments_and_complete(count: int) -> None:
+    cells = expand(read(FULL), NAMES).cells
+    parts = [Shard(index, count).cells(cells) for index in range(1, count + 1)]
+    assert sorted(cell.id for part in parts for cell in part) == sorted(cell.id for cell in cells)
+    experiments = [{cell.experiment for cell in part} for part in parts]
+    assert sum(map(len, experiments)) == len({cell.experiment for cell in cells})
+
+
+@pytest.mark.parametrize("text", ["", "2", "0/3", "4/3", "a/b", "1/0", "-1/3", "1/2/3", "1.0/2"])
+def test_a_shard_that_does_not_exist(text: str) -> None:
+    with pytest.raises(UsageError, match="shard"):
+        Shard.parse(text)
+
+
+def test_three_merged_shards_are_the_single_run(tmp_path: Path) -> None:
+    whole = go(tmp_path / "whole")
+    parts = [go(tmp_path / f"part{i}", shard=Shard(i, 3)) for i in (1, 2, 3)]
+    result = merge(parts, tmp_path / "merged")
+    assert (result.exit_code, result.rows, result.open, result.twice) == (0, 56, 0, 0)
+    assert rows(tmp_path / "merged") == rows(whole)
+    # It is a run like any other: nothing is left to run, and its tables are there.
+    assert run(tmp_path / "merged", names=NAMES, call=CALL).asked == 0
+    assert (tmp_path / "merged" / "cells.parquet").is_file()
+
+
+def test_what_two_machines_computed_equally_is_counted(tmp_path: Path) -> None:
+    parts = [go(tmp_path / name) for name in ("one", "two")]
+    assert merge(parts, tmp_path / "merged").twice == 56
+
+
+@pytest.mark.parametrize("place", [0, 30, -1])
+def test_a_falsified_row_is_found_and_nothing_written(tmp_path: Path, place: int) -> None:
+    parts = [go(tmp_path / name) for name in ("one", "two")]
+    cell = list(rows(parts[0]))[place]
+    falsify(parts[1], cell, torque_error=0.25)
+    result = merge(parts, tmp_path / "merged")
+    assert (result.exit_code, result.contradictions) == (1, (cell,))
+    assert not (tmp_path / "merged").exists()
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_an_ok_row_is_kept_before_any_other(tmp_path: Path, order: int) -> None:
+    parts = [go(tmp_path / name) for name in ("one", "two")]
+    cell = next(iter(rows(parts[0])))
+    falsify(parts[1], cell, status="timeout", reason="a slow machine", torque_error=None)
+    result = merge(parts[::order], tmp_path / "merged")
+    assert result.exit_code == 0
+    assert rows(tmp_path / "merged")[cell]["status"] == "ok"
+
+
+def test_runs_that_cannot_be_merged(tmp_path: Path) -> None:
+    one = go(tmp_path / "one")
+    other = read(FULL.replace("20261121", "1"))
+    run(other, tmp_path / "other", names=NAMES, call=CALL, limit=2)
+    with pytest.raises(UsageError, match="another plan"):
+        merge([one, tmp_path / "other"], tmp_path / "merged")
+    with pytest.raises(UsageError, match="is a run already"):
+        merge([one], tmp_path / "other")
+    with pytest.raises(UsageError, match="is not a run"):
+        merge([one, tmp_path / "nothing"], tmp_path / "merged")
+    two = go(tmp_path / "two")
+    falsify(two, next(iter(rows(two))), fingerprint="another")
+    with pytest.raises(UsageError, match="--mixed"):
+        merge([one, two], tmp_path / "merged")
+    assert merge([one, two], tmp_path / "merged", mixed=True).exit_code == 0
