@@ -22,10 +22,10 @@ from sysid_bench.models.coupling.equalities import (
     select_equalities,
 )
 from sysid_bench.models.coupling.mimic import mimic_equalities
-from sysid_bench.models.element_names import free_name, name_elements
+from sysid_bench.models.element_names import free_name, name_unnamed
 from sysid_bench.models.free_base import add_free_base
 from sysid_bench.models.joint_terms import apply_joint_terms, model_joint_terms
-from sysid_bench.models.limits import limits_of, stated_limits
+from sysid_bench.models.limits import known_limits, limits_of
 from sysid_bench.models.lock_joints import lock_joints
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf.mjcf_spec import mjcf_spec
@@ -137,7 +137,7 @@ def _bare_model(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
         spec.option.gravity = manifest.gravity
     apply_joint_terms(spec, manifest)
     _compile(spec, manifest)  # gives bodies and joints the ids that unnamed ones are called by
-    name_elements(spec)
+    name_unnamed(spec)
     if manifest.locked:
         lock_joints(spec, _compile(spec, manifest), manifest.locked)
     return _compile(spec, manifest)
@@ -166,7 +166,7 @@ def _coupling(
         low=limits.q_low,
         high=limits.q_high,
         v=limits.v,
-        stated=stated_limits(mj, joints, manifest, source.velocities),
+        stated=known_limits(mj, joints, manifest, source.velocities),
     )
     return coupling_of(equalities.constraints, dofs, source.actuated, manifest.independent)
 
