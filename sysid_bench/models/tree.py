@@ -6,7 +6,7 @@ one body, each about its own anchor `jnt_pos`, with `q - qpos0`; a free joint ha
 the world and angular velocity in the body.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
@@ -82,6 +82,11 @@ class Tree:
         return total
 
 
+_Pose = tuple[Array, Array]
+"""Rotation (3, 3) and position (3,) in another frame."""
+
+_IDENTITY: Final[_Pose] = (np.eye(3), np.zeros(3))
+
 NOTHING: Final[Mapping[int, tuple[TreeJoint, ...]]] = MappingProxyType({})
 
 
@@ -92,33 +97,42 @@ def tree_of(mj: mujoco.MjModel, more: Mapping[int, tuple[TreeJoint, ...]] = NOTH
     """
     links: list[Link] = []
     carrier: list[int] = [-1]
-    pose: list[tuple[Array, Array]] = [(np.eye(3), np.zeros(3))]  # of each body in its carrier
-    X: list[Array] = []
+    poses: list[_Pose] = [_IDENTITY]  # of each body in its carrier
     for b in range(1, mj.nbody):
         p = int(mj.body_parentid[b])
-        R_p, p_p = pose[p]
-        R0 = R_p @ matrix_of_quaternion(np.array(mj.body_quat[b]))
-        p0 = p_p + R_p @ np.array(mj.body_pos[b])
-        joints = tuple(_joint(mj, int(mj.body_jntadr[b]) + k) for k in range(mj.body_jntnum[b]))
-        joints += more.get(b - 1, ())
-        if not joints:
-            carrier.append(carrier[p])
-            pose.append((R0, p0))
-            X.append(transport(R0, p0))
-            continue
-        new = [dof for joint in joints for dof in joint.dofs]
-        before = links[carrier[p]].dofs if carrier[p] >= 0 else np.zeros(0, dtype=int)
-        links.append(
-            Link(b - 1, carrier[p], R0, p0, joints, np.concatenate([before, new]).astype(int))
-        )
-        carrier.append(len(links) - 1)
-        pose.append((np.eye(3), np.zeros(3)))
-        X.append(np.eye(10))
-    stacked = np.stack(X) if X else np.zeros((0, 10, 10))
+        pose, parent = _pose_below(mj, b, poses[p]), carrier[p]
+        joints = _joints_of(mj, b) + more.get(b - 1, ())
+        if joints:
+            links.append(_link(b - 1, parent, pose, joints, links))
+            # The body is a link of its own: its frame is that of its parameters.
+            parent, pose = len(links) - 1, _IDENTITY
+        carrier.append(parent)
+        poses.append(pose)
+    X = np.array([transport(R, p) for R, p in poses[1:]]).reshape(-1, 10, 10)
     added = [joint.kind for joints in more.values() for joint in joints]
     nq = mj.nq + sum(COORDINATES[kind] for kind in added)
     nv = mj.nv + sum(DOFS[kind] for kind in added)
-    return Tree(tuple(links), np.array(carrier[1:], dtype=int), stacked, gravity_of(mj), nq, nv)
+    return Tree(tuple(links), np.array(carrier[1:], dtype=int), X, gravity_of(mj), nq, nv)
+
+
+def _pose_below(mj: mujoco.MjModel, b: int, parent: _Pose) -> _Pose:
+    """Reference pose of a body in the carrier of its parent, whose pose there is `parent`."""
+    R_p, p_p = parent
+    R = R_p @ matrix_of_quaternion(np.array(mj.body_quat[b]))
+    return R, p_p + R_p @ np.array(mj.body_pos[b])
+
+
+def _link(
+    body: int, parent: int, pose: _Pose, joints: tuple[TreeJoint, ...], links: Sequence[Link]
+) -> Link:
+    before = links[parent].dofs.tolist() if parent >= 0 else []
+    own = [dof for joint in joints for dof in joint.dofs]
+    return Link(body, parent, *pose, joints, np.array([*before, *own], dtype=int))
+
+
+def _joints_of(mj: mujoco.MjModel, b: int) -> tuple[TreeJoint, ...]:
+    first = int(mj.body_jntadr[b])
+    return tuple(_joint(mj, j) for j in range(first, first + int(mj.body_jntnum[b])))
 
 
 def gravity_of(mj: mujoco.MjModel) -> Array:
