@@ -14,7 +14,7 @@ PACKAGES: Final = ("example-robot-data", "robot_descriptions")
 """Sources of model files besides the user's own, written `package:rest`."""
 
 
-def is_packaged(source: str) -> bool:
+def is_package_file(source: str) -> bool:
     """True for a text that names a file of a package."""
     package, colon, _ = source.partition(":")
     return bool(colon) and package in PACKAGES
