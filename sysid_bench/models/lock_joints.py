@@ -1,6 +1,6 @@
 """Locked joints: each is removed, and its body is welded to the parent at the given position."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -20,18 +20,13 @@ def lock_joints(spec: mujoco.MjSpec, mj: mujoco.MjModel, where: Mapping[str, flo
     their reference); `mj` is the compiled spec. Raises ModelError for an unknown joint, and for one
     that is coupled to a moving joint or shares its body with others.
     """
-    known = [mj.joint(j).name for j in range(mj.njnt)]
-    _check_joints(where, known)
-    locked = {j: where[name] for j, name in enumerate(known) if name in where}
+    index = {mj.joint(j).name: j for j in range(mj.njnt)}
+    for name in where:
+        if name not in index:
+            raise ModelError(str(unknown_name("joint to be locked", name, index)))
     _drop_couplings(spec, mj, set(where))
-    for j, position in locked.items():
-        _lock(spec, mj, j, position)
-
-
-def _check_joints(names: Iterable[str], known: list[str]) -> None:
-    for name in names:
-        if name not in known:
-            raise ModelError(str(unknown_name("joint to be locked", name, known)))
+    for j, name in sorted((index[name], name) for name in where):
+        _lock(spec, mj, j, where[name])
 
 
 def _lock(spec: mujoco.MjSpec, mj: mujoco.MjModel, j: int, position: float) -> None:

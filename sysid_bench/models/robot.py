@@ -178,23 +178,31 @@ class RobotModel:
                 columns.append(term)
         return tuple(dict.fromkeys(columns))
 
-    def term_index(self, name: str) -> tuple[str, int, int | None]:
+    def resolve_term(self, name: str) -> tuple[str, int, int | None]:
         """Return (term, degree of freedom, the one whose rate it multiplies where that is another)
         of a parameter name; raises UsageError for an unknown name."""
+        if name not in self._term_names:
+            joints = [self.rows[dof] for dof in self.scalar_dofs]
+            known = [*SUFFIX, *(f"{joint}.{suffix}" for joint in joints for suffix in TERM_OF)]
+            raise unknown_name(
+                "joint term", name, known, "Viscous friction on j5 due to j6 is 'j5.fv.j6'."
+            )
+        return self._term_names[name]
+
+    @cached_property
+    def _term_names(self) -> dict[str, tuple[str, int, int | None]]:
+        """Meaning of the name of every joint term; of joints called "a" and "a.fv" the first one in
+        the tree wins."""
         joints = {self.rows[dof]: int(dof) for dof in self.scalar_dofs}
-        for joint, dof in joints.items():
-            rest = name.removeprefix(f"{joint}.")
-            if rest == name:
-                continue
-            other = joints.get(rest.removeprefix("fv.")) if rest.startswith("fv.") else None
-            if other is not None and other != dof:
-                return "viscous_coupling", dof, other
-            if rest in TERM_OF:
-                return TERM_OF[rest], dof, None
-        known = [*SUFFIX, *(f"{joint}.{suffix}" for joint in joints for suffix in TERM_OF)]
-        raise unknown_name(
-            "joint term", name, known, "Viscous friction on j5 due to j6 is 'j5.fv.j6'."
-        )
+        names: dict[str, tuple[str, int, int | None]] = {}
+        for joint, dof in reversed(joints.items()):
+            names |= {f"{joint}.{suffix}": (term, dof, None) for suffix, term in TERM_OF.items()}
+            names |= {
+                f"{joint}.fv.{other}": ("viscous_coupling", dof, index)
+                for other, index in joints.items()
+                if index != dof
+            }
+        return names
 
     def term_values(self, terms: tuple[str, ...]) -> Array:
         """Return the true values of `term_columns(terms)`."""

@@ -25,6 +25,11 @@ class Relation:
     coefficients: Array
 
     @property
+    def blocks(self) -> tuple[int, ...]:
+        """Numbers of successive rows that have the same unit."""
+        return (1,)
+
+    @property
     def linear(self) -> bool:
         """True where J is constant."""
         return not self.coefficients[2:].any()
@@ -52,6 +57,11 @@ class Loop:
     one: Chain
     other: Chain
     rigid: bool
+
+    @property
+    def blocks(self) -> tuple[int, ...]:
+        """Numbers of successive rows that have the same unit: m, then rad."""
+        return (3, 3) if self.rigid else (3,)
 
     @property
     def linear(self) -> bool:

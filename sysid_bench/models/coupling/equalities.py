@@ -61,14 +61,18 @@ def select_equalities(spec: mujoco.MjSpec, equalities: Equalities) -> None:
 def _reason_without_coupling(mj: mujoco.MjModel, e: int) -> str:
     """The reason why an equality couples no joints; empty where it couples some."""
     kind = int(mj.eq_type[e])
-    if kind not in (_JOINT, _TENDON, _CONNECT, _WELD):
-        return "it couples no joints"
     if kind in (_JOINT, _TENDON):
         return ""
-    one, other = (body for body, _, _ in closure_frames(mj, e))
-    if mj.body_mocapid[one] >= 0 or mj.body_mocapid[other] >= 0:
+    if kind in (_CONNECT, _WELD):
+        return _reason_without_loop(mj, e)
+    return "it couples no joints"
+
+
+def _reason_without_loop(mj: mujoco.MjModel, e: int) -> str:
+    bodies = one, other = [body for body, _, _ in closure_frames(mj, e)]
+    if (mj.body_mocapid[bodies] >= 0).any():
         return "a mocap body is moved by hand"
-    if not (_joints_on(mj, _path(mj, one, other)) or _joints_on(mj, _path(mj, other, one))):
+    if not _joints_on(mj, _path(mj, one, other) + _path(mj, other, one)):
         return "its bodies move together already"
     return ""
 
@@ -123,17 +127,21 @@ def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
 def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> Loop:
     (one, p1, R1), (other, p2, R2) = closure_frames(mj, e)
     paths = _path(mj, one, other), _path(mj, other, one)
-    joints = [j for path in paths for j in _joints_on(mj, path)]
+    joints = _joints_on(mj, paths[0] + paths[1])
+    _check_scalar(mj, e, joints)
+    dofs = tuple(sorted(int(mj.jnt_dofadr[j]) for j in joints))
+    first = Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1)
+    second = Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2)
+    return Loop(_name(mj, e), dofs, first, second, rigid)
+
+
+def _check_scalar(mj: mujoco.MjModel, e: int, joints: list[int]) -> None:
     for j in joints:
         if int(mj.jnt_type[j]) not in (HINGE, SLIDE):
             raise ModelError(
                 f"The loop of equality {_name(mj, e)} contains {mj.joint(j).name!r}, a ball or "
                 f"free joint; only hinges and slides can close a loop. Delete it, or {ADVICE}."
             )
-    dofs = tuple(sorted(int(mj.jnt_dofadr[j]) for j in joints))
-    first = Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1)
-    second = Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2)
-    return Loop(_name(mj, e), dofs, first, second, rigid)
 
 
 def closure_frames(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:
