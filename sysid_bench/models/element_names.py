@@ -7,7 +7,7 @@ import mujoco
 from sysid_bench.models.tree import FREE
 
 
-def name_unnamed(spec: mujoco.MjSpec) -> None:
+def add_names(spec: mujoco.MjSpec) -> None:
     """Name unnamed bodies and joints of a compiled spec by their index: `body3`, `joint2`; the only
     free joint is `root`.
 

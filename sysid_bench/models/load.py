@@ -22,7 +22,7 @@ from sysid_bench.models.coupling.equalities import (
     select_equalities,
 )
 from sysid_bench.models.coupling.mimic import mimic_equalities
-from sysid_bench.models.element_names import free_name, name_unnamed
+from sysid_bench.models.element_names import add_names, free_name
 from sysid_bench.models.free_base import add_free_base
 from sysid_bench.models.joint_terms import apply_joint_terms, model_joint_terms
 from sysid_bench.models.limits import known_limits, limits_of
@@ -147,7 +147,7 @@ def _bare_model(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
         spec.option.gravity = manifest.gravity
     apply_joint_terms(spec, manifest)
     _compile(spec, manifest)  # gives bodies and joints the ids that unnamed ones are called by
-    name_unnamed(spec)
+    add_names(spec)
     if manifest.locked:
         lock_joints(spec, _compile(spec, manifest), manifest.locked)
     return _compile(spec, manifest)

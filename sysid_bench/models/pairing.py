@@ -43,7 +43,7 @@ class Pairing:
     ball: tuple[tuple[int, int], ...]
     scalar: tuple[tuple[int, float], ...]  # (q address, qpos0) of hinges and slides
 
-    def configuration(self, q: Array) -> Array:
+    def positions_to_pinocchio(self, q: Array) -> Array:
         """Return Pinocchio's q (..., nq) for MuJoCo's q (..., nq)."""
         out = np.array(q, dtype=float)
         for address, q0 in self.scalar:

@@ -127,12 +127,12 @@ class RobotModel:
         return tuple(self.rows[dof] for dof in self.torque_dofs)
 
     @property
-    def torque_kinds(self) -> tuple[str, ...]:
+    def torque_units(self) -> tuple[str, ...]:
         """Kinds of `torque_rows` (n,)."""
         return tuple(self._row_kinds[dof] for dof in self.torque_dofs)
 
     @cached_property
-    def uncoupled(self) -> "RobotModel":
+    def without_coupling(self) -> "RobotModel":
         """The same tree with every joint independent."""
         return self if self.coupling is None else replace(self, coupling=None)
 
@@ -174,7 +174,7 @@ class RobotModel:
             if term in SUFFIX:
                 columns += (f"{self.rows[dof]}.{SUFFIX[term]}" for dof in self.scalar_dofs)
             else:
-                self.term_index(term)
+                self.resolve_term(term)
                 columns.append(term)
         return tuple(dict.fromkeys(columns))
 
@@ -206,7 +206,7 @@ class RobotModel:
 
     def term_values(self, terms: tuple[str, ...]) -> Array:
         """Return the true values of `term_columns(terms)`."""
-        indices = [self.term_index(name) for name in self.term_columns(terms)]
+        indices = [self.resolve_term(name) for name in self.term_columns(terms)]
         return np.array(
             [
                 getattr(self.joint_terms, term)[dof if other is None else (dof, other)]

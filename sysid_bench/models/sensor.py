@@ -98,7 +98,7 @@ def instruments_of(robot: RobotModel, cuts: Sequence[SensorCut] = ()) -> Instrum
         tree=tree_of(robot.mj, joints) if cuts else robot.tree,
         rows=robot.rows + wrenches,
         measured=robot.torque_rows + wrenches,
-        kinds=robot.torque_kinds + KINDS * len(cuts),
+        kinds=robot.torque_units + KINDS * len(cuts),
     )
 
 

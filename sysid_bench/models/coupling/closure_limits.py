@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.models.coupling.group import SINGULAR, Group, PostureBounds
+from sysid_bench.models.coupling.group import SINGULAR, ClosureBounds, Group
 from sysid_bench.types import Array
 
 REGULAR: Final = 0.2
@@ -34,7 +34,7 @@ def closure_limits(group: Group, low: Array, high: Array) -> tuple[Array, Array]
     keep_low[follow] = np.minimum(low[follow] - _ROUNDING, group.reference[follow])
     keep_high[follow] = np.maximum(high[follow] + _ROUNDING, group.reference[follow])
     margin = max(SINGULAR, REGULAR * float(group.condition(group.reference[None])[0]))
-    keep = PostureBounds(margin, keep_low, keep_high)
+    keep = ClosureBounds(margin, keep_low, keep_high)
     sides = np.tile(start, (2, len(moving), 1))
     sides[:, np.arange(len(moving)), np.arange(len(moving))] = bounds
     shares = _shares(group, sides.reshape(-1, len(moving)), keep)
@@ -48,20 +48,20 @@ def closure_limits(group: Group, low: Array, high: Array) -> tuple[Array, Array]
 def largest_jacobian(group: Group, low: Array, high: Array) -> Array:
     """Return the largest |F| (r, k - r) over postures within low and high (k - r,)."""
     points = np.random.default_rng(0).uniform(size=(SCATTERED, len(low)))
-    x, _ = group.continuation(np.concatenate([low + points * (high - low), [low, high]]))
+    x, _ = group.track_closure(np.concatenate([low + points * (high - low), [low, high]]))
     largest: Array = np.abs(group.follow(x)).max(axis=0)
     return largest
 
 
-def _shares(group: Group, targets: Array, keep: PostureBounds) -> Array:
+def _shares(group: Group, targets: Array, keep: ClosureBounds) -> Array:
     """Share (M,) of the way from the reference to each target along which all bounds hold."""
     if group.linear:
         return _linear_shares(group, targets, keep)
-    _, shares = group.continuation(targets, keep, STEPS)
+    _, shares = group.track_closure(targets, keep, STEPS)
     return np.where(shares < 1.0, INSIDE * shares, 1.0)
 
 
-def _linear_shares(group: Group, targets: Array, keep: PostureBounds) -> Array:
+def _linear_shares(group: Group, targets: Array, keep: ClosureBounds) -> Array:
     """The same in closed form: linear followers meet their limits on straight lines."""
     follow, start = group.dependent, group.reference
     moves = (targets - start[group.independent]) @ group.follow(start[None])[0].T

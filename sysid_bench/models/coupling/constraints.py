@@ -1,4 +1,4 @@
-"""Constraints that couple joints: relations between sums of joint positions, and closed chains.
+"""Constraints that couple joints: polynomials of sums of joint positions, and closed chains.
 
 Both are equations r(x) = 0 in the displacements x of some hinges and slides from their reference,
 with the Jacobian J = dr/dx and the drift dJ/dt v.
@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import polynomial
 
-from sysid_bench.models.coupling.serial_chain import Chain
+from sysid_bench.models.coupling.joint_chain import Chain
 from sysid_bench.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Relation:
+class PolynomialCoupling:
     """first . x = P(second . x), P by its coefficients in ascending order: an equality of two
     joints or two fixed tendons, or of one with a constant."""
 
@@ -88,4 +88,4 @@ class Loop:
         return drift
 
 
-Constraint = Relation | Loop
+Constraint = PolynomialCoupling | Loop

@@ -97,7 +97,7 @@ def _central_difference(group: Group, j: int, x: Array, v: Array, a: Array) -> l
     step = STEP * group.units[group.independent[j]]
     move = np.zeros((len(x), len(group.independent)))
     move[:, j] = step
-    up, down = (_state(group, group.local_closure(x, s * move), v, a) for s in (1.0, -1.0))
+    up, down = (_state(group, group.step_closure(x, s * move), v, a) for s in (1.0, -1.0))
     return [(u - d) / (2 * step) for u, d in zip(up, down, strict=True)]
 
 

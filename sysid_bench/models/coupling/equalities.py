@@ -1,5 +1,5 @@
 """Active equalities of a MuJoCo model as constraints on hinges and slides: joint and tendon
-equalities become relations, connects and welds closed chains."""
+equalities become polynomials, connects and welds closed chains."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.coupling.constraints import Constraint, Loop, Relation
-from sysid_bench.models.coupling.serial_chain import Chain, ChainJoint, Step
+from sysid_bench.models.coupling.constraints import Constraint, Loop, PolynomialCoupling
+from sysid_bench.models.coupling.joint_chain import Chain, ChainJoint, Step
 from sysid_bench.models.tree import HINGE, SLIDE
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array
@@ -80,11 +80,11 @@ def _reason_without_loop(mj: mujoco.MjModel, e: int) -> str:
 def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
     kind = int(mj.eq_type[e])
     if kind in (_JOINT, _TENDON):
-        return _relation(mj, e)
+        return _polynomial(mj, e)
     return _loop(mj, e, kind == _WELD and mj.eq_data[e, 10] > 0)
 
 
-def equality_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
+def coupled_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
     """Return the two sums {dof: coefficient} that a joint or tendon equality relates; the second
     may be empty."""
     sum_of = _joint_sum if int(mj.eq_type[e]) == _JOINT else _tendon_sum
@@ -92,13 +92,13 @@ def equality_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[i
     return sum_of(mj, int(mj.eq_obj1id[e])), sum_of(mj, other) if other >= 0 else {}
 
 
-def _relation(mj: mujoco.MjModel, e: int) -> Relation:
-    first, second = equality_terms(mj, e)
+def _polynomial(mj: mujoco.MjModel, e: int) -> PolynomialCoupling:
+    first, second = coupled_terms(mj, e)
     dofs = tuple(sorted(first | second))
     coefficients = np.array(mj.eq_data[e, :5])
     if not second:
         coefficients[1:] = 0.0
-    return Relation(
+    return PolynomialCoupling(
         _name(mj, e),
         dofs,
         np.array([first.get(dof, 0.0) for dof in dofs]),

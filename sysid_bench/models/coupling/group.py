@@ -35,7 +35,7 @@ PATIENT: Final = 30
 
 
 @dataclass(frozen=True, eq=False)
-class PostureBounds:
+class ClosureBounds:
     """Bounds that postures must keep: a smallest singular value, and limits (k,)."""
 
     regularity: float
@@ -104,7 +104,7 @@ class Group:
         found, _, good = self._newton(x[None], PATIENT)
         return found[0] if good[0] and np.isfinite(found).all() else None
 
-    def least_squares_closure(self, x: Array) -> Array:
+    def nearest_closure(self, x: Array) -> Array:
         """Return x (N, k) closed by the smallest moves of all joints, the independent ones
         included."""
         x = x.copy()
@@ -114,7 +114,7 @@ class Group:
             x -= moves[:, :, 0] * self.units
         return x
 
-    def local_closure(self, x: Array, moves: Array) -> Array:
+    def step_closure(self, x: Array, moves: Array) -> Array:
         """Return postures (N, k) closed again after small moves (N, k - r) of the independent
         joints from closed x (N, k)."""
         x = x.copy()
@@ -129,10 +129,10 @@ class Group:
         if self.linear:
             return self._linear_closure(independent), np.ones(len(independent), dtype=bool)
         if near is not None:
-            x, share = self.continuation(independent, start=near)
+            x, share = self.track_closure(independent, start=near)
             return x, share == 1.0
         stride = self._stride(independent)
-        start, share = self.continuation(independent[::stride])
+        start, share = self.track_closure(independent[::stride])
         regular = share == 1.0
         x = np.repeat(start, stride, axis=0)[: len(independent)]
         regular = np.repeat(regular, stride)[: len(independent)]
@@ -145,10 +145,10 @@ class Group:
             regular = regular & found & self._same_branch(before, J)
         return x, regular
 
-    def continuation(
+    def track_closure(
         self,
         targets: Array,
-        keep: PostureBounds | None = None,
+        keep: ClosureBounds | None = None,
         least: int = 1,
         start: Array | None = None,
     ) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.coupling.constraints import Constraint, Loop, Relation
+from sysid_bench.models.coupling.constraints import Constraint, Loop, PolynomialCoupling
 from sysid_bench.models.coupling.group import SINGULAR, Group, equation
 from sysid_bench.types import Array
 
@@ -125,12 +125,12 @@ def _followers_first(
 
 
 def _mimics(constraints: Sequence[Constraint]) -> set[int]:
-    """Dofs that a relation determines alone: nothing else stands on its left side."""
-    relations = [constraint for constraint in constraints if isinstance(constraint, Relation)]
+    """Dofs that are alone on the left side of an equality: polynomials of the others."""
+    equalities = [c for c in constraints if isinstance(c, PolynomialCoupling)]
     return {
-        relation.dofs[int(np.argmax(relation.first != 0))]
-        for relation in relations
-        if np.count_nonzero(relation.first) == 1
+        equality.dofs[int(np.argmax(equality.first != 0))]
+        for equality in equalities
+        if np.count_nonzero(equality.first) == 1
     }
 
 
@@ -195,7 +195,8 @@ def _check_regular(group: Group, names: tuple[str, ...]) -> None:
     )
     raise ModelError(
         f"The coupling of {joints} is singular at {_REFERENCE}: smallest singular value "
-        f"{least:.2g} ({positions} from there); draw the model in a posture that is not flat or stretched."
+        f"{least:.2g} ({positions} from there); draw the model in a posture that is not flat or "
+        "stretched."
     )
 
 
@@ -210,7 +211,7 @@ def _branching(group: Group) -> float | None:
     # Directions in which the closure is free to first order: the null space of J.
     directions = rng.normal(size=(4, len(Vt) - r)) @ Vt[r:]
     directions *= NEARBY / np.abs(directions).max(axis=1, keepdims=True)
-    nearby = group.least_squares_closure(group.reference + directions * group.units)
+    nearby = group.nearest_closure(group.reference + directions * group.units)
     if max(map(_rank, group.scaled_jacobian(nearby))) <= r:
         return None
     return float([*values, 0.0][r])

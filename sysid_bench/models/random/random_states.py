@@ -43,7 +43,7 @@ def _coupled_states(
     rng: np.random.Generator,
     narrowest: float,
 ) -> Trajectory:
-    free = random_states(robot.uncoupled, count, rng, narrowest)
+    free = random_states(robot.without_coupling, count, rng, narrowest)
     q = free.q.copy()
     for dof, low, high in zip(coupling.independent, coupling.low, coupling.high, strict=True):
         qadr = coupling.qadr[dof]
