@@ -71,6 +71,7 @@ def _child_points(mj: "mujoco.MjModel", child: int) -> list[Array]:
 
 def _shape(mj: "mujoco.MjModel", geom: int) -> Array:
     """Corners (8, 3) of the box around a shape, in the body frame."""
+    # MuJoCo's box is aligned with the axes of the geom, not with those of the body.
     centre, half = np.split(np.array(mj.geom_aabb[geom]), 2)
     corners = centre + half * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     R = matrix_of_quaternion(np.array(mj.geom_quat[geom]))

@@ -48,6 +48,7 @@ def model_joint_terms(
     for j, joint in enumerate(joints):
         if joint.kind in _SCALAR:
             spring[joint.vadr] = float(np.ravel(mj.jnt_stiffness[j])[0])
+            # A position q, as all of qpos; not a displacement from qpos0.
             reference[joint.vadr] = mj.qpos_spring[joint.qadr]
     offset, coupling = _offsets_and_couplings(manifest, joints, mj.nv)
     return JointTerms(

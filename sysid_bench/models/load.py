@@ -100,7 +100,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
     names = _body_names(bare)
     tool, pose = tool_frame(bare, manifest, names)
     load = free_name("payload", names)
-    if payload:
+    if payload:  # MuJoCo counts the world as body 0
         add_payload(spec, tool + 1, pose, payload, load)
     equalities = _selected_equalities(spec, bare, manifest)
     mj = _compile(spec, manifest) if payload or equalities is not None else bare
@@ -120,6 +120,7 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         phi=_phi(mj),
         joint_terms=model_joint_terms(mj, manifest, joints),
         limits=limits_of(mj, joints, manifest, source.velocities),
+        # By name: the payload moves the indices of the bodies after it.
         tool_body=body_names.index(names[tool]),
         payload_body=body_names.index(load) if payload else None,
         format=source.format,

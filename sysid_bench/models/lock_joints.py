@@ -82,6 +82,7 @@ def _drop_tendons(spec: mujoco.MjSpec, ids: set[int]) -> None:
     """Delete tendons by their indices, and before them the actuators that pull them."""
     tendons = [tendon for tendon in spec.tendons if tendon.id in ids]
     names = {tendon.name for tendon in tendons}
+    # Lists, not iterators: elements are deleted while they are gone through.
     for actuator in [a for a in spec.actuators if a.target in names]:
         spec.delete(actuator)
     for tendon in tendons:

@@ -31,6 +31,7 @@ MODEL_SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
 
 
 def _finite(value: Any) -> Any:
+    # Before pydantic's conversion, which takes true for 1 and "1" for 1.
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"must be a number, got {value!r}")
     if not math.isfinite(value):

@@ -46,6 +46,7 @@ class Pairing:
     def positions_to_pinocchio(self, q: Array) -> Array:
         """Return Pinocchio's q (..., nq) for MuJoCo's q (..., nq)."""
         out = np.array(q, dtype=float)
+        # Pinocchio's joints are at zero where the model is drawn, MuJoCo's at qpos0.
         for address, q0 in self.scalar:
             out[..., address] -= q0
         for start in self._quaternions:
@@ -124,6 +125,7 @@ def _add_body(
         anchor = pin.SE3(np.eye(3), np.zeros(3) if kind == FREE else np.array(mj.jnt_pos[j]))
         if kind == FREE:
             placement = pin.SE3.Identity()  # qpos is absolute
+        # Pinocchio turns a joint about the origin of its frame, which is the anchor therefore.
         joint = model.addJoint(joint, _joint_model(mj, j), placement * anchor, f"joint{j}")
         placement = anchor.inverse()
     return joint, placement

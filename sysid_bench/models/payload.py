@@ -43,13 +43,13 @@ def inertia_of(text: str, mass: float) -> tuple[float, float, float, float, floa
     match word, _lengths(text, rest):
         case "point", []:
             return (0.0,) * 6
-        case "sphere", [radius]:
+        case "sphere", [radius]:  # 2/5 m r^2
             i = 0.4 * mass * radius**2
             return (i, 0.0, 0.0, i, 0.0, i)
-        case "rod", [length]:
+        case "rod", [length]:  # thin: no moment about its own axis x
             i = mass * length**2 / 12
             return (0.0, 0.0, 0.0, i, 0.0, i)
-        case "box", [x, y, z]:
+        case "box", [x, y, z]:  # about each axis by the other two edges
             k = mass / 12
             return (k * (y**2 + z**2), 0.0, 0.0, k * (x**2 + z**2), 0.0, k * (x**2 + y**2))
     raise UsageError(

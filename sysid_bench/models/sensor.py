@@ -74,6 +74,7 @@ class Instruments:
         """Return the motion (N, nv) with the joints of all sensors (N, nv + 6 sensors), at rest."""
         if not self.cuts:
             return motion
+        # Joints that do not move carry the wrench through them, and add no velocity terms.
         still = np.zeros((len(motion), 6 * len(self.cuts)))
         q, v, a = (np.hstack([x, still]) for x in (motion.q, motion.v, motion.a))
         return replace(motion, q=q, v=v, a=a)
@@ -157,6 +158,7 @@ def floating_subtree(robot: RobotModel, cut: SensorCut) -> FloatingSubtree:
         links.append(
             _root_link(link, free) if link.body == cut.body else _moved(link, new_index, links)
         )
+    # Bodies outside become fixed to the world, where their parameters act on no joint.
     carrier = np.full(len(whole.carrier), -1)
     bodies = list(cut.bodies)
     carrier[bodies] = [new_index.get(int(old), -1) for old in whole.carrier[bodies]]
@@ -190,7 +192,7 @@ def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) 
     body, R, p = _frame(robot, at)
     others = tuple(named) if others is None else others
     ends = {_frame(robot, named.get(other, other))[0]: other for other in others}
-    ends.pop(body, None)
+    ends.pop(body, None)  # the sensor itself, where it is one of the others
     bodies = _downstream(robot, body, set(ends))
     return SensorCut(
         name=sensor,

@@ -89,6 +89,7 @@ def _radius(sphere: ET.Element) -> tuple[float, ...]:
 
 
 def _radius_and_half_length(cylinder: ET.Element) -> tuple[float, ...]:
+    # URDF states full lengths, MuJoCo and `Shape` half of them.
     return (float(cylinder.get("radius", 0)), 0.5 * float(cylinder.get("length", 0)))
 
 
@@ -133,6 +134,7 @@ def _quaternion_of_rpy(rpy: Array) -> Array:
     """Quaternion (4,) of roll, pitch, yaw about fixed axes, as in URDF."""
     total = np.array([1.0, 0.0, 0.0, 0.0])
     for axis, angle in enumerate(rpy):
+        # About a fixed axis: each later turn multiplies from the left.
         turn = np.zeros(4)
         turn[0], turn[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
         total = product(turn, total)

@@ -60,6 +60,7 @@ def add_payload(spec: mujoco.MjSpec, body: int, pose: Pose, payload: Payload, na
 
 def _end_of_longest_chain(mj: mujoco.MjModel) -> int:
     """The body with the most joints above it; of equals the deepest, of these the first."""
+    # Ties are frequent: bodies welded to the last link have as many joints above them as it has.
     joints = np.zeros(mj.nbody, dtype=int)
     depth = np.zeros(mj.nbody, dtype=int)
     for b in range(1, mj.nbody):

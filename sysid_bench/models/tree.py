@@ -77,7 +77,7 @@ class Tree:
         """Return phi (n_links, 10) of each link with all bodies welded to it, from phi (nb, 10)."""
         total = np.zeros((len(self.links), 10))
         for b, link in enumerate(self.carrier):
-            if link >= 0:
+            if link >= 0:  # bodies welded to the world load no joint
                 total[link] += self.X[b] @ phi[b]
         return total
 
@@ -151,6 +151,7 @@ def _joint(mj: mujoco.MjModel, j: int) -> TreeJoint:
         qadr=qadr,
         vadr=int(mj.jnt_dofadr[j]),
         axis=np.array(mj.jnt_axis[j]) if moves_by_scalar else np.zeros(3),
+        # A free joint acts at the body's origin, whatever its jnt_pos.
         anchor=np.zeros(3) if kind == FREE else np.array(mj.jnt_pos[j]),
         q0=float(mj.qpos0[qadr]) if moves_by_scalar else 0.0,
     )

@@ -31,6 +31,7 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
     """
     data = text.encode() if isinstance(text, str) else text
     _check_declarations(data, name)
+    # expat itself, since ElementTree's parser resolves prefixes and refuses undeclared ones.
     builder, parser = ET.TreeBuilder(), expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler = builder.start

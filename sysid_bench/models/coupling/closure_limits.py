@@ -35,10 +35,12 @@ def closure_limits(group: Group, low: Array, high: Array) -> tuple[Array, Array]
     keep_high[follow] = np.maximum(high[follow] + _ROUNDING, group.reference[follow])
     margin = max(SINGULAR, REGULAR * float(group.condition(group.reference[None])[0]))
     keep = ClosureBounds(margin, keep_low, keep_high)
+    # Each joint alone first, the others at the reference: one target per joint and side.
     sides = np.tile(start, (2, len(moving), 1))
     sides[:, np.arange(len(moving)), np.arange(len(moving))] = bounds
     shares = _shares(group, sides.reshape(-1, len(moving)), keep)
     bounds = start + shares.reshape(bounds.shape) * (bounds - start)
+    # Then all together: the box shrinks as a whole until no way to its surface leaves the bounds.
     if len(moving) > 1:
         surface = start + _surface(bounds[0] - start, bounds[1] - start)
         bounds = start + _shares(group, surface, keep).min() * (bounds - start)
@@ -47,6 +49,7 @@ def closure_limits(group: Group, low: Array, high: Array) -> tuple[Array, Array]
 
 def largest_jacobian(group: Group, low: Array, high: Array) -> Array:
     """Return the largest |F| (r, k - r) over postures within low and high (k - r,)."""
+    # A fixed seed: limits belong to the model and are the same in every run.
     points = np.random.default_rng(0).uniform(size=(SCATTERED, len(low)))
     x, _ = group.track_closure(np.concatenate([low + points * (high - low), [low, high]]))
     largest: Array = np.abs(group.follow(x)).max(axis=0)
@@ -64,6 +67,7 @@ def _shares(group: Group, targets: Array, keep: ClosureBounds) -> Array:
 def _linear_shares(group: Group, targets: Array, keep: ClosureBounds) -> Array:
     """The same in closed form: linear followers meet their limits on straight lines."""
     follow, start = group.dependent, group.reference
+    # Displacement of each follower over the whole way, and how much of it its limits allow.
     moves = (targets - start[group.independent]) @ group.follow(start[None])[0].T
     allowed = np.where(moves > 0, keep.high[follow], keep.low[follow]) - start[follow]
     shares = np.full(moves.shape, 1.0)
@@ -77,6 +81,7 @@ def _surface(low: Array, high: Array) -> Array:
     corners."""
     n = len(low)
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (SCATTERED, n))
+    # Scaled to the largest entry: from inside the box onto its faces.
     points /= np.abs(points).max(axis=1, keepdims=True)
     if n <= 6:
         corners = 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1) - 1.0

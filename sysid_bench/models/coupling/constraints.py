@@ -36,6 +36,7 @@ class PolynomialCoupling:
 
     def equation(self, x: Array) -> tuple[Array, Array]:
         """Return r (N, 1) and J (N, 1, k) at x (N, k)."""
+        # J = first - P'(second . x) second
         slope = polynomial.polyval(x @ self.second, polynomial.polyder(self.coefficients))
         r = x @ self.first - polynomial.polyval(x @ self.second, self.coefficients)
         return r[:, None], (self.first - slope[:, None] * self.second)[:, None]
@@ -72,6 +73,7 @@ class Loop:
         """Return r (N, 3 or 6) and J (N, 3 or 6, k) at x (N, k); J is exact where the loop
         closes."""
         one, other = self.one.evaluate(x), self.other.evaluate(x)
+        # Jacobians have rotation first, [w; v]; rows here have position first.
         J = one.jacobian(x.shape[1]) - other.jacobian(x.shape[1])
         r = one.p - other.p
         if not self.rigid:

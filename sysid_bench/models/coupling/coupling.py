@@ -87,6 +87,7 @@ class Coupling:
 
     def reduced(self, q: Array, tau: Array) -> Array:
         """Return G^T tau (N, n) of generalised forces tau (N, nv) of the tree (d'Alembert)."""
+        # G stacks the identity (independent) and F (dependent): G' tau = tau_ind + F' tau_dep.
         followed = np.einsum("nij,ni->nj", self.follow(q), tau[:, self.dependent])
         total: Array = tau[:, self.independent] + followed
         return total
@@ -103,6 +104,7 @@ class Coupling:
         for group in self.groups:
             moving, following = group.dofs[group.independent], group.dofs[group.dependent]
             given = self._displacement(group, q)[:, group.independent]
+            # A loop can close in several ways: `near` and the reference select the branch.
             start = None if near is None else self._displacement(group, near)
             x, good = group.motion_closure(given, start)
             if not good.all():

@@ -51,6 +51,7 @@ def _pull_back_group(bend: _Curvature, q: Array, v: Array, a: Array) -> None:
     """Move the slopes of the dependent joints of one group to its independent ones, in place."""
     dependent = [slope[:, bend.following] for slope in (q, v, a)]
     for slope, part in zip((q, v, a), dependent, strict=True):
+        # dq_dep/dq, dv_dep/dv and da_dep/da are all F.
         slope[:, bend.moving] += np.einsum("nrc,nr->nc", bend.F, part)
         slope[:, bend.following] = 0.0
     if bend.v_x is not None and bend.a_x is not None:

@@ -81,6 +81,7 @@ def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
     kind = int(mj.eq_type[e])
     if kind in (_JOINT, _TENDON):
         return _polynomial(mj, e)
+    # eq_data[10] of a weld is its torquescale: zero leaves the orientation free, as a connect does.
     return _loop(mj, e, kind == _WELD and mj.eq_data[e, 10] > 0)
 
 
@@ -96,7 +97,7 @@ def _polynomial(mj: mujoco.MjModel, e: int) -> PolynomialCoupling:
     first, second = coupled_terms(mj, e)
     dofs = tuple(sorted(first | second))
     coefficients = np.array(mj.eq_data[e, :5])
-    if not second:
+    if not second:  # MuJoCo then holds the first sum at the constant and ignores the rest
         coefficients[1:] = 0.0
     return PolynomialCoupling(
         _name(mj, e),
@@ -119,6 +120,7 @@ def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
                 f"The equality of tendon {mj.tendon(t).name!r} cannot be resolved: its length is "
                 f"not a sum of joint positions; use a fixed tendon, or {ADVICE}."
             )
+        # wrap_prm of a joint is its coefficient in the length of the tendon.
         dof = int(mj.jnt_dofadr[mj.wrap_objid[w]])
         total[dof] = total.get(dof, 0.0) + float(mj.wrap_prm[w])
     return total

@@ -85,6 +85,7 @@ class Group:
     def _regularity(self, J: Array) -> Array:
         if len(self.dependent) == 0:
             return np.full(len(J), np.inf)
+        # Eigenvalues of D' D are the squared singular values of D; faster in batches than an SVD.
         D = self._scaled(J)[:, :, self.dependent]
         squares = np.linalg.eigvalsh(D.swapaxes(1, 2) @ D)[:, 0]
         least: Array = np.sqrt(np.maximum(squares, 0.0))
@@ -110,6 +111,7 @@ class Group:
         x = x.copy()
         for _ in range(PATIENT):
             r, J = self._equation(x)
+            # The pseudo-inverse drops directions in which the closure is singular.
             moves = np.linalg.pinv(J * self.units, rcond=1e-6) @ r[:, :, None]
             x -= moves[:, :, 0] * self.units
         return x
@@ -131,6 +133,8 @@ class Group:
         if near is not None:
             x, share = self.track_closure(independent, start=near)
             return x, share == 1.0
+        # Neighbouring samples start from one posture of every `stride`, which is followed from the
+        # reference: all samples are then solved at once.
         stride = self._stride(independent)
         start, share = self.track_closure(independent[::stride])
         regular = share == 1.0
@@ -169,6 +173,7 @@ class Group:
             ahead[:, self.independent] = begin + part * stretch
             before = J
             ahead, J, found = self._newton(ahead, ITERATIONS if k == count - 1 else 2)
+            # Newton's method that lands far away has found another way to assemble the loop.
             jump = np.abs((ahead - x) / self.units).max(axis=1, initial=0.0)
             good = good & found & (jump < 1.0) & self._same_branch(before, J)
             if keep is not None:
@@ -191,6 +196,7 @@ class Group:
         """True (N,) where J is regular and no singular posture lies between two postures: beyond
         one, a direction of J_dep has changed its sign."""
         D, E = (self._scaled(J)[:, :, self.dependent] for J in (before, after))
+        # D' E is close to D' D > 0 for neighbours; its determinant changes sign with J_dep.
         kept: Array = np.linalg.det(D.swapaxes(1, 2) @ E) > 0.0
         return kept & (self._regularity(after) >= SINGULAR)
 

@@ -145,6 +145,7 @@ def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
         k = _next_pivot(heights, _without(kinds, chosen), floor)
         if k is None:
             break
+        # Gram-Schmidt: what is left of each column is its part orthogonal to those chosen.
         direction = rest[:, k] / heights[k]
         rest = rest - np.outer(direction, direction @ rest)
         chosen.append(k)

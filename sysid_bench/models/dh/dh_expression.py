@@ -76,6 +76,7 @@ def read_expression(
     if not text.strip():
         return LinearExpression(0.0)
     try:
+        # In Python ^ is the exclusive or of bits.
         tree = ast.parse(text.strip().replace("^", "**"), mode="eval").body
         value = _value(tree, {**CONSTANTS, **symbols}, variables)
     # TypeError: a root of a negative number is complex.
@@ -99,6 +100,7 @@ def _value(
     node: ast.expr, symbols: Mapping[str, float], variables: frozenset[str]
 ) -> LinearExpression:
     match node:
+        # bool is a subclass of int: True would be 1.
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return LinearExpression(float(number))
         case ast.Name(id=name):

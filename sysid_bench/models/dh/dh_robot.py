@@ -118,17 +118,21 @@ _Pose = tuple[Array, Array, Array, Array, Array, Array]
 
 def _standard(row: DhRow, frames: Frames) -> _Pose:
     """Body frame in frame prev, axis and anchor of its joint, frame i in the body frame."""
+    # The constants are the pose at zero joint variables, which MuJoCo takes as reference.
     theta, d = row.theta.constant, row.d.constant
     R = _Rz(theta) @ _Rx(row.alpha)
     p = _Rz(theta) @ np.array([row.a, 0.0, d])
+    # The joint moves about or along z of frame prev; frame i is tilted from it by alpha.
     axis = _Rx(row.alpha).T @ np.array([0.0, 0.0, 1.0])
     if row.kind == "R" and frames == "joint":
+        # Origin o_prev, axes of frame i: the lever arm p to o_i lies within the body.
         return R, np.zeros(3), axis, np.zeros(3), np.eye(3), R.T @ p
     anchor = -R.T @ p if row.kind == "R" else np.zeros(3)
     return R, p, axis, anchor, np.eye(3), np.zeros(3)
 
 
 def _modified(row: DhRow, frames: Frames) -> _Pose:
+    # a and alpha come before the joint: its axis is z of frame i, through o_i.
     R = _Rx(row.alpha) @ _Rz(row.theta.constant)
     p = np.array([row.a, 0.0, 0.0]) + _Rx(row.alpha) @ np.array([0.0, 0.0, row.d.constant])
     z = np.array([0.0, 0.0, 1.0])
@@ -197,6 +201,7 @@ def _reach(placed: list[_Placed], i: int) -> Array:
     """Vector (3,) from the anchor of a joint to the farthest frame on its body, in m."""
     body = placed[i]
     arms = [other.p - body.anchor for other in placed if other.parent == i]
+    # The last link of a chain carries nothing: its own DH frame is its end.
     arms = arms or [body.p_end - body.anchor]
     return max(arms, key=lambda arm: float(np.linalg.norm(arm)))
 

@@ -102,6 +102,7 @@ def read_table(path: Path, symbols: Mapping[str, float] | None = None) -> DhTabl
 def _numbered_lines(path: Path) -> list[tuple[int, str]]:
     """The lines of a file that are not blank, with their numbers from 1."""
     try:
+        # utf-8-sig: spreadsheets begin a file with a byte order mark.
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"There is no readable table {str(path)!r}: {error}.") from error
@@ -134,6 +135,7 @@ def _cells(path: Path, lines: list[tuple[int, str]]) -> list[tuple[int, dict[str
         raise UsageError(f"{path} has no rows; write a line of column names, then one per link.")
     header = [name.lower() for name in numbered[0][1]]
     _check_header(path, header)
+    # A line may end before its last columns: their cells are empty.
     return [(n, dict(zip(header, row, strict=False))) for n, row in numbered[1:]]
 
 
@@ -253,6 +255,7 @@ class _Cells:
     def joint_position(self, name: str, text: str, value: LinearExpression) -> LinearExpression:
         """Return the position of the joint; the link's own variable is the default."""
         variable = _variable(self.row["link"])
+        # A constant is the offset of the joint's zero.
         if not value.coefficients:
             return value + LinearExpression(0.0, {variable: 1.0})
         if variable in value.coefficients and value.coefficients != {variable: 1.0}:

@@ -192,7 +192,7 @@ class _Draw:
         s = self.settings
         yield f'axis="{_words(self.rng.normal(size=3) if self.chance(s.tilted) else axis)}"'
         reference = float(self.rng.normal() * 0.3) if self.chance(s.reference) else 0.0
-        if reference:
+        if reference:  # qpos0 differs from zero: q - qpos0 has to be used
             yield f'ref="{reference!r}"'
         if self.chance(s.limited):
             reach = self.rng.uniform(0.5, 2.5, 2) * _REACH[kind]
