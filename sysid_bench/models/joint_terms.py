@@ -69,12 +69,12 @@ def _offsets_and_couplings(
     """Torque offsets (nv,) and viscous couplings (nv, nv), which only a manifest can state."""
     offset, coupling = np.zeros(nv), np.zeros((nv, nv))
     dofs = {joint.name: joint.vadr for joint in joints if joint.kind in _SCALAR}
-    for name, dof in dofs.items():
-        for terms in _manifest_terms(manifest, name):
-            if terms.offset is not None:
-                offset[dof] = terms.offset
-            for other, value in terms.viscous_coupling.items():
-                coupling[dof, _other_dof(manifest, name, other, dofs)] = value
+    stated = [(name, terms) for name in dofs for terms in _manifest_terms(manifest, name)]
+    for name, terms in stated:
+        if terms.offset is not None:
+            offset[dofs[name]] = terms.offset
+        for other, value in terms.viscous_coupling.items():
+            coupling[dofs[name], _other_dof(manifest, name, other, dofs)] = value
     return offset, coupling
 
 

@@ -131,8 +131,7 @@ def _length(word: str, unit: str) -> float:
 
 
 def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list[float]:
-    listed = isinstance(values, (list, tuple)) and len(values) == count
-    if not listed or not all(map(_is_number, values)):
+    if not _are_numbers(values, count):
         raise UsageError(
             f"A payload's {key} needs {count} number(s) in SI units; got {spec.get(key)!r}."
         )
@@ -141,6 +140,11 @@ def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list
             f"A payload's {key} must be finite and at most {_LARGEST:.0e}; got {spec.get(key)!r}."
         )
     return [float(x) for x in values]
+
+
+def _are_numbers(values: Any, count: int) -> bool:
+    listed = isinstance(values, (list, tuple)) and len(values) == count
+    return listed and all(map(_is_number, values))
 
 
 def _is_number(value: Any) -> bool:

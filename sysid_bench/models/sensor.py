@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from sysid_bench.errors import ModelError, UnsupportedError, unknown_name
+from sysid_bench.errors import ModelError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import FREE, HINGE, SLIDE, Link, Tree, TreeJoint, tree_of
 from sysid_bench.spatial.rotation import matrix_of_quaternion
@@ -152,31 +152,29 @@ def floating_subtree(robot: RobotModel, cut: SensorCut) -> FloatingSubtree:
     whole = tree_of(robot.mj, {cut.body: (free,)})
     inside = [i for i, link in enumerate(whole.links) if link.body in cut.bodies]
     new_index = {old: new for new, old in enumerate(inside)}
-    links: list[Link] = []
-    for old in inside:
-        link = whole.links[old]
-        links.append(
-            _root_link(link, free) if link.body == cut.body else _moved(link, new_index, links)
-        )
     # Bodies outside become fixed to the world, where their parameters act on no joint.
     carrier = np.full(len(whole.carrier), -1)
     bodies = list(cut.bodies)
     carrier[bodies] = [new_index.get(int(old), -1) for old in whole.carrier[bodies]]
-    tree = replace(whole, links=tuple(links), carrier=carrier)
+    links = _floating_links([whole.links[i] for i in inside], new_index, free)
+    tree = replace(whole, links=links, carrier=carrier)
     free_rows = tuple(f"{cut.name}.free{k}" for k in range(6))
     return FloatingSubtree(cut, tree, robot.rows + free_rows, free)
 
 
-def _root_link(link: Link, free: TreeJoint) -> Link:
-    """The first link of a sub-tree, on a free joint alone."""
-    return replace(link, parent=-1, joints=(free,), dofs=np.array(free.dofs))
-
-
-def _moved(link: Link, new_index: Mapping[int, int], links: Sequence[Link]) -> Link:
-    """A further link of a sub-tree: its degrees of freedom are counted from the free base."""
-    parent = new_index[link.parent]
-    own = [dof for joint in link.joints for dof in joint.dofs]
-    return replace(link, parent=parent, dofs=np.array([*links[parent].dofs, *own]))
+def _floating_links(
+    links: Sequence[Link], new_index: Mapping[int, int], free: TreeJoint
+) -> tuple[Link, ...]:
+    """Links of a sub-tree, the first one on a free joint alone; degrees of freedom are counted from
+    there."""
+    root, *others = links
+    floating = [replace(root, parent=-1, joints=(free,), dofs=np.array(free.dofs))]
+    for link in others:
+        parent = new_index[link.parent]
+        own = [dof for joint in link.joints for dof in joint.dofs]
+        dofs = np.array([*floating[parent].dofs, *own])
+        floating.append(replace(link, parent=parent, dofs=dofs))
+    return tuple(floating)
 
 
 def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) -> SensorCut:
@@ -257,10 +255,15 @@ def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
     if at in robot.body_names:
         return robot.body_names.index(at), np.eye(3), np.zeros(3)
     _check_not_moving(robot, at)
-    known = [*(s.name for s in robot.manifest.sensors), *fixed, *sites, *robot.body_names]
-    declared = ", ".join(f"{s.name} at {s.at}" for s in robot.manifest.sensors[:8])
+    raise _unknown_frame(robot, at, [*fixed, *sites, *robot.body_names])
+
+
+def _unknown_frame(robot: RobotModel, at: str, frames: list[str]) -> UsageError:
+    sensors = robot.manifest.sensors
+    declared = ", ".join(f"{s.name} at {s.at}" for s in sensors[:8])
     advice = f"Sensors of the robot: {declared}." if declared else ""
-    raise unknown_name("sensor, fixed joint, site or body", at, known, advice)
+    known = [*(s.name for s in sensors), *frames]
+    return unknown_name("sensor, fixed joint, site or body", at, known, advice)
 
 
 def _site_frame(robot: RobotModel, s: int) -> tuple[int, Array, Array]:

@@ -8,6 +8,7 @@ the world and angular velocity in the body.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from types import MappingProxyType
 from typing import Final
 
@@ -95,9 +96,21 @@ def tree_of(mj: mujoco.MjModel, more: Mapping[int, tuple[TreeJoint, ...]] = NOTH
 
     `more`: further joints of body b after its own; their addresses in q and v follow the model's.
     """
+    links, carrier, poses = _links(mj, more)
+    X = np.array([transport(R, p) for R, p in poses[1:]]).reshape(-1, 10, 10)
+    added = [joint.kind for joint in chain.from_iterable(more.values())]
+    nq = mj.nq + sum(COORDINATES[kind] for kind in added)
+    nv = mj.nv + sum(DOFS[kind] for kind in added)
+    return Tree(tuple(links), np.array(carrier[1:], dtype=int), X, gravity_of(mj), nq, nv)
+
+
+def _links(
+    mj: mujoco.MjModel, more: Mapping[int, tuple[TreeJoint, ...]]
+) -> tuple[list[Link], list[int], list[_Pose]]:
+    """The links, and the carrier of each body of MuJoCo with the pose of the body in it."""
     links: list[Link] = []
     carrier: list[int] = [-1]
-    poses: list[_Pose] = [_IDENTITY]  # of each body in its carrier
+    poses: list[_Pose] = [_IDENTITY]
     for b in range(1, mj.nbody):
         p = int(mj.body_parentid[b])
         pose, parent = _pose_below(mj, b, poses[p]), carrier[p]
@@ -108,11 +121,7 @@ def tree_of(mj: mujoco.MjModel, more: Mapping[int, tuple[TreeJoint, ...]] = NOTH
             parent, pose = len(links) - 1, _IDENTITY
         carrier.append(parent)
         poses.append(pose)
-    X = np.array([transport(R, p) for R, p in poses[1:]]).reshape(-1, 10, 10)
-    added = [joint.kind for joints in more.values() for joint in joints]
-    nq = mj.nq + sum(COORDINATES[kind] for kind in added)
-    nv = mj.nv + sum(DOFS[kind] for kind in added)
-    return Tree(tuple(links), np.array(carrier[1:], dtype=int), X, gravity_of(mj), nq, nv)
+    return links, carrier, poses
 
 
 def _pose_below(mj: mujoco.MjModel, b: int, parent: _Pose) -> _Pose:
