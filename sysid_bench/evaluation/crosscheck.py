@@ -64,7 +64,7 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
     errors are those of the tree without couplings, and `coupling` has those of the coupling.
     """
     if robot.coupling is not None:
-        tree = crosscheck(robot.uncoupled, samples, native)
+        tree = crosscheck(robot.without_coupling, samples, native)
         return replace(tree, coupling=check_coupling(robot, samples))
     motion = random_states(robot, samples, np.random.default_rng(SEED))
     Y = regression(robot, robot.inertial_columns).dense(motion).Y

@@ -30,7 +30,8 @@ def structural_base(
     """Return the base map of the named parameters over all motions of the robot.
 
     `rows` are the measured ones (None: `robot.torque_rows`); those of the sensors `cuts` may be
-    among them. `robot.uncoupled` gives the base parameters of the tree without joint couplings.
+    among them. `robot.without_coupling` gives the base parameters of the tree without
+    joint couplings.
     """
     return base_map(structural_factor(robot, parameters, rows, cuts), parameters)
 

@@ -33,17 +33,20 @@ def body_extents(robot: RobotModel) -> Mapping[str, Extent]:
     Generous: it only excludes centres of mass that are impossible. A payload, of which nothing is
     known, has none.
     """
-    mj, boxes = robot.mj, {}
-    for i, name in enumerate(robot.body_names):
-        if i != robot.payload_body:
-            points = _points(mj, i + 1)  # MuJoCo counts the world
-            low, high = points.min(axis=0), points.max(axis=0)
-            carries = (mj.body_parentid[1:] == i + 1).any()
-            margin = MARGIN if carries else LAST
-            reach = margin + SHARE * float(np.linalg.norm(high - low))
-            volume = float(np.prod(high - low + 2 * HOUSING))
-            boxes[name] = Extent(low - reach, high + reach, volume)
-    return boxes
+    return {
+        name: _extent(robot.mj, i + 1)  # MuJoCo counts the world
+        for i, name in enumerate(robot.body_names)
+        if i != robot.payload_body
+    }
+
+
+def _extent(mj: "mujoco.MjModel", body: int) -> Extent:
+    points = _points(mj, body)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = MARGIN if (mj.body_parentid[1:] == body).any() else LAST
+    reach = margin + SHARE * float(np.linalg.norm(high - low))
+    volume = float(np.prod(high - low + 2 * HOUSING))
+    return Extent(low - reach, high + reach, volume)
 
 
 def _points(mj: "mujoco.MjModel", body: int) -> Array:
@@ -53,18 +56,22 @@ def _points(mj: "mujoco.MjModel", body: int) -> Array:
     for g in np.flatnonzero(mj.geom_bodyid == body):
         points += list(_shape(mj, int(g)))
     for child in np.flatnonzero(mj.body_parentid == body):
-        if child == body:
-            continue
-        origin = np.array(mj.body_pos[child])
-        points.append(origin)
-        if mj.body_jntnum[child] == 0:
-            R = matrix_of_quaternion(np.array(mj.body_quat[child]))
-            points += list(origin + _points(mj, int(child)) @ R.T)
+        points += _child_points(mj, int(child))
     return np.array(points)
+
+
+def _child_points(mj: "mujoco.MjModel", child: int) -> list[Array]:
+    """The origin of a child in its parent's frame, and all its points where it is welded to it."""
+    origin = np.array(mj.body_pos[child])
+    if mj.body_jntnum[child] > 0:
+        return [origin]
+    R = matrix_of_quaternion(np.array(mj.body_quat[child]))
+    return [origin, *(origin + _points(mj, child) @ R.T)]
 
 
 def _shape(mj: "mujoco.MjModel", geom: int) -> Array:
     """Corners (8, 3) of the box around a shape, in the body frame."""
+    # MuJoCo's box is aligned with the axes of the geom, not with those of the body.
     centre, half = np.split(np.array(mj.geom_aabb[geom]), 2)
     corners = centre + half * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     R = matrix_of_quaternion(np.array(mj.geom_quat[geom]))

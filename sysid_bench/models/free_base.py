@@ -16,19 +16,25 @@ def add_free_base(spec: mujoco.MjSpec, robot: str) -> tuple[str, ...]:
     Raises ModelError, with the name of the `robot`, for several root bodies and for a root body
     that has other joints.
     """
-    roots = list(spec.worldbody.bodies)
-    if len(roots) != 1:
-        raise ModelError(f"{robot}: a free base needs one root body; there are {len(roots)}.")
-    if any(int(joint.type) == FREE for joint in roots[0].joints):
+    root = _root_body(spec, robot)
+    kinds = {int(joint.type) for joint in root.joints}
+    if FREE in kinds:
         return ()
-    if list(roots[0].joints):
+    if kinds:
         raise ModelError(
             f"{robot}: the root body already has joints; a free joint cannot be added to it."
         )
-    repairs = _give_mass(spec, roots[0])
+    repairs = _give_mass(spec, root)
     names = tuple(joint.name for joint in spec.joints)
-    roots[0].add_freejoint(name=free_name("root", names))
+    root.add_freejoint(name=free_name("root", names))
     return repairs
+
+
+def _root_body(spec: mujoco.MjSpec, robot: str) -> mujoco.MjsBody:
+    roots = list(spec.worldbody.bodies)
+    if len(roots) != 1:
+        raise ModelError(f"{robot}: a free base needs one root body; there are {len(roots)}.")
+    return roots[0]
 
 
 def _give_mass(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> tuple[str, ...]:
@@ -41,14 +47,19 @@ def _give_mass(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> tuple[str, ...]:
             mj = spec.compile()
     except (ValueError, mujoco.FatalError):
         return ()  # reported where the whole model is compiled
-    welded = {root.id}
-    for b in range(root.id + 1, mj.nbody):
-        if int(mj.body_parentid[b]) in welded and mj.body_jntnum[b] == 0:
-            welded.add(b)
-    if mj.body_mass[list(welded)].sum() >= MASSLESS:
+    if mj.body_mass[_welded_bodies(mj, root.id)].sum() >= MASSLESS:
         return ()
     root.explicitinertial, root.mass, root.inertia = True, TINY_MASS, np.full(3, TINY_MOMENT)
     root.ipos, root.iquat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
     # NaN means "not given" to MuJoCo; another orientation in the text would win over iquat.
     root.fullinertia, root.ialt.type = np.full(6, np.nan), mujoco.mjtOrientation.mjORIENTATION_QUAT
     return (f"massless root body {root.name!r} given {TINY_MASS:.0e} kg",)
+
+
+def _welded_bodies(mj: mujoco.MjModel, root: int) -> list[int]:
+    """A body and all that move with it: no joint lies between."""
+    welded = {root}
+    for b in range(root + 1, mj.nbody):  # parents come before their children
+        if int(mj.body_parentid[b]) in welded and mj.body_jntnum[b] == 0:
+            welded.add(b)
+    return list(welded)

@@ -1,6 +1,7 @@
 """Limits per degree of freedom: from the manifest, else from the model, else usual values."""
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from sysid_bench.types import Array
 
 if TYPE_CHECKING:
     import mujoco
+
+Value = TypeVar("Value")
 
 # Half range, speed, acceleration of a careful arm where neither manifest nor model states them:
 # rad, rad/s, rad/s^2; m, m/s, m/s^2.
@@ -31,28 +34,19 @@ def limits_of(
     text of the model states (rad/s, m/s), which MuJoCo does not keep."""
     low, high = np.full(mj.nv, -np.inf), np.full(mj.nv, np.inf)
     v, a, tau = np.full(mj.nv, FLOATING[0]), np.full(mj.nv, FLOATING[1]), np.full(mj.nv, np.inf)
-    for j, joint in enumerate(joints):
-        if joint.kind not in USUAL:
-            continue
+    for j, joint in _scalar_joints(joints):
         reach, usual_v, usual_a = USUAL[joint.kind]
-        stated = _stated(manifest, joint.name)
+        written = _manifest_limits(manifest, joint.name)
         dof, centre = joint.vadr, mj.qpos0[joint.qadr]
-        span = (centre - reach, centre + reach)
-        if mj.jnt_limited[j] and np.ptp(mj.jnt_range[j]) <= UNLIMITED[joint.kind]:
-            span = mj.jnt_range[j]
-        low[dof], high[dof] = stated.q if stated.q is not None else span
-        written = velocities.get(joint.name, np.inf)
-        v[dof] = stated.v or (written if written <= PLACEHOLDER[joint.kind] else usual_v)
-        a[dof] = stated.a or usual_a
-        if stated.tau is not None:
-            tau[dof] = stated.tau
-        elif mj.jnt_actfrclimited[j]:
-            # A range [-a, b] holds for either sign only up to the smaller one; zero means none.
-            tau[dof] = np.abs(mj.jnt_actfrcrange[j]).min() or np.inf
+        usual_q = (centre - reach, centre + reach)
+        low[dof], high[dof] = _first_given(written.q, _model_range(mj, j, joint), usual_q)
+        v[dof] = _first_given(written.v, _model_velocity(velocities, joint), usual_v)
+        a[dof] = _first_given(written.a, usual_a)
+        tau[dof] = _first_given(written.tau, _model_torque(mj, j))
     return JointLimits(low, high, v, a, tau)
 
 
-def stated_limits(
+def known_limits(
     mj: "mujoco.MjModel",
     joints: tuple[Joint, ...],
     manifest: Manifest,
@@ -61,21 +55,47 @@ def stated_limits(
     """Return (lowest q, highest q, v, a) (nv,) where the manifest, for that joint, or the model
     states them; infinite elsewhere: usual values do not bind a joint that follows another one."""
     low, (high, v, a) = np.full(mj.nv, -np.inf), np.full((3, mj.nv), np.inf)
-    for j, joint in enumerate(joints):
-        if joint.kind not in USUAL:
-            continue
-        stated, dof = manifest.limits.get(joint.name, Limits()), joint.vadr
-        if stated.q is not None:
-            low[dof], high[dof] = stated.q
-        elif mj.jnt_limited[j] and np.ptp(mj.jnt_range[j]) <= UNLIMITED[joint.kind]:
-            low[dof], high[dof] = mj.jnt_range[j]
-        written = velocities.get(joint.name, np.inf)
-        v[dof] = stated.v or (written if written <= PLACEHOLDER[joint.kind] else np.inf)
-        a[dof] = stated.a or np.inf
+    for j, joint in _scalar_joints(joints):
+        # Not those of "all": they are meant for the joints that motions command.
+        written, dof = manifest.limits.get(joint.name, Limits()), joint.vadr
+        unlimited = (-np.inf, np.inf)
+        low[dof], high[dof] = _first_given(written.q, _model_range(mj, j, joint), unlimited)
+        v[dof] = _first_given(written.v, _model_velocity(velocities, joint), np.inf)
+        a[dof] = _first_given(written.a, np.inf)
     return low, high, v, a
 
 
-def _stated(manifest: Manifest, joint: str) -> Limits:
+def _scalar_joints(joints: tuple[Joint, ...]) -> Iterator[tuple[int, Joint]]:
+    """The hinges and slides with their index in the model."""
+    return ((j, joint) for j, joint in enumerate(joints) if joint.kind in USUAL)
+
+
+def _first_given(*values: Value | None) -> Value:
+    """The first value that is not None: sources are listed in the order of their authority."""
+    return next(value for value in values if value is not None)
+
+
+def _model_range(mj: "mujoco.MjModel", j: int, joint: Joint) -> tuple[float, float] | None:
+    """Range of a joint in the model; None where it has none or only a placeholder."""
+    low, high = mj.jnt_range[j]
+    return (low, high) if mj.jnt_limited[j] and high - low <= UNLIMITED[joint.kind] else None
+
+
+def _model_velocity(velocities: dict[str, float], joint: Joint) -> float | None:
+    """Velocity limit of a joint in the text of the model; None for a placeholder, too."""
+    v = velocities.get(joint.name, np.inf)
+    return v if v <= PLACEHOLDER[joint.kind] else None
+
+
+def _model_torque(mj: "mujoco.MjModel", j: int) -> float:
+    """Largest torque or force of a joint in the model, infinite where it has none."""
+    if not mj.jnt_actfrclimited[j]:
+        return np.inf
+    # A range [-a, b] holds for either sign only up to the smaller one; zero means none.
+    return float(np.abs(mj.jnt_actfrcrange[j]).min()) or np.inf
+
+
+def _manifest_limits(manifest: Manifest, joint: str) -> Limits:
     """Limits of a joint in the manifest, its own before those of all joints."""
     common, single = (manifest.limits.get(name, Limits()) for name in ("all", joint))
     return common.model_copy(update=single.model_dump(exclude_none=True))

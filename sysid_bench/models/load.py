@@ -22,17 +22,17 @@ from sysid_bench.models.coupling.equalities import (
     select_equalities,
 )
 from sysid_bench.models.coupling.mimic import mimic_equalities
-from sysid_bench.models.element_names import free_name, name_elements
+from sysid_bench.models.element_names import add_names, free_name
 from sysid_bench.models.free_base import add_free_base
 from sysid_bench.models.joint_terms import apply_joint_terms, model_joint_terms
-from sysid_bench.models.limits import limits_of, stated_limits
+from sysid_bench.models.limits import known_limits, limits_of
 from sysid_bench.models.lock_joints import lock_joints
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.models.mjcf.mjcf_spec import mjcf_spec
 from sysid_bench.models.payload import PAYLOADS, Payload
 from sysid_bench.models.robot import TYPE_NAMES, Joint, RobotModel
 from sysid_bench.models.tool import add_payload, tool_frame
-from sysid_bench.models.tree import FREE, tree_of
+from sysid_bench.models.tree import tree_of
 from sysid_bench.models.urdf.canonical_urdf import Urdf, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml, read_file
 from sysid_bench.spatial.inertia import phi_of
@@ -76,9 +76,7 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
     if root == "robot":
         return _urdf_source(data, manifest, free)
     if root == "mujoco":
-        text = None if manifest.text is None else data
-        spec, repairs, actuated = mjcf_spec(manifest.path, text, manifest.assets)
-        return _Source("mjcf", spec, data, repairs, {}, actuated)
+        return _mjcf_source(data, manifest)
     if root == "mujocoinclude":
         raise ModelError(
             f"{manifest.path.name} is a part to be included in a model; give the file that "
@@ -89,27 +87,27 @@ def _read_source(manifest: Manifest, free: bool) -> _Source:
     )
 
 
+def _mjcf_source(data: bytes, manifest: Manifest) -> _Source:
+    text = None if manifest.text is None else data
+    spec, repairs, actuated = mjcf_spec(manifest.path, text, manifest.assets)
+    return _Source("mjcf", spec, data, repairs, {}, actuated)
+
+
 def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source) -> RobotModel:
     spec = source.spec
     base_repairs = add_free_base(spec, manifest.name) if free else ()
     bare = _bare_model(spec, manifest)
     names = _body_names(bare)
     tool, pose = tool_frame(bare, manifest, names)
-    if payload:
-        add_payload(spec, tool + 1, pose, payload, free_name("payload", names))
-    equalities = equalities_of(bare) if manifest.couplings and bare.neq else None
-    if equalities is not None:
-        select_equalities(spec, equalities)
+    load = free_name("payload", names)
+    if payload:  # MuJoCo counts the world as body 0
+        add_payload(spec, tool + 1, pose, payload, load)
+    equalities = _selected_equalities(spec, bare, manifest)
     mj = _compile(spec, manifest) if payload or equalities is not None else bare
-    joints = _joints(mj)
-    _check_names(manifest, joints, _body_names(mj))
+    joints, body_names = _joints(mj), _body_names(mj)
+    _check_names(manifest, joints, body_names)
     repairs = (*source.repairs, *base_repairs, *warnings_from(), *unit_warnings(mj))
-    coupling = None
-    if equalities is not None:
-        coupling = _coupling(mj, joints, equalities, manifest, source)
-        repairs += equalities.left_out + (() if coupling is None else coupling.repairs)
-    body_names = _body_names(mj)
-    added = set(body_names) - set(names)  # the payload, if there is one
+    coupling, coupling_repairs = _coupling(mj, joints, equalities, manifest, source)
     return RobotModel(
         name=manifest.name,
         manifest=manifest,
@@ -122,13 +120,26 @@ def _assemble(manifest: Manifest, payload: Payload, free: bool, source: _Source)
         phi=_phi(mj),
         joint_terms=model_joint_terms(mj, manifest, joints),
         limits=limits_of(mj, joints, manifest, source.velocities),
+        # By name: the payload moves the indices of the bodies after it.
         tool_body=body_names.index(names[tool]),
-        payload_body=body_names.index(added.pop()) if added else None,
+        payload_body=body_names.index(load) if payload else None,
         format=source.format,
         text=source.text,
-        repairs=repairs,
+        repairs=(*repairs, *coupling_repairs),
         coupling=coupling,
     )
+
+
+def _selected_equalities(
+    spec: mujoco.MjSpec, bare: mujoco.MjModel, manifest: Manifest
+) -> Equalities | None:
+    """The equalities that couple joints; all others are deleted from the spec. None where the robot
+    has none or its manifest ignores them."""
+    if not manifest.couplings or not bare.neq:
+        return None
+    equalities = equalities_of(bare)
+    select_equalities(spec, equalities)
+    return equalities
 
 
 def _bare_model(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
@@ -137,7 +148,7 @@ def _bare_model(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
         spec.option.gravity = manifest.gravity
     apply_joint_terms(spec, manifest)
     _compile(spec, manifest)  # gives bodies and joints the ids that unnamed ones are called by
-    name_elements(spec)
+    add_names(spec)
     if manifest.locked:
         lock_joints(spec, _compile(spec, manifest), manifest.locked)
     return _compile(spec, manifest)
@@ -146,19 +157,35 @@ def _bare_model(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
 def _coupling(
     mj: mujoco.MjModel,
     joints: tuple[Joint, ...],
-    equalities: Equalities,
+    equalities: Equalities | None,
     manifest: Manifest,
     source: _Source,
-) -> Coupling | None:
+) -> tuple[Coupling | None, tuple[str, ...]]:
+    """The coupling of a robot, None where all joints are independent, and the equalities and limits
+    that are ignored, in words."""
+    if equalities is None:
+        return None, ()
     if not equalities.constraints:
-        return None
+        return None, equalities.left_out
+    dofs = _dofs(mj, joints, manifest, source.velocities)
+    coupling = coupling_of(equalities.constraints, dofs, source.actuated, manifest.independent)
+    return coupling, equalities.left_out + coupling.repairs
+
+
+def _dofs(
+    mj: mujoco.MjModel,
+    joints: tuple[Joint, ...],
+    manifest: Manifest,
+    velocities: dict[str, float],
+) -> Dofs:
+    """Names, addresses and limits of the degrees of freedom, as coupling needs them."""
     qadr, q0, slides = np.full(mj.nv, -1), np.zeros(mj.nv), np.zeros(mj.nv, dtype=bool)
     for joint in joints:
         if joint.kind in ("hinge", "slide"):
             qadr[joint.vadr], q0[joint.vadr] = joint.qadr, mj.qpos0[joint.qadr]
             slides[joint.vadr] = joint.kind == "slide"
-    limits = limits_of(mj, joints, manifest, source.velocities)
-    dofs = Dofs(
+    limits = limits_of(mj, joints, manifest, velocities)
+    return Dofs(
         names=tuple(name for joint in joints for name in joint.dofs),
         qadr=qadr,
         q0=q0,
@@ -166,9 +193,8 @@ def _coupling(
         low=limits.q_low,
         high=limits.q_high,
         v=limits.v,
-        stated=stated_limits(mj, joints, manifest, source.velocities),
+        stated=known_limits(mj, joints, manifest, velocities),
     )
-    return coupling_of(equalities.constraints, dofs, source.actuated, manifest.independent)
 
 
 def _urdf_source(data: bytes, manifest: Manifest, free: bool) -> _Source:
@@ -198,15 +224,19 @@ def _compile(spec: mujoco.MjSpec, manifest: Manifest) -> mujoco.MjModel:
         raise ModelError(
             f"MuJoCo cannot compile {manifest.path.name}: {_one_line(error)}{advice}"
         ) from error
-    if mj.nv == 0:
-        raise ModelError(f"{manifest.path.name} has no moving joint; there is nothing to identify.")
-    if mj.nv * mj.nbody > LARGEST_TREE:
-        raise ModelError(
-            f"{manifest.path.name} has {mj.nbody - 1} bodies and {mj.nv} degrees of freedom; "
-            f"their product may be {LARGEST_TREE} at most."
-        )
+    _check_size(mj, manifest.path.name)
     check_finite_model(mj, manifest.path.name)
     return mj
+
+
+def _check_size(mj: mujoco.MjModel, file: str) -> None:
+    if mj.nv == 0:
+        raise ModelError(f"{file} has no moving joint; there is nothing to identify.")
+    if mj.nv * mj.nbody > LARGEST_TREE:
+        raise ModelError(
+            f"{file} has {mj.nbody - 1} bodies and {mj.nv} degrees of freedom; "
+            f"their product may be {LARGEST_TREE} at most."
+        )
 
 
 def _one_line(error: Exception) -> str:
@@ -218,40 +248,43 @@ def _body_names(mj: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def _joints(mj: mujoco.MjModel) -> tuple[Joint, ...]:
-    kinds = [int(kind) for kind in mj.jnt_type]
+    kinds = [TYPE_NAMES[int(kind)] for kind in mj.jnt_type]
+    root = "root" if kinds.count("free") == 1 else None  # the only free joint, whatever its name
     joints = []
     for j, kind in enumerate(kinds):
         name = mj.joint(j).name
-        base = "root" if kind == FREE and kinds.count(FREE) == 1 else name
-        dofs = {
-            "free": tuple(f"{base}.{d}" for d in ("vx", "vy", "vz", "wx", "wy", "wz")),
-            "ball": tuple(f"{name}.{d}" for d in "xyz"),
-        }.get(TYPE_NAMES[kind], (name,))
-        joints.append(
-            Joint(name, TYPE_NAMES[kind], int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j]), dofs)
-        )
+        dofs = _dof_names(kind, (root or name) if kind == "free" else name)
+        joints.append(Joint(name, kind, int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j]), dofs))
     return tuple(joints)
+
+
+def _dof_names(kind: str, base: str) -> tuple[str, ...]:
+    components = {"free": ("vx", "vy", "vz", "wx", "wy", "wz"), "ball": ("x", "y", "z")}
+    return tuple(f"{base}.{component}" for component in components.get(kind, ())) or (base,)
 
 
 def _check_names(manifest: Manifest, joints: tuple[Joint, ...], bodies: tuple[str, ...]) -> None:
     """Raise ModelError for two degrees of freedom of one name, and for names of the manifest that
     the robot does not have."""
-    owners: dict[str, str] = {}
-    for joint in joints:
-        for row in joint.dofs:
-            if row in owners:
-                raise ModelError(
-                    f"{manifest.name}: {row!r} would name a degree of freedom of the joint "
-                    f"{owners[row]!r} and one of {joint.name!r}; rename one of these joints."
-                )
-            owners[row] = joint.name
-    known = {joint.name for joint in joints} | set(manifest.locked)
+    _check_dofs_differ(manifest, joints)
+    known = {"all", *manifest.locked, *(joint.name for joint in joints)}
     for name in (*manifest.limits, *manifest.joints):
-        if name != "all" and name not in known:
-            raise ModelError(f"{manifest.name}: {unknown_name('joint', name, known)}")
+        if name not in known:
+            raise ModelError(f"{manifest.name}: {unknown_name('joint', name, known - {'all'})}")
     for body in manifest.massless:
         if body not in bodies:
             raise ModelError(f"{manifest.name}: massless: {unknown_name('body', body, bodies)}")
+
+
+def _check_dofs_differ(manifest: Manifest, joints: tuple[Joint, ...]) -> None:
+    owners: dict[str, str] = {}
+    for row, name in ((row, joint.name) for joint in joints for row in joint.dofs):
+        if row in owners:
+            raise ModelError(
+                f"{manifest.name}: {row!r} would name a degree of freedom of the joint "
+                f"{owners[row]!r} and one of {name!r}; rename one of these joints."
+            )
+        owners[row] = name
 
 
 def _phi(mj: mujoco.MjModel) -> Array:

@@ -1,6 +1,7 @@
 """Manifest of a robot: the contents of `robots/<name>/robot.toml`, or a model file on its own."""
 
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from sysid_bench import places
 from sysid_bench.errors import ModelError, UsageError, unknown_name
-from sysid_bench.models.package_file import PACKAGES, is_packaged, package_file, unknown_file
+from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
 from sysid_bench.models.random.random_mechanism import random_mechanism
 from sysid_bench.models.random.random_tree import random_robot
 
@@ -30,6 +31,7 @@ MODEL_SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
 
 
 def _finite(value: Any) -> Any:
+    # Before pydantic's conversion, which takes true for 1 and "1" for 1.
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"must be a number, got {value!r}")
     if not math.isfinite(value):
@@ -179,15 +181,12 @@ def find_manifest(
     Paths ("file:x.urdf", "x.urdf", "x/robot.toml") are relative to `folder`. Raises UsageError for
     a name or file that does not exist, ModelError for a manifest that cannot be read.
     """
-    scheme, colon, rest = source.partition(":")
-    if colon and scheme == RANDOM:
-        return _random(source, rest)
-    if colon and scheme in PACKAGES:
-        return _from_package(source, rest)
-    text = source.removeprefix("file:")
-    path = (folder or Path()) / text
-    if source.startswith("file:") or path.suffix in (*MODEL_SUFFIXES, ".toml") or "/" in text:
-        return _from_path(path, source)
+    if source.startswith(f"{RANDOM}:"):
+        return _random(source)
+    if is_package_file(source):
+        return _from_package(source)
+    if _is_path(source):
+        return _from_path((folder or Path()) / source.removeprefix("file:"), source)
     table = places.robots(robots_dir)
     if source not in table:
         raise unknown_name("robot", source, table, "Or give the path of a URDF or MJCF file.")
@@ -196,19 +195,9 @@ def find_manifest(
 
 def read_manifest(file: Path) -> Manifest:
     """Read the manifest in a robot.toml; raises one ModelError that lists all its errors."""
-    try:
-        written = _Text.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{file} is not valid TOML: {error}.") from error
-    except ValidationError as error:
-        lines = "; ".join(_line(problem) for problem in error.errors())
-        raise ModelError(f"{file}: {lines}.") from error
-    for term in written.terms:
-        if not is_term(term):
-            raise ModelError(f"{file}: {unknown_name('joint term', term, TERMS, TERM_ADVICE)}")
-    for name, limits in written.limits.items():
-        if limits.q is not None and not limits.q[0] < limits.q[1]:
-            raise ModelError(f"{file}: limits.{name}.q must be [low, high]; got {list(limits.q)}.")
+    written = _read_keys(file)
+    _check_terms(written, file)
+    _check_limits(written, file)
     path, assets = _model_path(written.file, file)
     return Manifest(
         name=written.name,
@@ -233,13 +222,37 @@ def read_manifest(file: Path) -> Manifest:
     )
 
 
+def _read_keys(file: Path) -> _Text:
+    try:
+        return _Text.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ModelError(f"{file} is not valid TOML: {error}.") from error
+    except ValidationError as error:
+        lines = "; ".join(_line(problem) for problem in error.errors())
+        raise ModelError(f"{file}: {lines}.") from error
+
+
+def _check_terms(written: _Text, file: Path) -> None:
+    for term in written.terms:
+        if not is_term(term):
+            raise ModelError(f"{file}: {unknown_name('joint term', term, TERMS, TERM_ADVICE)}")
+
+
+def _check_limits(written: _Text, file: Path) -> None:
+    ranges = {name: limits.q for name, limits in written.limits.items() if limits.q is not None}
+    for name, (low, high) in ranges.items():
+        if not low < high:
+            raise ModelError(f"{file}: limits.{name}.q must be [low, high]; got {[low, high]}.")
+
+
+def _is_path(source: str) -> bool:
+    suffixes = (*MODEL_SUFFIXES, ".toml")
+    return source.startswith("file:") or "/" in source or Path(source).suffix in suffixes
+
+
 def _from_path(path: Path, source: str) -> Manifest:
-    if path.is_dir() and (path / "robot.toml").is_file():
-        return read_manifest(path / "robot.toml")
     if path.is_dir():
-        raise UsageError(
-            f"{str(path)!r} is a folder without robot.toml; give the model file in it."
-        )
+        return read_manifest(_manifest_in(path))
     if not path.is_file():
         known = ", ".join(places.robots())
         raise UsageError(
@@ -250,15 +263,24 @@ def _from_path(path: Path, source: str) -> Manifest:
     return Manifest(name=path.stem, path=path, title=path.stem)
 
 
+def _manifest_in(folder: Path) -> Path:
+    file = folder / "robot.toml"
+    if not file.is_file():
+        raise UsageError(
+            f"{str(folder)!r} is a folder without robot.toml; give the model file in it."
+        )
+    return file
+
+
 def is_model(source: str) -> bool:
     """True for a text that names a model without a list of robots: file, package or random."""
     scheme, colon, _ = source.partition(":")
     return bool(colon) and scheme in (RANDOM, "file", *PACKAGES)
 
 
-def _random(source: str, rest: str) -> Manifest:
-    kind, _, seed = rest.rpartition(":")
-    if not (seed.isascii() and seed.isdigit() and len(seed) <= 18):
+def _random(source: str) -> Manifest:
+    kind, _, seed = source.removeprefix(f"{RANDOM}:").rpartition(":")
+    if not re.fullmatch("[0-9]{1,18}", seed):
         raise UsageError(
             f"{source!r}: the seed of a random robot must be a whole number; write 'random:7' for "
             "a tree, 'random:four-bar:7' for one with a mechanism."
@@ -268,18 +290,19 @@ def _random(source: str, rest: str) -> Manifest:
     return Manifest(source, Path(source), title=title, text=text)
 
 
-def _from_package(source: str, rest: str) -> Manifest:
+def _from_package(source: str) -> Manifest:
+    package, _, rest = source.partition(":")
     path, assets = package_file(source, source)
     if not path.is_file():
         raise unknown_file(rest)
-    described = source.startswith("robot_descriptions:")
+    described = package == "robot_descriptions"
     name = rest.removesuffix("_description") if described else path.stem
     return Manifest(name=name, path=path, title=rest, assets=assets)
 
 
 def _model_path(written: str, manifest: Path) -> tuple[Path, Path | None]:
     """The model file of a manifest, and the folder of the package that it may read files from."""
-    if is_packaged(written):
+    if is_package_file(written):
         path, assets = package_file(written, str(manifest))
     else:
         path, assets = manifest.parent / written, None

@@ -4,6 +4,7 @@ import importlib
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
+from types import ModuleType
 from typing import Final
 
 from sysid_bench import places
@@ -13,7 +14,7 @@ PACKAGES: Final = ("example-robot-data", "robot_descriptions")
 """Sources of model files besides the user's own, written `package:rest`."""
 
 
-def is_packaged(source: str) -> bool:
+def is_package_file(source: str) -> bool:
     """True for a text that names a file of a package."""
     package, colon, _ = source.partition(":")
     return bool(colon) and package in PACKAGES
@@ -50,10 +51,20 @@ def _nearest(name: str, known: Sequence[str]) -> list[str]:
 
 def _robot_description(name: str, label: str) -> tuple[Path, Path | None]:
     wanted = f"{label}: 'robot_descriptions:{name}'"
+    module = _description_module(name, wanted)
+    file = getattr(module, "URDF_PATH", None) or getattr(module, "MJCF_PATH", None)
+    if file is None:
+        raise ModelError(f"{wanted} is not a robot: it has neither a URDF nor an MJCF.")
+    path, folder = Path(file), getattr(module, "PACKAGE_PATH", None)
+    if not path.is_file():
+        raise ModelError(f"{wanted}: its file {str(path)!r} does not exist; download it again.")
+    return path, Path(folder) if folder and path.is_relative_to(folder) else None
+
+
+def _description_module(name: str, wanted: str) -> ModuleType:
+    """Import a module of robot_descriptions, which downloads its robot."""
     try:
-        if not name.isidentifier() or name.startswith("_"):
-            raise ModuleNotFoundError(name)
-        module = importlib.import_module(f"robot_descriptions.{name}")
+        return importlib.import_module(f"robot_descriptions.{_public_identifier(name)}")
     except ModuleNotFoundError as error:
         raise ModelError(
             f"{wanted} is not installed or not known; "
@@ -64,10 +75,9 @@ def _robot_description(name: str, label: str) -> tuple[Path, Path | None]:
             f"{wanted} could not be downloaded ({reason_of(error)[:200]}); the internet is needed "
             "once, for the robot's files."
         ) from error
-    file = getattr(module, "URDF_PATH", None) or getattr(module, "MJCF_PATH", None)
-    if file is None:
-        raise ModelError(f"{wanted} is not a robot: it has neither a URDF nor an MJCF.")
-    path, folder = Path(file), getattr(module, "PACKAGE_PATH", None)
-    if not path.is_file():
-        raise ModelError(f"{wanted}: its file {str(path)!r} does not exist; download it again.")
-    return path, Path(folder) if folder and path.is_relative_to(folder) else None
+
+
+def _public_identifier(name: str) -> str:
+    if not name.isidentifier() or name.startswith("_"):
+        raise ModuleNotFoundError(name)
+    return name

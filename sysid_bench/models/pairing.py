@@ -21,6 +21,13 @@ from sysid_bench.types import Array
 FROM_PINOCCHIO: Final = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)
 """Indices in Pinocchio's m h Ixx Ixy Iyy Ixz Iyz Izz of our m h Ixx Ixy Ixz Iyy Iyz Izz."""
 
+_UNDIRECTED: Final = {FREE: pin.JointModelFreeFlyer, BALL: pin.JointModelSpherical}
+_ALONG_AXIS: Final = {
+    HINGE: pin.JointModelRevoluteUnaligned,
+    SLIDE: pin.JointModelPrismaticUnaligned,
+}
+"""Pinocchio's joints by MuJoCo's types."""
+
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
@@ -36,17 +43,23 @@ class Pairing:
     ball: tuple[tuple[int, int], ...]
     scalar: tuple[tuple[int, float], ...]  # (q address, qpos0) of hinges and slides
 
-    def configuration(self, q: Array) -> Array:
+    def positions_to_pinocchio(self, q: Array) -> Array:
         """Return Pinocchio's q (..., nq) for MuJoCo's q (..., nq)."""
         out = np.array(q, dtype=float)
+        # Pinocchio's joints are at zero where the model is drawn, MuJoCo's at qpos0.
         for address, q0 in self.scalar:
             out[..., address] -= q0
-        for start in [qa + 3 for qa, _ in self.free] + [qa for qa, _ in self.ball]:
+        for start in self._quaternions:
             wxyz = q[..., start : start + 4] / np.linalg.norm(
                 q[..., start : start + 4], axis=-1, keepdims=True
             )
             out[..., start : start + 4] = wxyz[..., [1, 2, 3, 0]]
         return out
+
+    @property
+    def _quaternions(self) -> list[int]:
+        """Addresses in q of the quaternions of free joints (after the position) and ball joints."""
+        return [qadr + 3 for qadr, _ in self.free] + [qadr for qadr, _ in self.ball]
 
     def rates(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
         """Return Pinocchio's v and a (N, nv) for MuJoCo's: of a free joint R' v and R' a - w × R' v
@@ -80,21 +93,24 @@ def pinocchio_pairing(mj: mujoco.MjModel) -> Pairing:
     for b in range(1, mj.nbody):
         p = int(mj.body_parentid[b])
         carrier[b], pose[b] = _add_body(model, mj, b, int(carrier[p]), pose[p])
-        inertia = _inertia(mj, b)
-        model.appendBodyToJoint(int(carrier[b]), inertia, pose[b])
+        model.appendBodyToJoint(int(carrier[b]), _inertia(mj, b), pose[b])
     X = [transport(placement.rotation, placement.translation) for placement in pose[1:]]
-    joints = [
-        (int(mj.jnt_type[j]), int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j])) for j in range(mj.njnt)
-    ]
+    scalar = _addresses(mj, HINGE, SLIDE)
     return Pairing(
         model=model,
         carrier=carrier[1:],
-        X=np.stack(X) if X else np.zeros((0, 10, 10)),
+        X=np.array(X).reshape(-1, 10, 10),
         poses=tuple(pose[1:]),
-        free=tuple((qa, va) for kind, qa, va in joints if kind == FREE),
-        ball=tuple((qa, va) for kind, qa, va in joints if kind == BALL),
-        scalar=tuple((qa, float(mj.qpos0[qa])) for kind, qa, _ in joints if kind in (HINGE, SLIDE)),
+        free=_addresses(mj, FREE),
+        ball=_addresses(mj, BALL),
+        scalar=tuple((qadr, float(mj.qpos0[qadr])) for qadr, _ in scalar),
     )
+
+
+def _addresses(mj: mujoco.MjModel, *kinds: int) -> tuple[tuple[int, int], ...]:
+    """Addresses in q and v of the joints of these kinds."""
+    joints = np.flatnonzero(np.isin(mj.jnt_type, kinds))
+    return tuple((int(mj.jnt_qposadr[j]), int(mj.jnt_dofadr[j])) for j in joints)
 
 
 def _add_body(
@@ -109,6 +125,7 @@ def _add_body(
         anchor = pin.SE3(np.eye(3), np.zeros(3) if kind == FREE else np.array(mj.jnt_pos[j]))
         if kind == FREE:
             placement = pin.SE3.Identity()  # qpos is absolute
+        # Pinocchio turns a joint about the origin of its frame, which is the anchor therefore.
         joint = model.addJoint(joint, _joint_model(mj, j), placement * anchor, f"joint{j}")
         placement = anchor.inverse()
     return joint, placement
@@ -116,16 +133,10 @@ def _add_body(
 
 def _joint_model(mj: mujoco.MjModel, j: int) -> pin.JointModel:
     kind = int(mj.jnt_type[j])
-    if kind == FREE:
-        return pin.JointModelFreeFlyer()
-    if kind == BALL:
-        return pin.JointModelSpherical()
+    if kind in _UNDIRECTED:
+        return _UNDIRECTED[kind]()
     axis = np.array(mj.jnt_axis[j]) / np.linalg.norm(mj.jnt_axis[j])
-    return (
-        pin.JointModelRevoluteUnaligned(axis)
-        if kind == HINGE
-        else pin.JointModelPrismaticUnaligned(axis)
-    )
+    return _ALONG_AXIS[kind](axis)
 
 
 def _se3(position: Array, quaternion: Array) -> pin.SE3:

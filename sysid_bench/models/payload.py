@@ -13,6 +13,7 @@ from sysid_bench.types import Array
 from sysid_bench.units import split_quantity
 
 _METRES: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_KEYS: Final = ("name", "mass", "com", "inertia")
 _LARGEST: Final = 1e6  # kg, m, kg m^2; squares of it stay far from overflow
 
 
@@ -35,23 +36,20 @@ class Payload:
         return self.mass > 0.0
 
 
-def solid(text: str, mass: float) -> tuple[float, float, float, float, float, float]:
+def inertia_of(text: str, mass: float) -> tuple[float, float, float, float, float, float]:
     """Return the inertia (kg m^2) about the centre of "box 0.1 0.1 0.2 m", "sphere 0.05 m"
     (radius), "rod 0.3 m" (thin, along x) or "point", of uniform density."""
     word, _, rest = text.strip().partition(" ")
-    sizes = _lengths(text, rest)
-    if not all(0 < size <= _LARGEST for size in sizes):
-        raise UsageError(f"The solid {text!r} has a size outside of 0 to {_LARGEST:.0e} m.")
-    match word, sizes:
+    match word, _lengths(text, rest):
         case "point", []:
             return (0.0,) * 6
-        case "sphere", [radius]:
+        case "sphere", [radius]:  # 2/5 m r^2
             i = 0.4 * mass * radius**2
             return (i, 0.0, 0.0, i, 0.0, i)
-        case "rod", [length]:
+        case "rod", [length]:  # thin: no moment about its own axis x
             i = mass * length**2 / 12
             return (0.0, 0.0, 0.0, i, 0.0, i)
-        case "box", [x, y, z]:
+        case "box", [x, y, z]:  # about each axis by the other two edges
             k = mass / 12
             return (k * (y**2 + z**2), 0.0, 0.0, k * (x**2 + z**2), 0.0, k * (x**2 + y**2))
     raise UsageError(
@@ -64,38 +62,62 @@ def parse_payload(spec: str | Mapping[str, Any]) -> Payload:
     """Return the payload of a name or of a table {mass, com, inertia, name}; raises UsageError for
     unknown names and keys, numbers out of range, and inertias that are physically impossible."""
     if isinstance(spec, str):
-        if spec not in PAYLOADS:
-            advice = (
-                "Or give a table { mass = 1.2, com = [0, 0, 0.05], inertia = 'sphere 0.05 m' }."
-            )
-            raise unknown_name("payload", spec, PAYLOADS, advice)
-        return PAYLOADS[spec]
+        return _named_payload(spec)
     if not isinstance(spec, Mapping):
         raise UsageError(
             f"{spec!r} is not a payload; give a name ({', '.join(PAYLOADS)}) or a table."
         )
-    for key in spec:
-        if key not in ("name", "mass", "com", "inertia"):
-            raise unknown_name("key of a payload", str(key), ("name", "mass", "com", "inertia"))
-    mass = _numbers(spec, "mass", [spec.get("mass")], 1)[0]
-    if mass <= 0:
-        raise UsageError(f"A payload's mass must be positive (kg); got {mass}.")
+    _check_keys(spec)
+    mass = _mass(spec)
     com = _numbers(spec, "com", spec.get("com", [0.0, 0.0, 0.0]), 3)
     inertia = spec.get("inertia", "point")
-    six = list(solid(inertia, mass)) if isinstance(inertia, str) else inertia
+    six = list(inertia_of(inertia, mass)) if isinstance(inertia, str) else inertia
     six = _numbers(spec, "inertia", six, 6)
-    name = str(spec.get("name") or f"{mass:g}kg-at-{'-'.join(f'{1e3 * c:g}' for c in com)}mm")
+    name = str(spec.get("name") or _default_name(mass, com))
     _check_possible(name, six)
     return Payload(name, mass, tuple(com), tuple(six))  # type: ignore[arg-type]
 
 
+def _named_payload(name: str) -> Payload:
+    if name not in PAYLOADS:
+        advice = "Or give a table { mass = 1.2, com = [0, 0, 0.05], inertia = 'sphere 0.05 m' }."
+        raise unknown_name("payload", name, PAYLOADS, advice)
+    return PAYLOADS[name]
+
+
+def _check_keys(spec: Mapping[str, Any]) -> None:
+    for key in spec:
+        if key not in _KEYS:
+            raise unknown_name("key of a payload", str(key), _KEYS)
+
+
+def _mass(spec: Mapping[str, Any]) -> float:
+    mass = _numbers(spec, "mass", [spec.get("mass")], 1)[0]
+    if mass <= 0:
+        raise UsageError(f"A payload's mass must be positive (kg); got {mass}.")
+    return mass
+
+
+def _default_name(mass: float, com: list[float]) -> str:
+    """Name of a table without one: "1.2kg-at-0-0-50mm"."""
+    return f"{mass:g}kg-at-{'-'.join(f'{1e3 * c:g}' for c in com)}mm"
+
+
 def _lengths(text: str, rest: str) -> list[float]:
+    """Sizes (m) of a solid, from the words after its kind, of which the last may be a unit."""
     words = rest.split()
     unit = words.pop() if words and words[-1] in _METRES else "m"
     try:
-        return [_length(word, unit) for word in words]
+        sizes = [_length(word, unit) for word in words]
     except UsageError as error:
         raise UsageError(f"The solid {text!r}: {error}") from error
+    _check_sizes(text, sizes)
+    return sizes
+
+
+def _check_sizes(text: str, sizes: list[float]) -> None:
+    if not all(0 < size <= _LARGEST for size in sizes):
+        raise UsageError(f"The solid {text!r} has a size outside of 0 to {_LARGEST:.0e} m.")
 
 
 def _length(word: str, unit: str) -> float:
@@ -109,8 +131,7 @@ def _length(word: str, unit: str) -> float:
 
 
 def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list[float]:
-    good = isinstance(values, (list, tuple)) and len(values) == count
-    if not good or any(isinstance(x, bool) or not isinstance(x, (int, float)) for x in values):
+    if not _are_numbers(values, count):
         raise UsageError(
             f"A payload's {key} needs {count} number(s) in SI units; got {spec.get(key)!r}."
         )
@@ -119,6 +140,15 @@ def _numbers(spec: Mapping[str, Any], key: str, values: Any, count: int) -> list
             f"A payload's {key} must be finite and at most {_LARGEST:.0e}; got {spec.get(key)!r}."
         )
     return [float(x) for x in values]
+
+
+def _are_numbers(values: Any, count: int) -> bool:
+    listed = isinstance(values, (list, tuple)) and len(values) == count
+    return listed and all(map(_is_number, values))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _check_possible(name: str, six: list[float]) -> None:
@@ -134,7 +164,7 @@ def _check_possible(name: str, six: list[float]) -> None:
 
 
 def _make(name: str, mass: float, com: tuple[float, float, float], shape: str) -> Payload:
-    return Payload(name, mass, com, solid(shape, mass))
+    return Payload(name, mass, com, inertia_of(shape, mass))
 
 
 PAYLOADS: Final[Mapping[str, Payload]] = MappingProxyType(

@@ -127,12 +127,12 @@ class RobotModel:
         return tuple(self.rows[dof] for dof in self.torque_dofs)
 
     @property
-    def torque_kinds(self) -> tuple[str, ...]:
+    def torque_units(self) -> tuple[str, ...]:
         """Kinds of `torque_rows` (n,)."""
         return tuple(self._row_kinds[dof] for dof in self.torque_dofs)
 
     @cached_property
-    def uncoupled(self) -> "RobotModel":
+    def without_coupling(self) -> "RobotModel":
         """The same tree with every joint independent."""
         return self if self.coupling is None else replace(self, coupling=None)
 
@@ -174,31 +174,39 @@ class RobotModel:
             if term in SUFFIX:
                 columns += (f"{self.rows[dof]}.{SUFFIX[term]}" for dof in self.scalar_dofs)
             else:
-                self.term_index(term)
+                self.resolve_term(term)
                 columns.append(term)
         return tuple(dict.fromkeys(columns))
 
-    def term_index(self, name: str) -> tuple[str, int, int | None]:
+    def resolve_term(self, name: str) -> tuple[str, int, int | None]:
         """Return (term, degree of freedom, the one whose rate it multiplies where that is another)
         of a parameter name; raises UsageError for an unknown name."""
+        if name not in self._term_names:
+            joints = [self.rows[dof] for dof in self.scalar_dofs]
+            known = [*SUFFIX, *(f"{joint}.{suffix}" for joint in joints for suffix in TERM_OF)]
+            raise unknown_name(
+                "joint term", name, known, "Viscous friction on j5 due to j6 is 'j5.fv.j6'."
+            )
+        return self._term_names[name]
+
+    @cached_property
+    def _term_names(self) -> dict[str, tuple[str, int, int | None]]:
+        """Meaning of the name of every joint term; of joints called "a" and "a.fv" the first one in
+        the tree wins."""
         joints = {self.rows[dof]: int(dof) for dof in self.scalar_dofs}
-        for joint, dof in joints.items():
-            rest = name.removeprefix(f"{joint}.")
-            if rest == name:
-                continue
-            other = joints.get(rest.removeprefix("fv.")) if rest.startswith("fv.") else None
-            if other is not None and other != dof:
-                return "viscous_coupling", dof, other
-            if rest in TERM_OF:
-                return TERM_OF[rest], dof, None
-        known = [*SUFFIX, *(f"{joint}.{suffix}" for joint in joints for suffix in TERM_OF)]
-        raise unknown_name(
-            "joint term", name, known, "Viscous friction on j5 due to j6 is 'j5.fv.j6'."
-        )
+        names: dict[str, tuple[str, int, int | None]] = {}
+        for joint, dof in reversed(joints.items()):
+            names |= {f"{joint}.{suffix}": (term, dof, None) for suffix, term in TERM_OF.items()}
+            names |= {
+                f"{joint}.fv.{other}": ("viscous_coupling", dof, index)
+                for other, index in joints.items()
+                if index != dof
+            }
+        return names
 
     def term_values(self, terms: tuple[str, ...]) -> Array:
         """Return the true values of `term_columns(terms)`."""
-        indices = [self.term_index(name) for name in self.term_columns(terms)]
+        indices = [self.resolve_term(name) for name in self.term_columns(terms)]
         return np.array(
             [
                 getattr(self.joint_terms, term)[dof if other is None else (dof, other)]

@@ -6,14 +6,14 @@ sub-tree, Y_n phi - X f_x with an external wrench f_x on it (Traversaro et al. 2
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Protocol
 
 import numpy as np
 
-from sysid_bench.errors import ModelError, UnsupportedError, unknown_name
+from sysid_bench.errors import ModelError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import FREE, HINGE, SLIDE, Link, Tree, TreeJoint, tree_of
 from sysid_bench.spatial.rotation import matrix_of_quaternion
@@ -74,6 +74,7 @@ class Instruments:
         """Return the motion (N, nv) with the joints of all sensors (N, nv + 6 sensors), at rest."""
         if not self.cuts:
             return motion
+        # Joints that do not move carry the wrench through them, and add no velocity terms.
         still = np.zeros((len(motion), 6 * len(self.cuts)))
         q, v, a = (np.hstack([x, still]) for x in (motion.q, motion.v, motion.a))
         return replace(motion, q=q, v=v, a=a)
@@ -87,29 +88,35 @@ class Instruments:
 def instruments_of(robot: RobotModel, cuts: Sequence[SensorCut] = ()) -> Instruments:
     """Return the measured rows of a robot with these sensors; raises UnsupportedError for two
     sensors at one body."""
-    more = {
+    _check_bodies_differ(robot, cuts)
+    joints = {
         cut.body: _still_joints(cut, robot.mj.nq + 6 * k, robot.nv + 6 * k)
         for k, cut in enumerate(cuts)
     }
-    if len(more) < len(cuts):
+    wrenches = tuple(row for cut in cuts for row in cut.rows)
+    return Instruments(
+        cuts=tuple(cuts),
+        tree=tree_of(robot.mj, joints) if cuts else robot.tree,
+        rows=robot.rows + wrenches,
+        measured=robot.torque_rows + wrenches,
+        kinds=robot.torque_units + KINDS * len(cuts),
+    )
+
+
+def _check_bodies_differ(robot: RobotModel, cuts: Sequence[SensorCut]) -> None:
+    if len({cut.body for cut in cuts}) < len(cuts):
         raise UnsupportedError(
             f"{robot.name}: two of the sensors {', '.join(cut.name for cut in cuts)} cut at one "
             "body; they measure the same wrench."
         )
-    wrenches = tuple(row for cut in cuts for row in cut.rows)
-    return Instruments(
-        cuts=tuple(cuts),
-        tree=tree_of(robot.mj, more) if cuts else robot.tree,
-        rows=robot.rows + wrenches,
-        measured=robot.torque_rows + wrenches,
-        kinds=robot.torque_kinds + KINDS * len(cuts),
-    )
 
 
 def _still_joints(cut: SensorCut, qadr: int, vadr: int) -> tuple[TreeJoint, ...]:
-    axes = [(HINGE, axis) for axis in cut.R.T] + [(SLIDE, axis) for axis in cut.R.T]
+    """Three hinges, then three slides along the axes of the sensor frame: a wrench [n; f]."""
+    kinds, axes = [HINGE] * 3 + [SLIDE] * 3, [*cut.R.T, *cut.R.T]
     return tuple(
-        TreeJoint(kind, qadr + k, vadr + k, axis, cut.p, 0.0) for k, (kind, axis) in enumerate(axes)
+        TreeJoint(kind, qadr + k, vadr + k, axis, cut.p, 0.0)
+        for k, (kind, axis) in enumerate(zip(kinds, axes, strict=True))
     )
 
 
@@ -143,26 +150,31 @@ def floating_subtree(robot: RobotModel, cut: SensorCut) -> FloatingSubtree:
     """
     free = TreeJoint(FREE, robot.mj.nq, robot.nv, np.zeros(3), np.zeros(3), 0.0)
     whole = tree_of(robot.mj, {cut.body: (free,)})
-    new_index: dict[int, int] = {-1: -1}
-    links: list[Link] = []
-    for old, link in enumerate(whole.links):
-        if link.body not in cut.bodies:
-            continue
-        first = link.body == cut.body
-        joints = (free,) if first else link.joints
-        added = [dof for joint in joints for dof in joint.dofs]
-        before = [] if first else links[new_index[link.parent]].dofs.tolist()
-        dofs = np.array([*before, *added])
-        parent = -1 if first else new_index[link.parent]
-        links.append(replace(link, parent=parent, joints=joints, dofs=dofs))
-        new_index[old] = len(links) - 1
-    inside = [b in cut.bodies for b in range(len(whole.carrier))]
-    carrier = [new_index.get(int(c), -1) if kept else -1
-               for c, kept in zip(whole.carrier, inside, strict=True)]  # fmt: skip
-    tree = replace(whole, links=tuple(links), carrier=np.array(carrier, dtype=int))
-    return FloatingSubtree(
-        cut, tree, robot.rows + tuple(f"{cut.name}.free{k}" for k in range(6)), free
-    )
+    inside = [i for i, link in enumerate(whole.links) if link.body in cut.bodies]
+    new_index = {old: new for new, old in enumerate(inside)}
+    # Bodies outside become fixed to the world, where their parameters act on no joint.
+    carrier = np.full(len(whole.carrier), -1)
+    bodies = list(cut.bodies)
+    carrier[bodies] = [new_index.get(int(old), -1) for old in whole.carrier[bodies]]
+    links = _floating_links([whole.links[i] for i in inside], new_index, free)
+    tree = replace(whole, links=links, carrier=carrier)
+    free_rows = tuple(f"{cut.name}.free{k}" for k in range(6))
+    return FloatingSubtree(cut, tree, robot.rows + free_rows, free)
+
+
+def _floating_links(
+    links: Sequence[Link], new_index: Mapping[int, int], free: TreeJoint
+) -> tuple[Link, ...]:
+    """Links of a sub-tree, the first one on a free joint alone; degrees of freedom are counted from
+    there."""
+    root, *others = links
+    floating = [replace(root, parent=-1, joints=(free,), dofs=np.array(free.dofs))]
+    for link in others:
+        parent = new_index[link.parent]
+        own = [dof for joint in link.joints for dof in joint.dofs]
+        dofs = np.array([*floating[parent].dofs, *own])
+        floating.append(replace(link, parent=parent, dofs=dofs))
+    return tuple(floating)
 
 
 def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) -> SensorCut:
@@ -176,16 +188,18 @@ def cut_at(robot: RobotModel, sensor: str, others: Sequence[str] | None = None) 
     named = {entry.name: entry.at for entry in robot.manifest.sensors}
     at = named.get(sensor, sensor)
     body, R, p = _frame(robot, at)
-    ends: dict[int, str] = {}
-    for other in named if others is None else others:
-        end = _frame(robot, named.get(other, other))[0]
-        if end != body:
-            ends[end] = other
+    others = tuple(named) if others is None else others
+    ends = {_frame(robot, named.get(other, other))[0]: other for other in others}
+    ends.pop(body, None)  # the sensor itself, where it is one of the others
     bodies = _downstream(robot, body, set(ends))
-    reached = {int(robot.mj.body_parentid[end + 1]) - 1 for end in ends} & set(bodies)
-    last = [name for end, name in ends.items() if robot.mj.body_parentid[end + 1] - 1 in reached]
     return SensorCut(
-        name=sensor, at=at, body=body, R=R, p=p, bodies=bodies, end_sensors=tuple(last)
+        name=sensor,
+        at=at,
+        body=body,
+        R=R,
+        p=p,
+        bodies=bodies,
+        end_sensors=tuple(name for end, name in ends.items() if _parent(robot, end) in bodies),
     )
 
 
@@ -197,13 +211,17 @@ def sensor_names(text: str) -> list[str]:
 def default_sensor(robot: RobotModel, sensor: str | None) -> str:
     """Return the given name, or the only sensor of the robot's manifest; raises UnsupportedError,
     with the known sensors, for several or none."""
-    if sensor is not None and len(sensor_names(sensor)) > 1:
+    if sensor is None:
+        return _only_sensor(robot)
+    if len(sensor_names(sensor)) > 1:
         raise UnsupportedError(
             f"{robot.name}: the sensors {sensor} each have a sub-tree of their own; use one at a "
             "time, or the task 'robot', which takes several besides all joint torques."
         )
-    if sensor is not None:
-        return sensor
+    return sensor
+
+
+def _only_sensor(robot: RobotModel) -> str:
     names = [entry.name for entry in robot.manifest.sensors]
     if len(names) == 1:
         return names[0]
@@ -228,44 +246,60 @@ def last_body(robot: RobotModel, cut: SensorCut) -> int:
 
 def _frame(robot: RobotModel, at: str) -> tuple[int, Array, Array]:
     """(body, R, p) of a fixed joint, a site or a body."""
-    fixed, moving = _urdf_joints(robot)
-    here = np.eye(3), np.zeros(3)
+    fixed = _child_links(robot, fixed=True)
     if at in fixed:
-        return _body(robot, fixed[at]), *here
+        return _body(robot, fixed[at]), np.eye(3), np.zeros(3)
     sites = {robot.mj.site(s).name: s for s in range(robot.mj.nsite)}
     if at in sites:
-        s = sites[at]
-        body = int(robot.mj.site_bodyid[s]) - 1
-        if body < 0:
-            raise ModelError(
-                f"{robot.name}: the site {at!r} belongs to the world; a sensor's site belongs to "
-                "the first body downstream."
-            )
-        R = matrix_of_quaternion(np.array(robot.mj.site_quat[s]))
-        return body, R, np.array(robot.mj.site_pos[s])
+        return _site_frame(robot, sites[at])
     if at in robot.body_names:
-        return robot.body_names.index(at), *here
-    moving |= {joint.name: "" for joint in robot.joints}
-    if at in moving:
+        return robot.body_names.index(at), np.eye(3), np.zeros(3)
+    _check_not_moving(robot, at)
+    raise _unknown_frame(robot, at, [*fixed, *sites, *robot.body_names])
+
+
+def _unknown_frame(robot: RobotModel, at: str, frames: list[str]) -> UsageError:
+    sensors = robot.manifest.sensors
+    declared = ", ".join(f"{s.name} at {s.at}" for s in sensors[:8])
+    advice = f"Sensors of the robot: {declared}." if declared else ""
+    known = [*(s.name for s in sensors), *frames]
+    return unknown_name("sensor, fixed joint, site or body", at, known, advice)
+
+
+def _site_frame(robot: RobotModel, s: int) -> tuple[int, Array, Array]:
+    body = int(robot.mj.site_bodyid[s]) - 1
+    if body < 0:
+        raise ModelError(
+            f"{robot.name}: the site {robot.mj.site(s).name!r} belongs to the world; a sensor's "
+            "site belongs to the first body downstream."
+        )
+    R = matrix_of_quaternion(np.array(robot.mj.site_quat[s]))
+    return body, R, np.array(robot.mj.site_pos[s])
+
+
+def _check_not_moving(robot: RobotModel, at: str) -> None:
+    if at in {*_child_links(robot, fixed=False), *(joint.name for joint in robot.joints)}:
         raise UnsupportedError(
             f"{robot.name}: {at!r} is a moving joint; a sensor sits at a fixed joint, a site "
             "or a body: name the body distal to it."
         )
-    known = [*(s.name for s in robot.manifest.sensors), *fixed, *sites, *robot.body_names]
-    declared = ", ".join(f"{s.name} at {s.at}" for s in robot.manifest.sensors[:8])
-    advice = f"Sensors of the robot: {declared}." if declared else ""
-    raise unknown_name("sensor, fixed joint, site or body", at, known, advice)
 
 
-def _urdf_joints(robot: RobotModel) -> tuple[dict[str, str], dict[str, str]]:
-    """Child links of the fixed and of the moving joints of a URDF, by joint name."""
-    tables: tuple[dict[str, str], dict[str, str]] = ({}, {})
-    if robot.format == "urdf" and robot.text:
-        for joint in ET.fromstring(robot.text).iter("joint"):
-            child = joint.find("child")
-            if child is not None:
-                tables[joint.get("type") != "fixed"][joint.get("name", "")] = child.get("link", "")
-    return tables
+def _child_links(robot: RobotModel, fixed: bool) -> dict[str, str]:
+    """Child links of the fixed or of the moving joints of a URDF, by joint name."""
+    return {
+        joint.get("name", ""): joint.findall("child")[0].get("link", "")
+        for joint in _urdf_joints(robot)
+        if (joint.get("type") == "fixed") == fixed
+    }
+
+
+def _urdf_joints(robot: RobotModel) -> list[ET.Element]:
+    """Joints in the text of a URDF: the compiled model welds the links of fixed joints and forgets
+    the names of these joints."""
+    if robot.format != "urdf" or not robot.text:
+        return []
+    return ET.fromstring(robot.text).findall(".//joint[child]")
 
 
 def _body(robot: RobotModel, link: str) -> int:
@@ -278,8 +312,13 @@ def _body(robot: RobotModel, link: str) -> int:
 
 def _downstream(robot: RobotModel, body: int, ends: set[int]) -> tuple[int, ...]:
     """The body and its descendants, without `ends` and their descendants."""
-    inside = {body}
-    for b in range(body + 1, len(robot.body_names)):
-        if int(robot.mj.body_parentid[b + 1]) - 1 in inside and b not in ends:
-            inside.add(b)
-    return tuple(sorted(inside))
+    inside = [body]
+    for b in range(body + 1, len(robot.body_names)):  # parents come before their children
+        if _parent(robot, b) in inside and b not in ends:
+            inside.append(b)
+    return tuple(inside)
+
+
+def _parent(robot: RobotModel, body: int) -> int:
+    """Index of the parent of a body; -1 for the world, which MuJoCo counts as body 0."""
+    return int(robot.mj.body_parentid[body + 1]) - 1

@@ -1,7 +1,8 @@
 """Visual shapes of URDF links and MuJoCo geoms, for pictures alone."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -25,19 +26,19 @@ def shapes_of(robot: RobotModel) -> tuple[Shape, ...]:
     read."""
     if robot.format == "mjcf":
         return tuple(_geoms(robot))
+    # Collision shapes come first: their files are small.
+    return tuple(_urdf_shapes(robot, "collision")) or tuple(_urdf_shapes(robot, "visual"))
+
+
+def _urdf_shapes(robot: RobotModel, tag: str) -> Iterator[Shape]:
+    """Shapes of the <collision> or <visual> elements of all bodies."""
+    path = robot.manifest.path
     bodies = {name: i for i, name in enumerate(robot.body_names)}
-    root = parse_xml(robot.manifest.path.read_bytes(), robot.manifest.path.name)
-    for tag in ("collision", "visual"):  # collision shapes come first: their files are small
-        shapes = [
-            shape
-            for link in root.findall("link")
-            if str(link.get("name")) in bodies
-            for element in link.findall(tag)
-            for shape in _shape(element, bodies[str(link.get("name"))], robot.manifest.path)
-        ]
-        if shapes:
-            return tuple(shapes)
-    return ()
+    for link in parse_xml(path.read_bytes(), path.name).findall("link"):
+        name = str(link.get("name"))
+        if name in bodies:
+            for element in link.findall(tag):
+                yield from _element_shapes(element, bodies[name], path)
 
 
 def body_frames(robot: RobotModel, q: Array) -> tuple[Array, Array]:
@@ -56,57 +57,73 @@ def body_frames(robot: RobotModel, q: Array) -> tuple[Array, Array]:
 def _geoms(robot: RobotModel) -> Iterator[Shape]:
     mj = robot.mj
     for g in range(mj.ngeom):
-        body = int(mj.geom_bodyid[g]) - 1
-        if body >= 0 and int(mj.geom_type[g]) in _GEOMS:
-            kind, count = _GEOMS[int(mj.geom_type[g])]
-            size = tuple(float(x) for x in mj.geom_size[g][:count])
+        body, type_ = int(mj.geom_bodyid[g]) - 1, int(mj.geom_type[g])
+        if body >= 0 and type_ in _GEOMS:
+            kind, count = _GEOMS[type_]
+            size = tuple(mj.geom_size[g][:count].tolist())
             yield Shape(body, kind, size, np.array(mj.geom_pos[g]), np.array(mj.geom_quat[g]))
 
 
-def _shape(element: ET.Element, body: int, model: Path) -> Iterator[Shape]:
-    geometry = element.find("geometry")
-    if geometry is None:
-        return
+def _element_shapes(element: ET.Element, body: int, model: Path) -> Iterator[Shape]:
     origin = element.find("origin")
-    try:
+    with suppress(ValueError):  # a picture without this shape is better than none
         position = _numbers(origin, "xyz", 3)
         quaternion = _quaternion_of_rpy(_numbers(origin, "rpy", 3))
-        for kind in geometry:
-            if kind.tag == "mesh":
-                file = _mesh(str(kind.get("filename", "")), model)
-                if file is not None:
-                    scale = tuple(_numbers(kind, "scale", 3, default=1.0))
-                    yield Shape(body, "mesh", scale, position, quaternion, str(file))
-            elif kind.tag == "box":
-                half = tuple(0.5 * x for x in _numbers(kind, "size", 3))
-                yield Shape(body, "box", half, position, quaternion)
-            elif kind.tag == "sphere":
-                yield Shape(body, "sphere", (float(kind.get("radius", 0)),), position, quaternion)
-            elif kind.tag in ("cylinder", "capsule"):
-                size = (float(kind.get("radius", 0)), 0.5 * float(kind.get("length", 0)))
-                shape: ShapeKind = "cylinder" if kind.tag == "cylinder" else "capsule"
-                yield Shape(body, shape, size, position, quaternion)
-    except ValueError:  # a picture without this shape is better than none
-        return
+        for geometry in element.findall("geometry[1]/*"):
+            file = _mesh_file(geometry, model)
+            if geometry.tag in _URDF_SIZES and file is not None:
+                kind, size = _URDF_SIZES[geometry.tag]
+                yield Shape(body, kind, size(geometry), position, quaternion, file)
 
 
-def _mesh(written: str, model: Path) -> Path | None:
-    """The file of package://NAME/..., file://... or a relative path; None where it does not
-    exist."""
-    if not written.lower().endswith(_MESHES):
-        return None
-    if written.startswith("package://"):
-        rest = Path(written.removeprefix("package://"))
-        candidates = [
-            parent / part for parent in model.parents for part in (rest, Path(*rest.parts[1:]))
-        ]
-    else:
-        candidates = [model.parent / written.removeprefix("file://")]
-    return next((file for file in candidates if file.is_file()), None)
+def _mesh_scale(mesh: ET.Element) -> tuple[float, ...]:
+    return tuple(_numbers(mesh, "scale", 3, default=1.0))
+
+
+def _half_lengths(box: ET.Element) -> tuple[float, ...]:
+    return tuple(0.5 * x for x in _numbers(box, "size", 3))
+
+
+def _radius(sphere: ET.Element) -> tuple[float, ...]:
+    return (float(sphere.get("radius", 0)),)
+
+
+def _radius_and_half_length(cylinder: ET.Element) -> tuple[float, ...]:
+    # URDF states full lengths, MuJoCo and `Shape` half of them.
+    return (float(cylinder.get("radius", 0)), 0.5 * float(cylinder.get("length", 0)))
+
+
+_URDF_SIZES: Final[dict[str, tuple[ShapeKind, Callable[[ET.Element], tuple[float, ...]]]]] = {
+    "mesh": ("mesh", _mesh_scale),
+    "box": ("box", _half_lengths),
+    "sphere": ("sphere", _radius),
+    "cylinder": ("cylinder", _radius_and_half_length),
+    "capsule": ("capsule", _radius_and_half_length),
+}
+"""Kind of each URDF geometry, and the reader of its size."""
+
+
+def _mesh_file(geometry: ET.Element, model: Path) -> str | None:
+    """The file of a mesh, written as package://NAME/..., file://... or a relative path; None where
+    it does not exist, empty for other geometries."""
+    if geometry.tag != "mesh":
+        return ""
+    written = str(geometry.get("filename", ""))
+    files = _candidates(written, model) if written.lower().endswith(_MESHES) else []
+    return next((str(file) for file in files if file.is_file()), None)
+
+
+def _candidates(written: str, model: Path) -> list[Path]:
+    if not written.startswith("package://"):
+        return [model.parent / written.removeprefix("file://")]
+    # The folder of the package is searched above the model, with its name and without.
+    rest = Path(written.removeprefix("package://"))
+    parts = (rest, Path(*rest.parts[1:]))
+    return [parent / part for parent in model.parents for part in parts]
 
 
 def _numbers(element: ET.Element | None, key: str, count: int, default: float = 0.0) -> Array:
-    text = None if element is None else element.get(key)
+    text = "" if element is None else element.get(key, "")
     values = np.array([float(word) for word in text.split()]) if text else np.full(count, default)
     if values.shape != (count,) or not np.isfinite(values).all():
         raise ValueError(text)
@@ -117,6 +134,7 @@ def _quaternion_of_rpy(rpy: Array) -> Array:
     """Quaternion (4,) of roll, pitch, yaw about fixed axes, as in URDF."""
     total = np.array([1.0, 0.0, 0.0, 0.0])
     for axis, angle in enumerate(rpy):
+        # About a fixed axis: each later turn multiplies from the left.
         turn = np.zeros(4)
         turn[0], turn[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
         total = product(turn, total)

@@ -27,13 +27,20 @@ def tool_frame(
         return _end_of_longest_chain(mj), at_body
     if manifest.tool in body_names:
         return body_names.index(manifest.tool), at_body
+    return _tool_site(mj, manifest, body_names)
+
+
+def _tool_site(
+    mj: mujoco.MjModel, manifest: Manifest, body_names: tuple[str, ...]
+) -> tuple[int, Pose]:
+    """The body that a site is fixed to, and the pose of the site in it; not one of the world."""
     sites = {mj.site(s).name: s for s in range(mj.nsite)}
-    if manifest.tool in sites and mj.site_bodyid[sites[manifest.tool]] > 0:
-        site = sites[manifest.tool]
-        pose = (np.array(mj.site_pos[site]), np.array(mj.site_quat[site]))
-        return int(mj.site_bodyid[site]) - 1, pose
-    known = [*body_names, *sites]
-    raise ModelError(f"{manifest.name}: {unknown_name('tool body or site', manifest.tool, known)}")
+    site = sites.get(str(manifest.tool), -1)
+    if site < 0 or mj.site_bodyid[site] == 0:
+        known, name = [*body_names, *sites], str(manifest.tool)
+        raise ModelError(f"{manifest.name}: {unknown_name('tool body or site', name, known)}")
+    pose = (np.array(mj.site_pos[site]), np.array(mj.site_quat[site]))
+    return int(mj.site_bodyid[site]) - 1, pose
 
 
 def add_payload(spec: mujoco.MjSpec, body: int, pose: Pose, payload: Payload, name: str) -> None:
@@ -53,6 +60,7 @@ def add_payload(spec: mujoco.MjSpec, body: int, pose: Pose, payload: Payload, na
 
 def _end_of_longest_chain(mj: mujoco.MjModel) -> int:
     """The body with the most joints above it; of equals the deepest, of these the first."""
+    # Ties are frequent: bodies welded to the last link have as many joints above them as it has.
     joints = np.zeros(mj.nbody, dtype=int)
     depth = np.zeros(mj.nbody, dtype=int)
     for b in range(1, mj.nbody):

@@ -6,8 +6,9 @@ one body, each about its own anchor `jnt_pos`, with `q - qpos0`; a free joint ha
 the world and angular velocity in the body.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from types import MappingProxyType
 from typing import Final
 
@@ -77,10 +78,15 @@ class Tree:
         """Return phi (n_links, 10) of each link with all bodies welded to it, from phi (nb, 10)."""
         total = np.zeros((len(self.links), 10))
         for b, link in enumerate(self.carrier):
-            if link >= 0:
+            if link >= 0:  # bodies welded to the world load no joint
                 total[link] += self.X[b] @ phi[b]
         return total
 
+
+_Pose = tuple[Array, Array]
+"""Rotation (3, 3) and position (3,) in another frame."""
+
+_IDENTITY: Final[_Pose] = (np.eye(3), np.zeros(3))
 
 NOTHING: Final[Mapping[int, tuple[TreeJoint, ...]]] = MappingProxyType({})
 
@@ -90,35 +96,52 @@ def tree_of(mj: mujoco.MjModel, more: Mapping[int, tuple[TreeJoint, ...]] = NOTH
 
     `more`: further joints of body b after its own; their addresses in q and v follow the model's.
     """
-    links: list[Link] = []
-    carrier: list[int] = [-1]
-    pose: list[tuple[Array, Array]] = [(np.eye(3), np.zeros(3))]  # of each body in its carrier
-    X: list[Array] = []
-    for b in range(1, mj.nbody):
-        p = int(mj.body_parentid[b])
-        R_p, p_p = pose[p]
-        R0 = R_p @ matrix_of_quaternion(np.array(mj.body_quat[b]))
-        p0 = p_p + R_p @ np.array(mj.body_pos[b])
-        joints = tuple(_joint(mj, int(mj.body_jntadr[b]) + k) for k in range(mj.body_jntnum[b]))
-        joints += more.get(b - 1, ())
-        if not joints:
-            carrier.append(carrier[p])
-            pose.append((R0, p0))
-            X.append(transport(R0, p0))
-            continue
-        new = [dof for joint in joints for dof in joint.dofs]
-        before = links[carrier[p]].dofs if carrier[p] >= 0 else np.zeros(0, dtype=int)
-        links.append(
-            Link(b - 1, carrier[p], R0, p0, joints, np.concatenate([before, new]).astype(int))
-        )
-        carrier.append(len(links) - 1)
-        pose.append((np.eye(3), np.zeros(3)))
-        X.append(np.eye(10))
-    stacked = np.stack(X) if X else np.zeros((0, 10, 10))
-    added = [joint.kind for joints in more.values() for joint in joints]
+    links, carrier, poses = _links(mj, more)
+    X = np.array([transport(R, p) for R, p in poses[1:]]).reshape(-1, 10, 10)
+    added = [joint.kind for joint in chain.from_iterable(more.values())]
     nq = mj.nq + sum(COORDINATES[kind] for kind in added)
     nv = mj.nv + sum(DOFS[kind] for kind in added)
-    return Tree(tuple(links), np.array(carrier[1:], dtype=int), stacked, gravity_of(mj), nq, nv)
+    return Tree(tuple(links), np.array(carrier[1:], dtype=int), X, gravity_of(mj), nq, nv)
+
+
+def _links(
+    mj: mujoco.MjModel, more: Mapping[int, tuple[TreeJoint, ...]]
+) -> tuple[list[Link], list[int], list[_Pose]]:
+    """The links, and the carrier of each body of MuJoCo with the pose of the body in it."""
+    links: list[Link] = []
+    carrier: list[int] = [-1]
+    poses: list[_Pose] = [_IDENTITY]
+    for b in range(1, mj.nbody):
+        p = int(mj.body_parentid[b])
+        pose, parent = _pose_below(mj, b, poses[p]), carrier[p]
+        joints = _joints_of(mj, b) + more.get(b - 1, ())
+        if joints:
+            links.append(_link(b - 1, parent, pose, joints, links))
+            # The body is a link of its own: its frame is that of its parameters.
+            parent, pose = len(links) - 1, _IDENTITY
+        carrier.append(parent)
+        poses.append(pose)
+    return links, carrier, poses
+
+
+def _pose_below(mj: mujoco.MjModel, b: int, parent: _Pose) -> _Pose:
+    """Reference pose of a body in the carrier of its parent, whose pose there is `parent`."""
+    R_p, p_p = parent
+    R = R_p @ matrix_of_quaternion(np.array(mj.body_quat[b]))
+    return R, p_p + R_p @ np.array(mj.body_pos[b])
+
+
+def _link(
+    body: int, parent: int, pose: _Pose, joints: tuple[TreeJoint, ...], links: Sequence[Link]
+) -> Link:
+    before = links[parent].dofs.tolist() if parent >= 0 else []
+    own = [dof for joint in joints for dof in joint.dofs]
+    return Link(body, parent, *pose, joints, np.array([*before, *own], dtype=int))
+
+
+def _joints_of(mj: mujoco.MjModel, b: int) -> tuple[TreeJoint, ...]:
+    first = int(mj.body_jntadr[b])
+    return tuple(_joint(mj, j) for j in range(first, first + int(mj.body_jntnum[b])))
 
 
 def gravity_of(mj: mujoco.MjModel) -> Array:
@@ -137,6 +160,7 @@ def _joint(mj: mujoco.MjModel, j: int) -> TreeJoint:
         qadr=qadr,
         vadr=int(mj.jnt_dofadr[j]),
         axis=np.array(mj.jnt_axis[j]) if moves_by_scalar else np.zeros(3),
+        # A free joint acts at the body's origin, whatever its jnt_pos.
         anchor=np.zeros(3) if kind == FREE else np.array(mj.jnt_pos[j]),
         q0=float(mj.qpos0[qadr]) if moves_by_scalar else 0.0,
     )

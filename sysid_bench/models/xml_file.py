@@ -30,11 +30,8 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
     names stay as written, declared or not, as both engines read them.
     """
     data = text.encode() if isinstance(text, str) else text
-    letters = data.replace(b"\0", b"")  # finds the words in UTF-16 and UTF-32, too
-    if b"<!DOCTYPE" in letters or b"<!ENTITY" in letters:
-        raise ModelError(
-            f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
-        )
+    _check_declarations(data, name)
+    # expat itself, since ElementTree's parser resolves prefixes and refuses undeclared ones.
     builder, parser = ET.TreeBuilder(), expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler = builder.start
@@ -49,10 +46,20 @@ def parse_xml(text: str | bytes, name: str) -> ET.Element:
     return root
 
 
+def _check_declarations(data: bytes, name: str) -> None:
+    letters = data.replace(b"\0", b"")  # finds the words in UTF-16 and UTF-32, too
+    if b"<!DOCTYPE" in letters or b"<!ENTITY" in letters:
+        raise ModelError(
+            f"{name} declares a DOCTYPE or entities; robot models need none: remove them."
+        )
+
+
 def _check_depth(root: ET.Element, name: str) -> None:
+    # Level by level: recursion would overflow on the files that this is to refuse.
     level = [root]
     for _ in range(DEEPEST):
         level = [child for element in level for child in element]
-        if not level:
-            return
-    raise ModelError(f"{name} nests elements more than {DEEPEST} levels deep; simplify the file.")
+    if level:
+        raise ModelError(
+            f"{name} nests elements more than {DEEPEST} levels deep; simplify the file."
+        )

@@ -45,7 +45,7 @@ class CoupledRegression:
     def _dependent_rows(self) -> tuple[tuple[int, ...], ...]:
         """For each row, the indices among the dependent joints of those that act on it."""
         return tuple(
-            tuple(int(d) for d in np.flatnonzero(column)) for column in self.coupling.depends_on.T
+            tuple(int(d) for d in np.flatnonzero(column)) for column in self.coupling.is_coupled.T
         ) + ((),) * (len(self.tree_rows) - len(self.coupling.independent))
 
     @cached_property

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from sysid_bench.models.coupling.equalities import closure_frames, equality_terms
+from sysid_bench.models.coupling.equalities import closure_frames, coupled_terms
 from sysid_bench.models.pairing import FROM_PINOCCHIO, Pairing
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Regressor, Trajectory
@@ -20,7 +20,7 @@ def pinocchio_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     A body's parameters are m, m c and the inertia about its origin, in body axes.
     """
     pairing = robot.pairing
-    q = pairing.configuration(motion.q)
+    q = pairing.positions_to_pinocchio(motion.q)
     v, a = pairing.rates(motion.q, motion.v, motion.a)
     Y = body_columns(joint_columns(pairing.model, q, v, a), pairing)
     return Regressor(pairing.rows_to_mujoco(motion.q, Y), robot.rows, robot.inertial_columns)
@@ -51,7 +51,7 @@ def _closure_jacobian(robot: RobotModel, motion: Trajectory) -> Array:
     data = pairing.model.createData()
     loops = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
     rows = []
-    for q, x in zip(pairing.configuration(motion.q), motion.q, strict=True):
+    for q, x in zip(pairing.positions_to_pinocchio(motion.q), motion.q, strict=True):
         pin.computeJointJacobians(pairing.model, data, q)
         parts = [
             _loop_rows(robot, data, e) if int(mj.eq_type[e]) in loops else _sum_rows(robot, e, x)
@@ -83,7 +83,7 @@ def _loop_rows(robot: RobotModel, data: pin.Data, e: int) -> Array:
 def _sum_rows(robot: RobotModel, e: int, q: Array) -> Array:
     """Row (1, nv) of a joint or tendon equality at q (nq,): y = polynomial(x) in MuJoCo."""
     row, qadr = np.zeros((1, robot.nv)), {joint.vadr: joint.qadr for joint in robot.joints}
-    first, second = equality_terms(robot.mj, e)
+    first, second = coupled_terms(robot.mj, e)
     x = sum(c * (q[qadr[d]] - robot.mj.qpos0[qadr[d]]) for d, c in second.items())
     slope = sum(k * c * x ** (k - 1) for k, c in enumerate(robot.mj.eq_data[e, :5]) if k)
     for dof, coefficient in first.items():

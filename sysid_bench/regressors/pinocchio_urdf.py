@@ -154,7 +154,7 @@ def _state(robot: RobotModel, native: _UrdfModel, motion: Trajectory) -> tuple[A
     q = np.tile(pin.neutral(native.model), (len(motion), 1))
     v, a = np.zeros((2, len(motion), native.model.nv))
     v_all, a_all = robot.pairing.rates(motion.q, motion.v, motion.a)
-    q_all = robot.pairing.configuration(motion.q)
+    q_all = robot.pairing.positions_to_pinocchio(motion.q)
     for joint in robot.joints:
         target = native.joint(joint.name, joint.kind)
         qadr, dof, n = target.idx_q, target.idx_v, len(joint.dofs)

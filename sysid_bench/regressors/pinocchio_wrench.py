@@ -161,7 +161,7 @@ def _base_states(robot: RobotModel, body: int, motion: Trajectory) -> tuple[Arra
     """Free-flyer q (N, 7), v (N, 6) and a (N, 6) of a body, from the paired model of the robot;
     velocities [v; w] are in body axes."""
     pairing = robot.pairing
-    q = pairing.configuration(motion.q)
+    q = pairing.positions_to_pinocchio(motion.q)
     v, a = pairing.rates(motion.q, motion.v, motion.a)
     joint, placement = _pose_in_joint(robot, body)
     data = pairing.model.createData()

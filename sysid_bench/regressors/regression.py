@@ -192,7 +192,7 @@ def regression(
 
 def _term_column(robot: RobotModel, index: int, name: str) -> TermColumn:
     try:
-        term, dof, other = robot.term_index(name)
+        term, dof, other = robot.resolve_term(name)
     except UsageError as error:
         raise unknown_name(
             "parameter", name, [*robot.inertial_columns, *_term_names(robot)]

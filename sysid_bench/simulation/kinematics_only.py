@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from sysid_bench.models.coupling.equalities import closure_frames, equality_terms
+from sysid_bench.models.coupling.equalities import closure_frames, coupled_terms
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import JointTerms, RobotModel
@@ -82,7 +82,7 @@ def _add_equality(
             names.append(f"end {end} of equality {e}")
             bodies[body].add_site(name=names[-1], pos=p, quat=quaternion_of_matrix(R))
     else:
-        for side, terms in enumerate(equality_terms(mj, e)):
+        for side, terms in enumerate(coupled_terms(mj, e)):
             if terms:
                 names.append(f"sum {side} of equality {e}")
                 tendon = spec.add_tendon(name=names[-1])

@@ -77,7 +77,7 @@ def _wrong_terms(task: Task, robot: RobotModel) -> Iterator[str]:
         if name in inertial:
             continue
         try:
-            term, dof, other = robot.term_index(name)
+            term, dof, other = robot.resolve_term(name)
         except UsageError:
             yield f"The unknown {name!r} is neither a parameter of a body nor a joint term."
             continue

@@ -163,7 +163,7 @@ def joint_torque_task(
     known_terms = {term: getattr(robot.joint_terms, term).copy() for term in SUFFIX}
     coupling = robot.joint_terms.viscous_coupling.copy()
     for name in columns:
-        term, dof, other = robot.term_index(name)
+        term, dof, other = robot.resolve_term(name)
         if other is None:
             known_terms[term][dof] = 0.0
         else:

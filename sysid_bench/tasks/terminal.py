@@ -30,7 +30,7 @@ class TerminalTask(TaskDefinition):
         body, phi, given = tool_link(robot)
         dofs = _last_measured(robot)
         rows = tuple(robot.rows[dof] for dof in dofs)
-        columns = tuple(c for c in robot.term_columns(terms) if robot.term_index(c)[1] in dofs)
+        columns = tuple(c for c in robot.term_columns(terms) if robot.resolve_term(c)[1] in dofs)
         return joint_torque_task(self, robot, (body,), phi, given, terms=columns, rows=rows)
 
 

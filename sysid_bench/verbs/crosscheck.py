@@ -122,7 +122,7 @@ def _verdict(
 def _measured(manifest: Manifest, samples: int, free_base: bool | None) -> CrosscheckResult:
     robot = load_robot(manifest, free_base=free_base)
     verdict = compare_engines(robot, samples)
-    base = structural_base(robot.uncoupled, robot.inertial_columns)
+    base = structural_base(robot.without_coupling, robot.inertial_columns)
     return CrosscheckResult(
         robot=robot.name,
         file=str(manifest.path),

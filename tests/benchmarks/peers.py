@@ -58,7 +58,7 @@ def quickest_model(robot: RobotModel) -> pin.Model:
 
 
 def in_pinocchios_coordinates(robot: RobotModel, motion: Trajectory) -> tuple[Array, Array, Array]:
-    q = robot.pairing.configuration(motion.q)
+    q = robot.pairing.positions_to_pinocchio(motion.q)
     v, a = robot.pairing.rates(motion.q, motion.v, motion.a)
     return tuple(np.ascontiguousarray(x) for x in (q, v, a))  # type: ignore[return-value]
 

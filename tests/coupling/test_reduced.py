@@ -8,7 +8,7 @@ import pytest
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.normal_qr import residual_norms
-from sysid_bench.models.coupling.constraints import Relation
+from sysid_bench.models.coupling.constraints import PolynomialCoupling
 from sysid_bench.models.coupling.group import Group
 from sysid_bench.models.load import load_robot
 from sysid_bench.naming import build
@@ -58,7 +58,7 @@ def test_the_cross_check_sees_another_closure_than_the_models() -> None:
     assert robot.coupling is not None
     (group,) = robot.coupling.groups
     (gear,) = group.constraints
-    assert isinstance(gear, Relation)
+    assert isinstance(gear, PolynomialCoupling)
     wrong = replace(group, constraints=(replace(gear, second=1.1 * gear.second),))
     check = crosscheck(replace(robot, coupling=replace(robot.coupling, groups=(wrong,))), 5)
     assert not check.ok()
@@ -177,7 +177,7 @@ def test_a_loop_on_a_floating_base_agrees_too() -> None:
 def test_a_robot_without_couplings_is_its_own_uncoupled_robot() -> None:
     robot = load_robot("ur5")
     assert robot.coupling is None
-    assert robot.uncoupled is robot
+    assert robot.without_coupling is robot
     assert robot.torque_rows == robot.rows
     tau = np.ones((3, robot.nv))
     assert robot.reduced(np.zeros((3, robot.nv)), tau) is tau

@@ -105,5 +105,5 @@ def test_ranks_of_the_mjcf_collection(data_folder: Path) -> None:
     assert len(facts) == MJCFS
     expected = {file: fact["base_rank_tol1e9"] for file, fact in facts.items()}
     assert {
-        file: inertial_base(load_robot(folder / file).uncoupled).rank for file in facts
+        file: inertial_base(load_robot(folder / file).without_coupling).rank for file in facts
     } == expected

@@ -61,7 +61,7 @@ def test_the_rank_of_random_trees_is_the_structural_one() -> None:
 
 @pytest.mark.parametrize("name", NAMED)
 def test_the_rank_of_named_robots_is_the_structural_one(name: str) -> None:
-    robot = named_robot(name).uncoupled
+    robot = named_robot(name).without_coupling
     nullspace = parameter_nullspace(robot.tree)
     base = inertial_base(robot)
     assert base.rank + base.near_degenerate == len(nullspace) - nullspace.shape[1]
@@ -76,7 +76,7 @@ def test_the_rank_of_the_mjcf_collection_is_the_structural_one(data_folder: Path
     files = sorted((data_folder / "robots").glob("*.xml"))
     assert len(files) == MJCFS
     for file in files:
-        robot = load_robot(file).uncoupled
+        robot = load_robot(file).without_coupling
         assert inertial_base(robot).rank == structural_rank(robot.tree), file.name
 
 

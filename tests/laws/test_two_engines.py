@@ -73,7 +73,7 @@ def check(robot: RobotModel, count: int = 5, seed: int = 0) -> None:
 def rnea(model: pin.Model, robot: RobotModel, motion: Trajectory) -> Array:
     """Pinocchio's own recursion, in MuJoCo's coordinates."""
     data = model.createData()
-    q = robot.pairing.configuration(motion.q)
+    q = robot.pairing.positions_to_pinocchio(motion.q)
     v, a = robot.pairing.rates(motion.q, motion.v, motion.a)
     rows = np.array([pin.rnea(model, data, *state).copy() for state in zip(q, v, a, strict=True)])
     return robot.pairing.rows_to_mujoco(motion.q, rows)

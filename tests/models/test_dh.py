@@ -153,6 +153,7 @@ WRONG = [
     ("1,R,base,0,0,0,q1*q1\n", "not linear"),
     ("1,R,base,__import__('os'),0,0,q1\n", "column a"),
     ("1,R,base,1/0,0,0,q1\n", "column a"),
+    ("1,R,base,(-1)**0.5,0,0,q1\n", "cannot be read"),
     ("1,R,base,b2,0,0,q1\n", "'b2'"),
     ("1',R,base,0,0,0,q1\n", "letters and digits"),
     ("1,R,base,0,0,0,q1,-2,0 0 0,1 1 1\n", "mass"),

@@ -37,7 +37,7 @@ def check_limits(robot: RobotModel) -> None:
 
 def check_states(robot: RobotModel) -> None:
     """Limits hold for independent joints; dependent ones go where these put them."""
-    motion = states(robot.uncoupled, 50)
+    motion = states(robot.without_coupling, 50)
     for joint in robot.joints:
         at = joint.qadr
         if joint.kind in ("hinge", "slide"):

@@ -39,7 +39,7 @@ def test_bodies_are_where_mujoco_puts_them(robot: RobotModel) -> None:
     motion = states(robot, 3)
     model = robot.pairing.model
     data, mjdata = model.createData(), mujoco.MjData(robot.mj)
-    for k, q in enumerate(robot.pairing.configuration(motion.q)):
+    for k, q in enumerate(robot.pairing.positions_to_pinocchio(motion.q)):
         pin.forwardKinematics(model, data, q)
         mjdata.qpos[:] = motion.q[k]
         mujoco.mj_kinematics(robot.mj, mjdata)
@@ -58,10 +58,10 @@ def test_the_velocity_map_is_that_of_the_configuration(robot: RobotModel) -> Non
     ours = robot.pairing
     v, _ = ours.rates(motion.q, motion.v, motion.a)
     for k in range(3):
-        q0 = ours.configuration(motion.q[k])
+        q0 = ours.positions_to_pinocchio(motion.q[k])
         stepped = motion.q[k].copy()
         mujoco.mj_integratePos(robot.mj, stepped, motion.v[k], h)
-        velocity = pin.difference(ours.model, q0, ours.configuration(stepped)) / h
+        velocity = pin.difference(ours.model, q0, ours.positions_to_pinocchio(stepped)) / h
         np.testing.assert_allclose(velocity, v[k], atol=1e-4)
 
 
@@ -70,7 +70,7 @@ def test_mass_matrices_and_bias_forces_agree(robot: RobotModel) -> None:
     ours, zero = robot.pairing, np.zeros_like(motion.v)
     mj = contact_free_flags(robot.spec.copy().compile())
     data, mjdata = ours.model.createData(), mujoco.MjData(mj)
-    q = ours.configuration(motion.q)
+    q = ours.positions_to_pinocchio(motion.q)
     v, a0 = ours.rates(motion.q, motion.v, zero)
     for k in range(3):
         mjdata.qpos[:], mjdata.qvel[:] = motion.q[k], motion.v[k]
@@ -112,7 +112,7 @@ def test_the_maps_leave_their_inputs_alone(robot: RobotModel) -> None:
     motion = states(robot, 2)
     rows = np.ones((2, robot.nv))
     before = [x.copy() for x in (motion.q, motion.v, motion.a, rows)]
-    robot.pairing.configuration(motion.q)
+    robot.pairing.positions_to_pinocchio(motion.q)
     robot.pairing.rates(motion.q, motion.v, motion.a)
     robot.pairing.rows_to_mujoco(motion.q, rows)
     for x, copy in zip((motion.q, motion.v, motion.a, rows), before, strict=True):
@@ -126,5 +126,5 @@ def test_an_unnormalised_quaternion_means_the_same_rotation(robot: RobotModel) -
         start = int(at) + (3 if kind == FREE else 0)
         if kind in (FREE, BALL):
             longer[:, start : start + 4] *= 3.0
-    ours = robot.pairing.configuration
+    ours = robot.pairing.positions_to_pinocchio
     np.testing.assert_allclose(ours(longer), ours(motion.q), atol=1e-15)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.payload import PAYLOADS, Payload, parse_payload, solid
+from sysid_bench.models.payload import PAYLOADS, Payload, inertia_of, parse_payload
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
@@ -51,7 +51,7 @@ def test_solids_have_the_moments_of_their_shape(
     chosen = list(sizes[:count])
     text = " ".join([word, *map(repr, chosen)])
     expected = mass * unit_moments(word, chosen)
-    np.testing.assert_allclose(matrix_of_six(np.array(solid(text, mass))), expected, rtol=1e-9)
+    np.testing.assert_allclose(matrix_of_six(np.array(inertia_of(text, mass))), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_solids_have_the_moments_of_their_shape(
     ],
 )
 def test_a_length_is_the_same_in_any_unit(written: str, metres: str) -> None:
-    np.testing.assert_allclose(solid(written, 1.0), solid(metres, 1.0), rtol=1e-12)
+    np.testing.assert_allclose(inertia_of(written, 1.0), inertia_of(metres, 1.0), rtol=1e-12)
 
 
 SOLIDS = ["", "ball 1", "box 1 1", "box", "sphere", "sphere 1 2", "rod -1", "sphere 0", "point 1"]

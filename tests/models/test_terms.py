@@ -58,8 +58,8 @@ def test_names_of_terms() -> None:
     assert robot.term_columns(("elbow_joint.fv", "viscous"))[0] == "elbow_joint.fv"
     assert len(robot.term_columns(("elbow_joint.fv", "viscous"))) == 6
     for term, suffix in SUFFIX.items():
-        assert robot.term_index(f"elbow_joint.{suffix}") == (term, 2, None)
-    assert robot.term_index("elbow_joint.fv.wrist_1_joint") == ("viscous_coupling", 2, 3)
+        assert robot.resolve_term(f"elbow_joint.{suffix}") == (term, 2, None)
+    assert robot.resolve_term("elbow_joint.fv.wrist_1_joint") == ("viscous_coupling", 2, 3)
     for wrong in ("viscos", "elbow.fv", "elbow_joint.q", "elbow_joint.fv.elbow_joint", "a.fv.b"):
         with pytest.raises(UsageError, match="joint term"):
             robot.term_columns((wrong,))

@@ -44,7 +44,7 @@ def by_pinocchio(robot: RobotModel, motion: Trajectory) -> Array:
     """Rigid-body torque (N, nv) by `rnea`, in MuJoCo's coordinates, with the armature."""
     pairing = robot.pairing
     data = pairing.model.createData()
-    q = pairing.configuration(motion.q)
+    q = pairing.positions_to_pinocchio(motion.q)
     v, a = pairing.rates(motion.q, motion.v, motion.a)
     tau = np.array([pin.rnea(pairing.model, data, *state) for state in zip(q, v, a, strict=True)])
     return np.asarray(pairing.rows_to_mujoco(motion.q, tau) + robot.joint_terms.armature * motion.a)
@@ -57,7 +57,7 @@ def test_two_engines_and_the_stated_terms_give_the_torque(name: str, payload: st
     motion = motion_of(robot)
     tau = torque(plant_of(robot), motion)
     terms = stated_terms(robot, motion)
-    for witness in (inverse_torque(robot.uncoupled, motion), by_pinocchio(robot, motion)):
+    for witness in (inverse_torque(robot.without_coupling, motion), by_pinocchio(robot, motion)):
         wanted = robot.reduced(motion.q, witness + terms)
         assert np.abs(tau - wanted).max() <= 1e-11 * np.abs(tau).max()
 

@@ -26,7 +26,7 @@ class LogProblemBuilder:
         """The problem W beta = b of all rows of the logs."""
         rows = self.unknowns.rows
         names = self.unknowns.robot.torque_rows
-        kinds = tuple(self.unknowns.robot.torque_kinds[names.index(row)] for row in rows)
+        kinds = tuple(self.unknowns.robot.torque_units[names.index(row)] for row in rows)
         parts = [self._factors(log) for log in logs]
         factors = tuple(merge_factors(of_row) for of_row in zip(*parts, strict=True))
         return Problem(

@@ -1,5 +1,6 @@
-"""Coupled joints: mimic joints (mimic.py), tendon and joint equalities, closed chains (chain.py).
+"""Coupled joints: mimic joints, tendon and joint equalities, closed chains.
 
-equalities.py reads constraints from MuJoCo, independent_joints.py chooses what moves, group.py
-solves the closure, closure_limits.py bounds it, and coupling.py holds the result.
+mimic.py and equalities.py read them as constraints.py (closed chains: joint_chain.py);
+independent_joints.py chooses what moves, group.py solves the closure, closure_limits.py bounds it,
+build.py joins the groups, and coupling.py holds the result. derivatives.py: for excitation design.
 """

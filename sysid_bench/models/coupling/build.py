@@ -87,13 +87,15 @@ def _groups(
     for name in independent:
         if name not in dofs.names:
             raise unknown_name("joint in coupling.independent", name, dofs.names)
-    index = {name: dof for dof, name in enumerate(dofs.names)}
-    motors = frozenset(index[name] for name in actuated if name in index)
-    wanted = frozenset(index[name] for name in independent)
+    motors, wanted = _indices(dofs.names, actuated), _indices(dofs.names, independent)
     return tuple(
         group_of(members, dofs.slides, dofs.names, motors, wanted)
         for members in group_constraints(constraints)
     )
+
+
+def _indices(names: tuple[str, ...], selected: Sequence[str]) -> frozenset[int]:
+    return frozenset(dof for dof, name in enumerate(names) if name in selected)
 
 
 def _group_limits(group: Group, dofs: Dofs) -> tuple[Array, Array, Array, str]:

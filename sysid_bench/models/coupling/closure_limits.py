@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.models.coupling.group import SINGULAR, Group, PostureBounds
+from sysid_bench.models.coupling.group import SINGULAR, ClosureBounds, Group
 from sysid_bench.types import Array
 
 REGULAR: Final = 0.2
@@ -34,11 +34,13 @@ def closure_limits(group: Group, low: Array, high: Array) -> tuple[Array, Array]
     keep_low[follow] = np.minimum(low[follow] - _ROUNDING, group.reference[follow])
     keep_high[follow] = np.maximum(high[follow] + _ROUNDING, group.reference[follow])
     margin = max(SINGULAR, REGULAR * float(group.condition(group.reference[None])[0]))
-    keep = PostureBounds(margin, keep_low, keep_high)
+    keep = ClosureBounds(margin, keep_low, keep_high)
+    # Each joint alone first, the others at the reference: one target per joint and side.
     sides = np.tile(start, (2, len(moving), 1))
     sides[:, np.arange(len(moving)), np.arange(len(moving))] = bounds
     shares = _shares(group, sides.reshape(-1, len(moving)), keep)
     bounds = start + shares.reshape(bounds.shape) * (bounds - start)
+    # Then all together: the box shrinks as a whole until no way to its surface leaves the bounds.
     if len(moving) > 1:
         surface = start + _surface(bounds[0] - start, bounds[1] - start)
         bounds = start + _shares(group, surface, keep).min() * (bounds - start)
@@ -47,23 +49,25 @@ def closure_limits(group: Group, low: Array, high: Array) -> tuple[Array, Array]
 
 def largest_jacobian(group: Group, low: Array, high: Array) -> Array:
     """Return the largest |F| (r, k - r) over postures within low and high (k - r,)."""
+    # A fixed seed: limits belong to the model and are the same in every run.
     points = np.random.default_rng(0).uniform(size=(SCATTERED, len(low)))
-    x, _ = group.continuation(np.concatenate([low + points * (high - low), [low, high]]))
+    x, _ = group.track_closure(np.concatenate([low + points * (high - low), [low, high]]))
     largest: Array = np.abs(group.follow(x)).max(axis=0)
     return largest
 
 
-def _shares(group: Group, targets: Array, keep: PostureBounds) -> Array:
+def _shares(group: Group, targets: Array, keep: ClosureBounds) -> Array:
     """Share (M,) of the way from the reference to each target along which all bounds hold."""
     if group.linear:
         return _linear_shares(group, targets, keep)
-    _, shares = group.continuation(targets, keep, STEPS)
+    _, shares = group.track_closure(targets, keep, STEPS)
     return np.where(shares < 1.0, INSIDE * shares, 1.0)
 
 
-def _linear_shares(group: Group, targets: Array, keep: PostureBounds) -> Array:
+def _linear_shares(group: Group, targets: Array, keep: ClosureBounds) -> Array:
     """The same in closed form: linear followers meet their limits on straight lines."""
     follow, start = group.dependent, group.reference
+    # Displacement of each follower over the whole way, and how much of it its limits allow.
     moves = (targets - start[group.independent]) @ group.follow(start[None])[0].T
     allowed = np.where(moves > 0, keep.high[follow], keep.low[follow]) - start[follow]
     shares = np.full(moves.shape, 1.0)
@@ -77,6 +81,7 @@ def _surface(low: Array, high: Array) -> Array:
     corners."""
     n = len(low)
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (SCATTERED, n))
+    # Scaled to the largest entry: from inside the box onto its faces.
     points /= np.abs(points).max(axis=1, keepdims=True)
     if n <= 6:
         corners = 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1) - 1.0

@@ -1,4 +1,4 @@
-"""Constraints that couple joints: relations between sums of joint positions, and closed chains.
+"""Constraints that couple joints: polynomials of sums of joint positions, and closed chains.
 
 Both are equations r(x) = 0 in the displacements x of some hinges and slides from their reference,
 with the Jacobian J = dr/dx and the drift dJ/dt v.
@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import polynomial
 
-from sysid_bench.models.coupling.serial_chain import Chain
+from sysid_bench.models.coupling.joint_chain import Chain
 from sysid_bench.types import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Relation:
+class PolynomialCoupling:
     """first . x = P(second . x), P by its coefficients in ascending order: an equality of two
     joints or two fixed tendons, or of one with a constant."""
 
@@ -25,12 +25,18 @@ class Relation:
     coefficients: Array
 
     @property
+    def blocks(self) -> tuple[int, ...]:
+        """Numbers of successive rows that have the same unit."""
+        return (1,)
+
+    @property
     def linear(self) -> bool:
         """True where J is constant."""
         return not self.coefficients[2:].any()
 
     def equation(self, x: Array) -> tuple[Array, Array]:
         """Return r (N, 1) and J (N, 1, k) at x (N, k)."""
+        # J = first - P'(second . x) second
         slope = polynomial.polyval(x @ self.second, polynomial.polyder(self.coefficients))
         r = x @ self.first - polynomial.polyval(x @ self.second, self.coefficients)
         return r[:, None], (self.first - slope[:, None] * self.second)[:, None]
@@ -54,6 +60,11 @@ class Loop:
     rigid: bool
 
     @property
+    def blocks(self) -> tuple[int, ...]:
+        """Numbers of successive rows that have the same unit: m, then rad."""
+        return (3, 3) if self.rigid else (3,)
+
+    @property
     def linear(self) -> bool:
         """False: J depends on x, but in special cases, which are not looked for."""
         return False
@@ -62,6 +73,7 @@ class Loop:
         """Return r (N, 3 or 6) and J (N, 3 or 6, k) at x (N, k); J is exact where the loop
         closes."""
         one, other = self.one.evaluate(x), self.other.evaluate(x)
+        # Jacobians have rotation first, [w; v]; rows here have position first.
         J = one.jacobian(x.shape[1]) - other.jacobian(x.shape[1])
         r = one.p - other.p
         if not self.rigid:
@@ -78,4 +90,4 @@ class Loop:
         return drift
 
 
-Constraint = Relation | Loop
+Constraint = PolynomialCoupling | Loop

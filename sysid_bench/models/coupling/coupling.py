@@ -54,7 +54,7 @@ class Coupling:
         return all(group.linear for group in self.groups)
 
     @cached_property
-    def depends_on(self) -> Array:
+    def is_coupled(self) -> Array:
         """Matrix (m, n), True where a dependent dof follows an independent one."""
         out = np.zeros((len(self.dependent), len(self.independent)), dtype=bool)
         for group, rows, columns in self._columns:
@@ -68,7 +68,7 @@ class Coupling:
     def independent_of(self, dof: int) -> Array:
         """Return the independent dofs that a dependent one follows, in tree order."""
         row = int(np.searchsorted(self.dependent, dof))
-        followed: Array = self.independent[self.depends_on[row]]
+        followed: Array = self.independent[self.is_coupled[row]]
         return followed
 
     def follow(self, q: Array) -> Array:
@@ -87,6 +87,7 @@ class Coupling:
 
     def reduced(self, q: Array, tau: Array) -> Array:
         """Return G^T tau (N, n) of generalised forces tau (N, nv) of the tree (d'Alembert)."""
+        # G stacks the identity (independent) and F (dependent): G' tau = tau_ind + F' tau_dep.
         followed = np.einsum("nij,ni->nj", self.follow(q), tau[:, self.dependent])
         total: Array = tau[:, self.independent] + followed
         return total
@@ -103,6 +104,7 @@ class Coupling:
         for group in self.groups:
             moving, following = group.dofs[group.independent], group.dofs[group.dependent]
             given = self._displacement(group, q)[:, group.independent]
+            # A loop can close in several ways: `near` and the reference select the branch.
             start = None if near is None else self._displacement(group, near)
             x, good = group.motion_closure(given, start)
             if not good.all():
@@ -131,7 +133,7 @@ class Coupling:
         return x
 
     def _lost_closure(self, group: Group, given: Array) -> ModelError:
-        x, _ = group.continuation(given[None])
+        x, _ = group.track_closure(given[None])
         value = float(group.condition(x)[0])
         return ModelError(
             f"The coupling of {names_of(self.names, group.dofs)} cannot be closed, or is singular, "

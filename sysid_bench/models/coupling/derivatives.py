@@ -43,16 +43,22 @@ def pull_back(coupling: Coupling, motion: Trajectory, slopes: Slopes) -> Slopes:
         return slopes
     q, v, a = (slope.copy() for slope in slopes)
     for bend in _curvatures(coupling, motion):
-        dependent = [slope[:, bend.following] for slope in (q, v, a)]
-        for slope, part in zip((q, v, a), dependent, strict=True):
-            slope[:, bend.moving] += np.einsum("nrc,nr->nc", bend.F, part)
-            slope[:, bend.following] = 0.0
-        if bend.v_x is not None and bend.a_x is not None:
-            q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.v_x, dependent[1])
-            q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.a_x, dependent[2])
-            # h'' is symmetric: v' h'' v changes with v_j twice as v_dep does with x_j.
-            v[:, bend.moving] += 2 * np.einsum("nrc,nr->nc", bend.v_x, dependent[2])
+        _pull_back_group(bend, q, v, a)
     return q, v, a
+
+
+def _pull_back_group(bend: _Curvature, q: Array, v: Array, a: Array) -> None:
+    """Move the slopes of the dependent joints of one group to its independent ones, in place."""
+    dependent = [slope[:, bend.following] for slope in (q, v, a)]
+    for slope, part in zip((q, v, a), dependent, strict=True):
+        # dq_dep/dq, dv_dep/dv and da_dep/da are all F.
+        slope[:, bend.moving] += np.einsum("nrc,nr->nc", bend.F, part)
+        slope[:, bend.following] = 0.0
+    if bend.v_x is not None and bend.a_x is not None:
+        q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.v_x, dependent[1])
+        q[:, bend.moving] += np.einsum("nrc,nr->nc", bend.a_x, dependent[2])
+        # h'' is symmetric: v' h'' v changes with v_j twice as v_dep does with x_j.
+        v[:, bend.moving] += 2 * np.einsum("nrc,nr->nc", bend.v_x, dependent[2])
 
 
 def pull_back_follow(coupling: Coupling, motion: Trajectory, S: Array) -> Array:
@@ -82,15 +88,18 @@ def _curvature(coupling: Coupling, group: Group, motion: Trajectory) -> _Curvatu
     if group.linear or len(moving) == 0:
         return _Curvature(following, moving, np.repeat(F, len(x), axis=0))
     v, a = motion.v[:, group.dofs], motion.a[:, moving]
-    parts = []
-    for j, coordinate in enumerate(group.independent):
-        step = STEP * group.units[coordinate]
-        move = np.zeros((len(x), len(moving)))
-        move[:, j] = step
-        up, down = (_state(group, group.local_closure(x, s * move), v, a) for s in (1.0, -1.0))
-        parts.append([(u - d) / (2 * step) for u, d in zip(up, down, strict=True)])
+    parts = [_central_difference(group, j, x, v, a) for j in range(len(moving))]
     F_x, v_x, a_x = (np.stack(part, axis=-1) for part in zip(*parts, strict=True))
     return _Curvature(following, moving, F, F_x, v_x, a_x)
+
+
+def _central_difference(group: Group, j: int, x: Array, v: Array, a: Array) -> list[Array]:
+    """Derivatives of F, v_dep and a_dep by the position of the independent joint of index j."""
+    step = STEP * group.units[group.independent[j]]
+    move = np.zeros((len(x), len(group.independent)))
+    move[:, j] = step
+    up, down = (_state(group, group.step_closure(x, s * move), v, a) for s in (1.0, -1.0))
+    return [(u - d) / (2 * step) for u, d in zip(up, down, strict=True)]
 
 
 def _state(group: Group, x: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:

@@ -1,5 +1,5 @@
 """Active equalities of a MuJoCo model as constraints on hinges and slides: joint and tendon
-equalities become relations, connects and welds closed chains."""
+equalities become polynomials, connects and welds closed chains."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.coupling.constraints import Constraint, Loop, Relation
-from sysid_bench.models.coupling.serial_chain import Chain, ChainJoint, Step
+from sysid_bench.models.coupling.constraints import Constraint, Loop, PolynomialCoupling
+from sysid_bench.models.coupling.joint_chain import Chain, ChainJoint, Step
 from sysid_bench.models.tree import HINGE, SLIDE
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array
@@ -61,14 +61,18 @@ def select_equalities(spec: mujoco.MjSpec, equalities: Equalities) -> None:
 def _reason_without_coupling(mj: mujoco.MjModel, e: int) -> str:
     """The reason why an equality couples no joints; empty where it couples some."""
     kind = int(mj.eq_type[e])
-    if kind not in (_JOINT, _TENDON, _CONNECT, _WELD):
-        return "it couples no joints"
     if kind in (_JOINT, _TENDON):
         return ""
-    one, other = (body for body, _, _ in closure_frames(mj, e))
-    if mj.body_mocapid[one] >= 0 or mj.body_mocapid[other] >= 0:
+    if kind in (_CONNECT, _WELD):
+        return _reason_without_loop(mj, e)
+    return "it couples no joints"
+
+
+def _reason_without_loop(mj: mujoco.MjModel, e: int) -> str:
+    bodies = one, other = [body for body, _, _ in closure_frames(mj, e)]
+    if (mj.body_mocapid[bodies] >= 0).any():
         return "a mocap body is moved by hand"
-    if not (_joints_on(mj, _path(mj, one, other)) or _joints_on(mj, _path(mj, other, one))):
+    if not _joints_on(mj, _path(mj, one, other) + _path(mj, other, one)):
         return "its bodies move together already"
     return ""
 
@@ -76,11 +80,12 @@ def _reason_without_coupling(mj: mujoco.MjModel, e: int) -> str:
 def _constraint(mj: mujoco.MjModel, e: int) -> Constraint:
     kind = int(mj.eq_type[e])
     if kind in (_JOINT, _TENDON):
-        return _relation(mj, e)
+        return _polynomial(mj, e)
+    # eq_data[10] of a weld is its torquescale: zero leaves the orientation free, as a connect does.
     return _loop(mj, e, kind == _WELD and mj.eq_data[e, 10] > 0)
 
 
-def equality_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
+def coupled_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[int, float]]:
     """Return the two sums {dof: coefficient} that a joint or tendon equality relates; the second
     may be empty."""
     sum_of = _joint_sum if int(mj.eq_type[e]) == _JOINT else _tendon_sum
@@ -88,13 +93,13 @@ def equality_terms(mj: mujoco.MjModel, e: int) -> tuple[dict[int, float], dict[i
     return sum_of(mj, int(mj.eq_obj1id[e])), sum_of(mj, other) if other >= 0 else {}
 
 
-def _relation(mj: mujoco.MjModel, e: int) -> Relation:
-    first, second = equality_terms(mj, e)
+def _polynomial(mj: mujoco.MjModel, e: int) -> PolynomialCoupling:
+    first, second = coupled_terms(mj, e)
     dofs = tuple(sorted(first | second))
     coefficients = np.array(mj.eq_data[e, :5])
-    if not second:
+    if not second:  # MuJoCo then holds the first sum at the constant and ignores the rest
         coefficients[1:] = 0.0
-    return Relation(
+    return PolynomialCoupling(
         _name(mj, e),
         dofs,
         np.array([first.get(dof, 0.0) for dof in dofs]),
@@ -115,6 +120,7 @@ def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
                 f"The equality of tendon {mj.tendon(t).name!r} cannot be resolved: its length is "
                 f"not a sum of joint positions; use a fixed tendon, or {ADVICE}."
             )
+        # wrap_prm of a joint is its coefficient in the length of the tendon.
         dof = int(mj.jnt_dofadr[mj.wrap_objid[w]])
         total[dof] = total.get(dof, 0.0) + float(mj.wrap_prm[w])
     return total
@@ -123,17 +129,21 @@ def _tendon_sum(mj: mujoco.MjModel, t: int) -> dict[int, float]:
 def _loop(mj: mujoco.MjModel, e: int, rigid: bool) -> Loop:
     (one, p1, R1), (other, p2, R2) = closure_frames(mj, e)
     paths = _path(mj, one, other), _path(mj, other, one)
-    joints = [j for path in paths for j in _joints_on(mj, path)]
+    joints = _joints_on(mj, paths[0] + paths[1])
+    _check_scalar(mj, e, joints)
+    dofs = tuple(sorted(int(mj.jnt_dofadr[j]) for j in joints))
+    first = Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1)
+    second = Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2)
+    return Loop(_name(mj, e), dofs, first, second, rigid)
+
+
+def _check_scalar(mj: mujoco.MjModel, e: int, joints: list[int]) -> None:
     for j in joints:
         if int(mj.jnt_type[j]) not in (HINGE, SLIDE):
             raise ModelError(
                 f"The loop of equality {_name(mj, e)} contains {mj.joint(j).name!r}, a ball or "
                 f"free joint; only hinges and slides can close a loop. Delete it, or {ADVICE}."
             )
-    dofs = tuple(sorted(int(mj.jnt_dofadr[j]) for j in joints))
-    first = Chain(tuple(_steps(mj, paths[0], dofs)), p1, R1)
-    second = Chain(tuple(_steps(mj, paths[1], dofs)), p2, R2)
-    return Loop(_name(mj, e), dofs, first, second, rigid)
 
 
 def closure_frames(mj: mujoco.MjModel, e: int) -> tuple[tuple[int, Array, Array], ...]:

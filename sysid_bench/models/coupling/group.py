@@ -35,7 +35,7 @@ PATIENT: Final = 30
 
 
 @dataclass(frozen=True, eq=False)
-class PostureBounds:
+class ClosureBounds:
     """Bounds that postures must keep: a smallest singular value, and limits (k,)."""
 
     regularity: float
@@ -85,6 +85,7 @@ class Group:
     def _regularity(self, J: Array) -> Array:
         if len(self.dependent) == 0:
             return np.full(len(J), np.inf)
+        # Eigenvalues of D' D are the squared singular values of D; faster in batches than an SVD.
         D = self._scaled(J)[:, :, self.dependent]
         squares = np.linalg.eigvalsh(D.swapaxes(1, 2) @ D)[:, 0]
         least: Array = np.sqrt(np.maximum(squares, 0.0))
@@ -104,17 +105,18 @@ class Group:
         found, _, good = self._newton(x[None], PATIENT)
         return found[0] if good[0] and np.isfinite(found).all() else None
 
-    def least_squares_closure(self, x: Array) -> Array:
+    def nearest_closure(self, x: Array) -> Array:
         """Return x (N, k) closed by the smallest moves of all joints, the independent ones
         included."""
         x = x.copy()
         for _ in range(PATIENT):
             r, J = self._equation(x)
+            # The pseudo-inverse drops directions in which the closure is singular.
             moves = np.linalg.pinv(J * self.units, rcond=1e-6) @ r[:, :, None]
             x -= moves[:, :, 0] * self.units
         return x
 
-    def local_closure(self, x: Array, moves: Array) -> Array:
+    def step_closure(self, x: Array, moves: Array) -> Array:
         """Return postures (N, k) closed again after small moves (N, k - r) of the independent
         joints from closed x (N, k)."""
         x = x.copy()
@@ -129,10 +131,12 @@ class Group:
         if self.linear:
             return self._linear_closure(independent), np.ones(len(independent), dtype=bool)
         if near is not None:
-            x, share = self.continuation(independent, start=near)
+            x, share = self.track_closure(independent, start=near)
             return x, share == 1.0
+        # Neighbouring samples start from one posture of every `stride`, which is followed from the
+        # reference: all samples are then solved at once.
         stride = self._stride(independent)
-        start, share = self.continuation(independent[::stride])
+        start, share = self.track_closure(independent[::stride])
         regular = share == 1.0
         x = np.repeat(start, stride, axis=0)[: len(independent)]
         regular = np.repeat(regular, stride)[: len(independent)]
@@ -145,10 +149,10 @@ class Group:
             regular = regular & found & self._same_branch(before, J)
         return x, regular
 
-    def continuation(
+    def track_closure(
         self,
         targets: Array,
-        keep: PostureBounds | None = None,
+        keep: ClosureBounds | None = None,
         least: int = 1,
         start: Array | None = None,
     ) -> tuple[Array, Array]:
@@ -169,6 +173,7 @@ class Group:
             ahead[:, self.independent] = begin + part * stretch
             before = J
             ahead, J, found = self._newton(ahead, ITERATIONS if k == count - 1 else 2)
+            # Newton's method that lands far away has found another way to assemble the loop.
             jump = np.abs((ahead - x) / self.units).max(axis=1, initial=0.0)
             good = good & found & (jump < 1.0) & self._same_branch(before, J)
             if keep is not None:
@@ -191,6 +196,7 @@ class Group:
         """True (N,) where J is regular and no singular posture lies between two postures: beyond
         one, a direction of J_dep has changed its sign."""
         D, E = (self._scaled(J)[:, :, self.dependent] for J in (before, after))
+        # D' E is close to D' D > 0 for neighbours; its determinant changes sign with J_dep.
         kept: Array = np.linalg.det(D.swapaxes(1, 2) @ E) > 0.0
         return kept & (self._regularity(after) >= SINGULAR)
 

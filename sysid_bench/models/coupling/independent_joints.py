@@ -1,4 +1,7 @@
-"""Choice of the independent joints of a group, and the closed posture that motions start from."""
+"""Choice of the independent joints of a group, and the closed posture that motions start from.
+
+Which joints are dependent is a pivoted QR decomposition of the closure's Jacobian J: the dependent
+columns have to be linearly independent, and as many as J has rank."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.coupling.constraints import Constraint, Loop, Relation
+from sysid_bench.models.coupling.constraints import Constraint, Loop, PolynomialCoupling
 from sysid_bench.models.coupling.group import SINGULAR, Group, equation
 from sysid_bench.types import Array
 
@@ -24,6 +27,8 @@ LATER: Final = 0.5
 
 NEARBY: Final = 0.05
 """rad; distance from the reference at which the rank is compared with that at the reference."""
+
+_REFERENCE: Final = "the model's reference posture (qpos0, or all joints of a URDF at zero)"
 
 
 def group_constraints(constraints: Sequence[Constraint]) -> list[list[Constraint]]:
@@ -51,23 +56,15 @@ def group_of(
     Raises ModelError where the wanted dofs cannot all be independent, where no closed posture lies
     near the model's reference posture, and where the closure is singular there.
     """
-    dofs = np.array(sorted({dof for constraint in constraints for dof in constraint.dofs}))
+    dofs = np.unique(np.concatenate([constraint.dofs for constraint in constraints]))
     _, J = equation(constraints, dofs, np.zeros((1, len(dofs))))
     units = _units(constraints, J[0], slides[dofs])
     row_units = _row_units(constraints, J[0] * units)
     scaled = J[0] * units / row_units[:, None]
     count = _rank(scaled)
-    allowed = [
-        [k for k in columns if int(dofs[k]) not in wanted]
-        for columns in _followers_first(constraints, dofs, actuated)
-    ]
-    dependent = _pivots(scaled, [columns for columns in allowed if columns], count)
+    dependent = _pivots(scaled, _followers_first(constraints, dofs, actuated, wanted), count)
     if len(dependent) < count:
-        required = ", ".join(names[dof] for dof in dofs if int(dof) in wanted)
-        raise ModelError(
-            f"coupling.independent: {required} cannot all be independent; of the coupled joints "
-            f"{', '.join(names[dof] for dof in dofs)} only {len(dofs) - count} can."
-        )
+        raise _too_many_wanted(names, dofs, wanted, len(dofs) - count)
     group = Group(
         constraints=tuple(constraints),
         dofs=dofs,
@@ -80,33 +77,32 @@ def group_of(
     return _closed_at_reference(group, names)
 
 
+def _too_many_wanted(
+    names: tuple[str, ...], dofs: Array, wanted: frozenset[int], count: int
+) -> ModelError:
+    required = ", ".join(names[dof] for dof in dofs if int(dof) in wanted)
+    return ModelError(
+        f"coupling.independent: {required} cannot all be independent; of the coupled joints "
+        f"{', '.join(names[dof] for dof in dofs)} only {count} can."
+    )
+
+
 def _units(constraints: Sequence[Constraint], J: Array, slides: Array) -> Array:
     """Scales (k,) of coordinates: 1 for a hinge, the longest lever arm of the loops for a slide."""
-    length, row = 0.0, 0
-    for constraint in constraints:
-        if isinstance(constraint, Loop):
-            arms = np.linalg.norm(J[row : row + 3, ~slides], axis=0)
-            length = max(length, float(arms.max(initial=0.0)))
-        row += _rows(constraint)
+    first_rows = np.cumsum([0, *(sum(constraint.blocks) for constraint in constraints)])
+    loops = [row for row, c in zip(first_rows, constraints, strict=False) if isinstance(c, Loop)]
+    # Position rows of a loop come first: a hinge moves its end by the lever arm per radian.
+    arms = [np.linalg.norm(J[row : row + 3, ~slides], axis=0) for row in loops]
+    length = float(np.max(arms, initial=0.0))
     return np.where(slides, length or 1.0, 1.0)
 
 
 def _row_units(constraints: Sequence[Constraint], scaled: Array) -> Array:
     """Scales (m,) of rows: the largest entry of the rows that have the same unit."""
-    units, row = np.ones(len(scaled)), 0
-    for constraint in constraints:
-        size = 3 if isinstance(constraint, Loop) else 1
-        for start in range(row, row + _rows(constraint), size):
-            part = slice(start, start + size)
-            units[part] = np.abs(scaled[part]).max(initial=0.0) or 1.0
-        row += _rows(constraint)
-    return units
-
-
-def _rows(constraint: Constraint) -> int:
-    if isinstance(constraint, Relation):
-        return 1
-    return 6 if constraint.rigid else 3
+    sizes = np.concatenate([constraint.blocks for constraint in constraints])
+    blocks = np.split(scaled, np.cumsum(sizes)[:-1])
+    largest = np.array([np.abs(block).max(initial=0.0) for block in blocks])
+    return np.repeat(np.where(largest > 0, largest, 1.0), sizes)
 
 
 def _rank(scaled: Array) -> int:
@@ -115,21 +111,27 @@ def _rank(scaled: Array) -> int:
 
 
 def _followers_first(
-    constraints: Sequence[Constraint], dofs: Array, actuated: frozenset[int]
+    constraints: Sequence[Constraint],
+    dofs: Array,
+    actuated: frozenset[int],
+    wanted: frozenset[int],
 ) -> list[list[int]]:
-    """Indices in `dofs`: those that mimic another one, those without a motor, the rest; each from
-    the end of the tree."""
-    mimics = {
-        constraint.dofs[int(np.flatnonzero(constraint.first)[0])]
-        for constraint in constraints
-        if isinstance(constraint, Relation) and np.count_nonzero(constraint.first) == 1
-    }
+    """Indices in `dofs` of those that may be dependent: those that mimic another one, those without
+    a motor, the rest; each from the end of the tree."""
+    mimics = _mimics(constraints)
+    kinds = (mimics, {*dofs.tolist()} - mimics - actuated, actuated - mimics)
+    end_first = list(enumerate(dofs.tolist()))[::-1]
+    return [[k for k, dof in end_first if dof in kind - wanted] for kind in kinds]
 
-    kinds: list[list[int]] = [[], [], []]
-    for k in reversed(range(len(dofs))):
-        dof = int(dofs[k])
-        kinds[0 if dof in mimics else 1 if dof not in actuated else 2].append(k)
-    return kinds
+
+def _mimics(constraints: Sequence[Constraint]) -> set[int]:
+    """Dofs that are alone on the left side of an equality: polynomials of the others."""
+    equalities = [c for c in constraints if isinstance(c, PolynomialCoupling)]
+    return {
+        equality.dofs[int(np.argmax(equality.first != 0))]
+        for equality in equalities
+        if np.count_nonzero(equality.first) == 1
+    }
 
 
 def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
@@ -138,43 +140,65 @@ def _pivots(scaled: Array, kinds: list[list[int]], count: int) -> Array:
     chosen: list[int] = []
     rest = scaled.copy()
     floor = RANK * float(np.linalg.norm(scaled, axis=0).max(initial=0.0))
-    while len(chosen) < count and kinds:
+    while len(chosen) < count:
         heights = np.linalg.norm(rest, axis=0)
-        best = max(heights[k] for kind in kinds for k in kind)
-        if best <= floor:
+        k = _next_pivot(heights, _without(kinds, chosen), floor)
+        if k is None:
             break
-        kind = next(kind for kind in kinds if heights[kind].max() >= PIVOT * best)
-        k = next(k for k in kind if heights[k] >= LATER * heights[kind].max())
+        # Gram-Schmidt: what is left of each column is its part orthogonal to those chosen.
         direction = rest[:, k] / heights[k]
         rest = rest - np.outer(direction, direction @ rest)
         chosen.append(k)
-        left = ([other for other in kind if other != k] for kind in kinds)
-        kinds = [kind for kind in left if kind]
     return np.array(sorted(chosen), dtype=int)
 
 
+def _without(kinds: list[list[int]], chosen: list[int]) -> list[list[int]]:
+    """The kinds that still have columns, without those chosen."""
+    left = [[k for k in kind if k not in chosen] for kind in kinds]
+    return [kind for kind in left if kind]
+
+
+def _next_pivot(heights: Array, kinds: list[list[int]], floor: float) -> int | None:
+    """The next column, of the earliest kind that comes near the best one; None where all columns
+    left depend on those chosen."""
+    tallest = np.array([heights[kind].max() for kind in kinds])
+    if tallest.max(initial=0.0) <= floor:
+        return None
+    # argmax of a mask is its first True.
+    kind = kinds[int(np.argmax(tallest >= PIVOT * tallest.max()))]
+    return kind[int(np.argmax(heights[kind] >= LATER * heights[kind].max()))]
+
+
 def _closed_at_reference(group: Group, names: tuple[str, ...]) -> Group:
-    joints = ", ".join(names[dof] for dof in group.dofs)
-    where = "the model's reference posture (qpos0, or all joints of a URDF at zero)"
     x = group.reference_closure(group.reference)
     if x is None:
+        joints = ", ".join(names[dof] for dof in group.dofs)
         raise ModelError(
-            f"The coupling of {joints} cannot be closed near {where}; draw the model closed."
+            f"The coupling of {joints} cannot be closed near {_REFERENCE}; draw the model closed."
         )
     group = replace(group, reference=x)
-    value = float(group.condition(x[None])[0])
-    branching = _branching(group)
-    if value < SINGULAR or branching is not None:
-        least = value if branching is None else branching
-        positions = ", ".join(
-            f"{names[dof]} at {displacement:.3g}"
-            for dof, displacement in zip(group.dofs, x, strict=True)
-        )
-        raise ModelError(
-            f"The coupling of {joints} is singular at {where}: smallest singular value {least:.2g} "
-            f"({positions} from there); draw the model in a posture that is not flat or stretched."
-        )
+    _check_regular(group, names)
     return group
+
+
+def _check_regular(group: Group, names: tuple[str, ...]) -> None:
+    """Refuse a reference at which the dependent joints are not determined by the independent
+    ones."""
+    least = _branching(group)
+    if least is None:
+        least = float(group.condition(group.reference[None])[0])
+        if least >= SINGULAR:
+            return
+    joints = ", ".join(names[dof] for dof in group.dofs)
+    positions = ", ".join(
+        f"{names[dof]} at {displacement:.3g}"
+        for dof, displacement in zip(group.dofs, group.reference, strict=True)
+    )
+    raise ModelError(
+        f"The coupling of {joints} is singular at {_REFERENCE}: smallest singular value "
+        f"{least:.2g} ({positions} from there); draw the model in a posture that is not flat or "
+        "stretched."
+    )
 
 
 def _branching(group: Group) -> float | None:
@@ -182,13 +206,13 @@ def _branching(group: Group) -> float | None:
     branches there, and the branch of the motion is undetermined."""
     if group.linear or len(group.independent) == 0:
         return None
-    here = group.scaled_jacobian(group.reference[None])[0]
-    _, values, Vt = np.linalg.svd(here)
+    _, values, Vt = np.linalg.svd(group.scaled_jacobian(group.reference[None])[0])
     r = len(group.dependent)
     rng = np.random.default_rng(0)
+    # Directions in which the closure is free to first order: the null space of J.
     directions = rng.normal(size=(4, len(Vt) - r)) @ Vt[r:]
     directions *= NEARBY / np.abs(directions).max(axis=1, keepdims=True)
-    for x in group.least_squares_closure(group.reference + directions * group.units):
-        if _rank(group.scaled_jacobian(x[None])[0]) > r:
-            return float(values[r]) if r < len(values) else 0.0
-    return None
+    nearby = group.nearest_closure(group.reference + directions * group.units)
+    if max(map(_rank, group.scaled_jacobian(nearby))) <= r:
+        return None
+    return float([*values, 0.0][r])

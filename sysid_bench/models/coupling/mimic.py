@@ -12,17 +12,20 @@ def mimic_equalities(spec: mujoco.MjSpec, mimics: Sequence[Mimic]) -> Iterator[s
     """Add an equality for each mimic joint q = multiplier * q_driver + offset; yield, in words,
     those whose driver does not move."""
     moving = {joint.name for joint in spec.joints if int(joint.type) in (HINGE, SLIDE)}
-    for mimic in mimics:
-        if mimic.joint not in moving:
-            continue
-        if mimic.driver == mimic.joint or mimic.driver not in moving:
+    for mimic in (mimic for mimic in mimics if mimic.joint in moving):
+        if mimic.driver in moving - {mimic.joint}:
+            _add_equality(spec, mimic)
+        else:
             yield (
                 f"joint {mimic.joint!r} treated as independent: it mimics {mimic.driver!r}, which "
                 "is not another hinge or slide of the robot"
             )
-            continue
-        equality = spec.add_equality(name=f"mimic of {mimic.joint}")
-        equality.type = mujoco.mjtEq.mjEQ_JOINT
-        equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
-        equality.name1, equality.name2 = mimic.joint, mimic.driver
-        equality.data[:5] = [mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]
+
+
+def _add_equality(spec: mujoco.MjSpec, mimic: Mimic) -> None:
+    equality = spec.add_equality(name=f"mimic of {mimic.joint}")
+    equality.type = mujoco.mjtEq.mjEQ_JOINT
+    equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
+    equality.name1, equality.name2 = mimic.joint, mimic.driver
+    # Coefficients of the driver's position in ascending order, up to the fourth power.
+    equality.data[:5] = [mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0]

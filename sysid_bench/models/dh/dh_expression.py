@@ -5,13 +5,24 @@ variable in it."""
 
 import ast
 import math
-from collections.abc import Mapping
+import operator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from sysid_bench.errors import UsageError
 
 CONSTANTS: Final = {"pi": math.pi, "deg": math.pi / 180.0}
+
+_SIGNS: Final[dict[type[ast.unaryop], float]] = {ast.UAdd: 1.0, ast.USub: -1.0}
+_OPERATORS: Final[dict[type[ast.operator], "_Operator"]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+_NOT_LINEAR: Final = "it is not linear in the joint variables"
 
 
 @dataclass(frozen=True)
@@ -28,10 +39,32 @@ class LinearExpression:
             self.constant + other.constant, {n: value for n, value in total.items() if value}
         )
 
+    def __sub__(self, other: "LinearExpression") -> "LinearExpression":
+        return self + other.times(-1.0)
+
+    def __mul__(self, other: "LinearExpression") -> "LinearExpression":
+        if not other.coefficients:
+            return self.times(other.constant)
+        return other.times(self._number())
+
+    def __truediv__(self, other: "LinearExpression") -> "LinearExpression":
+        return self.times(1.0 / other._number())
+
+    def __pow__(self, other: "LinearExpression") -> "LinearExpression":
+        return LinearExpression(float(self._number() ** other._number()))
+
     def times(self, factor: float) -> "LinearExpression":
         """Return the expression multiplied by a number."""
         scaled = {name: factor * value for name, value in self.coefficients.items()}
         return LinearExpression(factor * self.constant, scaled)
+
+    def _number(self) -> float:
+        if self.coefficients:
+            raise ValueError(_NOT_LINEAR)
+        return self.constant
+
+
+_Operator = Callable[[LinearExpression, LinearExpression], LinearExpression]
 
 
 def read_expression(
@@ -43,37 +76,37 @@ def read_expression(
     if not text.strip():
         return LinearExpression(0.0)
     try:
+        # In Python ^ is the exclusive or of bits.
         tree = ast.parse(text.strip().replace("^", "**"), mode="eval").body
         value = _value(tree, {**CONSTANTS, **symbols}, variables)
-    except (SyntaxError, ValueError, RecursionError, OverflowError, ZeroDivisionError) as error:
+    # TypeError: a root of a negative number is complex.
+    except (ArithmeticError, RecursionError, SyntaxError, TypeError, ValueError) as error:
         known = ", ".join([*sorted(variables), *symbols, *CONSTANTS])
         reason = str(error) if isinstance(error, ValueError) else "it is not a sum or product"
         raise UsageError(
             f"{where}: {text.strip()!r} cannot be read: {reason}; use numbers, + - * / **, "
             f"and {known}."
         ) from error
-    numbers = [value.constant, *value.coefficients.values()]
-    if not all(math.isfinite(number) for number in numbers):
-        raise UsageError(f"{where}: {text.strip()!r} is not finite.")
+    _check_finite(value, f"{where}: {text.strip()!r}")
     return value
+
+
+def _check_finite(value: LinearExpression, label: str) -> None:
+    if not all(map(math.isfinite, [value.constant, *value.coefficients.values()])):
+        raise UsageError(f"{label} is not finite.")
 
 
 def _value(
     node: ast.expr, symbols: Mapping[str, float], variables: frozenset[str]
 ) -> LinearExpression:
     match node:
+        # bool is a subclass of int: True would be 1.
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return LinearExpression(float(number))
-        case ast.Name(id=name) if name in variables:
-            return LinearExpression(0.0, {name: 1.0})
-        case ast.Name(id=name) if name in symbols:
-            return LinearExpression(symbols[name])
         case ast.Name(id=name):
-            raise ValueError(f"unknown name {name!r}")
-        case ast.UnaryOp(op=ast.USub(), operand=inner):
-            return _value(inner, symbols, variables).times(-1.0)
-        case ast.UnaryOp(op=ast.UAdd(), operand=inner):
-            return _value(inner, symbols, variables)
+            return _named(name, symbols, variables)
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=inner):
+            return _value(inner, symbols, variables).times(_SIGNS[type(sign)])
         case ast.BinOp(left=left, op=op, right=right):
             return _combined(
                 _value(left, symbols, variables), op, _value(right, symbols, variables)
@@ -81,20 +114,17 @@ def _value(
     raise ValueError("it is not a sum or product of numbers and names")
 
 
+def _named(name: str, symbols: Mapping[str, float], variables: frozenset[str]) -> LinearExpression:
+    if name in variables:
+        return LinearExpression(0.0, {name: 1.0})
+    if name not in symbols:
+        raise ValueError(f"unknown name {name!r}")
+    return LinearExpression(symbols[name])
+
+
 def _combined(
     left: LinearExpression, op: ast.operator, right: LinearExpression
 ) -> LinearExpression:
-    match op:
-        case ast.Add():
-            return left + right
-        case ast.Sub():
-            return left + right.times(-1.0)
-        case ast.Mult() if not right.coefficients:
-            return left.times(right.constant)
-        case ast.Mult() if not left.coefficients:
-            return right.times(left.constant)
-        case ast.Div() if not right.coefficients:
-            return left.times(1.0 / right.constant)
-        case ast.Pow() if not left.coefficients and not right.coefficients:
-            return LinearExpression(float(left.constant**right.constant))
-    raise ValueError("it is not linear in the joint variables")
+    if type(op) not in _OPERATORS:
+        raise ValueError(_NOT_LINEAR)
+    return _OPERATORS[type(op)](left, right)

@@ -16,6 +16,7 @@ import csv
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Final, Literal
 
@@ -28,6 +29,9 @@ KINEMATIC: Final = (*NEEDED, "prev")
 BASES: Final = ("", "-", "0", "base", "—")
 """Values of `prev` for a link on the base."""
 
+Kind = Literal["R", "P", "F"]
+_KINDS: Final[dict[str, Kind]] = {"R": "R", "P": "P", "F": "F"}
+
 _SYMBOL = re.compile(r"#\s*let\s+([A-Za-z_]\w*)\s*=\s*(.+)")
 _CONNECT = re.compile(r"#\s*connect\s+(\S+)\s+(\S+)\s*")
 
@@ -39,7 +43,7 @@ class DhRow:
     axes of its frame, from its frame's origin."""
 
     link: str
-    kind: Literal["R", "P", "F"]
+    kind: Kind
     prev: str | None
     a: float
     alpha: float
@@ -52,9 +56,9 @@ class DhRow:
     size: tuple[float, float, float] | None = None
 
     @property
-    def variable(self) -> str:
-        """Name of the joint variable of this link."""
-        return f"q{self.link}"
+    def is_joint(self) -> bool:
+        """False for a fixed frame."""
+        return self.kind != "F"
 
     @property
     def joint_expression(self) -> LinearExpression:
@@ -64,11 +68,8 @@ class DhRow:
     @property
     def coupling_coefficients(self) -> dict[str, float]:
         """Coefficients of the variables that its joint follows; empty for an independent joint."""
-        return (
-            {}
-            if self.variable in self.joint_expression.coefficients
-            else dict(self.joint_expression.coefficients)
-        )
+        coefficients = self.joint_expression.coefficients
+        return {} if _variable(self.link) in coefficients else dict(coefficients)
 
 
 @dataclass(frozen=True)
@@ -86,29 +87,56 @@ def read_table(path: Path, symbols: Mapping[str, float] | None = None) -> DhTabl
 
     Raises UsageError with file, line and column.
     """
+    lines = _numbered_lines(path)
+    lengths = _named_lengths(path, lines, symbols or {})
+    connects = tuple(
+        (found[1], found[2]) for _, line in lines if (found := _CONNECT.fullmatch(line))
+    )
+    rows = _rows(path, _cells(path, lines), lengths)
+    _check_links(path, rows)
+    _check_connects(path, rows, connects)
+    _check_constants(path, rows)
+    return DhTable(rows, lengths, connects)
+
+
+def _numbered_lines(path: Path) -> list[tuple[int, str]]:
+    """The lines of a file that are not blank, with their numbers from 1."""
     try:
+        # utf-8-sig: spreadsheets begin a file with a byte order mark.
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"There is no readable table {str(path)!r}: {error}.") from error
+    return [(number, line.strip()) for number, line in enumerate(lines, start=1) if line.strip()]
+
+
+def _named_lengths(
+    path: Path, lines: list[tuple[int, str]], symbols: Mapping[str, float]
+) -> dict[str, float]:
+    """Values (m) of the lines `# let NAME = EXPRESSION`, each of which may use those above it."""
     lengths: dict[str, float] = {}
-    connects = []
-    numbered = []
-    for number, line in enumerate(lines, start=1):
-        if found := _CONNECT.fullmatch(line.strip()):
-            connects.append((found[1], found[2]))
-        elif found := _SYMBOL.fullmatch(line.strip()):
-            value = read_expression(found[2], lengths, frozenset(), f"{path}, line {number}")
-            lengths[found[1]] = (symbols or {}).get(found[1], value.constant)
-        elif line.strip() and not line.lstrip().startswith("#"):
-            numbered.append((number, [c.strip() for c in next(csv.reader([line]))]))
+    for number, line in lines:
+        if found := _SYMBOL.fullmatch(line):
+            name, text = found.groups()
+            value = read_expression(text, lengths, frozenset(), f"{path}, line {number}")
+            lengths[name] = symbols.get(name, value.constant)
+    return lengths
+
+
+def _csv_lines(lines: list[tuple[int, str]]) -> list[tuple[int, list[str]]]:
+    """The cells of every line that is not a comment, with its number; the first are the names."""
+    table = [(number, line) for number, line in lines if not line.startswith("#")]
+    return [(number, [c.strip() for c in next(csv.reader([line]))]) for number, line in table]
+
+
+def _cells(path: Path, lines: list[tuple[int, str]]) -> list[tuple[int, dict[str, str]]]:
+    """The rows of the table by column, with their line numbers."""
+    numbered = _csv_lines(lines)
     if len(numbered) < 2:
         raise UsageError(f"{path} has no rows; write a line of column names, then one per link.")
     header = [name.lower() for name in numbered[0][1]]
     _check_header(path, header)
-    cells = [(n, dict(zip(header, row, strict=False))) for n, row in numbered[1:]]
-    rows = _rows(path, cells, lengths)
-    _check_links(path, rows, connects)
-    return DhTable(rows, lengths, tuple(connects))
+    # A line may end before its last columns: their cells are empty.
+    return [(n, dict(zip(header, row, strict=False))) for n, row in numbered[1:]]
 
 
 def printed_table(
@@ -116,17 +144,30 @@ def printed_table(
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], dict[str, float]]:
     """Return head and rows of a table's kinematic columns as written, and its named lengths (m)."""
     table = read_table(path)
-    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-    cells = [[c.strip() for c in next(csv.reader([x]))] for x in lines if not x.startswith("#")]
-    shown = [i for i, name in enumerate(cells[0]) if name.lower() in KINEMATIC]
-    head, *rows = (tuple(row[i] if i < len(row) else "" for i in shown) for row in cells)
+    cells = [row for _, row in _csv_lines(_numbered_lines(path))]
+    columns = [i for i, name in enumerate(cells[0]) if name.lower() in KINEMATIC]
+    head, *rows = (_printed_row(row, columns) for row in cells)
     return head, tuple(rows), dict(table.symbols)
+
+
+def _printed_row(row: list[str], columns: list[int]) -> tuple[str, ...]:
+    """The cells of these columns; those missing at the end of a line are empty."""
+    return tuple(row[i] if i < len(row) else "" for i in columns)
+
+
+def _variable(link: str) -> str:
+    """Name of the joint variable of a link."""
+    return f"q{link}"
 
 
 def _check_header(path: Path, header: list[str]) -> None:
     for name in header:
         if name not in COLUMNS:
             raise UsageError(f"{path}: {unknown_name('column of a DH table', name, COLUMNS)}")
+    _check_needed(path, header)
+
+
+def _check_needed(path: Path, header: list[str]) -> None:
     missing = [name for name in NEEDED if name not in header]
     if missing:
         raise UsageError(
@@ -137,11 +178,12 @@ def _check_header(path: Path, header: list[str]) -> None:
 def _rows(
     path: Path, cells: list[tuple[int, dict[str, str]]], symbols: Mapping[str, float]
 ) -> tuple[DhRow, ...]:
-    variables = frozenset(f"q{row.get('link', '')}" for _, row in cells)
+    variables = frozenset(_variable(row.get("link", "")) for _, row in cells)
     rows: list[DhRow] = []
+    before = None
     for number, row in cells:
-        before = rows[-1].link if rows else None
         rows.append(_Cells(f"{path}, line {number}", row, symbols, variables).read(before))
+        before = rows[-1].link
     return tuple(rows)
 
 
@@ -156,47 +198,67 @@ class _Cells:
 
     def read(self, before: str | None) -> DhRow:
         """Return the row; without a column `prev` its parent is the row before."""
-        link = self.row.get("link", "")
-        if not re.fullmatch(r"\w+", link):
-            raise UsageError(
-                f"{self.where}: a link's name has letters and digits only ('2p'); got {link!r}."
-            )
-        kind, _, rest = self.row.get("joint", "").partition(" ")
-        if kind not in ("R", "P", "F") or rest.strip() not in ("", "passive"):
-            raise UsageError(
-                f"{self.where}, column joint: {self.row.get('joint')!r}; write R, P or F, and "
-                "'R passive' for a joint without motor."
-            )
-        prev = self.row.get("prev")
+        link = self.link()
+        kind, motor = self.joint()
         theta, d = (self.linear(name, kind) for name in ("theta", "d"))
         return DhRow(
             link=link,
-            kind=kind,  # type: ignore[arg-type]
-            prev=before if prev is None else None if prev in BASES else prev,
+            kind=kind,
+            prev=self.prev(before),
             a=self.number("a"),
             alpha=self.number("alpha"),
             d=d,
             theta=theta,
-            motor=not rest.strip(),
+            motor=motor,
             limits=self.limits(),
             mass=self.number("mass") if self.row.get("mass") else None,
             com=self.three("com"),
             size=self.three("size"),
         )
 
-    def linear(self, name: str, kind: str) -> LinearExpression:
-        """Return theta or d; the joint variable of the link is the default where the joint
-        moves."""
-        variable, text = f"q{self.row['link']}", self.row.get(name, "").replace("—", "")
-        moves = (kind, name) in (("R", "theta"), ("P", "d"))
+    def link(self) -> str:
+        """Return the name of the link."""
+        link = self.row.get("link", "")
+        if not re.fullmatch(r"\w+", link):
+            raise UsageError(
+                f"{self.where}: a link's name has letters and digits only ('2p'); got {link!r}."
+            )
+        return link
+
+    def joint(self) -> tuple[Kind, bool]:
+        """Return the kind of the joint, and True where a motor moves it."""
+        kind, _, rest = self.row.get("joint", "").partition(" ")
+        if kind not in _KINDS or rest.strip() not in ("", "passive"):
+            raise UsageError(
+                f"{self.where}, column joint: {self.row.get('joint')!r}; write R, P or F, and "
+                "'R passive' for a joint without motor."
+            )
+        return _KINDS[kind], not rest.strip()
+
+    def prev(self, before: str | None) -> str | None:
+        """Return the name of the parent link; None for the base."""
+        prev = self.row.get("prev", before)
+        return None if prev in BASES else prev
+
+    def linear(self, name: str, kind: Kind) -> LinearExpression:
+        """Return theta or d, of which one may hold joint variables."""
+        text = self.row.get(name, "").replace("—", "")
         value = read_expression(text, self.symbols, self.variables, f"{self.where}, column {name}")
-        if not moves and value.coefficients:
+        if (kind, name) in (("R", "theta"), ("P", "d")):
+            return self.joint_position(name, text, value)
+        if value.coefficients:
             raise UsageError(
                 f"{self.where}, column {name}: {text!r} is variable, but the joint is {kind}."
             )
-        if moves and not value.coefficients:
-            value = value + LinearExpression(0.0, {variable: 1.0})
-        if moves and variable in value.coefficients and value.coefficients != {variable: 1.0}:
+        return value
+
+    def joint_position(self, name: str, text: str, value: LinearExpression) -> LinearExpression:
+        """Return the position of the joint; the link's own variable is the default."""
+        variable = _variable(self.row["link"])
+        # A constant is the offset of the joint's zero.
+        if not value.coefficients:
+            return value + LinearExpression(0.0, {variable: 1.0})
+        if variable in value.coefficients and value.coefficients != {variable: 1.0}:
             raise UsageError(
                 f"{self.where}, column {name}: {text!r}; write {variable} plus a constant, or "
                 "only the variables that it follows."
@@ -205,13 +267,16 @@ class _Cells:
 
     def number(self, name: str) -> float:
         """Return the value of a constant cell."""
-        text = self.row.get(name, "").replace("—", "")
+        return self.constant(name, self.row.get(name, "").replace("—", ""))
+
+    def constant(self, name: str, text: str) -> float:
+        """Return the value of a text without joint variables in this column."""
         where = f"{self.where}, column {name}"
         return read_expression(text, self.symbols, frozenset(), where).constant
 
     def limits(self) -> tuple[float, float] | None:
         """Return low and high; None where neither is stated."""
-        if not self.row.get("low") and not self.row.get("high"):
+        if not any(self.row.get(name) for name in ("low", "high")):
             return None
         low, high = self.number("low"), self.number("high")
         if not low < high:
@@ -225,36 +290,52 @@ class _Cells:
             return None
         if len(words) != 3:
             raise UsageError(f"{self.where}, column {name}: write three numbers; got {words}.")
-        where = f"{self.where}, column {name}"
-        x, y, z = (
-            read_expression(word, self.symbols, frozenset(), where).constant for word in words
-        )
+        x, y, z = (self.constant(name, word) for word in words)
         return x, y, z
 
 
-def _check_links(path: Path, rows: tuple[DhRow, ...], connects: list[tuple[str, str]]) -> None:
-    known: dict[str, DhRow] = {}
+def _check_links(path: Path, rows: tuple[DhRow, ...]) -> None:
+    """Refuse two links of one name, parents further down, and variables that nothing moves."""
+    known: set[str] = set()
     for row in rows:
         if row.link in known:
             raise UsageError(f"{path}: two links are called {row.link!r}.")
-        if row.prev is not None and row.prev not in known:
+        if row.prev not in {None, *known}:
             raise UsageError(
                 f"{path}: link {row.link!r} follows {row.prev!r}, which is not above it in the "
                 "table; order the rows from the base outwards."
             )
-        known[row.link] = row
-    moving = {row.variable for row in rows if row.kind != "F" and not row.coupling_coefficients}
+        known.add(row.link)
+    independent = _independent_variables(rows)
     for row in rows:
-        for name in row.coupling_coefficients:
-            if name not in moving:
-                raise UsageError(
-                    f"{path}: link {row.link!r} follows {name}, which is not independent; "
-                    f"independent are {', '.join(sorted(moving))}."
-                )
-    for pair in connects:
-        for link in pair:
-            if link not in known:
-                raise UsageError(f"{path}: connect: {unknown_name('link', link, known)}")
-    clash = moving.intersection(CONSTANTS)
+        _check_followed(path, row, independent)
+
+
+def _check_followed(path: Path, row: DhRow, independent: set[str]) -> None:
+    for name in row.coupling_coefficients:
+        if name not in independent:
+            raise UsageError(
+                f"{path}: link {row.link!r} follows {name}, which is not independent; "
+                f"independent are {', '.join(sorted(independent))}."
+            )
+
+
+def _independent_variables(rows: tuple[DhRow, ...]) -> set[str]:
+    """Variables of the joints that follow no other: rows of followers may come first."""
+    joints = [row for row in rows if row.is_joint]
+    return {_variable(row.link) for row in joints if not row.coupling_coefficients}
+
+
+def _check_connects(
+    path: Path, rows: tuple[DhRow, ...], connects: tuple[tuple[str, str], ...]
+) -> None:
+    known = [row.link for row in rows]
+    for link in chain.from_iterable(connects):
+        if link not in known:
+            raise UsageError(f"{path}: connect: {unknown_name('link', link, known)}")
+
+
+def _check_constants(path: Path, rows: tuple[DhRow, ...]) -> None:
+    clash = _independent_variables(rows).intersection(CONSTANTS)
     if clash:
         raise UsageError(f"{path}: {', '.join(sorted(clash))} is a constant; rename the link.")

@@ -50,6 +50,7 @@ def random_mechanism(kind: str, seed: int) -> str:
         raise UsageError(f"A random robot's seed must be 0 or more; got {seed}.")
     rng = np.random.default_rng([seed, list(MECHANISMS).index(kind)])
     mechanism = MECHANISMS[kind](rng)
+    # Body frames are turned at random, so that no axis of a joint is one of a frame.
     frames = {part.name: (_rotation(rng), part.p) for part in mechanism.parts}
     body = _arm(rng, "".join(_children(rng, None, mechanism, frames)))
     equality = mechanism.equality + "".join(
@@ -164,6 +165,8 @@ def _direction(rng: np.random.Generator) -> Array:
 
 
 def _rotation(rng: np.random.Generator) -> Array:
+    # With a positive diagonal of R, Q is uniform among orthogonal matrices; times its determinant
+    # it is a proper rotation.
     Q, R = np.linalg.qr(rng.normal(size=(3, 3)))
     Q = Q * np.sign(np.diag(R))
     R_proper: Array = Q * np.linalg.det(Q)
@@ -193,6 +196,7 @@ def _children(
         if part.parent != parent:
             continue
         R, p = frames[part.name]
+        # At qpos0 = ref the model is drawn: displacements from it must be used, not q itself.
         reference = float(rng.choice([0.0, 0.4]))
         limits = (
             "" if part.range is None else f' range="{_words(np.array(part.range) + reference)}"'
@@ -214,6 +218,7 @@ def _closure(
     bodies = f'body1="{one}" body2="{other}"'
     if kind == "weld":
         return f"<weld {bodies}/>"
+    # MuJoCo wants the common point in the frame of the first body.
     R, p = frames[one]
     return f'<connect {bodies} anchor="{_words(R.T @ (point - p))}"/>'
 
@@ -230,6 +235,7 @@ def _losses(rng: np.random.Generator) -> str:
 
 
 def _inertial(rng: np.random.Generator) -> str:
+    # Second moments of a mass distribution: every positive choice is physically possible.
     x, y, z = 0.004 * np.exp(0.5 * rng.normal(size=3))
     mass = float(rng.uniform(0.3, 2.0))
     moments = mass * np.array([y + z, x + z, x + y])

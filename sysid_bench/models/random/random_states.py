@@ -43,7 +43,8 @@ def _coupled_states(
     rng: np.random.Generator,
     narrowest: float,
 ) -> Trajectory:
-    free = random_states(robot.uncoupled, count, rng, narrowest)
+    # v and a are drawn for the whole tree; those of dependent joints are replaced at the end.
+    free = random_states(robot.without_coupling, count, rng, narrowest)
     q = free.q.copy()
     for dof, low, high in zip(coupling.independent, coupling.low, coupling.high, strict=True):
         qadr = coupling.qadr[dof]
@@ -67,6 +68,7 @@ def _window(low: float, high: float, reference: float) -> tuple[float, float]:
 
 
 def _orientations(count: int, rng: np.random.Generator) -> Array:
+    # The direction of a normal vector is uniform on the sphere, here that of unit quaternions.
     quaternion = rng.normal(size=(count, 4))
     unit: Array = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     return unit

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +18,9 @@ SEVERAL = (
 )
 """Joints of one body in combinations that MuJoCo compiles: a ball comes last, with three rotations
 at most."""
+
+_REACH: Final = {"hinge": 1.0, "slide": 0.2}
+"""Scale of random ranges: rad, m."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +52,18 @@ class RandomRobot:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in ("bodies", "roots"):
-                low, high = value
-                if not 1 <= low <= high:
-                    raise UsageError(f"{field.name} must be [least, most], 1 or more; got {value}.")
-            elif not 0 <= value <= 1:
-                raise UsageError(f"{field.name} must be a share from 0 to 1; got {value!r}.")
+            check = _check_range if field.name in ("bodies", "roots") else _check_share
+            check(field.name, getattr(self, field.name))
+
+
+def _check_range(name: str, value: tuple[int, int]) -> None:
+    if not 1 <= value[0] <= value[1]:
+        raise UsageError(f"{name} must be [least, most], 1 or more; got {value}.")
+
+
+def _check_share(name: str, value: float) -> None:
+    if not 0 <= value <= 1:
+        raise UsageError(f"{name} must be a share from 0 to 1; got {value!r}.")
 
 
 def random_robot(seed: int, settings: RandomRobot = RandomRobot()) -> str:
@@ -100,14 +109,14 @@ class _Draw:
         roots = min(self.between(self.settings.roots), count)
         bodies: list[_Body] = []
         for b in range(count):
-            if b < roots:
-                parent = -1
-            else:
-                parent = int(self.rng.integers(b)) if self.chance(self.settings.branch) else b - 1
+            parent = -1 if b < roots else self.parent(b)
             bodies.append(_Body(parent, self.joints(parent < 0)))
         if not any(body.joints for body in bodies):
             bodies[-1] = _Body(bodies[-1].parent, ("hinge",))
         return bodies
+
+    def parent(self, b: int) -> int:
+        return int(self.rng.integers(b)) if self.chance(self.settings.branch) else b - 1
 
     def joints(self, root: bool) -> tuple[str, ...]:
         s = self.settings
@@ -117,9 +126,13 @@ class _Draw:
             return ()
         if self.chance(s.several):
             return SEVERAL[int(self.rng.integers(len(SEVERAL)))]
-        if self.chance(s.ball):
-            return ("ball",)
-        return ("slide",) if self.chance(s.slide) else ("hinge",)
+        return (self.kind(),)
+
+    def kind(self) -> str:
+        """The type of the only joint of a body."""
+        if self.chance(self.settings.ball):
+            return "ball"
+        return "slide" if self.chance(self.settings.slide) else "hinge"
 
     def option(self) -> str:
         gravity = np.array([0.0, 0.0, -9.81])
@@ -131,18 +144,21 @@ class _Draw:
     def below(self, parent: int, bodies: list[_Body]) -> Iterator[str]:
         """The elements of the children of a body, and all below them."""
         for b, body in enumerate(bodies):
-            if body.parent != parent:
-                continue
-            name = "" if self.chance(self.settings.unnamed) else f' name="b{b + 1}"'
-            yield f'<body{name} pos="{_words(self.rng.normal(size=3) * 0.3)}"{self.turn()}>'
-            # Different directions: parallel slides on one body would make the mass matrix singular.
-            directions = np.eye(3)[self.rng.permutation(3)]
-            for k, kind in enumerate(body.joints):
-                name = f"j{b + 1}{'abc'[k] if len(body.joints) > 1 else ''}"
-                yield self.joint(kind, name, directions[k])
-            yield self.inertia(bool(body.joints))
-            yield from self.below(b, bodies)
-            yield "</body>"
+            if body.parent == parent:
+                yield from self.body(b, body)
+                yield from self.below(b, bodies)
+                yield "</body>"
+
+    def body(self, b: int, body: _Body) -> Iterator[str]:
+        """The elements of a body, without its children and its end."""
+        name = "" if self.chance(self.settings.unnamed) else f' name="b{b + 1}"'
+        yield f'<body{name} pos="{_words(self.rng.normal(size=3) * 0.3)}"{self.turn()}>'
+        # Different directions: parallel slides on one body would make the mass matrix singular.
+        directions = np.eye(3)[self.rng.permutation(3)]
+        for k, kind in enumerate(body.joints):
+            name = f"j{b + 1}{'abc'[k] if len(body.joints) > 1 else ''}"
+            yield self.joint(kind, name, directions[k])
+        yield self.inertia(bool(body.joints))
 
     def turn(self) -> str:
         """No rotation, a quarter turn about an axis, or a random rotation."""
@@ -163,25 +179,28 @@ class _Draw:
             words.append(f'pos="{_words(self.rng.normal(size=3) * 0.2)}"')
         if kind in ("hinge", "slide"):
             words += self.scalar(kind, axis)
-        for key, share in (("armature", s.armature), ("damping", s.damping)):
+        return f"<joint {' '.join([*words, *self.losses()])}/>"
+
+    def losses(self) -> Iterator[str]:
+        s = self.settings
+        shares = {"armature": s.armature, "damping": s.damping, "frictionloss": s.friction}
+        for key, share in shares.items():
             if self.chance(share):
-                words.append(f'{key}="{self.rng.uniform(0.01, 0.4)!r}"')
-        if self.chance(s.friction):
-            words.append(f'frictionloss="{self.rng.uniform(0.01, 0.4)!r}"')
-        return f"<joint {' '.join(words)}/>"
+                yield f'{key}="{self.rng.uniform(0.01, 0.4)!r}"'
 
     def scalar(self, kind: str, axis: Array) -> Iterator[str]:
         s = self.settings
-        if self.chance(s.tilted):
-            axis = self.rng.normal(size=3)
-        yield f'axis="{_words(axis)}"'
+        yield f'axis="{_words(self.rng.normal(size=3) if self.chance(s.tilted) else axis)}"'
         reference = float(self.rng.normal() * 0.3) if self.chance(s.reference) else 0.0
-        if reference:
+        if reference:  # qpos0 differs from zero: q - qpos0 has to be used
             yield f'ref="{reference!r}"'
         if self.chance(s.limited):
-            reach = self.rng.uniform(0.5, 2.5, 2) * (1.0 if kind == "hinge" else 0.2)
+            reach = self.rng.uniform(0.5, 2.5, 2) * _REACH[kind]
             yield f'range="{_words(reference + np.array([-1.0, 1.0]) * reach)}"'
-        if self.chance(s.spring):
+        yield from self.spring()
+
+    def spring(self) -> Iterator[str]:
+        if self.chance(self.settings.spring):
             yield f'stiffness="{self.rng.uniform(0.1, 5)!r}"'
             yield f'springref="{self.rng.normal() * 0.3!r}"'
 

@@ -53,6 +53,7 @@ class Chain:
                 if joint.slide:
                     p = p + axis * displacement[:, None]
                 else:
+                    # The anchor stays in place while the body turns about it.
                     R = R @ _rotations(joint.axis, displacement)
                     p = anchor - R @ joint.anchor
                 joints.append(joint)
@@ -93,6 +94,8 @@ class _ChainState:
             if joint.slide:
                 out[:, 3:] += turning * rate
                 continue
+            # d/dt (axis x arm) = (w x axis) x arm + axis x (velocity of the end - of the anchor);
+            # w turns the axis: it is the angular velocity of the bodies before the joint.
             carried = self._transport_velocity(self.anchors[i], i, v)
             out[:, :3] += turning * rate
             out[:, 3:] += _cross(turning, self.p - self.anchors[i]) * rate
