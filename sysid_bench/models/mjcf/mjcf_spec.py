@@ -29,17 +29,22 @@ def mjcf_spec(
     spec.memory = spec.nstack = spec.njmax = (
         spec.nconmax
     ) = -1  # sizes that the text reserves do not matter
-    for collection in (*_UNUSED, *_LOOKS):
-        for element in list(getattr(spec, collection)):
-            spec.delete(element)
-    for element in [*spec.geoms, *spec.sites, *spec.tendons]:
-        element.material = ""
+    _delete_unused(spec)
     repairs = compiled_inertia(spec, path, folder)
     repairs += joint_terms_of(spec)
     actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     return spec, repairs, actuated
+
+
+def _delete_unused(spec: mujoco.MjSpec) -> None:
+    """Delete what only a viewer, a contact or a controller uses; textures would need files."""
+    for collection in (*_UNUSED, *_LOOKS):
+        for element in list(getattr(spec, collection)):
+            spec.delete(element)
+    for element in [*spec.geoms, *spec.sites, *spec.tendons]:
+        element.material = ""
 
 
 def _read(path: Path, text: bytes | None, folder: Path) -> mujoco.MjSpec:
