@@ -43,6 +43,11 @@ def check_log_reader(reader: Any, file: Path | None = None) -> list[Finding]:
         return findings
     if file is not None:
         return findings + _findings_on(reader, LogCase(file.name, file))
+    return findings + _findings_on_written(reader)
+
+
+def _findings_on_written(reader: Any) -> list[Finding]:
+    """Findings on a file of the kit for each common suffix of the reader."""
     formats = [suffix for suffix in reader.suffixes if suffix in WRITERS]
     if not formats:
         raise UsageError(
@@ -50,6 +55,7 @@ def check_log_reader(reader: Any, file: Path | None = None) -> list[Finding]:
             f"recorded file: name one with --file FILE. Only {', '.join(WRITERS)} files are "
             "written by the check itself."
         )
+    findings = []
     with tempfile.TemporaryDirectory() as folder:
         for suffix in formats:
             written = Path(folder, f"written{suffix}")

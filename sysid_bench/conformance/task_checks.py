@@ -22,7 +22,7 @@ from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
-from sysid_bench.tasks.task import Task, TaskDefinition
+from sysid_bench.tasks.task import Task, TaskDefinition, columns_of
 from sysid_bench.types import Array
 
 TOLERANCE: Final = 1e-9
@@ -32,7 +32,6 @@ TERMS: Final = ("viscous", "coulomb")
 """Joint terms that are unknown besides, for tasks that accept terms."""
 
 POSED: Final = "poses its unknowns"
-UNIQUE: Final = "names each unknown once"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +96,8 @@ def _findings_on(definition: TaskDefinition, case: TaskCase) -> list[Finding]:
         return []
     except Exception as error:
         return [finding_of_error(error, POSED, case.name)]
-    findings = findings_of({UNIQUE: _names_unknowns_once}, case.name, task, case)
-    if findings[0].passed:  # the sums look parameters up by name
+    findings = findings_of(NAMING_LAWS, case.name, task, case)
+    if all(finding.passed for finding in findings):  # the sums look parameters up by name
         findings += findings_of(LAWS, case.name, task, case)
     if _state(case.robot) != before:
         findings.append(Finding(UNCHANGED, case.name, False, "it changed the robot"))
@@ -117,6 +116,24 @@ def _names_unknowns_once(task: Task, case: TaskCase) -> str | None:
         return f"unknowns are named twice: {', '.join(twice)}"
     absent = sorted(_inertial(task) - set(names))
     return f"parameters of unknown bodies are missing: {', '.join(absent)}" if absent else None
+
+
+def _names_parameters_of_the_robot(task: Task, case: TaskCase) -> str | None:
+    """Unknowns are inertial or terms of joints; a sensor has constants of its own instead."""
+    if task.definition.measures_sensor_only:
+        return None
+    strange = [name for name, _ in _unknown_terms(task) if not _is_term(name, case.robot)]
+    if not strange:
+        return None
+    return f"the unknown {strange[0]!r} is neither a parameter of a body nor a joint term"
+
+
+def _is_term(name: str, robot: RobotModel) -> bool:
+    try:
+        robot.term_index(name)
+    except UsageError:
+        return False
+    return True
 
 
 def _has_finite_true_values(task: Task, case: TaskCase) -> str | None:
@@ -143,10 +160,7 @@ def _adds_up_to_the_joint_terms(task: Task, case: TaskCase) -> str | None:
         return None
     robot, total = case.robot, {term: task.known_terms[term].copy() for term in SUFFIX}
     for name, value in _unknown_terms(task):
-        try:
-            term, dof, other = robot.term_index(name)
-        except UsageError:
-            return f"the unknown {name!r} is neither a parameter of a body nor a joint term"
+        term, dof, other = robot.term_index(name)
         # Friction between two joints is not a term of one of them.
         total[term][dof] += value if other is None else 0.0
     wrong = [t for t in SUFFIX if not np.allclose(total[t], getattr(robot.joint_terms, t))]
@@ -155,6 +169,10 @@ def _adds_up_to_the_joint_terms(task: Task, case: TaskCase) -> str | None:
     return f"unknown and given joint terms differ from the robot's: {', '.join(wrong)}"
 
 
+NAMING_LAWS: Final[dict[str, Law]] = {
+    "names each unknown once": _names_unknowns_once,
+    "names parameters of the robot": _names_parameters_of_the_robot,
+}
 LAWS: Final[dict[str, Law]] = {
     "has finite true values": _has_finite_true_values,
     "adds up to the links of the robot": _adds_up_to_the_links,
@@ -164,7 +182,7 @@ LAWS: Final[dict[str, Law]] = {
 
 def _inertial(task: Task) -> set[str]:
     """Names of the inertial parameters of the unknown bodies."""
-    return {column for body in task.bodies for column in body.columns}
+    return set(columns_of(task.bodies))
 
 
 def _unknown_phi(task: Task, robot: RobotModel) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorCut, cut_at, instruments_of, sensor_names
-from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition
+from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition, columns_of
 from sysid_bench.types import Array, Truth
 
 
@@ -50,13 +50,19 @@ def sensor_task(
             "the sensor."
         )
     unknown = tuple(robot.bodies[b] for b in bodies)
-    parameters = tuple(column for body in unknown for column in body.columns)
-    theta = phi.ravel()
+    parameters, theta = columns_of(unknown), phi.ravel()
     if terms:
-        parameters += tuple(f"{row}.{SUFFIX['offset']}" for cut in cuts for row in cut.rows)
-        constants = np.zeros(6 * len(cuts)) if offset is None else offset(len(cuts))
-        theta = np.concatenate([theta, constants])
+        names, constants = _sensor_constants(cuts, offset)
+        parameters, theta = parameters + names, np.concatenate([theta, constants])
     known_links = instruments_of(robot, cuts).tree.link_parameters(given)
     return Task(
         definition, unknown, Truth(parameters, theta), known_links, {}, rows=cuts[0].rows, cuts=cuts
     )
+
+
+def _sensor_constants(
+    cuts: tuple[SensorCut, ...], offset: SensorOffset | None
+) -> tuple[tuple[str, ...], Array]:
+    """Names and true values of the constants of sensors, six each; zero without an offset."""
+    names = tuple(f"{row}.{SUFFIX['offset']}" for cut in cuts for row in cut.rows)
+    return names, np.zeros(6 * len(cuts)) if offset is None else offset(len(cuts))

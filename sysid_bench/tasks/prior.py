@@ -31,22 +31,26 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
     those of the truth would reveal it.
     """
     truth = task.truth
-    index = {name: i for i, name in enumerate(truth.parameters)}
     theta = truth.theta.copy()
     std = np.zeros_like(theta)
+    if spread is None:
+        return Prior(theta, std)
     inertial = np.zeros(len(theta), dtype=bool)
-    for body in task.bodies:
-        columns = [index[column] for column in body.columns]
+    for columns in _columns_by_body(task):
         inertial[columns] = True
-        if spread is not None:
-            theta[columns] = _drawn_body(truth.theta[columns], spread, rng)
-            std[columns] = _declared_std(theta[columns], spread)
-    if spread is not None:
-        draws = np.exp(spread.terms * rng.normal(size=(~inertial).sum()))
-        theta[~inertial] *= draws
-        std[~inertial] = spread.terms * np.abs(theta[~inertial])
-        std = _floored(std, truth.parameters)
-    return Prior(theta, std)
+        theta[columns] = _drawn_body(truth.theta[columns], spread, rng)
+        std[columns] = _declared_std(theta[columns], spread)
+    # Factors exp(s z) keep the sign: a drawn friction coefficient stays dissipative.
+    draws = np.exp(spread.terms * rng.normal(size=(~inertial).sum()))
+    theta[~inertial] *= draws
+    std[~inertial] = spread.terms * np.abs(theta[~inertial])
+    return Prior(theta, _floored(std, truth.parameters))
+
+
+def _columns_by_body(task: Task) -> list[list[int]]:
+    """Indices of the ten parameters of each unknown body."""
+    index = {name: i for i, name in enumerate(task.parameters)}
+    return [[index[column] for column in body.columns] for body in task.bodies]
 
 
 def with_known_errors(task: Task, share: float, rng: np.random.Generator) -> Task:

@@ -1,6 +1,6 @@
 """Identification tasks: which parameters of a robot are unknown, and which are given."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
@@ -158,7 +158,7 @@ def joint_torque_task(
     `terms` are unknown; `given` (nb, 10), zero for unknown bodies, and all other joint terms are
     known."""
     columns = robot.term_columns(terms)
-    parameters = tuple(column for body in bodies for column in body.columns) + columns
+    parameters = columns_of(bodies) + columns
     theta = np.concatenate([phi.ravel(), robot.term_values(columns)])
     known_terms = {term: getattr(robot.joint_terms, term).copy() for term in SUFFIX}
     coupling = robot.joint_terms.viscous_coupling.copy()
@@ -172,6 +172,11 @@ def joint_torque_task(
     return Task(
         definition, bodies, truth, known_links, known_terms, rows=rows, known_coupling=coupling
     )
+
+
+def columns_of(bodies: Iterable[Body]) -> tuple[str, ...]:
+    """Return the names of the inertial parameters of bodies, ten each."""
+    return tuple(column for body in bodies for column in body.columns)
 
 
 def unknown_bodies(robot: RobotModel) -> tuple[Body, ...]:

@@ -38,12 +38,9 @@ def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
         for j in _wrong(getattr(mj, key)):
             raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
     for key in ("body_quat", "body_iquat"):
-        # A quaternion that overflows when MuJoCo normalises it becomes zero.
-        lengths = np.linalg.norm(getattr(mj, key), axis=1)
-        _check_bodies(mj, key, np.flatnonzero(np.abs(lengths - 1) > 1e-6), name)
+        _check_unit_length(mj, key, name)
     for key, largest in _OF_THE_MODEL.items():
-        for i in _wrong(getattr(mj, key), largest):
-            raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i], largest)
+        _check_largest(mj, key, largest, name)
     for key in ("dof_armature", "dof_damping", "dof_frictionloss"):
         _check_not_negative(mj, key, name)
     if _wrong(mj.opt.gravity[None]):
@@ -54,6 +51,17 @@ def _check_bodies(mj: "mujoco.MjModel", key: str, wrong: Iterable[int], name: st
     """Raise ModelError for the first body of those with a wrong value."""
     for b in map(int, wrong):
         raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
+
+
+def _check_unit_length(mj: "mujoco.MjModel", key: str, name: str) -> None:
+    # A quaternion that overflows when MuJoCo normalises it becomes zero.
+    lengths = np.linalg.norm(getattr(mj, key), axis=1)
+    _check_bodies(mj, key, np.flatnonzero(np.abs(lengths - 1) > 1e-6), name)
+
+
+def _check_largest(mj: "mujoco.MjModel", key: str, largest: float, name: str) -> None:
+    for i in _wrong(getattr(mj, key), largest):
+        raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i], largest)
 
 
 def _check_not_negative(mj: "mujoco.MjModel", key: str, name: str) -> None:

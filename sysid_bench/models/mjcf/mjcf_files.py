@@ -8,7 +8,7 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -131,20 +131,17 @@ class _Reading:
         name = element.get("file")
         if name is None or element.tag not in _READ_AT_ONCE:
             return []
-        files = [folder / name for folder in (model.parent, path.parent)]
-        found = {file.resolve(): file for file in files if file.is_file()}
-        self._check_found(
-            Path(name), list(found), f"{path.name}: {{}}<{element.tag} file={name!r}>"
-        )
+        found = _existing([folder / name for folder in (model.parent, path.parent)])
+        self._check_found(Path(name), list(found), path, f"<{element.tag} file={name!r}>")
         return list(found.values())
 
-    def _check_found(self, name: Path, found: list[Path], label: str) -> None:
+    def _check_found(self, name: Path, found: list[Path], path: Path, label: str) -> None:
         """Raise ModelError for a file that lies outside the folder, and for none."""
         if name.is_absolute() or not all(is_below(file, self.folder) for file in found):
             advice = folder_advice(self.path, next(iter(found), name))
-            raise ModelError(f"{label.format('')} lies {advice}.")
+            raise ModelError(f"{path.name}: {label} lies {advice}.")
         if not found:
-            raise ModelError(f"{label.format('the file of ')} does not exist.")
+            raise ModelError(f"{path.name}: the file of {label} does not exist.")
 
     def _parse(self, path: Path) -> ET.Element:
         self._add_size(path)
@@ -169,12 +166,7 @@ class _Reading:
 
     def _check_weight(self, weight: Counter[str]) -> None:
         # Checked after each addition: copies of copies grow beyond any memory before the end.
-        if max(weight["inclusions"], len(self.files) + len(self.open)) > MOST_FILES:
-            raise ModelError(
-                f"{self.path.name} includes files more than {MOST_FILES} times; simplify the model."
-            )
-        if weight["bytes"] > LARGEST_FILE:
-            raise self._too_long(weight["bytes"])
+        self._check_text(weight)
         if weight["elements"] > MOST_ELEMENTS:
             raise ModelError(
                 f"{self.path.name} expands to more than {MOST_ELEMENTS} elements; "
@@ -186,6 +178,20 @@ class _Reading:
                 f"{weight['joints']} joints (degrees of freedom at least); their product "
                 f"may be {LARGEST_TREE} at most."
             )
+
+    def _check_text(self, weight: Counter[str]) -> None:
+        """Raise ModelError for too many inclusions, and for too many bytes."""
+        if max(weight["inclusions"], len(self.files) + len(self.open)) > MOST_FILES:
+            raise ModelError(
+                f"{self.path.name} includes files more than {MOST_FILES} times; simplify the model."
+            )
+        if weight["bytes"] > LARGEST_FILE:
+            raise self._too_long(weight["bytes"])
+
+
+def _existing(files: Iterable[Path]) -> dict[Path, Path]:
+    """Files that exist, by their resolved path, so that links to one file count once."""
+    return {file.resolve(): file for file in files if file.is_file()}
 
 
 def _counts_of(element: ET.Element, above: frozenset[str]) -> Counter[str]:

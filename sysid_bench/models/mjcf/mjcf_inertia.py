@@ -5,7 +5,7 @@ Meshes are read only for bodies whose inertia comes from them. Rules for the who
 mounted later is not scaled with the rest.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
@@ -38,15 +38,14 @@ def compiled_inertia(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str
     `folder`.
     """
     files = _mesh_files(spec, path, folder)
-    lost = {geom: f for geom, f in files.items() if f is not None and not f.is_file()}
+    lost = _absent_files(files)
     kept = {geom: file for geom, file in files.items() if geom not in lost}
     absent = _Absent.of(lost, folder)
     _delete_shapes(spec, kept)
-    _keep_meshes(spec, {geom.meshname: file for geom, file in kept.items()})
+    _keep_meshes(spec, kept)
     if kept or _has_rules(spec) or absent:
         _write_down(spec, path, absent)
-    for element in [*kept, *spec.meshes]:
-        spec.delete(element)
+    _delete_all(spec, [*kept, *spec.meshes])
     return (f"{absent}; left out",) if absent else ()
 
 
@@ -56,11 +55,21 @@ def _mesh_files(spec: mujoco.MjSpec, path: Path, folder: Path) -> dict[mujoco.Mj
     return {geom: _mesh_file(spec, geom.meshname, path, folder) for geom in weighing}
 
 
+def _absent_files(
+    files: Mapping[mujoco.MjsGeom, Path | None],
+) -> dict[mujoco.MjsGeom, Path]:
+    """Shapes whose mesh is in a file that does not exist."""
+    return {geom: f for geom, f in files.items() if f is not None and not f.is_file()}
+
+
 def _delete_shapes(spec: mujoco.MjSpec, kept: Collection[mujoco.MjsGeom]) -> None:
     """Delete all other shapes that need a file."""
-    for geom in list(spec.geoms):
-        if _needs_file(geom) and geom not in kept:
-            spec.delete(geom)
+    _delete_all(spec, [g for g in spec.geoms if _needs_file(g) and g not in kept])
+
+
+def _delete_all(spec: mujoco.MjSpec, elements: Iterable[Any]) -> None:
+    for element in elements:
+        spec.delete(element)
 
 
 @dataclass(frozen=True)
@@ -120,10 +129,14 @@ def _mesh_file(spec: mujoco.MjSpec, name: str, path: Path, folder: Path) -> Path
         raise ModelError(f"{path.name}: a geom uses the mesh {name!r}, which is not defined.")
     if not mesh.file:
         return None
-    written = Path(mesh.file).name if spec.strippath else mesh.file
-    file = path.parent / (spec.compiler.meshdir or "") / written
+    file = path.parent / (spec.compiler.meshdir or "") / _written_path(spec, mesh)
     _check_mesh_file(file, mesh.file, path, folder)
     return file
+
+
+def _written_path(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh) -> str:
+    """Path of the text, without its folders where the compiler drops them."""
+    return Path(mesh.file).name if spec.strippath else str(mesh.file)
 
 
 def _check_mesh_file(file: Path, written: str, path: Path, folder: Path) -> None:
@@ -137,12 +150,12 @@ def _check_mesh_file(file: Path, written: str, path: Path, folder: Path) -> None
         raise ModelError(f"{path.name}: the mesh {written!r} is larger than {LARGEST_MESH} bytes.")
 
 
-def _keep_meshes(spec: mujoco.MjSpec, files: Mapping[str, Path | None]) -> None:
+def _keep_meshes(spec: mujoco.MjSpec, kept: Mapping[mujoco.MjsGeom, Path | None]) -> None:
     """Delete all other meshes and settings that would make the compiler read files."""
-    for mesh in list(spec.meshes):
-        if mesh.name not in files:
-            spec.delete(mesh)
-        elif (file := files[mesh.name]) is not None:
+    files = {geom.meshname: file for geom, file in kept.items()}
+    _delete_all(spec, [mesh for mesh in spec.meshes if mesh.name not in files])
+    for mesh in spec.meshes:
+        if (file := files[mesh.name]) is not None:
             mesh.file = str(file.resolve())
     spec.strippath = False
 
@@ -159,9 +172,8 @@ def _write_down(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> None:
     """Compile once and copy the compiler's inertias, springs and dampers into the spec."""
     with _unaligned(spec):
         mj = _compiled(spec, path, absent)
-    for body in spec.bodies:
-        if body.id > 0 and (mj.body_mass[body.id] > 0 or body.explicitinertial):
-            _set_inertia(body, mj)
+    for body in spec.bodies[1:]:
+        _set_inertia(body, mj)
     for joint in spec.joints:
         _set_spring_and_damper(joint, mj)
     rules = spec.compiler
@@ -198,6 +210,8 @@ def _compiled(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> mujoco.MjMode
 
 
 def _set_inertia(body: mujoco.MjsBody, mj: mujoco.MjModel) -> None:
+    if not (mj.body_mass[body.id] > 0 or body.explicitinertial):
+        return
     body.explicitinertial = True
     body.mass = float(mj.body_mass[body.id])
     body.ipos, body.iquat = mj.body_ipos[body.id], mj.body_iquat[body.id]

@@ -32,10 +32,15 @@ def mjcf_spec(
     _delete_unused(spec)
     repairs = compiled_inertia(spec, path, folder)
     repairs += joint_terms_of(spec)
+    return spec, repairs, _take_actuators(spec)
+
+
+def _take_actuators(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Delete the actuators; return the joints that they act on."""
     actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
     for actuator in list(spec.actuators):
         spec.delete(actuator)
-    return spec, repairs, actuated
+    return actuated
 
 
 def _delete_unused(spec: mujoco.MjSpec) -> None:

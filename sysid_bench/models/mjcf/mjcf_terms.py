@@ -6,7 +6,7 @@ armature and joint damping. Flags that disable springs, dampers or friction are 
 (tendons, gravity compensation, a medium, polynomials) are left out of the simulated robot.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import mujoco
@@ -20,8 +20,6 @@ _DISABLING: Final = {
     "frictionloss": int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS),
 }
 """Joint terms, and the flag of MuJoCo that switches each off."""
-
-_OF_TENDONS: Final = ("stiffness", "damping", "frictionloss", "armature")
 
 
 def joint_terms_of(spec: mujoco.MjSpec) -> tuple[str, ...]:
@@ -40,15 +38,17 @@ def joint_terms_of(spec: mujoco.MjSpec) -> tuple[str, ...]:
 def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
     """Move armature and damping of actuators to the joints they act on."""
     joints = {joint.name: joint for joint in spec.joints}
-    for actuator in spec.actuators:
-        if not (actuator.armature or _damping(actuator).any()):
-            continue
+    for actuator in filter(_has_terms, spec.actuators):
         joint = joints.get(actuator.target)
         if joint is None or not _moves_scalar(actuator, joint):
             name = _called(actuator)
             yield f"armature and damping of actuator {name} left out: it acts on no hinge or slide"
             continue
         yield from _reflect(actuator, joint)
+
+
+def _has_terms(actuator: mujoco.MjsActuator) -> bool:
+    return bool(actuator.armature or _damping(actuator).any())
 
 
 def _damping(actuator: mujoco.MjsActuator) -> Any:
@@ -89,19 +89,23 @@ def _obey_flags(spec: mujoco.MjSpec) -> None:
 
 def _drop_springs_of_balls(spec: mujoco.MjSpec) -> Iterator[str]:
     for joint in spec.joints:
-        if int(joint.type) not in _SCALAR and np.any(joint.stiffness):
-            joint.stiffness = np.zeros_like(joint.stiffness)
+        if int(joint.type) not in _SCALAR and _zero_terms(joint, ("stiffness",)):
             yield f"spring of joint {_called(joint)} left out: it is neither hinge nor slide"
 
 
 def _drop_tendon_forces(spec: mujoco.MjSpec) -> Iterator[str]:
     for tendon in spec.tendons:
-        found = [key for key in _OF_TENDONS if np.any(getattr(tendon, key))]
-        for key in found:
-            setattr(tendon, key, _zero(getattr(tendon, key)))
-        if found:
+        if found := _zero_terms(tendon, ("stiffness", "damping", "frictionloss", "armature")):
             terms = ", ".join(found)
             yield f"{terms} of tendon {_called(tendon)} left out: not a term of one joint"
+
+
+def _zero_terms(element: Any, keys: Sequence[str]) -> list[str]:
+    """Set terms of an element to zero; return those that were not."""
+    found = [key for key in keys if np.any(getattr(element, key))]
+    for key in found:
+        setattr(element, key, _zero(getattr(element, key)))
+    return found
 
 
 def _drop_medium(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -111,9 +115,7 @@ def _drop_medium(spec: mujoco.MjSpec) -> Iterator[str]:
 
 
 def _drop_gravity_compensation(spec: mujoco.MjSpec) -> Iterator[str]:
-    lifted = [body for body in spec.bodies if body.gravcomp]
-    for body in lifted:
-        body.gravcomp = 0.0
+    lifted = [body for body in spec.bodies if _zero_terms(body, ("gravcomp",))]
     if lifted:
         yield f"gravity compensation of {', '.join(map(_called, lifted))} left out"
 

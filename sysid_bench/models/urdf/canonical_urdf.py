@@ -94,10 +94,14 @@ def _take_mimics(robot: ET.Element, name: str) -> Iterator[Mimic]:
     for joint in robot.findall("joint"):
         for mimic in joint.findall("mimic"):
             joint.remove(mimic)
-            label = f"{name}: the mimic of joint {joint.get('name')!r}"
-            multiplier = finite_value(mimic, "multiplier", label, default=1.0)
-            offset = finite_value(mimic, "offset", label, default=0.0)
-            yield Mimic(str(joint.get("name")), mimic.get("joint"), multiplier, offset)
+            yield _parsed_mimic(mimic, str(joint.get("name")), name)
+
+
+def _parsed_mimic(mimic: ET.Element, joint: str, name: str) -> Mimic:
+    label = f"{name}: the mimic of joint {joint!r}"
+    multiplier = finite_value(mimic, "multiplier", label, default=1.0)
+    offset = finite_value(mimic, "offset", label, default=0.0)
+    return Mimic(joint, mimic.get("joint"), multiplier, offset)
 
 
 def _without_world(robot: ET.Element, tree: LinkTree, name: str) -> LinkTree:

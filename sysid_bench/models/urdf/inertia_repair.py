@@ -47,7 +47,7 @@ def _repair_link(link: ET.Element, name: str) -> list[str]:
     if inertial is None:
         return []
     mass, element = _checked(inertial, f"{name}: link {link.get('name')!r}")
-    six = np.array([float(element.get(key, 0.0)) for key in _KEYS])
+    six = _six_of(element)
     if _is_point_mass(six, mass):
         return _repair_point_mass(element, mass, link)
     if _is_possible(six, inertial):
@@ -82,9 +82,13 @@ def _is_possible(six: Array, inertial: ET.Element) -> bool:
     """True where the principal moments are positive and keep the triangle inequality."""
     moments = np.linalg.eigvalsh(matrix_of_six(six))
     # MuJoCo diagonalises a tilted lamina again and may round its moments beyond the border.
-    tilted = six[[1, 2, 4]].any() or inertial.find("origin[@rpy]") is not None
-    slack = _ROUNDING * moments[2] if tilted else 0.0
+    slack = _ROUNDING * moments[2] if _is_tilted(six, inertial) else 0.0
     return bool(moments[0] >= _SMALLEST and moments[0] + moments[1] >= moments[2] + slack)
+
+
+def _is_tilted(six: Array, inertial: ET.Element) -> bool:
+    """True where the principal axes may differ from those of the link."""
+    return bool(six[[1, 2, 4]].any()) or inertial.find("origin[@rpy]") is not None
 
 
 def _repair_inertia(element: ET.Element, six: Array, link: ET.Element) -> list[str]:
@@ -156,7 +160,11 @@ def _give_mass(link: ET.Element, name: str) -> str:
 
 def _has_moments(inertial: ET.Element) -> bool:
     inertia = inertial.find("inertia")
-    return inertia is not None and any(float(inertia.get(key, 0.0)) for key in _KEYS)
+    return inertia is not None and bool(_six_of(inertia).any())
+
+
+def _six_of(inertia: ET.Element) -> Array:
+    return np.array([float(inertia.get(key, 0.0)) for key in _KEYS])
 
 
 def _write_inertia(element: ET.Element, six: Array) -> None:

@@ -50,10 +50,7 @@ def link_tree(robot: ET.Element, name: str) -> LinkTree:
     parents: dict[str, str] = {}
     for joint in robot.findall("joint"):
         parent, child = (_known_link(joint, end, links, name) for end in ("parent", "child"))
-        if child in parents:
-            raise ModelError(
-                f"{name}: link {child!r} has two parents, {parents[child]!r} and {parent!r}."
-            )
+        _check_one_parent(child, parent, parents, name)
         parents[child] = parent
         below.setdefault(parent, []).append((child, str(joint.get("type"))))
     tree = LinkTree(links, below, _root(links, parents, name))
@@ -87,12 +84,22 @@ def _root(links: dict[str, ET.Element], parents: dict[str, str], name: str) -> s
     if not links:
         raise ModelError(f"{name} has no <link>; a robot needs at least two and a joint.")
     roots = [link for link in links if link not in parents]
-    if len(roots) == 1:
-        return roots[0]
-    found = f"{len(roots)} root links ({', '.join(roots[:5])})"
-    raise ModelError(
-        f"{name} has {found if roots else 'no root link: a cycle'}; a URDF tree has exactly one."
-    )
+    if len(roots) != 1:
+        raise ModelError(f"{name} has {_count_text(roots)}; a URDF tree has exactly one.")
+    return roots[0]
+
+
+def _count_text(roots: list[str]) -> str:
+    if not roots:
+        return "no root link: a cycle"
+    return f"{len(roots)} root links ({', '.join(roots[:5])})"
+
+
+def _check_one_parent(child: str, parent: str, parents: dict[str, str], name: str) -> None:
+    if child in parents:
+        raise ModelError(
+            f"{name}: link {child!r} has two parents, {parents[child]!r} and {parent!r}."
+        )
 
 
 def _check_connected(tree: LinkTree, name: str) -> None:

@@ -25,7 +25,7 @@ def canonical_joints(robot: ET.Element, root: str, name: str) -> tuple[str, ...]
     names = {joint.get("name") for joint in joints}
     for joint in joints:
         _check_joint(joint, root, names, name)
-    return tuple(chain.from_iterable(map(_complete_limits, joints)))
+    return tuple(chain.from_iterable(map(_complete_limits, filter(_needs_limits, joints))))
 
 
 def _check_joint(joint: ET.Element, root: str, names: Set[str | None], name: str) -> None:
@@ -65,17 +65,18 @@ def _check_planar(joint: ET.Element, names: Set[str | None], name: str) -> None:
         )
 
 
+def _needs_limits(joint: ET.Element) -> bool:
+    return joint.get("type") in ("revolute", "prismatic")
+
+
 def _complete_limits(joint: ET.Element) -> Iterator[str]:
     """Complete limits: Pinocchio refuses absent ones; zero means "no limit" to both engines."""
-    if joint.get("type") not in ("revolute", "prismatic"):
-        return
     label = f"joint {joint.get('name')!r}"
     limit = joint.find("limit")
     if limit is None:
         limit = ET.SubElement(joint, "limit")
         yield f"{label} has no limits: unlimited"
-    for key in ("effort", "velocity"):
-        limit.attrib.setdefault(key, "0")
+    limit.attrib.update({"effort": "0", "velocity": "0"} | limit.attrib)
     if _reversed(limit):
         yield f"the limits of {label} are reversed: unlimited"
 
