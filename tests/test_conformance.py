@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from sysid_bench.cli import main
 from sysid_bench.conformance import KITS, TestProblem, check, failed_checks
-from sysid_bench.conformance.estimator_problems import problems_of_kind, shared_problems
+from sysid_bench.conformance.estimator_problems import estimator_cases, estimator_problems
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
@@ -35,7 +35,7 @@ def test_our_estimators_keep_the_laws(name: str) -> None:
 def test_a_method_without_bias_solves_an_exact_problem(name: str) -> None:
     """A law that never applies proves nothing."""
     estimator = build("estimator", name)
-    exact = [case for case in shared_problems(False) if case.exact]
+    exact = [case for case in estimator_cases(False) if case.exact]
     assert any(estimator.solve(case.problem).status == "ok" for case in exact)
 
 
@@ -111,7 +111,7 @@ WRONG: dict[str, tuple[Callable[[Problem], Any], str]] = {
 
 def copied() -> tuple[TestProblem, ...]:
     """Test problems of this test alone: a wrong method may damage them."""
-    return problems_of_kind()[2:5]
+    return estimator_problems()[2:5]
 
 
 @pytest.mark.parametrize("name", WRONG)

@@ -15,11 +15,11 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    array_error,
     content_hash,
     finding_of_error,
     findings_of,
     first_error,
+    shape_error,
 )
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
@@ -101,7 +101,7 @@ def _is_finite(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
     motion, expected = case.motion, case.motion.v.shape
     one = np.asarray(law(motion.t[0], motion.q[0], motion.v[0]))
     torques = ((_torque(law, motion), expected), (one, expected[1:]))
-    return first_error(array_error("its torque", torque, shape) for torque, shape in torques)
+    return first_error(shape_error("its torque", torque, shape) for torque, shape in torques)
 
 
 def _is_the_same_sample_by_sample(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:

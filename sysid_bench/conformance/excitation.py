@@ -15,11 +15,11 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    array_error,
     content_hash,
     finding_of_error,
     findings_of,
     first_error,
+    shape_error,
 )
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
@@ -105,7 +105,7 @@ def _has_shapes(case: DesignCase, motion: Trajectory) -> str | None:
     N = len(motion.t)
     nq, nv = len(case.brief.q0), sum(len(joint.dofs) for joint in case.brief.joints)
     return first_error(
-        array_error(name, getattr(motion, name), (N, width))
+        shape_error(name, getattr(motion, name), (N, width))
         for name, width in (("q", nq), ("v", nv), ("a", nv))
     )
 

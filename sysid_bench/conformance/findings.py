@@ -78,7 +78,7 @@ def _parts(value: Any) -> Sequence[Any]:
     return ()
 
 
-def array_error(name: str, array: Array, shape: tuple[int, ...]) -> str | None:
+def shape_error(name: str, array: Array, shape: tuple[int, ...]) -> str | None:
     """Violation where an array has another shape, or values that are not finite."""
     if array.shape != shape:
         return f"{name} has the shape {array.shape}; expected {shape}"

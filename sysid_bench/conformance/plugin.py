@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.conformance.effect import check_effect
 from sysid_bench.conformance.estimator import check
-from sysid_bench.conformance.estimator_problems import problems_of_kind, shared_problems
+from sysid_bench.conformance.estimator_problems import estimator_cases, estimator_problems
 from sysid_bench.conformance.excitation import check_excitation
 from sysid_bench.conformance.findings import Finding
 from sysid_bench.conformance.log_reader_checks import check_log_reader
@@ -24,8 +24,8 @@ def check_estimator(estimator: Any, robots_dir: Path | None = None) -> list[Find
     """Findings of an estimator on the test problems of its kind: `solve` or `fit`."""
     simulating = not hasattr(estimator, "solve")
     if robots_dir is None:
-        return check(estimator, shared_problems(simulating))
-    return check(estimator, problems_of_kind(simulating, robots_dir))
+        return check(estimator, estimator_cases(simulating))
+    return check(estimator, estimator_problems(simulating, robots_dir))
 
 
 KITS: Final[Mapping[str, Kit]] = MappingProxyType(
@@ -41,7 +41,7 @@ KITS: Final[Mapping[str, Kit]] = MappingProxyType(
 )
 
 
-def kit_of(kind: str) -> str:
+def checked_kind(kind: str) -> str:
     """The kind of `KITS` that is meant: "log-reader" is "log_reader". Raises UsageError for a kind
     without a kit."""
     known = kind.replace("-", "_")
@@ -58,7 +58,7 @@ def check_plugin_of(
     `robots_dir`: folder with the robots of an estimator's test problems; `file`: recorded file for
     a log reader, None: files that the kit writes.
     """
-    kind = kit_of(kind)
+    kind = checked_kind(kind)
     if file is not None and kind != "log_reader":
         raise UsageError(
             f"A recorded file is read by log readers, not by a plug-in of kind {kind}."

@@ -15,11 +15,11 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    array_error,
     content_hash,
     finding_of_error,
     findings_of,
     first_error,
+    shape_error,
 )
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
@@ -114,7 +114,7 @@ def _has_shapes(case: SimulationCase, commanded: Trajectory, result: Any) -> str
         "motion.a": (done.motion.a, commanded.a.shape),
         "tau": (done.tau, (N, len(case.plant.robot.torque_dofs))),
     }
-    return first_error(array_error(name, x, shape) for name, (x, shape) in shapes.items())
+    return first_error(shape_error(name, x, shape) for name, (x, shape) in shapes.items())
 
 
 def _designs_at_a_multiple_of_the_rate(

@@ -24,7 +24,7 @@ def with_sensors(robot: RobotModel, task: Task, sensor: str | None, given: Array
     return replace(task, rows=rows, cuts=cuts, known_links=known_links)
 
 
-def sensor_cuts(robot: RobotModel, sensor: str) -> tuple[SensorCut, ...]:
+def sensor_subtree(robot: RobotModel, sensor: str) -> tuple[SensorCut, ...]:
     """Return the cut at a sensor, followed by those of the sensors that end its sub-tree."""
     cut = cut_at(robot, sensor)
     return (cut, *(cut_at(robot, name) for name in cut.end_sensors))

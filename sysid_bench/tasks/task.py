@@ -110,7 +110,7 @@ class Task:
         return bool(self.known_links.any() or any(v is not None and v.any() for v in terms))
 
 
-def named_task(name: str, folder: Path | None = None) -> TaskDefinition:
+def find_task(name: str, folder: Path | None = None) -> TaskDefinition:
     """Return the task of a name: built in, "module:Class" or "file:mine.py:Class"; relative files
     are found from `folder`, else from the working directory. Raises UsageError with the names."""
     definition = naming.build("task", naming.resolve_paths({"use": name}, folder))
@@ -123,9 +123,9 @@ def named_task(name: str, folder: Path | None = None) -> TaskDefinition:
     return definition
 
 
-def tasks_with_terms() -> tuple[str, ...]:
+def task_names_with_terms() -> tuple[str, ...]:
     """Return the names of the built-in tasks that accept terms."""
-    return tuple(name for name in naming.BUILTIN["task"] if named_task(name).accepts_terms)
+    return tuple(name for name in naming.BUILTIN["task"] if find_task(name).accepts_terms)
 
 
 def task_of(
@@ -142,7 +142,7 @@ def task_of(
     "left, right". Raises UsageError for an unknown name, UnsupportedError for a robot without such
     unknowns.
     """
-    return named_task(name).unknowns(robot, terms, sensor, offset)
+    return find_task(name).unknowns(robot, terms, sensor, offset)
 
 
 def joint_torque_task(

@@ -12,7 +12,7 @@ from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import load_suite
-from sysid_bench.tasks.task import named_task
+from sysid_bench.tasks.task import find_task
 from sysid_bench.verbs.basis import basis
 
 WRIST = Path(__file__).with_name("wrist.py")
@@ -87,7 +87,7 @@ def test_the_commands_take_it_by_its_file() -> None:
 
 def test_an_object_that_is_not_a_task_is_refused() -> None:
     with pytest.raises(UsageError, match=r"'math:inf' is not a task: .*TaskDefinition"):
-        named_task("math:inf")
+        find_task("math:inf")
 
 
 def test_it_passes_the_check() -> None:

@@ -15,7 +15,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import BUILTIN
 from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.tasks.robot import RobotTask
-from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition, named_task
+from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition, find_task
 from sysid_bench.types import Truth
 from tests.robots import named_robot
 
@@ -39,7 +39,7 @@ def test_built_in_tasks_conform(name: str) -> None:
 @pytest.mark.parametrize("robot", ["ur5", "panda", "solo12"])
 @pytest.mark.parametrize("name", ["robot", "payload", "terminal", "link"])
 def test_tasks_on_joint_torques_are_sound(name: str, robot: str) -> None:
-    loaded, task = named_robot(robot, "sphere-offset-1kg"), named_task(name)
+    loaded, task = named_robot(robot, "sphere-offset-1kg"), find_task(name)
     for terms in ((), ("viscous", "coulomb")) if task.accepts_terms else ((),):
         assert_sound(task, TaskCase(robot, loaded, terms))
 
@@ -48,11 +48,11 @@ def test_tasks_on_joint_torques_are_sound(name: str, robot: str) -> None:
 def test_tasks_with_a_sensor_are_sound(name: str) -> None:
     robot = load_robot("icub", PAYLOADS["box-2kg"])
     sensor = next(s.name for s in robot.manifest.sensors if s.name.startswith("l_arm"))
-    assert_sound(named_task(name), TaskCase("icub", robot, (), sensor))
+    assert_sound(find_task(name), TaskCase("icub", robot, (), sensor))
 
 
 def test_every_builtin_task_declares_its_own_name() -> None:
-    assert [named_task(name).name for name in BUILTIN["task"]] == list(BUILTIN["task"])
+    assert [find_task(name).name for name in BUILTIN["task"]] == list(BUILTIN["task"])
 
 
 @dataclass(frozen=True)

@@ -46,12 +46,12 @@ def check_files(path: Path, text: bytes, folder: Path | None = None) -> None:
     _Reading(path, folder or path.parent).count_model(path, parse_xml(text, path.name))
 
 
-def is_below(path: Path, folder: Path) -> bool:
+def in_folder(path: Path, folder: Path) -> bool:
     """True where a file lies in a folder, links followed."""
     return path.resolve().is_relative_to(folder.resolve())
 
 
-def folder_advice(path: Path, file: Path) -> str:
+def folder_text(path: Path, file: Path) -> str:
     """Advice, in words, for a file outside the folder of a model `path`."""
     common = os.path.commonpath([path.resolve().parent, file.resolve()])
     above = os.path.relpath(common, path.resolve().parent)
@@ -137,8 +137,8 @@ class _Reading:
 
     def _check_found(self, name: Path, found: list[Path], path: Path, label: str) -> None:
         """Raise ModelError for a file that lies outside the folder, and for none."""
-        if name.is_absolute() or not all(is_below(file, self.folder) for file in found):
-            advice = folder_advice(self.path, next(iter(found), name))
+        if name.is_absolute() or not all(in_folder(file, self.folder) for file in found):
+            advice = folder_text(self.path, next(iter(found), name))
             raise ModelError(f"{path.name}: {label} lies {advice}.")
         if not found:
             raise ModelError(f"{path.name}: the file of {label} does not exist.")

@@ -17,7 +17,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError, first_names
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
-from sysid_bench.models.mjcf.mjcf_files import folder_advice, is_below
+from sysid_bench.models.mjcf.mjcf_files import folder_text, in_folder
 from sysid_bench.types import Array
 
 _WITH_FILES: Final = (
@@ -141,10 +141,10 @@ def _written_path(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh) -> str:
 
 def _check_mesh_file(file: Path, written: str, path: Path, folder: Path) -> None:
     """Raise ModelError for a file outside `folder` and for a huge one."""
-    if not is_below(file, folder):
+    if not in_folder(file, folder):
         raise ModelError(
             f"{path.name}: the inertia of a body comes from the mesh {written!r}, which lies "
-            f"{folder_advice(path, file)}; or give the body an <inertial>."
+            f"{folder_text(path, file)}; or give the body an <inertial>."
         )
     if file.is_file() and file.stat().st_size > LARGEST_MESH:
         raise ModelError(f"{path.name}: the mesh {written!r} is larger than {LARGEST_MESH} bytes.")

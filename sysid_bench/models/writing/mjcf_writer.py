@@ -11,9 +11,9 @@ import numpy as np
 from sysid_bench.errors import ModelError
 from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.writing.rewrite import rewrite
 from sysid_bench.models.writing.round_trip import file_spec
 from sysid_bench.models.writing.update import Bodies, Joints, Update
+from sysid_bench.models.writing.updated_text import updated_text
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
@@ -51,7 +51,7 @@ def updated_mjcf(
     all that is to be written. The text is read again before it is returned. Raises ModelError for
     values that must not be written (see models/writing/update.py), and for included bodies.
     """
-    return rewrite(path, bodies, joints, verdicts, "mujoco", _edits)
+    return updated_text(path, bodies, joints, verdicts, "mujoco", _edits)
 
 
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.writing.rewrite import rewrite
 from sysid_bench.models.writing.update import Bodies, Joints, Update
+from sysid_bench.models.writing.updated_text import updated_text
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
@@ -36,7 +36,7 @@ def updated_urdf(
     text is read again before it is returned. Raises ModelError for values that must not be written
     (see models/writing/update.py), and for joint terms that a URDF cannot hold.
     """
-    return rewrite(path, bodies, joints, verdicts, "robot", _edits)
+    return updated_text(path, bodies, joints, verdicts, "robot", _edits)
 
 
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
