@@ -106,8 +106,10 @@ def _is_finite(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
 
 def _is_the_same_sample_by_sample(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
     motion, whole = case.motion, _torque(law, case.motion)
+    # A call for one sample costs nearly as much as for the whole motion.
     for k in range(0, len(motion), 10):
         one = np.asarray(law(motion.t[k], motion.q[k], motion.v[k]))
+        # Not bit by bit: sums over a whole array are rounded in another order.
         if np.abs(one - whole[k]).max() > 1e-9 * np.abs(whole).max():
             return f"sample {k} alone gives another torque than within the whole motion"
     return None

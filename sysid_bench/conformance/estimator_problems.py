@@ -50,6 +50,7 @@ def estimator_problems(
 ) -> tuple[TestProblem, ...]:
     """Test problems of linear methods, or of methods that simulate; a new object each time."""
     if simulating:
+        # Exact data show a bias, noisy ones that the method does not need exact data.
         noisy = {**CLOSED_LOOP, "noise": {"tau_relative": 0.01}}
         return tuple(_problem(changes, robots_dir) for changes in (CLOSED_LOOP, noisy))
     return tuple(_problem(changes, robots_dir) for changes in LINEAR)

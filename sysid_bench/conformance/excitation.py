@@ -114,6 +114,7 @@ def _has_a_steady_time_grid(excitation: Any, case: DesignCase, motion: Trajector
     steps = np.diff(motion.t)
     if len(steps) == 0 or not (steps > 0).all():
         return "its times do not increase from sample to sample"
+    # Times are sums or products of the step: rounding grows with their number.
     step = 1.0 / case.brief.rate
     if np.abs(steps - step).max() > 1e-6 * step:
         return (
@@ -125,6 +126,7 @@ def _has_a_steady_time_grid(excitation: Any, case: DesignCase, motion: Trajector
 def _keeps_the_limits(excitation: Any, case: DesignCase, motion: Trajectory) -> str | None:
     """Position, velocity and acceleration of each hinge and slide within its limits."""
     scalar = [joint.vadr for joint in _scalar_joints(case)]
+    # Balls and free joints have no limits of position in one coordinate.
     profiles = np.flatnonzero(np.isin(case.brief.dofs, scalar))
     uses = [largest_use(limit, motion) for limit in joint_limits(case.brief, profiles)]
     worst = max(uses, key=lambda use: use.use, default=None)
@@ -155,6 +157,7 @@ def _derivative_error(
     name: str, rate: Array, of: str, signal: Array, t: Array, joints: Sequence[str]
 ) -> str | None:
     """Violation where `rate` differs from the differences of `signal`, both (N, n)."""
+    # The first and the last sample have no central difference.
     error = _rms(rate[1:-1] - _central_differences(signal, t)) / _floored(_rms(rate))
     if not error.size or not error.max() > MISMATCH:
         return None

@@ -56,6 +56,7 @@ def content_hash(value: Any) -> str:
     """Hash of all arrays that a value holds, through tuples, lists, partials and dataclasses."""
     total = hashlib.sha256()
     for array in _arrays(value):
+        # Transposed and strided views have no bytes of their own.
         total.update(np.ascontiguousarray(array).tobytes())
     return total.hexdigest()
 

@@ -114,6 +114,7 @@ def _names_a_column_once(reader: Any, case: LogCase, table: LogTable) -> str | N
 
 def _is_deterministic(reader: Any, case: LogCase, table: LogTable) -> str | None:
     again = reader.read(case.file)
+    # Empty cells are NaN, which equals nothing.
     same = np.array_equal(table.values, again.values, equal_nan=True)
     if same and dict(table.names) == dict(again.names):
         return None

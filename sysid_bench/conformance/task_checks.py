@@ -147,6 +147,7 @@ def _adds_up_to_the_links(task: Task, case: TaskCase) -> str | None:
     expected = tree.link_parameters(robot.phi)
     error = np.abs(task.known_links + tree.link_parameters(_unknown_phi(task, robot)) - expected)
     apart = np.flatnonzero((error > TOLERANCE * _scale(expected)).any(axis=1))
+    # Bodies that do not move have the carrier -1, which is not an index of `apart`.
     links = {int(tree.carrier[b]) for b in _measured_bodies(task, robot)}
     wrong = sorted(robot.body_names[tree.links[k].body] for k in links.intersection(apart.tolist()))
     if not wrong:
@@ -212,5 +213,6 @@ def _measured_bodies(task: Task, robot: RobotModel) -> Iterable[int]:
 def _scale(expected: Array) -> Array:
     """Largest mass, first moment and moment of inertia, (10,)."""
     kinds = (slice(0, 1), slice(1, 4), slice(4, 10))
+    # Tiny floors (kg, kg m, kg m^2): a robot without first moments would allow no rounding.
     largest = [max(float(np.abs(expected[:, kind]).max(initial=0.0)), 1e-6) for kind in kinds]
     return np.repeat(largest, (1, 3, 6))

@@ -27,6 +27,7 @@ def with_sensors(robot: RobotModel, task: Task, sensor: str | None, given: Array
 def sensor_subtree(robot: RobotModel, sensor: str) -> tuple[SensorCut, ...]:
     """Return the cut at a sensor, followed by those of the sensors that end its sub-tree."""
     cut = cut_at(robot, sensor)
+    # The sensor measures the wrench of all that is distal; that of the others is subtracted.
     return (cut, *(cut_at(robot, name) for name in cut.end_sensors))
 
 
@@ -43,6 +44,7 @@ def sensor_task(
     """Build a task on the wrench of one sensor: the `bodies` (indices) with true parameters `phi`
     (n, 10) are unknown, `given` (nb, 10) holds the others. With the term "offset" the constants of
     the sensors are unknown besides."""
+    # Friction acts in the joint: the wrench of what is distal to it does not depend on it.
     if terms not in ((), ("offset",)):
         raise UnsupportedError(
             f"A force/torque sensor does not measure joint terms: {', '.join(terms)} cannot be "

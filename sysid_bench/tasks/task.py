@@ -164,6 +164,7 @@ def joint_torque_task(
     coupling = robot.joint_terms.viscous_coupling.copy()
     for name in columns:
         term, dof, other = robot.term_index(name)
+        # Friction between two joints is an entry of a matrix, all other terms are diagonal.
         if other is None:
             known_terms[term][dof] = 0.0
         else:
@@ -204,5 +205,6 @@ def phi_without(robot: RobotModel, unknown: tuple[Body, ...]) -> Array:
     """Return phi (nb, 10) of the robot, zero for the unknown bodies."""
     names = {body.name for body in unknown}
     given = robot.phi.copy()
+    # A zero row adds no torque, since torques are linear in phi.
     given[[name in names for name in robot.body_names]] = 0.0
     return given

@@ -31,5 +31,6 @@ class WrenchTask(TaskDefinition):
         """Pose the task; a payload is a part of the body that carries it."""
         cuts = sensor_subtree(robot, default_sensor(robot, sensor))
         bodies = [b for b in cuts[0].bodies if b != robot.payload_body]
+        # No other body is given: those before the sensor do not load it.
         phi, given = phi_with_payload(robot)[bodies], np.zeros_like(robot.phi)
         return sensor_task(self, robot, cuts, bodies, phi, given, terms=terms, offset=offset)

@@ -38,6 +38,7 @@ class WrenchPayloadTask(TaskDefinition):
                 f"No payload is mounted behind the sensor {name!r}: the task 'wrench-payload' "
                 "has nothing to identify."
             )
+        # Bodies before the sensor do not load it.
         between = [b for b in cuts[0].bodies if b != payload]
         given = np.zeros_like(robot.phi)
         given[between] = robot.phi[between]

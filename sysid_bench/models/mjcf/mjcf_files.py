@@ -81,6 +81,7 @@ class _Reading:
             attached: dict[str, Path] = {}
             weight = Counter(self._count_file(path, root, path, attached))
             for name, file in attached.items():
+                # An attached model counts once for each <attach>, copies of the <attach> included.
                 self._add(weight, self.models[file.resolve()], weight[f"attach {name}"])
             self.models[key] = weight
         return self.models[key]
@@ -137,6 +138,7 @@ class _Reading:
 
     def _check_found(self, name: Path, found: list[Path], path: Path, label: str) -> None:
         """Raise ModelError for a file that lies outside the folder, and for none."""
+        # Links are resolved: one inside the folder may lead outside.
         if name.is_absolute() or not all(in_folder(file, self.folder) for file in found):
             advice = folder_text(self.path, next(iter(found), name))
             raise ModelError(f"{path.name}: {label} lies {advice}.")
@@ -221,10 +223,12 @@ def _expanded(root: ET.Element) -> Iterator[tuple[ET.Element, int, frozenset[str
         copies *= _count(element) if element.tag in _REPEATED else 1
         yield element, copies, above
         below = above | {element.tag} if element.tag in _NAMING else above
+        # Below a count of zero nothing is made, but files are read and sizes reserved all the same.
         waiting += [(child, max(copies, 1), below) for child in element]
 
 
 def _count(element: ET.Element) -> int:
+    # The default grid of a flexcomp; one with a file has as many points as the file says.
     default = "10 10 10" if element.tag == "flexcomp" and element.get("file") is None else "1"
     numbers = _numbers(element, "count", default)
     return math.prod(min(max(int(n), 0), MOST_ELEMENTS + 1) for n in numbers)
@@ -273,4 +277,5 @@ def _numbers(element: ET.Element, key: str, default: str) -> list[float]:
         found = [float(word) for word in element.get(key, default).split()]
     except ValueError:
         return [1.0]
+    # An infinite count would not convert to an integer.
     return [min(number, 1e300) for number in found if not math.isnan(number)]

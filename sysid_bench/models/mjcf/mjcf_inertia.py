@@ -113,11 +113,13 @@ def _weighing(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> Iterator[mujoco.MjsG
 def _has_shape_inertia(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> bool:
     """True where the compiler derives the inertia of a body from its shapes."""
     mode = int(spec.compiler.inertiafromgeom)
+    # "auto" uses shapes where no <inertial> is written, "true" uses them in any case.
     explicit = mode == _NEVER or (mode == _AUTO and body.explicitinertial)
     return not explicit and body.name != "world"
 
 
 def _weighs(geom: mujoco.MjsGeom, groups: Array) -> bool:
+    # A mass of NaN means: from the density. Zero of either excludes the shape.
     weight = geom.density if np.isnan(geom.mass) else geom.mass
     return bool(weight != 0 and groups[0] <= geom.group <= groups[1])
 
@@ -157,12 +159,14 @@ def _keep_meshes(spec: mujoco.MjSpec, kept: Mapping[mujoco.MjsGeom, Path | None]
     for mesh in spec.meshes:
         if (file := files[mesh.name]) is not None:
             mesh.file = str(file.resolve())
+    # The paths are absolute now and must keep their folders.
     spec.strippath = False
 
 
 def _has_rules(spec: mujoco.MjSpec) -> bool:
     """True where the compiler changes numbers of the text."""
     rules = spec.compiler
+    # Values for which the compiler does nothing.
     bounds = (rules.settotalmass, rules.boundmass, rules.boundinertia)
     derived = any(np.any(joint.springdamper) for joint in spec.joints)
     return bool(max(bounds) > 0 or rules.balanceinertia or derived)
@@ -186,6 +190,7 @@ def _write_down(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> None:
 def _unaligned(spec: mujoco.MjSpec) -> Iterator[None]:
     """Keep the frames of the text: alignment would move the frame of a floating body to its
     inertial frame."""
+    # Settings of single joints override that of the model.
     aligned = [(joint, joint.align) for joint in spec.joints]
     everywhere = spec.compiler.alignfree
     spec.compiler.alignfree = False
@@ -214,6 +219,7 @@ def _set_inertia(body: mujoco.MjsBody, mj: mujoco.MjModel) -> None:
         return
     body.explicitinertial = True
     body.mass = float(mj.body_mass[body.id])
+    # The compiler has made the moments principal; a full inertia besides would be refused.
     body.ipos, body.iquat = mj.body_ipos[body.id], mj.body_iquat[body.id]
     body.inertia, body.fullinertia = mj.body_inertia[body.id], np.full(6, np.nan)
     # Euler angles and the like in the text would override the quaternion.

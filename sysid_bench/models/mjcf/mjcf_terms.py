@@ -89,6 +89,7 @@ def _obey_flags(spec: mujoco.MjSpec) -> None:
 
 def _drop_springs_of_balls(spec: mujoco.MjSpec) -> Iterator[str]:
     for joint in spec.joints:
+        # Its torque depends on a rotation vector, not on one coordinate as the other springs do.
         if int(joint.type) not in _SCALAR and _zero_terms(joint, ("stiffness",)):
             yield f"spring of joint {_called(joint)} left out: it is neither hinge nor slide"
 
@@ -109,12 +110,14 @@ def _zero_terms(element: Any, keys: Sequence[str]) -> list[str]:
 
 
 def _drop_medium(spec: mujoco.MjSpec) -> Iterator[str]:
+    # Drag depends on the shapes of bodies, which are not a part of the regressor.
     if spec.option.density or spec.option.viscosity:
         spec.option.density = spec.option.viscosity = 0.0
         yield "forces of the medium (density, viscosity) left out"
 
 
 def _drop_gravity_compensation(spec: mujoco.MjSpec) -> Iterator[str]:
+    # It is a force at the body, hence neither in M(q) a + h(q, v) nor in a joint term.
     lifted = [body for body in spec.bodies if _zero_terms(body, ("gravcomp",))]
     if lifted:
         yield f"gravity compensation of {', '.join(map(_called, lifted))} left out"

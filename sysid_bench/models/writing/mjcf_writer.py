@@ -138,6 +138,7 @@ def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
     values |= _inertia(inertia)
     if inertial is not None:
         yield from value_edits(data, inertial, {**dict.fromkeys(_POSE), **values})
+    # Without an <inertial> MuJoCo would take the inertia of the shapes.
     elif phi.any() or body.find("geom") is not None:
         yield element_edit(data, body, _inertial(values))
 
@@ -155,8 +156,10 @@ def _inertia(inertia: Array) -> dict[str, str | None]:
         full = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
         return {"fullinertia": values_text(*full), "diaginertia": None}
     moments, axes = np.linalg.eigh(inertia)
+    # Rounding may take the moments of a point mass or rod below zero.
     moments = np.maximum(moments, 0.0)
     moments[2] = min(moments[2], moments[0] + moments[1])  # a lamina lies on the border
+    # Eigenvectors may form a reflection, for which there is no quaternion.
     quat = quaternion_of_matrix(axes * np.sign(np.linalg.det(axes)))
     return {"diaginertia": values_text(*moments), "quat": values_text(*quat), "fullinertia": None}
 
@@ -167,6 +170,7 @@ def _joint_edits(
     j = update.robot.mj.joint(name).id
     spec = file_spec(update.robot)
     source = list(spec.joints)[j]
+    # Angles of a text are in the unit of its compiler, hinges alone: slides are in metres.
     in_degrees = update.robot.joints[j].kind == "hinge" and bool(update.robot.spec.compiler.degree)
     values: dict[str, str | None] = {}
     for key, total in terms.items():

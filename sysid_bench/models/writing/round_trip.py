@@ -99,6 +99,7 @@ def _with(update: Update, phi: Array) -> mujoco.MjModel:
     for joint in robot.joints:
         for key, value in update.joints.get(joint.name, {}).items():
             _put(mj, joint.name, key, value)
+    # Constants such as the inertia at the reference follow from the new arrays.
     mujoco.mj_setConst(mj, mujoco.MjData(mj))
     return mj
 
@@ -109,12 +110,14 @@ def _put_body(mj: mujoco.MjModel, b: int, phi: Array) -> None:
     moments, axes = np.linalg.eigh(inertia)
     mj.body_mass[b], mj.body_ipos[b] = mass, com
     mj.body_inertia[b] = np.maximum(moments, 0.0)
+    # det = -1 of a reflection: the opposite axes are a rotation, with the same inertia.
     mujoco.mju_mat2Quat(mj.body_iquat[b], (axes * np.linalg.det(axes)).ravel())
     mj.body_sameframe[b] = 0  # else MuJoCo takes the inertial frame for the body frame
 
 
 def _put(mj: mujoco.MjModel, joint: str, key: str, value: float) -> None:
     j = mj.joint(joint).id
+    # Arrays of MuJoCo count joints, coordinates or degrees of freedom.
     dof, qadr = int(mj.jnt_dofadr[j]), int(mj.jnt_qposadr[j])
     if key == "springref":
         mj.qpos_spring[qadr] = value

@@ -83,6 +83,7 @@ def _refuse_infeasible(phi: Mapping[str, Array]) -> None:
     impossible = []
     for name, values in phi.items():
         smallest = float(smallest_eigenvalue(values))
+        # Negated, so that NaN is refused as well.
         if not smallest >= -POSSIBLE * float(np.abs(values).max()):
             impossible.append(f"{name} (m = {values[0]:.4g} kg, {smallest:.2g})")
     if impossible:

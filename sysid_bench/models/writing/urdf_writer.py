@@ -57,6 +57,7 @@ def _called(root: Element, tag: str, name: str, file: str) -> Element:
 def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
     mass, com, inertia = mass_com_inertia(phi)
     moments = zip(_SIX, map(values_text, six_of_matrix(inertia)), strict=True)
+    # The moments are about axes parallel to those of the link: a rotation in the text goes.
     parts: dict[str, dict[str, str]] = {
         "origin": {"xyz": values_text(*com), "rpy": "0 0 0"},
         "mass": {"value": values_text(mass)},

@@ -60,6 +60,7 @@ def element_tree(data: bytes, name: str) -> Element:
         raise ModelError(
             f"{name} is not in UTF-8 ({error.reason} at byte {error.start}); convert it first."
         ) from error
+    # Positions are those of bytes: a text of characters would shift them after the first "é".
     parser = expat.ParserCreate("utf-8")
     stack: list[Element] = []
     roots: list[Element] = []
@@ -87,6 +88,7 @@ def element_tree(data: bytes, name: str) -> Element:
 def apply_edits(data: bytes, edits: Iterable[Edit]) -> str:
     """Return the text with its edits, which must not overlap; every other byte stays."""
     out, position = [], 0
+    # An insertion comes before a replacement that starts at the same byte.
     for edit in sorted(edits, key=lambda e: (e.start, e.end)):
         out += [data[position : edit.start], edit.text.encode()]
         position = edit.end
