@@ -159,11 +159,7 @@ def _adds_up_to_the_joint_terms(task: Task, case: TaskCase) -> str | None:
     """Joint terms, unknown plus given; a sensor behind the joints does not measure them."""
     if task.definition.measures_sensor_only:
         return None
-    robot, total = case.robot, {term: task.known_terms[term].copy() for term in SUFFIX}
-    for name, value in _unknown_terms(task):
-        term, dof, other = robot.term_index(name)
-        # Friction between two joints is not a term of one of them.
-        total[term][dof] += value if other is None else 0.0
+    robot, total = case.robot, _total_terms(task, case.robot)
     wrong = [t for t in SUFFIX if not np.allclose(total[t], getattr(robot.joint_terms, t))]
     if not wrong:
         return None
@@ -201,6 +197,16 @@ def _unknown_terms(task: Task) -> Iterator[tuple[str, Any]]:
     for name, value in zip(task.parameters, task.truth.theta, strict=True):
         if name not in inertial:
             yield name, value
+
+
+def _total_terms(task: Task, robot: RobotModel) -> dict[str, Array]:
+    """Unknown plus given joint terms, (nv,) each."""
+    total = {term: task.known_terms[term].copy() for term in SUFFIX}
+    for name, value in _unknown_terms(task):
+        term, dof, other = robot.term_index(name)
+        # Friction between two joints is not a term of one of them.
+        total[term][dof] += value if other is None else 0.0
+    return total
 
 
 def _measured_bodies(task: Task, robot: RobotModel) -> Iterable[int]:
