@@ -5,20 +5,24 @@ assert_conforms("my_lab.methods:Geodesic"), assert_conforms(Sway(), "excitation"
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from sysid_bench.conformance import check_plugin_of, failed_checks
+from sysid_bench.conformance.plugin import checked_kind
 from sysid_bench.naming import build
 
 
-def assert_conforms(plugin: Any, kind: str = "estimator") -> None:
+def assert_conforms(plugin: Any, kind: str = "estimator", file: Path | str | None = None) -> None:
     """Check a plug-in (an object, a name or the {use = ...} of a suite) against the laws of its
-    kind: "estimator", "excitation", "plant" or "simulation".
+    kind: "estimator", "excitation", "plant", "simulation", "metric", "log-reader" or "task".
+
+    `file`: recorded file for a log reader, None: files that the check writes.
 
     Raises AssertionError with all violated laws, UsageError for an unknown name or kind.
     """
     if isinstance(plugin, (str, Mapping)):
-        plugin = build(kind, plugin)
-    lines = failed_checks(check_plugin_of(kind, plugin))
+        plugin = build(checked_kind(kind), plugin)
+    lines = failed_checks(check_plugin_of(kind, plugin, file=None if file is None else Path(file)))
     if lines:
         raise AssertionError(f"{plugin!r} violates {len(lines)} laws:\n" + "\n".join(lines))

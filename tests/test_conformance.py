@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from sysid_bench.cli import main
-from sysid_bench.conformance import TestProblem, check, failed_checks
-from sysid_bench.conformance.estimator_problems import problems_of_kind, shared_problems
+from sysid_bench.conformance import KITS, TestProblem, check, failed_checks
+from sysid_bench.conformance.estimator_problems import estimator_cases, estimator_problems
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
@@ -34,7 +35,7 @@ def test_our_estimators_keep_the_laws(name: str) -> None:
 def test_a_method_without_bias_solves_an_exact_problem(name: str) -> None:
     """A law that never applies proves nothing."""
     estimator = build("estimator", name)
-    exact = [case for case in shared_problems(False) if case.exact]
+    exact = [case for case in estimator_cases(False) if case.exact]
     assert any(estimator.solve(case.problem).status == "ok" for case in exact)
 
 
@@ -110,7 +111,7 @@ WRONG: dict[str, tuple[Callable[[Problem], Any], str]] = {
 
 def copied() -> tuple[TestProblem, ...]:
     """Test problems of this test alone: a wrong method may damage them."""
-    return problems_of_kind()[2:5]
+    return estimator_problems()[2:5]
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -159,6 +160,24 @@ def test_check_plugin_finds_a_wrong_estimator(factor: float, code: int, tmp_path
     assert result.exit_code == code, result.output
     assert ("recovers exact parameters" in result.output) == bool(code)
     assert ("keeps its laws" in result.output) == (not code)
+
+
+def test_failed_checks_have_todays_keys_and_those_of_earlier_versions(tmp_path: Any) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(MINE.format(factor=1.1))
+    answer = check_plugin(f"file:{file}:Mine").to_dict()
+    assert answer["plugin"] == answer["estimator"] == f"file:{file}:Mine"
+    for failed in answer["broken"]:
+        assert failed.keys() == {"law", "case", "message", "world", "said"}
+        assert (failed["case"], failed["message"]) == (failed["world"], failed["said"])
+    assert "exact data give beta" in answer["broken"][0]["message"]
+
+
+def test_the_command_checks_every_kind_with_a_kit() -> None:
+    option = next(o for o in main.commands["check-plugin"].params if o.name == "kind")
+    assert isinstance(option.type, click.Choice)
+    assert {kind.replace("-", "_") for kind in option.type.choices} == set(KITS)
+    assert set(KITS) <= set(BUILTIN)
 
 
 def test_check_plugin_names_the_nearest_estimator() -> None:

@@ -15,6 +15,9 @@ from sysid_bench.cli.common import (
     run_command,
 )
 
+_CHECKED = ("estimator", "excitation", "plant", "simulation", "metric", "log-reader", "task")
+"""Kinds with a conformance kit; spelled out, because the kits take a second to load."""
+
 
 @click.command(name="list")
 @click.argument(
@@ -52,20 +55,27 @@ def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
 @click.argument("name", metavar="PKG:OBJ")
 @click.option(
     "--kind",
-    type=click.Choice(["estimator", "excitation", "plant", "simulation", "metric"]),
+    type=click.Choice(_CHECKED),
     default="estimator",
     show_default=True,
     help="Kind of plug-in.",
 )
+@click.option(
+    "--file",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Recorded file for a log reader of a format that the check cannot write.",
+)
 @robots_option
 @json_option
 @run_command
-def check_plugin(name: str, kind: str, robots_dir: Path | None, as_json: bool) -> int:
+def check_plugin(
+    name: str, kind: str, file: Path | None, robots_dir: Path | None, as_json: bool
+) -> int:
     """Check a plug-in against the laws of its kind.
 
     Exit code 1 where it breaks one.
     """
-    result = sysid_bench.check_plugin(name, robots_dir, kind)
+    result = sysid_bench.check_plugin(name, robots_dir, kind, file)
     print_result(result, as_json)
     return OK if result.ok else FAILED
 

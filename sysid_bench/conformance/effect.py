@@ -18,12 +18,16 @@ from sysid_bench.conformance.findings import (
     content_hash,
     finding_of_error,
     findings_of,
+    first_error,
+    shape_error,
 )
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Trajectory
+
+PREPARED: Final = "prepares a force law"
 
 ForceLaw = Callable[[Array, Array, Array], Array]
 
@@ -60,19 +64,24 @@ def check_effect(effect: Any, cases: Sequence[EffectCase] | None = None) -> list
     findings = []
     for case in effect_cases() if cases is None else cases:
         before = _state(case)
-        try:
-            law = effect.prepare(case.robot)
-        except Exception as error:
-            findings.append(finding_of_error(error, "prepares a force law", case.name))
-            continue
-        message = None if law is None or callable(law) else f"it is a {type(law).__name__}"
-        findings.append(Finding("prepares a force law", case.name, message is None, message or ""))
-        if callable(law):
-            findings += findings_of(LAWS, case.name, effect, case, law)
+        findings += _findings_on(effect, case)
         if _state(case) != before:
             message = "it changed the robot or the motion"
             findings.append(Finding(UNCHANGED, case.name, False, message))
     return findings
+
+
+def _findings_on(effect: Any, case: EffectCase) -> list[Finding]:
+    try:
+        law = effect.prepare(case.robot)
+    except Exception as error:
+        return [finding_of_error(error, PREPARED, case.name)]
+    if law is None:
+        return [Finding(PREPARED, case.name, True)]
+    if not callable(law):
+        return [Finding(PREPARED, case.name, False, f"it is a {type(law).__name__}")]
+    findings = findings_of(LAWS, case.name, effect, case, law)
+    return [Finding(PREPARED, case.name, True), *findings]
 
 
 def _state(case: EffectCase) -> str:
@@ -89,21 +98,18 @@ def _torque(law: ForceLaw, motion: Trajectory) -> Array:
 
 def _is_finite(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
     """Torque (N, nv) of a motion, and (nv,) of one sample, finite."""
-    motion = case.motion
+    motion, expected = case.motion, case.motion.v.shape
     one = np.asarray(law(motion.t[0], motion.q[0], motion.v[0]))
-    expected = motion.v.shape
-    for torque, shape in ((_torque(law, motion), expected), (one, expected[1:])):
-        if torque.shape != shape:
-            return f"its torque has the shape {torque.shape}; expected {shape}"
-        if not np.isfinite(torque).all():
-            return "its torque has values that are not finite"
-    return None
+    torques = ((_torque(law, motion), expected), (one, expected[1:]))
+    return first_error(shape_error("its torque", torque, shape) for torque, shape in torques)
 
 
 def _is_the_same_sample_by_sample(effect: Any, case: EffectCase, law: ForceLaw) -> str | None:
     motion, whole = case.motion, _torque(law, case.motion)
+    # A call for one sample costs nearly as much as for the whole motion.
     for k in range(0, len(motion), 10):
         one = np.asarray(law(motion.t[k], motion.q[k], motion.v[k]))
+        # Not bit by bit: sums over a whole array are rounded in another order.
         if np.abs(one - whole[k]).max() > 1e-9 * np.abs(whole).max():
             return f"sample {k} alone gives another torque than within the whole motion"
     return None

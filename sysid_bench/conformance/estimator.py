@@ -101,6 +101,7 @@ def _recovers_exact_parameters(estimator: Any, case: TestProblem, first: Estimat
         return None
     if first.beta is None or first.status != "ok":
         return None
+    # beta = K theta: base parameters are sums of the standard ones.
     truth = case.problem.base.K @ case.theta
     error = _relative(first.beta - truth, truth)
     if error <= EXACT:
@@ -124,6 +125,7 @@ def _is_deterministic(estimator: Any, case: TestProblem, first: Estimate) -> str
 
 def _is_invariant_to_torque_units(estimator: Any, case: TestProblem, first: Estimate) -> str | None:
     """W and b times a factor: the same parameters."""
+    # Powers of two change exponents alone: both forms of the problem have the same rounding.
     factor = 4.0
     scaled = scaled_problem(case.problem, regressor=factor, torque=factor)
     return _differs(estimator, case, first, scaled, 1.0)
@@ -156,7 +158,9 @@ def _refuses_unexcited_parameters(estimator: Any, case: TestProblem, first: Esti
     returns all of them has added information: it declares `bias` or returns `theta`."""
     if not hasattr(estimator, "solve"):
         return None
+    # A prior would be a reason to return every parameter.
     problem = replace(first_samples(case.problem, 1), prior=None)
+    # As many equations as unknowns could determine all of them.
     if len(problem.rows) >= problem.base.rank:
         return None
     estimate = identify(estimator, problem)

@@ -45,20 +45,21 @@ _DEFAULTS: Final[Mapping[str, Any]] = {
 }
 
 
-def problems_of_kind(
+def estimator_problems(
     simulating: bool = False, robots_dir: Path | None = None
 ) -> tuple[TestProblem, ...]:
     """Test problems of linear methods, or of methods that simulate; a new object each time."""
     if simulating:
+        # Exact data show a bias, noisy ones that the method does not need exact data.
         noisy = {**CLOSED_LOOP, "noise": {"tau_relative": 0.01}}
         return tuple(_problem(changes, robots_dir) for changes in (CLOSED_LOOP, noisy))
     return tuple(_problem(changes, robots_dir) for changes in LINEAR)
 
 
 @cache
-def shared_problems(simulating: bool) -> tuple[TestProblem, ...]:
-    """`problems_of_kind`, made once per process."""
-    return problems_of_kind(simulating)
+def estimator_cases(simulating: bool) -> tuple[TestProblem, ...]:
+    """`estimator_problems`, made once per process."""
+    return estimator_problems(simulating)
 
 
 def experiment_spec(changes: Mapping[str, Any]) -> ExperimentSpec:

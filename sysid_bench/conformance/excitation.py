@@ -18,6 +18,8 @@ from sysid_bench.conformance.findings import (
     content_hash,
     finding_of_error,
     findings_of,
+    first_error,
+    shape_error,
 )
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
@@ -25,6 +27,7 @@ from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.limit_use import largest_use
 from sysid_bench.excitation.robot_limits import joint_limits
 from sysid_bench.experiments.loaded_robot import loaded_robot
+from sysid_bench.models.robot import Joint
 from sysid_bench.types import Array, Trajectory
 
 RATE: Final = 100.0
@@ -101,19 +104,17 @@ def _has_shapes(case: DesignCase, motion: Trajectory) -> str | None:
         return f"design returned {type(motion).__name__}, not a Trajectory"
     N = len(motion.t)
     nq, nv = len(case.brief.q0), sum(len(joint.dofs) for joint in case.brief.joints)
-    for name, width in (("q", nq), ("v", nv), ("a", nv)):
-        array = getattr(motion, name)
-        if array.shape != (N, width):
-            return f"{name} has the shape {array.shape}; expected {(N, width)}"
-        if not np.isfinite(array).all():
-            return f"{name} has values that are not finite"
-    return None
+    return first_error(
+        shape_error(name, getattr(motion, name), (N, width))
+        for name, width in (("q", nq), ("v", nv), ("a", nv))
+    )
 
 
 def _has_a_steady_time_grid(excitation: Any, case: DesignCase, motion: Trajectory) -> str | None:
     steps = np.diff(motion.t)
     if len(steps) == 0 or not (steps > 0).all():
         return "its times do not increase from sample to sample"
+    # Times are sums or products of the step: rounding grows with their number.
     step = 1.0 / case.brief.rate
     if np.abs(steps - step).max() > 1e-6 * step:
         return (
@@ -124,7 +125,8 @@ def _has_a_steady_time_grid(excitation: Any, case: DesignCase, motion: Trajector
 
 def _keeps_the_limits(excitation: Any, case: DesignCase, motion: Trajectory) -> str | None:
     """Position, velocity and acceleration of each hinge and slide within its limits."""
-    scalar = [joint.vadr for joint in case.brief.joints if joint.kind in ("hinge", "slide")]
+    scalar = [joint.vadr for joint in _scalar_joints(case)]
+    # Balls and free joints have no limits of position in one coordinate.
     profiles = np.flatnonzero(np.isin(case.brief.dofs, scalar))
     uses = [largest_use(limit, motion) for limit in joint_limits(case.brief, profiles)]
     worst = max(uses, key=lambda use: use.use, default=None)
@@ -141,20 +143,33 @@ def _has_consistent_derivatives(
 ) -> str | None:
     """v and a equal the central differences of q and v, hinges and slides alone: velocities of
     free and ball joints are not derivatives of their quaternions."""
-    joints = [joint for joint in case.brief.joints if joint.kind in ("hinge", "slide")]
+    joints = _scalar_joints(case)
     q = motion.q[:, [joint.qadr for joint in joints]]
     v, a = (array[:, [joint.vadr for joint in joints]] for array in (motion.v, motion.a))
     names = [joint.name for joint in joints]
-    for name, rate, signal in (("v", v, q), ("a", a, v)):
-        error = _rms(rate[1:-1] - _central_differences(signal, motion.t)) / _floored(_rms(rate))
-        if error.size and error.max() > MISMATCH:
-            worst = int(np.argmax(error))
-            of = "q" if name == "v" else "v"
-            return (
-                f"{name} of {names[worst]} differs from the differences of {of} by "
-                f"{100 * error[worst]:.0f} % of its RMS"
-            )
-    return None
+    return first_error(
+        _derivative_error(name, rate, of, signal, motion.t, names)
+        for name, rate, of, signal in (("v", v, "q", q), ("a", a, "v", v))
+    )
+
+
+def _derivative_error(
+    name: str, rate: Array, of: str, signal: Array, t: Array, joints: Sequence[str]
+) -> str | None:
+    """Violation where `rate` differs from the differences of `signal`, both (N, n)."""
+    # The first and the last sample have no central difference.
+    error = _rms(rate[1:-1] - _central_differences(signal, t)) / _floored(_rms(rate))
+    if not error.size or not error.max() > MISMATCH:
+        return None
+    worst = int(np.argmax(error))
+    return (
+        f"{name} of {joints[worst]} differs from the differences of {of} by "
+        f"{100 * error[worst]:.0f} % of its RMS"
+    )
+
+
+def _scalar_joints(case: DesignCase) -> list[Joint]:
+    return [joint for joint in case.brief.joints if joint.kind in ("hinge", "slide")]
 
 
 def _is_reproducible(excitation: Any, case: DesignCase, motion: Trajectory) -> str | None:

@@ -1,7 +1,7 @@
 """Findings of a conformance kit, and the hash that detects a changed input."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import partial
 from typing import Any, Final
@@ -56,6 +56,7 @@ def content_hash(value: Any) -> str:
     """Hash of all arrays that a value holds, through tuples, lists, partials and dataclasses."""
     total = hashlib.sha256()
     for array in _arrays(value):
+        # Transposed and strided views have no bytes of their own.
         total.update(np.ascontiguousarray(array).tobytes())
     return total.hexdigest()
 
@@ -63,11 +64,28 @@ def content_hash(value: Any) -> str:
 def _arrays(value: Any) -> Iterator[Array]:
     if isinstance(value, np.ndarray):
         yield value
-    elif isinstance(value, partial):
-        yield from _arrays(value.args)
-    elif isinstance(value, (tuple, list)):
-        for part in value:
-            yield from _arrays(part)
-    elif is_dataclass(value) and not isinstance(value, type):
-        for field in fields(value):
-            yield from _arrays(getattr(value, field.name))
+    for part in _parts(value):
+        yield from _arrays(part)
+
+
+def _parts(value: Any) -> Sequence[Any]:
+    """What a container holds; nothing for other values."""
+    if isinstance(value, partial):
+        return value.args
+    if isinstance(value, (tuple, list)):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        return [getattr(value, field.name) for field in fields(value)]
+    return ()
+
+
+def shape_error(name: str, array: Array, shape: tuple[int, ...]) -> str | None:
+    """Violation where an array has another shape, or values that are not finite."""
+    if array.shape != shape:
+        return f"{name} has the shape {array.shape}; expected {shape}"
+    return None if np.isfinite(array).all() else f"{name} has values that are not finite"
+
+
+def first_error(errors: Iterable[str | None]) -> str | None:
+    """The first violation of several checks."""
+    return next(filter(None, errors), None)

@@ -36,6 +36,7 @@ def metric_cells() -> tuple[MetricInput, ...]:
 
 
 def _cell(changes: Mapping[str, Any]) -> MetricInput:
+    # Held-out motions differ in kind, or a metric of prediction would see the training again.
     spec = experiment_spec({"held_out": ({"use": "ptp"},), **changes})
     prepared = prepare_simulated(spec, loaded_robot(spec.robot, spec.payload, None, None))
     estimate = identify(WLS(), prepared.problem, prepared.experiment)

@@ -7,22 +7,25 @@ from typing import Any, Final
 
 from sysid_bench.conformance.effect import check_effect
 from sysid_bench.conformance.estimator import check
-from sysid_bench.conformance.estimator_problems import problems_of_kind, shared_problems
+from sysid_bench.conformance.estimator_problems import estimator_cases, estimator_problems
 from sysid_bench.conformance.excitation import check_excitation
 from sysid_bench.conformance.findings import Finding
+from sysid_bench.conformance.log_reader_checks import check_log_reader
 from sysid_bench.conformance.metric import check_metric_plugin
 from sysid_bench.conformance.simulation import check_simulation
-from sysid_bench.errors import unknown_name
+from sysid_bench.conformance.task_checks import check_task
+from sysid_bench.errors import UsageError, unknown_name
 
-Kit = Callable[[Any], list[Finding]]
+Kit = Callable[..., list[Finding]]
+"""(plug-in, its test cases where they are not those of the kit) -> findings."""
 
 
 def check_estimator(estimator: Any, robots_dir: Path | None = None) -> list[Finding]:
     """Findings of an estimator on the test problems of its kind: `solve` or `fit`."""
     simulating = not hasattr(estimator, "solve")
     if robots_dir is None:
-        return check(estimator, shared_problems(simulating))
-    return check(estimator, problems_of_kind(simulating, robots_dir))
+        return check(estimator, estimator_cases(simulating))
+    return check(estimator, estimator_problems(simulating, robots_dir))
 
 
 KITS: Final[Mapping[str, Kit]] = MappingProxyType(
@@ -32,12 +35,33 @@ KITS: Final[Mapping[str, Kit]] = MappingProxyType(
         "plant": check_effect,
         "simulation": check_simulation,
         "metric": check_metric_plugin,
+        "log_reader": check_log_reader,
+        "task": check_task,
     }
 )
 
 
-def check_plugin_of(kind: str, plugin: Any) -> list[Finding]:
-    """Findings of a plug-in object of a kind of `KITS`; raises UsageError for another kind."""
-    if kind not in KITS:
+def checked_kind(kind: str) -> str:
+    """The kind of `KITS` that is meant: "log-reader" is "log_reader". Raises UsageError for a kind
+    without a kit."""
+    known = kind.replace("-", "_")
+    if known not in KITS:
         raise unknown_name("conformance kit", kind, KITS)
-    return KITS[kind](plugin)
+    return known
+
+
+def check_plugin_of(
+    kind: str, plugin: Any, robots_dir: Path | None = None, file: Path | None = None
+) -> list[Finding]:
+    """Findings of a plug-in object of a kind of `KITS`; raises UsageError for another kind.
+
+    `robots_dir`: folder with the robots of an estimator's test problems; `file`: recorded file for
+    a log reader, None: files that the kit writes.
+    """
+    kind = checked_kind(kind)
+    if file is not None and kind != "log_reader":
+        raise UsageError(
+            f"A recorded file is read by log readers, not by a plug-in of kind {kind}."
+        )
+    data = {"estimator": robots_dir, "log_reader": file}.get(kind)
+    return KITS[kind](plugin) if data is None else KITS[kind](plugin, data)

@@ -45,6 +45,7 @@ def first_samples(problem: Problem, samples: int) -> Problem:
     Y, b = Y[:samples].copy(), b[:samples].copy()
     factors = []
     for i, factor in enumerate(problem.factors):
+        # R of [W b] holds all that least squares need: R^T R = [W b]^T [W b].
         stack = np.column_stack([Y[:, i, factor.columns], b[:, i]])
         R = np.asarray(np.linalg.qr(stack, mode="r"))
         factors.append(Factor(factor.row, factor.columns, R, len(b)))

@@ -18,6 +18,8 @@ from sysid_bench.conformance.findings import (
     content_hash,
     finding_of_error,
     findings_of,
+    first_error,
+    shape_error,
 )
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
@@ -112,17 +114,13 @@ def _has_shapes(case: SimulationCase, commanded: Trajectory, result: Any) -> str
         "motion.a": (done.motion.a, commanded.a.shape),
         "tau": (done.tau, (N, len(case.plant.robot.torque_dofs))),
     }
-    for name, (array, expected) in shapes.items():
-        if array.shape != expected:
-            return f"{name} has the shape {array.shape}; expected {expected}"
-        if not np.isfinite(array).all():
-            return f"{name} has values that are not finite"
-    return None
+    return first_error(shape_error(name, x, shape) for name, (x, shape) in shapes.items())
 
 
 def _designs_at_a_multiple_of_the_rate(
     simulation: Any, case: SimulationCase, commanded: Trajectory, result: Any
 ) -> str | None:
+    # The recording takes every n-th sample of the simulated motion.
     ratio = simulation.design_rate(RATE) / RATE
     if ratio >= 1 and abs(ratio - round(ratio)) <= 1e-9:
         return None
@@ -133,6 +131,7 @@ def _is_deterministic(
     simulation: Any, case: SimulationCase, commanded: Trajectory, result: Any
 ) -> str | None:
     first, second = result[0], _run(simulation, case, commanded)[0]
+    # Bit for bit: the rows of a run that is repeated have to be the same.
     for name in ("q", "v", "a"):
         if not np.array_equal(getattr(first.motion, name), getattr(second.motion, name)):
             return f"{name} differs from one call to the next"
@@ -145,6 +144,7 @@ def _obeys_the_equations_of_motion(
     """tau equals M a + bias + joint terms + effects along the simulated motion."""
     done = result[0]
     expected = Inverse().run(case.plant, done.motion, np.zeros_like(done.tau))[0].tau
+    # A joint that carries next to nothing is compared with the largest torque of the robot.
     size = np.maximum(_rms(expected), 1e-3 * _rms(expected).max())
     error = _rms(done.tau - expected) / size
     worst = int(np.argmax(error))

@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorCut, cut_at, instruments_of, sensor_names
-from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition
+from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition, columns_of
 from sysid_bench.types import Array, Truth
 
 
@@ -24,9 +24,10 @@ def with_sensors(robot: RobotModel, task: Task, sensor: str | None, given: Array
     return replace(task, rows=rows, cuts=cuts, known_links=known_links)
 
 
-def sensor_cuts(robot: RobotModel, sensor: str) -> tuple[SensorCut, ...]:
+def sensor_subtree(robot: RobotModel, sensor: str) -> tuple[SensorCut, ...]:
     """Return the cut at a sensor, followed by those of the sensors that end its sub-tree."""
     cut = cut_at(robot, sensor)
+    # The sensor measures the wrench of all that is distal; that of the others is subtracted.
     return (cut, *(cut_at(robot, name) for name in cut.end_sensors))
 
 
@@ -43,6 +44,7 @@ def sensor_task(
     """Build a task on the wrench of one sensor: the `bodies` (indices) with true parameters `phi`
     (n, 10) are unknown, `given` (nb, 10) holds the others. With the term "offset" the constants of
     the sensors are unknown besides."""
+    # Friction acts in the joint: the wrench of what is distal to it does not depend on it.
     if terms not in ((), ("offset",)):
         raise UnsupportedError(
             f"A force/torque sensor does not measure joint terms: {', '.join(terms)} cannot be "
@@ -50,13 +52,19 @@ def sensor_task(
             "the sensor."
         )
     unknown = tuple(robot.bodies[b] for b in bodies)
-    parameters = tuple(column for body in unknown for column in body.columns)
-    theta = phi.ravel()
+    parameters, theta = columns_of(unknown), phi.ravel()
     if terms:
-        parameters += tuple(f"{row}.{SUFFIX['offset']}" for cut in cuts for row in cut.rows)
-        constants = np.zeros(6 * len(cuts)) if offset is None else offset(len(cuts))
-        theta = np.concatenate([theta, constants])
+        names, constants = _sensor_constants(cuts, offset)
+        parameters, theta = parameters + names, np.concatenate([theta, constants])
     known_links = instruments_of(robot, cuts).tree.link_parameters(given)
     return Task(
         definition, unknown, Truth(parameters, theta), known_links, {}, rows=cuts[0].rows, cuts=cuts
     )
+
+
+def _sensor_constants(
+    cuts: tuple[SensorCut, ...], offset: SensorOffset | None
+) -> tuple[tuple[str, ...], Array]:
+    """Names and true values of the constants of sensors, six each; zero without an offset."""
+    names = tuple(f"{row}.{SUFFIX['offset']}" for cut in cuts for row in cut.rows)
+    return names, np.zeros(6 * len(cuts)) if offset is None else offset(len(cuts))

@@ -38,5 +38,6 @@ def tool_link(robot: RobotModel) -> tuple[Body, Array, Array]:
         raise UnsupportedError(f"The tool {robot.body_names[robot.tool_body]!r} does not move.")
     phi = robot.tree.link_parameters(robot.phi)[link]
     given = robot.phi.copy()
+    # What is welded to the tool is a part of its composite, and would count twice.
     given[np.asarray(robot.tree.carrier) == link] = 0.0
     return robot.bodies[robot.tree.links[link].body], phi, given

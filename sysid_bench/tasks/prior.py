@@ -31,22 +31,26 @@ def prior_of(task: Task, spread: PriorSpread | None, rng: np.random.Generator) -
     those of the truth would reveal it.
     """
     truth = task.truth
-    index = {name: i for i, name in enumerate(truth.parameters)}
     theta = truth.theta.copy()
     std = np.zeros_like(theta)
+    if spread is None:
+        return Prior(theta, std)
     inertial = np.zeros(len(theta), dtype=bool)
-    for body in task.bodies:
-        columns = [index[column] for column in body.columns]
+    for columns in _columns_by_body(task):
         inertial[columns] = True
-        if spread is not None:
-            theta[columns] = _drawn_body(truth.theta[columns], spread, rng)
-            std[columns] = _declared_std(theta[columns], spread)
-    if spread is not None:
-        draws = np.exp(spread.terms * rng.normal(size=(~inertial).sum()))
-        theta[~inertial] *= draws
-        std[~inertial] = spread.terms * np.abs(theta[~inertial])
-        std = _floored(std, truth.parameters)
-    return Prior(theta, std)
+        theta[columns] = _drawn_body(truth.theta[columns], spread, rng)
+        std[columns] = _declared_std(theta[columns], spread)
+    # Factors exp(s z) keep the sign: a drawn friction coefficient stays dissipative.
+    draws = np.exp(spread.terms * rng.normal(size=(~inertial).sum()))
+    theta[~inertial] *= draws
+    std[~inertial] = spread.terms * np.abs(theta[~inertial])
+    return Prior(theta, _floored(std, truth.parameters))
+
+
+def _columns_by_body(task: Task) -> list[list[int]]:
+    """Indices of the ten parameters of each unknown body."""
+    index = {name: i for i, name in enumerate(task.parameters)}
+    return [[index[column] for column in body.columns] for body in task.bodies]
 
 
 def with_known_errors(task: Task, share: float, rng: np.random.Generator) -> Task:
@@ -79,10 +83,12 @@ def _drawn_body(phi: Array, spread: PriorSpread, rng: np.random.Generator) -> Ar
     Scaling S to D S D with D > 0 keeps it positive definite, so that the triangle inequalities of
     the inertia hold for every draw (Wensing et al. 2018).
     """
+    # Drawn for massless bodies too, so that the draws of the others do not depend on them.
     z_mass, z_com, z_axes = rng.normal(), rng.normal(size=3), rng.normal(size=3)
     mass, com, inertia = mass_com_inertia(phi)
     if mass <= 0:
         return phi.copy()
+    # Log-normal: a mass is positive, whatever the spread.
     factor = np.exp(spread.mass * z_mass)
     covariance = 0.5 * np.trace(inertia) * np.eye(3) - inertia  # second moment about the centre
     stretch = np.diag(np.exp(0.5 * spread.inertia * z_axes))
@@ -96,6 +102,7 @@ def _declared_std(phi: Array, spread: PriorSpread) -> Array:
     first moments h = m c by linearisation, moments of inertia by the size of the body."""
     mass, com, inertia = mass_com_inertia(phi)
     size = float(np.trace(inertia)) / 3 + mass * float(com @ com)
+    # h = m c: relative deviation of m, absolute one of c.
     h = mass * np.sqrt((spread.mass * com) ** 2 + spread.com**2)
     moments = spread.inertia * size + 2 * mass * np.linalg.norm(com) * spread.com
     return np.concatenate([[spread.mass * mass], h, np.full(6, moments)])

@@ -1,6 +1,6 @@
 """Identification tasks: which parameters of a robot are unknown, and which are given."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
@@ -110,7 +110,7 @@ class Task:
         return bool(self.known_links.any() or any(v is not None and v.any() for v in terms))
 
 
-def named_task(name: str, folder: Path | None = None) -> TaskDefinition:
+def find_task(name: str, folder: Path | None = None) -> TaskDefinition:
     """Return the task of a name: built in, "module:Class" or "file:mine.py:Class"; relative files
     are found from `folder`, else from the working directory. Raises UsageError with the names."""
     definition = naming.build("task", naming.resolve_paths({"use": name}, folder))
@@ -123,9 +123,9 @@ def named_task(name: str, folder: Path | None = None) -> TaskDefinition:
     return definition
 
 
-def tasks_with_terms() -> tuple[str, ...]:
+def task_names_with_terms() -> tuple[str, ...]:
     """Return the names of the built-in tasks that accept terms."""
-    return tuple(name for name in naming.BUILTIN["task"] if named_task(name).accepts_terms)
+    return tuple(name for name in naming.BUILTIN["task"] if find_task(name).accepts_terms)
 
 
 def task_of(
@@ -142,7 +142,7 @@ def task_of(
     "left, right". Raises UsageError for an unknown name, UnsupportedError for a robot without such
     unknowns.
     """
-    return named_task(name).unknowns(robot, terms, sensor, offset)
+    return find_task(name).unknowns(robot, terms, sensor, offset)
 
 
 def joint_torque_task(
@@ -158,12 +158,13 @@ def joint_torque_task(
     `terms` are unknown; `given` (nb, 10), zero for unknown bodies, and all other joint terms are
     known."""
     columns = robot.term_columns(terms)
-    parameters = tuple(column for body in bodies for column in body.columns) + columns
+    parameters = columns_of(bodies) + columns
     theta = np.concatenate([phi.ravel(), robot.term_values(columns)])
     known_terms = {term: getattr(robot.joint_terms, term).copy() for term in SUFFIX}
     coupling = robot.joint_terms.viscous_coupling.copy()
     for name in columns:
         term, dof, other = robot.resolve_term(name)
+        # Friction between two joints is an entry of a matrix, all other terms are diagonal.
         if other is None:
             known_terms[term][dof] = 0.0
         else:
@@ -172,6 +173,11 @@ def joint_torque_task(
     return Task(
         definition, bodies, truth, known_links, known_terms, rows=rows, known_coupling=coupling
     )
+
+
+def columns_of(bodies: Iterable[Body]) -> tuple[str, ...]:
+    """Return the names of the inertial parameters of bodies, ten each."""
+    return tuple(column for body in bodies for column in body.columns)
 
 
 def unknown_bodies(robot: RobotModel) -> tuple[Body, ...]:
@@ -199,5 +205,6 @@ def phi_without(robot: RobotModel, unknown: tuple[Body, ...]) -> Array:
     """Return phi (nb, 10) of the robot, zero for the unknown bodies."""
     names = {body.name for body in unknown}
     given = robot.phi.copy()
+    # A zero row adds no torque, since torques are linear in phi.
     given[[name in names for name in robot.body_names]] = 0.0
     return given

@@ -39,6 +39,7 @@ def _last_measured(robot: RobotModel) -> Sequence[int]:
     that follows others by a coupling has no torque of its own: the last joint that it follows
     stands for it."""
     moving, link_index = set(robot.torque_dofs.tolist()), int(robot.tree.carrier[robot.tool_body])
+    # From the tool towards the base: fixed joints are skipped, blocked and following ones seen.
     while link_index >= 0:
         link = robot.tree.links[link_index]
         for joint in reversed(link.joints):

@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import default_sensor
-from sysid_bench.tasks._sensor_rows import sensor_cuts, sensor_task
+from sysid_bench.tasks._sensor_rows import sensor_subtree, sensor_task
 from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition, phi_with_payload
 
 
@@ -29,7 +29,8 @@ class WrenchTask(TaskDefinition):
         offset: SensorOffset | None,
     ) -> Task:
         """Pose the task; a payload is a part of the body that carries it."""
-        cuts = sensor_cuts(robot, default_sensor(robot, sensor))
+        cuts = sensor_subtree(robot, default_sensor(robot, sensor))
         bodies = [b for b in cuts[0].bodies if b != robot.payload_body]
+        # No other body is given: those before the sensor do not load it.
         phi, given = phi_with_payload(robot)[bodies], np.zeros_like(robot.phi)
         return sensor_task(self, robot, cuts, bodies, phi, given, terms=terms, offset=offset)

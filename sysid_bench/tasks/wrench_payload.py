@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import default_sensor
-from sysid_bench.tasks._sensor_rows import sensor_cuts, sensor_task
+from sysid_bench.tasks._sensor_rows import sensor_subtree, sensor_task
 from sysid_bench.tasks.task import SensorOffset, Task, TaskDefinition
 
 
@@ -32,12 +32,13 @@ class WrenchPayloadTask(TaskDefinition):
     ) -> Task:
         """Pose the task. Raises UnsupportedError where no payload is distal to the sensor."""
         name = default_sensor(robot, sensor)
-        cuts, payload = sensor_cuts(robot, name), robot.payload_body
+        cuts, payload = sensor_subtree(robot, name), robot.payload_body
         if payload is None or payload not in cuts[0].bodies:
             raise UnsupportedError(
                 f"No payload is mounted behind the sensor {name!r}: the task 'wrench-payload' "
                 "has nothing to identify."
             )
+        # Bodies before the sensor do not load it.
         between = [b for b in cuts[0].bodies if b != payload]
         given = np.zeros_like(robot.phi)
         given[between] = robot.phi[between]

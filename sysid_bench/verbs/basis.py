@@ -15,7 +15,7 @@ from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
-from sysid_bench.tasks.task import named_task
+from sysid_bench.tasks.task import find_task
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.task_terms import check_terms
 
@@ -102,7 +102,7 @@ def basis(
     used, and UnsupportedError where the robot has no such task.
     """
     check_terms(task, terms)
-    definition = named_task(task)
+    definition = find_task(task)
     load = PAYLOADS[LOAD if definition.identifies_payload else "none"]
     robot = load_robot(source, load, free_base, robots_dir)
     chosen = definition.default_terms(robot) if terms is None else tuple(terms)

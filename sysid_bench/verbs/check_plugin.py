@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.conformance.plugin import KITS, check_estimator, check_plugin_of
+from sysid_bench.conformance.findings import Finding
+from sysid_bench.conformance.plugin import check_plugin_of, checked_kind
 from sysid_bench.naming import build
 from sysid_bench.verbs.result import Result
 
@@ -13,8 +14,10 @@ from sysid_bench.verbs.result import Result
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckPluginResult(Result):
     """Verdict on a plug-in; `bias`: the declared bias of an estimator; `broken`: failed checks as
-    {law, world, said}."""
+    {law, case, message}. The keys `estimator` (for `plugin`), `world` (`case`) and `said`
+    (`message`) are those of earlier versions."""
 
+    plugin: str
     estimator: str
     ok: bool
     checks: int
@@ -24,31 +27,37 @@ class CheckPluginResult(Result):
     def summary(self) -> str:
         """Verdict, then one line for each failed check."""
         if not self.ok:
-            lines = [f"{self.estimator}: {len(self.broken)} of {self.checks} checks fail"]
-            lines += [f"  {b['law']} ({b['world']}): {b['said']}" for b in self.broken]
+            lines = [f"{self.plugin}: {len(self.broken)} of {self.checks} checks fail"]
+            lines += [f"  {b['law']} ({b['case']}): {b['message']}" for b in self.broken]
             return "\n".join(lines)
         bias = f"\n  biased by design: {self.bias}" if self.bias else ""
-        return f"{self.estimator}: keeps its laws ({self.checks} checks){bias}"
+        return f"{self.plugin}: keeps its laws ({self.checks} checks){bias}"
 
 
 def check_plugin(
-    name: str | Mapping[str, Any], robots_dir: Path | None = None, kind: str = "estimator"
+    name: str | Mapping[str, Any],
+    robots_dir: Path | None = None,
+    kind: str = "estimator",
+    file: Path | None = None,
 ) -> CheckPluginResult:
     """Check a plug-in: built in, "module:object", "file:path.py:object", or {use = ...} with
-    settings. `kind`: estimator, excitation, plant, simulation or metric. Raises UsageError for an
-    unknown name or kind."""
-    plugin = build(kind, name) if kind in KITS else None
-    findings = (
-        check_estimator(plugin, robots_dir)
-        if kind == "estimator"
-        else check_plugin_of(kind, plugin)
-    )
+    settings. `kind`: estimator, excitation, plant, simulation, metric, log-reader or task; `file`:
+    recorded file for a log reader. Raises UsageError for an unknown name or kind, and for a log
+    reader of a format that needs a file."""
+    plugin = build(checked_kind(kind), name)
+    findings = check_plugin_of(kind, plugin, robots_dir, file)
+    use = name if isinstance(name, str) else name["use"]
     return CheckPluginResult(
-        estimator=name if isinstance(name, str) else name["use"],
+        plugin=use,
+        estimator=use,
         ok=all(finding.passed for finding in findings),
         checks=len(findings),
         bias=getattr(plugin, "bias", ""),
-        broken=[
-            {"law": f.law, "world": f.case, "said": f.message} for f in findings if not f.passed
-        ],
+        broken=[_failed_check(finding) for finding in findings if not finding.passed],
     )
+
+
+def _failed_check(finding: Finding) -> dict[str, str]:
+    """Entry of `broken`, by today's keys and by those of earlier versions."""
+    case, message = finding.case, finding.message
+    return {"law": finding.law, "case": case, "message": message, "world": case, "said": message}

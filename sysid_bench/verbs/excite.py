@@ -17,7 +17,7 @@ from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.tasks.task import named_task
+from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, BaseMap
 from sysid_bench.verbs.motion_export import (
     RESTING,
@@ -208,7 +208,7 @@ def _question(request: ExciteRequest, kind: str) -> _Question:
     check_term_names(request.terms)
     payload = parse_payload(request.payload)
     robot = load_robot(request.robot, payload, robots_dir=request.robots_dir)
-    definition = named_task(request.task)
+    definition = find_task(request.task)
     terms = definition.default_terms(robot) if request.terms is None else tuple(request.terms)
     posed = definition.unknowns(robot, terms, request.sensor, None)
     base = structural_base(robot, posed.parameters, posed.rows, posed.cuts)

@@ -29,7 +29,7 @@ from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.naming import build
 from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_description import read_description
-from sysid_bench.tasks.task import named_task
+from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.estimate_fields import (
     base_of,
@@ -209,7 +209,7 @@ def _result(
     figures = data_figures(problem, {})
     processed = (*source.training, *source.tests.values())
     payload: dict[str, Any] | None = None
-    if named_task(request.task).identifies_payload:
+    if find_task(request.task).identifies_payload:
         payload = list(bodies.values())[-1]
         if request.position_given:
             method = build("estimator", request.estimator or ESTIMATOR)

@@ -17,7 +17,7 @@ from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_pa
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.naming import build
-from sysid_bench.tasks.task import named_task
+from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.estimate_fields import (
     base_of,
@@ -203,7 +203,7 @@ def _result(
 
 
 def _estimator(request: SimulatedRequest) -> str:
-    return request.estimator or named_task(request.task).default_estimator
+    return request.estimator or find_task(request.task).default_estimator
 
 
 def _spec(request: SimulatedRequest) -> ExperimentSpec:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
-from sysid_bench.tasks.task import named_task, tasks_with_terms
+from sysid_bench.tasks.task import find_task, task_names_with_terms
 
 
 def check_term_names(terms: Sequence[str] | None) -> None:
@@ -20,8 +20,9 @@ def check_term_names(terms: Sequence[str] | None) -> None:
 def check_terms(task: str, terms: Sequence[str] | None) -> None:
     """Raise UsageError for an unknown joint term, and for terms that the task takes as known."""
     check_term_names(terms)
-    if terms and not named_task(task).accepts_terms:
+    if terms and not find_task(task).accepts_terms:
         raise UsageError(
             f"{', '.join(terms)} cannot be identified with the task {task!r}, which takes joint "
-            f"terms as known; leave --terms out, or use the task {' or '.join(tasks_with_terms())}."
+            "terms as known; leave --terms out, or use the task "
+            f"{' or '.join(task_names_with_terms())}."
         )

@@ -11,7 +11,7 @@ from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import updated_mjcf
 from sysid_bench.models.writing.urdf_writer import updated_urdf
-from sysid_bench.tasks.task import named_task
+from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.verbs.estimate_fields import values_of
 
@@ -41,7 +41,7 @@ def _check_format(robot: RobotModel, task: str, target: Path) -> None:
             f"own format: name it *{suffixes[0]}."
         )
     _check_folder(robot, target)
-    if not named_task(task).writes_model:
+    if not find_task(task).writes_model:
         raise UnsupportedError(
             f"The task {task!r} changes nothing of the robot's model; use the task 'link' for a "
             "model that carries its load."
@@ -73,7 +73,7 @@ def write_model(
     theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
     seen = ("identifiable",) * len(problem.parameters) if whole else verdicts(problem.base)
     verdict_of = dict(zip(problem.parameters, seen, strict=True))
-    definition, bodies = named_task(task), {}
+    definition, bodies = find_task(task), {}
     for body in problem.bodies:
         phi = [theta.pop(column) for column in body.columns]
         bodies[body.name] = (

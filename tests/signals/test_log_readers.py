@@ -1,20 +1,27 @@
 """Log readers: built-in ones keep the requirements of the check kit, a plug-in of fifteen lines
 joins by suffix or by name, and its errors are one sentence."""
 
+import json
 import struct
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from sysid_bench import identify, naming
+from sysid_bench.cli import main
+from sysid_bench.conformance import failed_checks
+from sysid_bench.conformance.log_reader_checks import check_log_reader
 from sysid_bench.errors import UsageError
+from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table
-from sysid_bench.signals.log_reader_checks import check_log_reader
 from sysid_bench.signals.log_table import LogTable
+from sysid_bench.verbs.check_plugin import check_plugin
 from tests.robots import named_robot
 
 from .logs import Recorded, recorded, write
@@ -67,14 +74,14 @@ def test_built_in_readers_pass_the_check_kit(kind: str, log: Recorded, tmp_path:
     file = write(tmp_path, log, kind).with_suffix("." + kind.partition(" ")[0])
     readers = {name: naming.build("log_reader", name) for name in naming.known("log_reader")}
     (reader,) = (one for one in readers.values() if file.suffix in one.suffixes)
-    assert check_log_reader(reader, file) == []
+    assert failed_checks(check_log_reader(reader, file)) == []
 
 
 def test_one_array_without_a_name(tmp_path: Path) -> None:
     file = tmp_path / "run.npy"
     np.save(file, np.arange(12.0).reshape(6, 2))
     np.testing.assert_array_equal(read_table(file).columns([2])[:, 0], np.arange(1.0, 12.0, 2))
-    assert check_log_reader(naming.build("log_reader", "numpy"), file) == []
+    assert failed_checks(check_log_reader(naming.build("log_reader", "numpy"), file)) == []
 
 
 def test_a_plug_in_reader_identifies_a_robot(raw: Path, log: Recorded) -> None:
@@ -84,9 +91,7 @@ def test_a_plug_in_reader_identifies_a_robot(raw: Path, log: Recorded) -> None:
     plain = write(raw.parent, log, name="plain")
     same = identify("ur5", log=[plain], filter="none", derivatives="from v", estimator="ols")
     assert answer["rmse_train"] == pytest.approx(same["rmse_train"], rel=1e-9)
-    assert (
-        check_log_reader(naming.build("log_reader", f"file:{raw.parent}/mine.py:Reader"), raw) == []
-    )
+    assert_conforms(f"file:{raw.parent}/mine.py:Reader", "log-reader", raw)
 
 
 def test_a_reader_has_settings_and_one_signal_may_name_its_own(raw: Path, log: Recorded) -> None:
@@ -143,21 +148,82 @@ def test_errors_of_a_plug_in_are_one_sentence(raw: Path, log: Recorded) -> None:
         read_table(raw, {"channels": 13})
 
 
+@dataclass
 class _Careless:
-    """Breaks every requirement on reading that it can."""
+    """Breaks one requirement on reading, or with "names" several."""
 
-    suffixes = ("RAW",)
-    __hash__ = None  # type: ignore[assignment]
+    mistake: str
+    calls: int = 0
 
-    def __init__(self) -> None:
-        self.calls = 0
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        return ("RAW",) if self.mistake == "suffix" else (".raw",)
 
-    def read(self, path: Path) -> LogTable:
+    def __hash__(self) -> int:
+        if self.mistake == "hash":
+            raise TypeError("unhashable type")
+        return 0
+
+    def read(self, path: Path) -> Any:
+        if self.mistake == "absent":
+            raise KeyError("q")
+        if self.mistake == "array":
+            return np.zeros((3, 2))
         self.calls += 1
-        return LogTable(path, np.full((3, 2), float(self.calls)), {"a": (0,), "b": (0,), "c": (2,)})
+        values = np.full((3, 2), float(self.calls) if self.mistake == "memory" else 1.0)
+        if self.mistake == "integers":
+            values = values.astype(int)
+        if self.mistake == "nan":
+            values[:] = np.nan
+        return LogTable(path, values, {"a": (0,), "b": (0,), "c": (2,)})
 
 
-def test_the_check_kit_finds_what_is_broken(raw: Path) -> None:
-    broken = "\n".join(check_log_reader(_Careless(), raw))  # type: ignore[arg-type]
-    for text in ("suffixes", "hashed", "'c'", "same column", "two calls", "empty", "truncated"):
+CARELESS = {
+    "suffix": "declares its suffixes .* 'RAW' must start with a dot",
+    "hash": "it cannot be hashed",
+    "absent": "reads a recorded file .*: it raised KeyError",
+    "array": "read\\(\\) returned ndarray, not a LogTable",
+    "memory": "two calls return different tables",
+    "integers": "values are int.* floats \\(N, c\\) are required",
+    "nan": "values hold no finite number",
+}
+
+
+@pytest.mark.parametrize("mistake", CARELESS)
+def test_a_careless_reader_is_found(mistake: str, raw: Path) -> None:
+    with pytest.raises(AssertionError, match=CARELESS[mistake]):
+        assert_conforms(_Careless(mistake), "log-reader", raw)
+
+
+def test_the_check_kit_finds_every_law_that_is_broken(raw: Path) -> None:
+    broken = "\n".join(failed_checks(check_log_reader(_Careless("memory"), raw)))
+    for text in ("'c'", "same column", "two calls", "empty", "truncated"):
         assert text in broken
+
+
+@pytest.mark.parametrize("name", naming.BUILTIN["log_reader"])
+def test_built_in_readers_are_checked_on_files_of_the_kit(name: str) -> None:
+    answer = check_plugin(name, kind="log-reader")
+    assert (answer.ok, answer.broken) == (True, [])
+    assert answer.checks >= 8
+
+
+def test_a_reader_of_another_format_is_checked_on_a_file(raw: Path) -> None:
+    use = f"file:{raw.parent}/mine.py:Reader"
+    command = ["check-plugin", "--kind", "log-reader", use]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 2
+    assert "is checked on a recorded file: name one with --file" in result.output
+    result = CliRunner().invoke(main, [*command, "--file", str(raw)])
+    assert result.exit_code == 0, result.output
+    raw.write_bytes(raw.read_bytes()[:-8])
+    result = CliRunner().invoke(main, [*command, "--file", str(raw), "--json"])
+    assert result.exit_code == 1
+    (failed,) = json.loads(result.output)["broken"]
+    assert (failed["law"], failed["case"]) == ("reads a recorded file", "run.raw")
+    assert "does not hold 19 channels" in failed["message"]
+
+
+def test_a_recorded_file_is_for_log_readers(raw: Path) -> None:
+    with pytest.raises(UsageError, match="read by log readers, not by a plug-in of kind plant"):
+        check_plugin("matched", kind="plant", file=raw)

@@ -4,16 +4,16 @@ import shutil
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import load_suite
-from sysid_bench.tasks.check_task import check_task
-from sysid_bench.tasks.task import named_task
+from sysid_bench.tasks.task import find_task
 from sysid_bench.verbs.basis import basis
-from tests.robots import named_robot
 
 WRIST = Path(__file__).with_name("wrist.py")
 SUITE = """
@@ -87,9 +87,10 @@ def test_the_commands_take_it_by_its_file() -> None:
 
 def test_an_object_that_is_not_a_task_is_refused() -> None:
     with pytest.raises(UsageError, match=r"'math:inf' is not a task: .*TaskDefinition"):
-        named_task("math:inf")
+        find_task("math:inf")
 
 
 def test_it_passes_the_check() -> None:
-    wrist = named_task(f"file:{WRIST}:Wrist")
-    assert check_task(wrist, named_robot("ur5", "sphere-1kg"), ("viscous", "coulomb")) == ()
+    result = CliRunner().invoke(main, ["check-plugin", "--kind", "task", f"file:{WRIST}:Wrist"])
+    assert result.exit_code == 0, result.output
+    assert "keeps its laws" in result.output

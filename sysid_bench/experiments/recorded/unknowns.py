@@ -16,7 +16,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import known
 from sysid_bench.regressors.qr_accumulation import upper_factor
-from sysid_bench.tasks.task import TaskDefinition, named_task, unknown_bodies
+from sysid_bench.tasks.task import TaskDefinition, find_task, unknown_bodies
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
 
 MASS: Final = "payload.m"
@@ -131,7 +131,7 @@ def unknowns_of(
     Raises UnsupportedError for another task than `robot` and `payload`, UsageError where the logs
     do not fit the task.
     """
-    definition = named_task(task)
+    definition = find_task(task)
     unloaded, loaded = _robots(definition, training, position_given)
     robot = load_robot(training[0].robot.manifest) if unloaded is None else unloaded
     bodies = tuple(column for body in unknown_bodies(robot) for column in body.columns)
@@ -157,7 +157,7 @@ def _robots(
 ) -> tuple[RobotModel | None, RobotModel | None]:
     """The robots of the first logs without and with a payload, where a task can use them."""
     if not task.supports_recordings:
-        served = [name for name in known("task") if named_task(name).supports_recordings]
+        served = [name for name in known("task") if find_task(name).supports_recordings]
         raise UnsupportedError(
             f"The task {task.name!r} needs a robot with known parameters; recordings support "
             f"{' and '.join(map(repr, served))}."

@@ -26,7 +26,7 @@ from sysid_bench.regressors.nested_sensors import measured_regression
 from sysid_bench.simulation.parametrised_plant import KnownModel
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
-from sysid_bench.tasks.task import Task, TaskDefinition, named_task
+from sysid_bench.tasks.task import Task, TaskDefinition, find_task
 from sysid_bench.types import BaseMap, Extent, Prior, Problem
 
 
@@ -71,7 +71,7 @@ def _without_noise(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentSpec:
     The constants of a force/torque sensor are among its errors, and are unknowns of a sensor task:
     there nothing can be left out.
     """
-    if named_task(spec.task, loaded.folder).measures_sensor_only:
+    if find_task(spec.task, loaded.folder).measures_sensor_only:
         return spec
     redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
     return replace(spec, noise={}, signals={}, repeat=spec.repeat if redrawn else 0)
@@ -81,7 +81,7 @@ def _without_noise(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentSpec:
 def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     """The noise-free part of a specification given as canonical JSON, which hashes."""
     spec, robot = ExperimentSpec.from_json(json.loads(text)), loaded.robot
-    definition = named_task(spec.task, loaded.folder)
+    definition = find_task(spec.task, loaded.folder)
     terms = unknown_terms(spec, robot, definition)
     exact_task = definition.unknowns(robot, terms, spec.sensor, partial(sensor_offset, spec))
     task = _task_with_known_errors(spec, exact_task)

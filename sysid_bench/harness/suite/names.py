@@ -38,9 +38,9 @@ class TaskInfo(Protocol):
 
 
 def _task(name: str, folder: Path | None) -> TaskInfo:
-    from sysid_bench.tasks.task import named_task
+    from sysid_bench.tasks.task import find_task
 
-    return named_task(name, folder)
+    return find_task(name, folder)
 
 
 @dataclass(frozen=True)

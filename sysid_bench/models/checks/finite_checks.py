@@ -1,5 +1,6 @@
 """Finite checks of a compiled model: MuJoCo accepts NaN, infinities and absurd sizes silently."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -32,28 +33,45 @@ def check_finite_model(mj: "mujoco.MjModel", name: str) -> None:
     """Raise ModelError, naming the first body or joint, for numbers that are not finite, beyond
     `LARGEST`, or negative where that is impossible."""
     for key in _OF_BODIES:
-        for b in _wrong(getattr(mj, key)):
-            raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
+        _check_bodies(mj, key, _wrong(getattr(mj, key)), name)
     for key in _OF_JOINTS:
         for j in _wrong(getattr(mj, key)):
             raise _error(name, f"joint {mj.joint(j).name or j!r}", key, getattr(mj, key)[j])
     for key in ("body_quat", "body_iquat"):
-        # A quaternion that overflows when MuJoCo normalises it becomes zero.
-        lengths = np.linalg.norm(getattr(mj, key), axis=1)
-        for b in np.flatnonzero(np.abs(lengths - 1) > 1e-6).tolist():
-            raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
+        _check_unit_length(mj, key, name)
     for key, largest in _OF_THE_MODEL.items():
-        for i in _wrong(getattr(mj, key), largest):
-            raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i], largest)
+        _check_largest(mj, key, largest, name)
     for key in ("dof_armature", "dof_damping", "dof_frictionloss"):
-        for i in np.flatnonzero(np.ravel(getattr(mj, key)) < 0)[:1].tolist():
-            joint = mj.joint(int(mj.dof_jntid[i % mj.nv])).name
-            raise ModelError(
-                f"{name}: {key.removeprefix('dof_')} of joint {joint!r} is "
-                f"{np.ravel(getattr(mj, key))[i]:.3g}; it must not be negative: correct the file."
-            )
+        _check_not_negative(mj, key, name)
     if _wrong(mj.opt.gravity[None]):
         raise _error(name, "the model", "gravity", mj.opt.gravity)
+
+
+def _check_bodies(mj: "mujoco.MjModel", key: str, wrong: Iterable[int], name: str) -> None:
+    """Raise ModelError for the first body of those with a wrong value."""
+    for b in map(int, wrong):
+        raise _error(name, f"body {mj.body(b).name or b!r}", key, getattr(mj, key)[b])
+
+
+def _check_unit_length(mj: "mujoco.MjModel", key: str, name: str) -> None:
+    # A quaternion that overflows when MuJoCo normalises it becomes zero.
+    lengths = np.linalg.norm(getattr(mj, key), axis=1)
+    _check_bodies(mj, key, np.flatnonzero(np.abs(lengths - 1) > 1e-6), name)
+
+
+def _check_largest(mj: "mujoco.MjModel", key: str, largest: float, name: str) -> None:
+    for i in _wrong(getattr(mj, key), largest):
+        raise _error(name, "the model", f"{key}[{i}]", getattr(mj, key)[i], largest)
+
+
+def _check_not_negative(mj: "mujoco.MjModel", key: str, name: str) -> None:
+    values = np.ravel(getattr(mj, key))
+    for i in np.flatnonzero(values < 0).tolist():
+        joint = mj.joint(int(mj.dof_jntid[i % mj.nv])).name
+        raise ModelError(
+            f"{name}: {key.removeprefix('dof_')} of joint {joint!r} is {values[i]:.3g}; it must "
+            "not be negative: correct the file."
+        )
 
 
 def _wrong(values: np.ndarray, largest: float = LARGEST) -> list[int]:

@@ -8,7 +8,7 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -46,12 +46,12 @@ def check_files(path: Path, text: bytes, folder: Path | None = None) -> None:
     _Reading(path, folder or path.parent).count_model(path, parse_xml(text, path.name))
 
 
-def is_inside(path: Path, folder: Path) -> bool:
+def in_folder(path: Path, folder: Path) -> bool:
     """True where a file lies in a folder, links followed."""
     return path.resolve().is_relative_to(folder.resolve())
 
 
-def files_outside(path: Path, file: Path) -> str:
+def folder_text(path: Path, file: Path) -> str:
     """Advice, in words, for a file outside the folder of a model `path`."""
     common = os.path.commonpath([path.resolve().parent, file.resolve()])
     above = os.path.relpath(common, path.resolve().parent)
@@ -81,6 +81,7 @@ class _Reading:
             attached: dict[str, Path] = {}
             weight = Counter(self._count_file(path, root, path, attached))
             for name, file in attached.items():
+                # An attached model counts once for each <attach>, copies of the <attach> included.
                 self._add(weight, self.models[file.resolve()], weight[f"attach {name}"])
             self.models[key] = weight
         return self.models[key]
@@ -95,17 +96,21 @@ class _Reading:
             raise ModelError(f"{path.name} includes itself through other files: a cycle.")
         if (model, key) not in self.files:
             self.open.append(key)
-            weight: Counter[str] = Counter()
-            self._add(weight, Counter(bytes=path.stat().st_size if path.is_file() else 0), 1)
-            for element, copies, tags in _expanded(self._parse(path) if root is None else root):
-                _check_sizes(element, path.name)
-                self._add(weight, _counts_of(element, tags), copies)
-                if element.tag in _READ_AT_ONCE and element.get("file") is not None:
-                    for file in self._find(element, path, model):
-                        self._add(weight, self._included(element, file, model, attached), copies)
+            self.files[model, key] = self._count_elements(path, root, model, attached)
             self.open.pop()
-            self.files[model, key] = weight
         return self.files[model, key]
+
+    def _count_elements(
+        self, path: Path, root: ET.Element | None, model: Path, attached: dict[str, Path]
+    ) -> Counter[str]:
+        weight: Counter[str] = Counter()
+        self._add(weight, Counter(bytes=path.stat().st_size if path.is_file() else 0), 1)
+        for element, copies, tags in _expanded(self._parse(path) if root is None else root):
+            _check_sizes(element, path.name)
+            self._add(weight, _counts_of(element, tags), copies)
+            for file in self._find(element, path, model):
+                self._add(weight, self._included(element, file, model, attached), copies)
+        return weight
 
     def _included(
         self, element: ET.Element, file: Path, model: Path, attached: dict[str, Path]
@@ -122,18 +127,23 @@ class _Reading:
         return Counter()
 
     def _find(self, element: ET.Element, path: Path, model: Path) -> list[Path]:
-        """The files of an element: MuJoCo looks in the folders of the model and of the including
-        file."""
-        name = element.get("file", "")
-        label = f"<{element.tag} file={name!r}>"
-        files = [folder / name for folder in (model.parent, path.parent)]
-        found = {file.resolve(): file for file in files if file.is_file()}
-        if Path(name).is_absolute() or any(not is_inside(file, self.folder) for file in found):
-            lies = files_outside(self.path, next(iter(found), Path(name)))
-            raise ModelError(f"{path.name}: {label} lies {lies}.")
+        """The files of an element that are read with the text, checked: MuJoCo looks in the folders
+        of the model and of the including file."""
+        name = element.get("file")
+        if name is None or element.tag not in _READ_AT_ONCE:
+            return []
+        found = _existing([folder / name for folder in (model.parent, path.parent)])
+        self._check_found(Path(name), list(found), path, f"<{element.tag} file={name!r}>")
+        return list(found.values())
+
+    def _check_found(self, name: Path, found: list[Path], path: Path, label: str) -> None:
+        """Raise ModelError for a file that lies outside the folder, and for none."""
+        # Links are resolved: one inside the folder may lead outside.
+        if name.is_absolute() or not all(in_folder(file, self.folder) for file in found):
+            advice = folder_text(self.path, next(iter(found), name))
+            raise ModelError(f"{path.name}: {label} lies {advice}.")
         if not found:
             raise ModelError(f"{path.name}: the file of {label} does not exist.")
-        return list(found.values())
 
     def _parse(self, path: Path) -> ET.Element:
         self._add_size(path)
@@ -154,12 +164,11 @@ class _Reading:
         """Add counts in place; raises ModelError beyond the limits."""
         for key, count in more.items():
             weight[key] += copies * count
-        if max(weight["inclusions"], len(self.files) + len(self.open)) > MOST_FILES:
-            raise ModelError(
-                f"{self.path.name} includes files more than {MOST_FILES} times; simplify the model."
-            )
-        if weight["bytes"] > LARGEST_FILE:
-            raise self._too_long(weight["bytes"])
+        self._check_weight(weight)
+
+    def _check_weight(self, weight: Counter[str]) -> None:
+        # Checked after each addition: copies of copies grow beyond any memory before the end.
+        self._check_text(weight)
         if weight["elements"] > MOST_ELEMENTS:
             raise ModelError(
                 f"{self.path.name} expands to more than {MOST_ELEMENTS} elements; "
@@ -171,6 +180,20 @@ class _Reading:
                 f"{weight['joints']} joints (degrees of freedom at least); their product "
                 f"may be {LARGEST_TREE} at most."
             )
+
+    def _check_text(self, weight: Counter[str]) -> None:
+        """Raise ModelError for too many inclusions, and for too many bytes."""
+        if max(weight["inclusions"], len(self.files) + len(self.open)) > MOST_FILES:
+            raise ModelError(
+                f"{self.path.name} includes files more than {MOST_FILES} times; simplify the model."
+            )
+        if weight["bytes"] > LARGEST_FILE:
+            raise self._too_long(weight["bytes"])
+
+
+def _existing(files: Iterable[Path]) -> dict[Path, Path]:
+    """Files that exist, by their resolved path, so that links to one file count once."""
+    return {file.resolve(): file for file in files if file.is_file()}
 
 
 def _counts_of(element: ET.Element, above: frozenset[str]) -> Counter[str]:
@@ -200,10 +223,12 @@ def _expanded(root: ET.Element) -> Iterator[tuple[ET.Element, int, frozenset[str
         copies *= _count(element) if element.tag in _REPEATED else 1
         yield element, copies, above
         below = above | {element.tag} if element.tag in _NAMING else above
+        # Below a count of zero nothing is made, but files are read and sizes reserved all the same.
         waiting += [(child, max(copies, 1), below) for child in element]
 
 
 def _count(element: ET.Element) -> int:
+    # The default grid of a flexcomp; one with a file has as many points as the file says.
     default = "10 10 10" if element.tag == "flexcomp" and element.get("file") is None else "1"
     numbers = _numbers(element, "count", default)
     return math.prod(min(max(int(n), 0), MOST_ELEMENTS + 1) for n in numbers)
@@ -211,20 +236,35 @@ def _count(element: ET.Element) -> int:
 
 def _check_sizes(element: ET.Element, name: str) -> None:
     """Refuse numbers that alone make MuJoCo reserve memory or compute at length."""
-    if element.tag == "hfield":
-        sizes, limit = [_product(element, "nrow", "ncol")], MOST_CELLS
-    elif element.tag == "size":
-        keys = [key for key in element.attrib if key.startswith("nuser") or key == "nkey"]
-        sizes, limit = [_product(element, key) for key in keys], MOST_NUMBERS
-    elif element.tag == "mesh" and element.get("builtin") is not None:
-        sizes, limit = _numbers(element, "params", "0"), FINEST_MESH
-    else:
+    if element.tag not in _SIZES:
         return
-    if max(sizes, default=0.0) > limit:
+    sizes_of, limit = _SIZES[element.tag]
+    largest = max(sizes_of(element), default=0.0)
+    if largest > limit:
         raise ModelError(
-            f"{name}: <{element.tag}> asks for the size {max(sizes):.3g}; {limit} is allowed at "
+            f"{name}: <{element.tag}> asks for the size {largest:.3g}; {limit} is allowed at "
             "most: correct the file."
         )
+
+
+def _cells(hfield: ET.Element) -> list[float]:
+    return [_product(hfield, "nrow", "ncol")]
+
+
+def _reserved_numbers(size: ET.Element) -> list[float]:
+    return [_product(size, key) for key in size.attrib if key.startswith(("nuser", "nkey"))]
+
+
+def _subdivisions(mesh: ET.Element) -> list[float]:
+    return [] if mesh.get("builtin") is None else _numbers(mesh, "params", "0")
+
+
+_SIZES: Final[Mapping[str, tuple[Callable[[ET.Element], list[float]], int]]] = {
+    "hfield": (_cells, MOST_CELLS),
+    "size": (_reserved_numbers, MOST_NUMBERS),
+    "mesh": (_subdivisions, FINEST_MESH),
+}
+"""Elements with sizes, and the largest one that is allowed."""
 
 
 def _product(element: ET.Element, *keys: str) -> float:
@@ -237,4 +277,5 @@ def _numbers(element: ET.Element, key: str, default: str) -> list[float]:
         found = [float(word) for word in element.get(key, default).split()]
     except ValueError:
         return [1.0]
+    # An infinite count would not convert to an integer.
     return [min(number, 1e300) for number in found if not math.isnan(number)]

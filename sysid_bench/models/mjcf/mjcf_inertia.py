@@ -5,8 +5,10 @@ Meshes are read only for bodies whose inertia comes from them. Rules for the who
 mounted later is not scaled with the rest.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +17,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError, first_names
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
-from sysid_bench.models.mjcf.mjcf_files import files_outside, is_inside
+from sysid_bench.models.mjcf.mjcf_files import folder_text, in_folder
 from sysid_bench.types import Array
 
 _WITH_FILES: Final = (
@@ -35,19 +37,39 @@ def compiled_inertia(spec: mujoco.MjSpec, path: Path, folder: Path) -> tuple[str
     Raises ModelError where such a body moves and has no other mass, or where a mesh lies outside
     `folder`.
     """
-    weighing = [geom for body in spec.bodies for geom in _weighing(spec, body)]
-    files = {geom: _mesh_file(spec, geom.meshname, path, folder) for geom in weighing}
-    lost = [geom for geom, file in files.items() if file is not None and not file.is_file()]
-    absent = _Absent.of(lost, files, folder)
-    kept_geoms = [geom for geom in weighing if geom not in lost]
-    for geom in [g for g in spec.geoms if _is_filed(g) and g not in kept_geoms]:
-        spec.delete(geom)
-    _keep_meshes(spec, {geom.meshname: files[geom] for geom in kept_geoms})
-    if kept_geoms or _has_rules(spec) or absent:
+    files = _mesh_files(spec, path, folder)
+    lost = _absent_files(files)
+    kept = {geom: file for geom, file in files.items() if geom not in lost}
+    absent = _Absent.of(lost, folder)
+    _delete_shapes(spec, kept)
+    _keep_meshes(spec, kept)
+    if kept or _has_rules(spec) or absent:
         _write_down(spec, path, absent)
-    for element in [*kept_geoms, *spec.meshes]:
-        spec.delete(element)
+    _delete_all(spec, [*kept, *spec.meshes])
     return (f"{absent}; left out",) if absent else ()
+
+
+def _mesh_files(spec: mujoco.MjSpec, path: Path, folder: Path) -> dict[mujoco.MjsGeom, Path | None]:
+    """Shapes with a mesh that contribute to an inertia, and their files."""
+    weighing = chain.from_iterable(_weighing(spec, body) for body in spec.bodies)
+    return {geom: _mesh_file(spec, geom.meshname, path, folder) for geom in weighing}
+
+
+def _absent_files(
+    files: Mapping[mujoco.MjsGeom, Path | None],
+) -> dict[mujoco.MjsGeom, Path]:
+    """Shapes whose mesh is in a file that does not exist."""
+    return {geom: f for geom, f in files.items() if f is not None and not f.is_file()}
+
+
+def _delete_shapes(spec: mujoco.MjSpec, kept: Collection[mujoco.MjsGeom]) -> None:
+    """Delete all other shapes that need a file."""
+    _delete_all(spec, [g for g in spec.geoms if _needs_file(g) and g not in kept])
+
+
+def _delete_all(spec: mujoco.MjSpec, elements: Iterable[Any]) -> None:
+    for element in elements:
+        spec.delete(element)
 
 
 @dataclass(frozen=True)
@@ -59,14 +81,12 @@ class _Absent:
     folder: str
 
     @classmethod
-    def of(
-        cls, lost: list[mujoco.MjsGeom], files: dict[mujoco.MjsGeom, Path | None], folder: Path
-    ) -> "_Absent":
+    def of(cls, lost: Mapping[mujoco.MjsGeom, Path], folder: Path) -> "_Absent":
         """Return them in the order of the text, each once."""
         bodies = dict.fromkeys(geom.parent.name or "(unnamed)" for geom in lost)
-        found = [file for geom in lost if (file := files[geom]) is not None]
-        names = dict.fromkeys(str(file.resolve().relative_to(folder.resolve())) for file in found)
-        return cls(tuple(bodies), tuple(names), folder.resolve().name)
+        within = folder.resolve()
+        names = dict.fromkeys(str(file.resolve().relative_to(within)) for file in lost.values())
+        return cls(tuple(bodies), tuple(names), within.name)
 
     def __bool__(self) -> bool:
         return bool(self.bodies)
@@ -79,20 +99,29 @@ class _Absent:
         )
 
 
-def _is_filed(geom: mujoco.MjsGeom) -> bool:
+def _needs_file(geom: mujoco.MjsGeom) -> bool:
     return int(geom.type) in _WITH_FILES or bool(geom.meshname)
 
 
 def _weighing(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> Iterator[mujoco.MjsGeom]:
     """Shapes of a body that need a mesh and contribute to its inertia."""
+    if _has_shape_inertia(spec, body):
+        groups = spec.compiler.inertiagrouprange
+        yield from (geom for geom in body.geoms if geom.meshname and _weighs(geom, groups))
+
+
+def _has_shape_inertia(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> bool:
+    """True where the compiler derives the inertia of a body from its shapes."""
     mode = int(spec.compiler.inertiafromgeom)
-    if mode == _NEVER or (mode == _AUTO and body.explicitinertial) or body.name == "world":
-        return
-    low, high = spec.compiler.inertiagrouprange
-    for geom in body.geoms:
-        weight = geom.density if np.isnan(geom.mass) else geom.mass
-        if geom.meshname and weight != 0 and low <= geom.group <= high:
-            yield geom
+    # "auto" uses shapes where no <inertial> is written, "true" uses them in any case.
+    explicit = mode == _NEVER or (mode == _AUTO and body.explicitinertial)
+    return not explicit and body.name != "world"
+
+
+def _weighs(geom: mujoco.MjsGeom, groups: Array) -> bool:
+    # A mass of NaN means: from the density. Zero of either excludes the shape.
+    weight = geom.density if np.isnan(geom.mass) else geom.mass
+    return bool(weight != 0 and groups[0] <= geom.group <= groups[1])
 
 
 def _mesh_file(spec: mujoco.MjSpec, name: str, path: Path, folder: Path) -> Path | None:
@@ -102,65 +131,75 @@ def _mesh_file(spec: mujoco.MjSpec, name: str, path: Path, folder: Path) -> Path
         raise ModelError(f"{path.name}: a geom uses the mesh {name!r}, which is not defined.")
     if not mesh.file:
         return None
-    written = Path(mesh.file).name if spec.strippath else mesh.file
-    file = path.parent / (spec.compiler.meshdir or "") / written
-    if not is_inside(file, folder):
-        raise ModelError(
-            f"{path.name}: the inertia of a body comes from the mesh {mesh.file!r}, which lies "
-            f"{files_outside(path, file)}; or give the body an <inertial>."
-        )
-    if file.is_file() and file.stat().st_size > LARGEST_MESH:
-        raise ModelError(
-            f"{path.name}: the mesh {mesh.file!r} is larger than {LARGEST_MESH} bytes."
-        )
+    file = path.parent / (spec.compiler.meshdir or "") / _written_path(spec, mesh)
+    _check_mesh_file(file, mesh.file, path, folder)
     return file
 
 
-def _keep_meshes(spec: mujoco.MjSpec, files: Mapping[str, Path | None]) -> None:
+def _written_path(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh) -> str:
+    """Path of the text, without its folders where the compiler drops them."""
+    return Path(mesh.file).name if spec.strippath else str(mesh.file)
+
+
+def _check_mesh_file(file: Path, written: str, path: Path, folder: Path) -> None:
+    """Raise ModelError for a file outside `folder` and for a huge one."""
+    if not in_folder(file, folder):
+        raise ModelError(
+            f"{path.name}: the inertia of a body comes from the mesh {written!r}, which lies "
+            f"{folder_text(path, file)}; or give the body an <inertial>."
+        )
+    if file.is_file() and file.stat().st_size > LARGEST_MESH:
+        raise ModelError(f"{path.name}: the mesh {written!r} is larger than {LARGEST_MESH} bytes.")
+
+
+def _keep_meshes(spec: mujoco.MjSpec, kept: Mapping[mujoco.MjsGeom, Path | None]) -> None:
     """Delete all other meshes and settings that would make the compiler read files."""
-    for mesh in list(spec.meshes):
-        if mesh.name not in files:
-            spec.delete(mesh)
-        elif (file := files[mesh.name]) is not None:
+    files = {geom.meshname: file for geom, file in kept.items()}
+    _delete_all(spec, [mesh for mesh in spec.meshes if mesh.name not in files])
+    for mesh in spec.meshes:
+        if (file := files[mesh.name]) is not None:
             mesh.file = str(file.resolve())
+    # The paths are absolute now and must keep their folders.
     spec.strippath = False
 
 
 def _has_rules(spec: mujoco.MjSpec) -> bool:
     """True where the compiler changes numbers of the text."""
     rules = spec.compiler
-    return bool(
-        rules.settotalmass > 0
-        or rules.boundmass > 0
-        or rules.boundinertia > 0
-        or rules.balanceinertia
-        or any(np.any(joint.springdamper) for joint in spec.joints)
-    )
+    # Values for which the compiler does nothing.
+    bounds = (rules.settotalmass, rules.boundmass, rules.boundinertia)
+    derived = any(np.any(joint.springdamper) for joint in spec.joints)
+    return bool(max(bounds) > 0 or rules.balanceinertia or derived)
 
 
 def _write_down(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> None:
     """Compile once and copy the compiler's inertias, springs and dampers into the spec."""
-    aligned = [(joint, joint.align) for joint in spec.joints]
-    everywhere = spec.compiler.alignfree
-    # Alignment would move the frame of a floating body to its inertial frame; the text's is kept.
-    spec.compiler.alignfree = False
-    for joint, _ in aligned:
-        joint.align = mujoco.mjtAlignFree.mjALIGNFREE_FALSE
-    mj = _compiled(spec, path, absent)
-    for body in spec.bodies:
-        if body.id > 0 and (mj.body_mass[body.id] > 0 or body.explicitinertial):
-            _set_inertia(body, mj)
-    for joint, align in aligned:
-        joint.align = align
-        if np.any(joint.springdamper):
-            joint.stiffness = _like(joint.stiffness, mj.jnt_stiffness[joint.id])
-            joint.damping = _like(joint.damping, mj.dof_damping[mj.jnt_dofadr[joint.id]])
-            joint.springdamper = np.zeros(2)
+    with _unaligned(spec):
+        mj = _compiled(spec, path, absent)
+    for body in spec.bodies[1:]:
+        _set_inertia(body, mj)
+    for joint in spec.joints:
+        _set_spring_and_damper(joint, mj)
     rules = spec.compiler
-    rules.alignfree = everywhere
     rules.settotalmass, rules.boundmass, rules.boundinertia = -1.0, 0.0, 0.0
     rules.balanceinertia = False
     rules.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+
+
+@contextmanager
+def _unaligned(spec: mujoco.MjSpec) -> Iterator[None]:
+    """Keep the frames of the text: alignment would move the frame of a floating body to its
+    inertial frame."""
+    # Settings of single joints override that of the model.
+    aligned = [(joint, joint.align) for joint in spec.joints]
+    everywhere = spec.compiler.alignfree
+    spec.compiler.alignfree = False
+    for joint, _ in aligned:
+        joint.align = mujoco.mjtAlignFree.mjALIGNFREE_FALSE
+    yield
+    for joint, align in aligned:
+        joint.align = align
+    spec.compiler.alignfree = everywhere
 
 
 def _compiled(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> mujoco.MjModel:
@@ -176,12 +215,24 @@ def _compiled(spec: mujoco.MjSpec, path: Path, absent: _Absent) -> mujoco.MjMode
 
 
 def _set_inertia(body: mujoco.MjsBody, mj: mujoco.MjModel) -> None:
+    if not (mj.body_mass[body.id] > 0 or body.explicitinertial):
+        return
     body.explicitinertial = True
     body.mass = float(mj.body_mass[body.id])
+    # The compiler has made the moments principal; a full inertia besides would be refused.
     body.ipos, body.iquat = mj.body_ipos[body.id], mj.body_iquat[body.id]
     body.inertia, body.fullinertia = mj.body_inertia[body.id], np.full(6, np.nan)
     # Euler angles and the like in the text would override the quaternion.
     body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
+def _set_spring_and_damper(joint: mujoco.MjsJoint, mj: mujoco.MjModel) -> None:
+    """Replace `springdamper` (time constant, damping ratio) by the stiffness and damping that the
+    compiler computes from it and the inertia of the model."""
+    if np.any(joint.springdamper):
+        joint.stiffness = _like(joint.stiffness, mj.jnt_stiffness[joint.id])
+        joint.damping = _like(joint.damping, mj.dof_damping[mj.jnt_dofadr[joint.id]])
+        joint.springdamper = np.zeros(2)
 
 
 def _like(old: Any, value: Any) -> Array:

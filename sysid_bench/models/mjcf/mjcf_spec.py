@@ -29,17 +29,27 @@ def mjcf_spec(
     spec.memory = spec.nstack = spec.njmax = (
         spec.nconmax
     ) = -1  # sizes that the text reserves do not matter
+    _delete_unused(spec)
+    repairs = compiled_inertia(spec, path, folder)
+    repairs += joint_terms_of(spec)
+    return spec, repairs, _take_actuators(spec)
+
+
+def _take_actuators(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Delete the actuators; return the joints that they act on."""
+    actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    return actuated
+
+
+def _delete_unused(spec: mujoco.MjSpec) -> None:
+    """Delete what only a viewer, a contact or a controller uses; textures would need files."""
     for collection in (*_UNUSED, *_LOOKS):
         for element in list(getattr(spec, collection)):
             spec.delete(element)
     for element in [*spec.geoms, *spec.sites, *spec.tendons]:
         element.material = ""
-    repairs = compiled_inertia(spec, path, folder)
-    repairs += joint_terms_of(spec)
-    actuated = tuple(a.target for a in spec.actuators if int(a.trntype) in AT_JOINT)
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
-    return spec, repairs, actuated
 
 
 def _read(path: Path, text: bytes | None, folder: Path) -> mujoco.MjSpec:

@@ -6,7 +6,7 @@ armature and joint damping. Flags that disable springs, dampers or friction are 
 (tendons, gravity compensation, a medium, polynomials) are left out of the simulated robot.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import mujoco
@@ -14,7 +14,12 @@ import numpy as np
 
 _SCALAR: Final = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 AT_JOINT: Final = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-_BIT: Final = mujoco.mjtDisableBit
+_DISABLING: Final = {
+    "stiffness": int(mujoco.mjtDisableBit.mjDSBL_SPRING),
+    "damping": int(mujoco.mjtDisableBit.mjDSBL_DAMPER),
+    "frictionloss": int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS),
+}
+"""Joint terms, and the flag of MuJoCo that switches each off."""
 
 
 def joint_terms_of(spec: mujoco.MjSpec) -> tuple[str, ...]:
@@ -26,26 +31,42 @@ def joint_terms_of(spec: mujoco.MjSpec) -> tuple[str, ...]:
         *_drop_springs_of_balls(spec),
         *_drop_tendon_forces(spec),
         *_drop_medium(spec),
+        *_drop_gravity_compensation(spec),
     )
 
 
 def _reflect_actuators(spec: mujoco.MjSpec) -> Iterator[str]:
+    """Move armature and damping of actuators to the joints they act on."""
     joints = {joint.name: joint for joint in spec.joints}
-    for actuator in spec.actuators:
-        damping = np.atleast_1d(np.asarray(actuator.damping, dtype=float))
-        if not (actuator.armature or damping.any()):
-            continue
+    for actuator in filter(_has_terms, spec.actuators):
         joint = joints.get(actuator.target)
-        at_joint = int(actuator.trntype) in AT_JOINT and joint is not None
-        if joint is None or not at_joint or int(joint.type) not in _SCALAR:
+        if joint is None or not _moves_scalar(actuator, joint):
             name = _called(actuator)
             yield f"armature and damping of actuator {name} left out: it acts on no hinge or slide"
             continue
-        if damping[1:].any():
-            yield f"non-linear damping of actuator {_called(actuator)} left out"
-        square = float(actuator.gear[0]) ** 2
-        joint.armature += square * actuator.armature
-        joint.damping = np.asarray(joint.damping) + _first(joint.damping, square * damping[0])
+        yield from _reflect(actuator, joint)
+
+
+def _has_terms(actuator: mujoco.MjsActuator) -> bool:
+    return bool(actuator.armature or _damping(actuator).any())
+
+
+def _damping(actuator: mujoco.MjsActuator) -> Any:
+    return np.atleast_1d(np.asarray(actuator.damping, dtype=float))
+
+
+def _moves_scalar(actuator: mujoco.MjsActuator, joint: mujoco.MjsJoint) -> bool:
+    return int(actuator.trntype) in AT_JOINT and int(joint.type) in _SCALAR
+
+
+def _reflect(actuator: mujoco.MjsActuator, joint: mujoco.MjsJoint) -> Iterator[str]:
+    damping = _damping(actuator)
+    if damping[1:].any():
+        yield f"non-linear damping of actuator {_called(actuator)} left out"
+    # The motor turns `gear` times as fast and its torque counts `gear` times: hence the square.
+    square = float(actuator.gear[0]) ** 2
+    joint.armature += square * actuator.armature
+    joint.damping = np.asarray(joint.damping) + _first(joint.damping, square * damping[0])
 
 
 def _drop_polynomials(spec: mujoco.MjSpec) -> Iterator[str]:
@@ -60,42 +81,44 @@ def _drop_polynomials(spec: mujoco.MjSpec) -> Iterator[str]:
 def _obey_flags(spec: mujoco.MjSpec) -> None:
     """Zero the terms that the model disables, and clear the flags."""
     flags = int(spec.option.disableflags)
-    for joint in spec.joints:
-        if flags & int(_BIT.mjDSBL_SPRING):
-            joint.stiffness = np.zeros_like(joint.stiffness)
-        if flags & int(_BIT.mjDSBL_DAMPER):
-            joint.damping = np.zeros_like(joint.damping)
-        if flags & int(_BIT.mjDSBL_FRICTIONLOSS):
-            joint.frictionloss = 0.0
-    for bit in (_BIT.mjDSBL_SPRING, _BIT.mjDSBL_DAMPER, _BIT.mjDSBL_FRICTIONLOSS):
-        spec.option.disableflags &= ~int(bit)
+    for key, bit in _DISABLING.items():
+        for joint in spec.joints if flags & bit else ():
+            setattr(joint, key, _zero(getattr(joint, key)))
+        spec.option.disableflags &= ~bit
 
 
 def _drop_springs_of_balls(spec: mujoco.MjSpec) -> Iterator[str]:
     for joint in spec.joints:
-        if int(joint.type) not in _SCALAR and np.any(joint.stiffness):
-            joint.stiffness = np.zeros_like(joint.stiffness)
+        # Its torque depends on a rotation vector, not on one coordinate as the other springs do.
+        if int(joint.type) not in _SCALAR and _zero_terms(joint, ("stiffness",)):
             yield f"spring of joint {_called(joint)} left out: it is neither hinge nor slide"
 
 
 def _drop_tendon_forces(spec: mujoco.MjSpec) -> Iterator[str]:
     for tendon in spec.tendons:
-        keys = ("stiffness", "damping", "frictionloss", "armature")
-        found = [key for key in keys if np.any(getattr(tendon, key))]
-        for key in found:
-            setattr(tendon, key, _zero(getattr(tendon, key)))
-        if found:
+        if found := _zero_terms(tendon, ("stiffness", "damping", "frictionloss", "armature")):
             terms = ", ".join(found)
             yield f"{terms} of tendon {_called(tendon)} left out: not a term of one joint"
 
 
+def _zero_terms(element: Any, keys: Sequence[str]) -> list[str]:
+    """Set terms of an element to zero; return those that were not."""
+    found = [key for key in keys if np.any(getattr(element, key))]
+    for key in found:
+        setattr(element, key, _zero(getattr(element, key)))
+    return found
+
+
 def _drop_medium(spec: mujoco.MjSpec) -> Iterator[str]:
+    # Drag depends on the shapes of bodies, which are not a part of the regressor.
     if spec.option.density or spec.option.viscosity:
         spec.option.density = spec.option.viscosity = 0.0
         yield "forces of the medium (density, viscosity) left out"
-    lifted = [body for body in spec.bodies if body.gravcomp]
-    for body in lifted:
-        body.gravcomp = 0.0
+
+
+def _drop_gravity_compensation(spec: mujoco.MjSpec) -> Iterator[str]:
+    # It is a force at the body, hence neither in M(q) a + h(q, v) nor in a joint term.
+    lifted = [body for body in spec.bodies if _zero_terms(body, ("gravcomp",))]
     if lifted:
         yield f"gravity compensation of {', '.join(map(_called, lifted))} left out"
 

@@ -5,16 +5,16 @@ are repaired (inertia_repair.py); each repair is reported, as a part of the simu
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.checks.unit_checks import angle_warnings
+from sysid_bench.models.checks.unit_checks import urdf_warnings
 from sysid_bench.models.urdf.inertia_repair import repair_inertias
-from sysid_bench.models.urdf.link_tree import LinkTree, link_tree
+from sysid_bench.models.urdf.link_tree import LinkTree, link_at, link_tree
 from sysid_bench.models.urdf.urdf_joints import canonical_joints
-from sysid_bench.models.urdf.xml_numbers import check_origin, finite_number
+from sysid_bench.models.urdf.xml_values import check_origin, finite_value
 from sysid_bench.models.xml_file import parse_xml
 
 _NO_DYNAMICS: Final = (
@@ -63,7 +63,7 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     compiler.set("fusestatic", "false")
     return Urdf(
         ET.tostring(robot, encoding="unicode"),
-        (*repairs, *limits, *removed, *angle_warnings(robot)),
+        (*repairs, *limits, *removed, *urdf_warnings(robot)),
         _velocity_limits(robot, name),
         mimic,
     )
@@ -71,67 +71,97 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
 
 def _remove_unused(robot: ET.Element) -> Iterator[str]:
     """Remove shapes and extensions; report settings of MuJoCo's extension that would matter."""
-    for link in robot.findall("link"):
-        for tag in ("visual", "collision"):
-            for element in link.findall(tag):
-                link.remove(element)
     for section in robot.findall("mujoco"):
-        written = [f"{part.tag} {key}" for part in section for key in part.attrib]
-        if given := [words for words in written if words not in _NO_DYNAMICS]:
+        if given := _dynamic_settings(section):
             yield f"left out of the <mujoco> extension: {', '.join(given)}"
-    for tag in ("mujoco", "gazebo", "transmission", "material", "sensor"):
-        for element in robot.findall(tag):
-            robot.remove(element)
+    for link in robot.findall("link"):
+        _remove_all(link, ("visual", "collision"))
+    _remove_all(robot, ("mujoco", "gazebo", "transmission", "material", "sensor"))
+
+
+def _dynamic_settings(section: ET.Element) -> list[str]:
+    written = [f"{part.tag} {key}" for part in section for key in part.attrib]
+    return [setting for setting in written if setting not in _NO_DYNAMICS]
+
+
+def _remove_all(parent: ET.Element, tags: Sequence[str]) -> None:
+    for tag in tags:
+        for element in parent.findall(tag):
+            parent.remove(element)
 
 
 def _take_mimics(robot: ET.Element, name: str) -> Iterator[Mimic]:
     for joint in robot.findall("joint"):
         for mimic in joint.findall("mimic"):
             joint.remove(mimic)
-            label = f"{name}: the mimic of joint {joint.get('name')!r}"
-            multiplier = finite_number(mimic, "multiplier", label, default=1.0)
-            offset = finite_number(mimic, "offset", label, default=0.0)
-            yield Mimic(str(joint.get("name")), mimic.get("joint"), multiplier, offset)
+            yield _parsed_mimic(mimic, str(joint.get("name")), name)
+
+
+def _parsed_mimic(mimic: ET.Element, joint: str, name: str) -> Mimic:
+    label = f"{name}: the mimic of joint {joint!r}"
+    multiplier = finite_value(mimic, "multiplier", label, default=1.0)
+    offset = finite_value(mimic, "offset", label, default=0.0)
+    return Mimic(joint, mimic.get("joint"), multiplier, offset)
 
 
 def _without_world(robot: ET.Element, tree: LinkTree, name: str) -> LinkTree:
     """Take out a root link called `world`: it is the ground, and a floating robot begins below."""
-    kinds = [kind for _, kind in tree.below.get(tree.root, [])]
-    weighs = tree.links[tree.root].find("inertial") is not None
-    if tree.root != "world" or weighs or kinds not in (["fixed"], ["floating"]):
+    if not _has_ground(tree):
         return tree
     robot.remove(tree.links["world"])
     for joint in robot.findall("joint"):
-        parent = joint.find("parent")
-        if parent is not None and parent.get("link") == "world":
+        if link_at(joint, "parent") == "world":
             robot.remove(joint)
     return link_tree(robot, name)
 
 
+def _has_ground(tree: LinkTree) -> bool:
+    """True where the root is a massless link `world` with one fixed or floating joint."""
+    kinds = [kind for _, kind in tree.below.get(tree.root, [])]
+    weighs = tree.links[tree.root].find("inertial") is not None
+    return tree.root == "world" and not weighs and kinds in (["fixed"], ["floating"])
+
+
 def _rename_worlds(robot: ET.Element, tree: LinkTree, free_base: bool) -> Iterator[str]:
     """Rename a moving link called `world`: MuJoCo takes every link of that name for the ground."""
-    if "world" not in tree.links or (tree.root == "world" and not free_base):
+    grounded = tree.root == "world" and not free_base
+    if grounded or "world" not in tree.links:
         return
-    new = "world_"
-    while new in tree.links:
-        new += "_"
+    new = _free_name("world_", tree)
     tree.links["world"].set("name", new)
-    for end in (*robot.findall("joint/parent"), *robot.findall("joint/child")):
-        if end.get("link") == "world":
-            end.set("link", new)
+    _rename_ends(robot, "world", new)
     yield f"moving link 'world' renamed {new!r}"
+
+
+def _rename_ends(robot: ET.Element, old: str, new: str) -> None:
+    """Make the joints at a link follow its new name."""
+    for end in (*robot.findall("joint/parent"), *robot.findall("joint/child")):
+        if end.get("link") == old:
+            end.set("link", new)
+
+
+def _free_name(name: str, tree: LinkTree) -> str:
+    while name in tree.links:
+        name += "_"
+    return name
 
 
 def _velocity_limits(robot: ET.Element, name: str) -> dict[str, float]:
     """Velocity limits by joint (rad/s, m/s): MuJoCo knows none. Checks all limits and origins."""
     found = {}
     for joint in robot.findall("joint"):
-        limit = joint.find("limit")
         label = f"{name}: joint {joint.get('name')!r}"
-        for key in ("lower", "upper", "effort", "velocity"):
-            if limit is not None and limit.get(key) is not None:
-                finite_number(limit, key, label)
-        if limit is not None and float(limit.get("velocity", 0.0)) > 0:
-            found[str(joint.get("name"))] = float(limit.get("velocity", 0.0))
+        velocity = _velocity_limit(joint.find("limit"), label)
         check_origin(joint.find("origin"), label)
+        if velocity > 0:  # zero means "no limit" to both engines
+            found[str(joint.get("name"))] = velocity
     return found
+
+
+def _velocity_limit(limit: ET.Element | None, label: str) -> float:
+    """Velocity of a <limit>, 0 where it has none; all its numbers are checked."""
+    if limit is None:
+        return 0.0
+    for key in ("lower", "upper", "effort", "velocity"):
+        finite_value(limit, key, label, default=0.0)
+    return float(limit.get("velocity", 0.0))

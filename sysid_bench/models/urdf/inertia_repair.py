@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.urdf.link_tree import LinkTree
-from sysid_bench.models.urdf.xml_numbers import check_origin, finite_number
+from sysid_bench.models.urdf.xml_values import check_origin, finite_value
 from sysid_bench.spatial.inertia import matrix_of_six, six_of_matrix
 from sysid_bench.types import Array
 
@@ -47,15 +47,51 @@ def _repair_link(link: ET.Element, name: str) -> list[str]:
     if inertial is None:
         return []
     mass, element = _checked(inertial, f"{name}: link {link.get('name')!r}")
-    six = np.array([float(element.get(key, 0.0)) for key in _KEYS])
-    moments = np.linalg.eigvalsh(matrix_of_six(six))
-    if not six.any() or (mass > 0 and np.abs(six).max() < _SMALLEST):
+    six = _six_of(element)
+    if _is_point_mass(six, mass):
         return _repair_point_mass(element, mass, link)
-    # MuJoCo diagonalises a tilted lamina again and may round its moments beyond the border.
-    tilted = six[[1, 2, 4]].any() or inertial.find("origin[@rpy]") is not None
-    slack = _ROUNDING * moments[2] if tilted else 0.0
-    if moments[0] >= _SMALLEST and moments[0] + moments[1] >= moments[2] + slack:
+    if _is_possible(six, inertial):
         return []
+    return _repair_inertia(element, six, link)
+
+
+def _checked(inertial: ET.Element, label: str) -> tuple[float, ET.Element]:
+    """Mass (kg) and <inertia> element of an <inertial>, with all six numbers written."""
+    written = inertial.find("mass")
+    if written is None:
+        raise ModelError(f"{label} has an <inertial> without <mass>; give it a mass in kg.")
+    mass = finite_value(written, "value", label)
+    check_origin(inertial.find("origin"), label)
+    if mass < 0:
+        raise ModelError(f"{label} has the negative mass {mass}; a mass is in kg and at least 0.")
+    return mass, _complete_inertia(inertial, label)
+
+
+def _complete_inertia(inertial: ET.Element, label: str) -> ET.Element:
+    """The <inertia> element with its six numbers: absent means zero, and MuJoCo wants to see it."""
+    element = inertial.find("inertia")
+    if element is None:
+        element = ET.SubElement(inertial, "inertia", dict.fromkeys(_KEYS, "0"))
+    for key in _KEYS:
+        value = finite_value(element, key, label, default=0.0)
+        element.attrib.setdefault(key, repr(value))
+    return element
+
+
+def _is_possible(six: Array, inertial: ET.Element) -> bool:
+    """True where the principal moments are positive and keep the triangle inequality."""
+    moments = np.linalg.eigvalsh(matrix_of_six(six))
+    # MuJoCo diagonalises a tilted lamina again and may round its moments beyond the border.
+    slack = _ROUNDING * moments[2] if _is_tilted(six, inertial) else 0.0
+    return bool(moments[0] >= _SMALLEST and moments[0] + moments[1] >= moments[2] + slack)
+
+
+def _is_tilted(six: Array, inertial: ET.Element) -> bool:
+    """True where the principal axes may differ from those of the link."""
+    return bool(six[[1, 2, 4]].any()) or inertial.find("origin[@rpy]") is not None
+
+
+def _repair_inertia(element: ET.Element, six: Array, link: ET.Element) -> list[str]:
     nearest = _nearest_possible(matrix_of_six(six))
     change = np.abs(nearest - matrix_of_six(six)).max() / np.abs(six).max()
     _write_inertia(element, six_of_matrix(nearest))
@@ -67,22 +103,8 @@ def _repair_link(link: ET.Element, name: str) -> list[str]:
     ]
 
 
-def _checked(inertial: ET.Element, label: str) -> tuple[float, ET.Element]:
-    """Mass (kg) and <inertia> element of an <inertial>, with all six numbers written."""
-    if inertial.find("mass") is None:
-        raise ModelError(f"{label} has an <inertial> without <mass>; give it a mass in kg.")
-    mass = finite_number(inertial.find("mass"), "value", label)
-    element = inertial.find("inertia")
-    check_origin(inertial.find("origin"), label)
-    if mass < 0:
-        raise ModelError(f"{label} has the negative mass {mass}; a mass is in kg and at least 0.")
-    if element is None:
-        element = ET.SubElement(inertial, "inertia", dict.fromkeys(_KEYS, "0"))
-    for key in _KEYS:
-        value = finite_number(element, key, label, default=0.0)
-        if element.get(key) is None:  # absent means zero, and MuJoCo wants to see it
-            element.set(key, repr(value))
-    return mass, element
+def _is_point_mass(six: Array, mass: float) -> bool:
+    return not six.any() or (mass > 0 and bool(np.abs(six).max() < _SMALLEST))
 
 
 def _repair_point_mass(element: ET.Element, mass: float, link: ET.Element) -> list[str]:
@@ -101,7 +123,8 @@ def _nearest_possible(inertia: Array) -> Array:
     """
     covariance = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     values, vectors = np.linalg.eigh(covariance)
-    # Relative margins: the inertia of a microrobot is as good as that of a crane.
+    # Relative margins: the inertia of a microrobot is as good as that of a crane. A lamina has one
+    # eigenvalue of zero, up to rounding, and two that are not.
     largest = float(np.abs(inertia).max())
     lamina = values[0] >= -_LAMINA * largest and values[1] >= max(_MARGIN * largest, 2 * _SMALLEST)
     lifted = np.maximum(values, _LAMINA * largest if lamina else max(_MARGIN * largest, _SMALLEST))
@@ -112,25 +135,36 @@ def _nearest_possible(inertia: Array) -> Array:
 
 def _give_mass_to_moving(tree: LinkTree, free_base: bool) -> Iterator[str]:
     """Give massless links that move a small mass: the mass matrix would be singular."""
-    moving = [child for below in tree.below.values() for child, kind in below if kind != "fixed"]
-    for name in [tree.root] * free_base + moving:
-        if tree.rigid_mass(name) >= MASSLESS:
-            continue
-        link = tree.links[name]
-        weightless = any(_has_moments(inertial) for inertial in link.findall("inertial"))
-        for inertial in link.findall("inertial"):
-            link.remove(inertial)
-        inertial = ET.SubElement(link, "inertial")
-        ET.SubElement(inertial, "origin", {"xyz": "0 0 0"})
-        ET.SubElement(inertial, "mass", {"value": repr(TINY_MASS)})
-        _write_inertia(ET.SubElement(inertial, "inertia"), six_of_matrix(TINY_MOMENT * np.eye(3)))
-        lost = "; its inertia left out: without mass there is none" if weightless else ""
-        yield f"massless moving link {name!r} given {TINY_MASS:.0e} kg{lost}"
+    for name in [tree.root] * free_base + _moving_links(tree):
+        if tree.rigid_mass(name) < MASSLESS:
+            yield _give_mass(tree.links[name], name)
+
+
+def _moving_links(tree: LinkTree) -> list[str]:
+    return [child for below in tree.below.values() for child, kind in below if kind != "fixed"]
+
+
+def _give_mass(link: ET.Element, name: str) -> str:
+    """Replace the inertial parameters of a link by those of a tiny ball; return this in words."""
+    inertials = link.findall("inertial")
+    weightless = any(map(_has_moments, inertials))
+    for inertial in inertials:
+        link.remove(inertial)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", {"xyz": "0 0 0"})
+    ET.SubElement(inertial, "mass", {"value": repr(TINY_MASS)})
+    _write_inertia(ET.SubElement(inertial, "inertia"), six_of_matrix(TINY_MOMENT * np.eye(3)))
+    lost = "; its inertia left out: without mass there is none" if weightless else ""
+    return f"massless moving link {name!r} given {TINY_MASS:.0e} kg{lost}"
 
 
 def _has_moments(inertial: ET.Element) -> bool:
     inertia = inertial.find("inertia")
-    return inertia is not None and any(float(inertia.get(key, 0.0)) for key in _KEYS)
+    return inertia is not None and bool(_six_of(inertia).any())
+
+
+def _six_of(inertia: ET.Element) -> Array:
+    return np.array([float(inertia.get(key, 0.0)) for key in _KEYS])
 
 
 def _write_inertia(element: ET.Element, six: Array) -> None:

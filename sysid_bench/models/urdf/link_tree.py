@@ -15,14 +15,13 @@ class LinkTree:
     below: dict[str, list[tuple[str, str]]]
     root: str
 
-    def descendants(self, start: str) -> set[str]:
+    def subtree(self, start: str) -> set[str]:
         """A link and all links below it."""
         found, pending = {start}, [start]
         while pending:
-            for child, _ in self.below.get(pending.pop(), []):
-                if child not in found:
-                    found.add(child)
-                    pending.append(child)
+            below = {child for child, _ in self.below.get(pending.pop(), [])} - found
+            found |= below
+            pending += below
         return found
 
     def rigid_mass(self, link: str) -> float:
@@ -32,8 +31,11 @@ class LinkTree:
             name = pending.pop()
             element = self.links[name].find("inertial/mass")
             total += 0.0 if element is None else float(element.get("value", 0.0))
-            pending += [child for child, kind in self.below.get(name, []) if kind == "fixed"]
+            pending += self._fixed_to(name)
         return total
+
+    def _fixed_to(self, link: str) -> list[str]:
+        return [child for child, kind in self.below.get(link, []) if kind == "fixed"]
 
 
 def link_tree(robot: ET.Element, name: str) -> LinkTree:
@@ -47,53 +49,74 @@ def link_tree(robot: ET.Element, name: str) -> LinkTree:
     below: dict[str, list[tuple[str, str]]] = {}
     parents: dict[str, str] = {}
     for joint in robot.findall("joint"):
-        parent, child = (_end(joint, tag, links, name) for tag in ("parent", "child"))
-        if child in parents:
-            raise ModelError(
-                f"{name}: link {child!r} has two parents, {parents[child]!r} and {parent!r}."
-            )
+        parent, child = (_known_link(joint, end, links, name) for end in ("parent", "child"))
+        _check_one_parent(child, parent, parents, name)
         parents[child] = parent
         below.setdefault(parent, []).append((child, str(joint.get("type"))))
     tree = LinkTree(links, below, _root(links, parents, name))
-    reached = tree.descendants(tree.root)
-    if len(reached) != len(links):
-        lost = sorted(set(links) - reached)
-        raise ModelError(
-            f"{name}: the links {', '.join(lost[:5])} form a cycle apart from {tree.root!r}."
-        )
+    _check_connected(tree, name)
     return tree
+
+
+def link_at(joint: ET.Element, end: str) -> str | None:
+    """Return the name of the link at an end ("parent" or "child") of a joint, None without one."""
+    element = joint.find(end)
+    return None if element is None else element.get("link")
 
 
 def _check_names(robot: ET.Element, name: str) -> None:
     for tag in ("link", "joint"):
         counts = Counter(element.get("name") for element in robot.findall(tag))
         for key, count in counts.items():
-            if key is None:
-                raise ModelError(f"{name}: a <{tag}> has no name; give it one.")
-            if count > 1:
-                raise ModelError(
-                    f"{name}: {count} <{tag}> elements are called {key!r}; names must differ."
-                )
+            _check_name(tag, key, count, name)
+
+
+def _check_name(tag: str, key: str | None, count: int, name: str) -> None:
+    """Raise ModelError for an element without a name, or for one of several with the same."""
+    if key is None:
+        raise ModelError(f"{name}: a <{tag}> has no name; give it one.")
+    if count > 1:
+        raise ModelError(f"{name}: {count} <{tag}> elements are called {key!r}; names must differ.")
 
 
 def _root(links: dict[str, ET.Element], parents: dict[str, str], name: str) -> str:
+    """The one link without a parent."""
     if not links:
         raise ModelError(f"{name} has no <link>; a robot needs at least two and a joint.")
     roots = [link for link in links if link not in parents]
-    if len(roots) == 1:
-        return roots[0]
-    found = (
-        f"{len(roots)} root links ({', '.join(roots[:5])})" if roots else "no root link: a cycle"
-    )
-    raise ModelError(f"{name} has {found}; a URDF tree has exactly one.")
+    if len(roots) != 1:
+        raise ModelError(f"{name} has {_count_text(roots)}; a URDF tree has exactly one.")
+    return roots[0]
 
 
-def _end(joint: ET.Element, tag: str, links: dict[str, ET.Element], name: str) -> str:
-    element = joint.find(tag)
-    link = None if element is None else element.get("link")
+def _count_text(roots: list[str]) -> str:
+    if not roots:
+        return "no root link: a cycle"
+    return f"{len(roots)} root links ({', '.join(roots[:5])})"
+
+
+def _check_one_parent(child: str, parent: str, parents: dict[str, str], name: str) -> None:
+    if child in parents:
+        raise ModelError(
+            f"{name}: link {child!r} has two parents, {parents[child]!r} and {parent!r}."
+        )
+
+
+def _check_connected(tree: LinkTree, name: str) -> None:
+    """Raise ModelError for links that the root does not reach. Each has one parent, so that they
+    form cycles."""
+    lost = sorted(set(tree.links) - tree.subtree(tree.root))
+    if lost:
+        raise ModelError(
+            f"{name}: the links {', '.join(lost[:5])} form a cycle apart from {tree.root!r}."
+        )
+
+
+def _known_link(joint: ET.Element, end: str, links: dict[str, ET.Element], name: str) -> str:
+    link = link_at(joint, end)
     if link is None or link not in links:
         raise ModelError(
-            f"{name}: the {tag} of joint {joint.get('name')!r} is {link!r}, which is not one of "
+            f"{name}: the {end} of joint {joint.get('name')!r} is {link!r}, which is not one of "
             "its links."
         )
     return link

@@ -1,6 +1,7 @@
 """Writing of identified parameters into an MJCF; every other byte of its text stays."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -10,15 +11,15 @@ import numpy as np
 from sysid_bench.errors import ModelError
 from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.writing.rewrite import rewrite
 from sysid_bench.models.writing.round_trip import file_spec
 from sysid_bench.models.writing.update import Bodies, Joints, Update
+from sysid_bench.models.writing.updated_text import updated_text
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
-    attribute_edits,
     element_edit,
-    numbers,
+    value_edits,
+    values_text,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.spatial.rotation import quaternion_of_matrix
@@ -50,7 +51,7 @@ def updated_mjcf(
     all that is to be written. The text is read again before it is returned. Raises ModelError for
     values that must not be written (see models/writing/update.py), and for included bodies.
     """
-    return rewrite(path, bodies, joints, verdicts, "mujoco", _edits)
+    return updated_text(path, bodies, joints, verdicts, "mujoco", _edits)
 
 
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
@@ -65,14 +66,14 @@ class _Elements:
     """Elements of the main file that define the bodies and joints of a robot."""
 
     def __init__(self, root: Element, robot: RobotModel) -> None:
-        world = [section for section in root.children if section.tag == "worldbody"]
-        inside = [element for section in world for element in section.subtree()]
-        bodies = [element for element in inside if element.tag == "body"]
-        joints = [joint for body in bodies for joint in _joints_of(body)]
+        world = _tagged(root.children, "worldbody")
+        inside = list(chain.from_iterable(section.subtree() for section in world))
+        bodies = _tagged(inside, "body")
+        joints = list(chain.from_iterable(map(_joints_of, bodies)))
         self.elements = {"body": bodies, "joint": joints}
         self.names = {"body": robot.body_names, "joint": [joint.name for joint in robot.joints]}
-        self.copied = [e.tag for e in inside if e.tag in _COPIES]
-        self.included = any(e.tag == "include" for e in root.subtree())
+        self.copied = [element.tag for element in _tagged(inside, *_COPIES)]
+        self.included = bool(_tagged(root.subtree(), "include"))
         self.file = robot.manifest.path.name
 
     def body(self, name: str) -> Element:
@@ -84,26 +85,34 @@ class _Elements:
     def _find(self, kind: str, name: str) -> Element:
         elements, names = self.elements[kind], self.names[kind]
         named = [element for element in elements if element.attributes.get("name") == name]
-        if len(named) == 1 and not self._copied(named[0]):
+        if len(named) == 1 and not _is_copied(named[0]):
             return named[0]
-        # Bodies are numbered in the order of the text, joints body by body: an unnamed one is found
-        # by its index, if all named ones are at theirs.
-        if not named and not self.copied and _in_order(elements, names):
+        if not named and self._is_in_order(kind):
             return elements[list(names).index(name)]
-        if self.copied:
-            reason = f"<{self.copied[0]}> creates it, and a change would affect its copies"
-        elif self.included:
-            reason = "it comes from an included file; write that file's content into this one"
-        else:
-            reason = "it is not in the text"
-        raise ModelError(f"{self.file}: the {kind} {name!r} cannot be written: {reason}.")
+        raise ModelError(f"{self.file}: the {kind} {name!r} cannot be written: {self._obstacle()}.")
 
-    def _copied(self, element: Element | None) -> bool:
-        while element is not None:
-            if element.tag in _COPIES:
-                return True
-            element = element.parent
-        return False
+    def _is_in_order(self, kind: str) -> bool:
+        """True where the elements are those of the robot, one by one: bodies are numbered in the
+        order of the text, joints body by body. An unnamed one is then found by its index."""
+        elements, names = self.elements[kind], self.names[kind]
+        return not self.copied and _in_order(elements, names)
+
+    def _obstacle(self) -> str:
+        if self.copied:
+            return f"<{self.copied[0]}> creates it, and a change would affect its copies"
+        if self.included:
+            return "it comes from an included file; write that file's content into this one"
+        return "it is not in the text"
+
+
+def _tagged(elements: Iterable[Element], *tags: str) -> list[Element]:
+    return [element for element in elements if element.tag in tags]
+
+
+def _is_copied(element: Element | None) -> bool:
+    while element is not None and element.tag not in _COPIES:
+        element = element.parent
+    return element is not None
 
 
 def _joints_of(body: Element) -> Iterator[Element]:
@@ -123,15 +132,20 @@ def _in_order(elements: Sequence[Element], names: Sequence[str]) -> bool:
 
 
 def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
-    inertial = body.child("inertial")
+    inertial = body.find("inertial")
     mass, com, inertia = mass_com_inertia(phi)
-    values: dict[str, str | None] = {"pos": numbers(*com), "mass": numbers(mass)}
+    values: dict[str, str | None] = {"pos": values_text(*com), "mass": values_text(mass)}
     values |= _inertia(inertia)
     if inertial is not None:
-        yield from attribute_edits(data, inertial, {**dict.fromkeys(_POSE), **values})
-    elif phi.any() or body.child("geom") is not None:
-        words = " ".join(f'{key}="{value}"' for key, value in values.items() if value is not None)
-        yield element_edit(data, body, f"<inertial {words}/>")
+        yield from value_edits(data, inertial, {**dict.fromkeys(_POSE), **values})
+    # Without an <inertial> MuJoCo would take the inertia of the shapes.
+    elif phi.any() or body.find("geom") is not None:
+        yield element_edit(data, body, _inertial(values))
+
+
+def _inertial(values: Mapping[str, str | None]) -> str:
+    words = " ".join(f'{key}="{value}"' for key, value in values.items() if value is not None)
+    return f"<inertial {words}/>"
 
 
 def _inertia(inertia: Array) -> dict[str, str | None]:
@@ -140,12 +154,14 @@ def _inertia(inertia: Array) -> dict[str, str | None]:
     density = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
     if density[0] > LAMINA * np.trace(inertia):
         full = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
-        return {"fullinertia": numbers(*full), "diaginertia": None}
+        return {"fullinertia": values_text(*full), "diaginertia": None}
     moments, axes = np.linalg.eigh(inertia)
+    # Rounding may take the moments of a point mass or rod below zero.
     moments = np.maximum(moments, 0.0)
     moments[2] = min(moments[2], moments[0] + moments[1])  # a lamina lies on the border
+    # Eigenvectors may form a reflection, for which there is no quaternion.
     quat = quaternion_of_matrix(axes * np.sign(np.linalg.det(axes)))
-    return {"diaginertia": numbers(*moments), "quat": numbers(*quat), "fullinertia": None}
+    return {"diaginertia": values_text(*moments), "quat": values_text(*quat), "fullinertia": None}
 
 
 def _joint_edits(
@@ -154,16 +170,21 @@ def _joint_edits(
     j = update.robot.mj.joint(name).id
     spec = file_spec(update.robot)
     source = list(spec.joints)[j]
+    # Angles of a text are in the unit of its compiler, hinges alone: slides are in metres.
+    in_degrees = update.robot.joints[j].kind == "hinge" and bool(update.robot.spec.compiler.degree)
     values: dict[str, str | None] = {}
     for key, total in terms.items():
         value = _joint_share(spec, name, key, total)
-        # Damping and stiffness are polynomials: coefficients beyond the linear one stay.
-        written = getattr(source, key) if key in ("damping", "stiffness") else ()
-        higher = np.trim_zeros(np.ravel(written)[1:], "b")
-        if key == "springref" and update.robot.joints[j].kind == "hinge":
-            value = np.rad2deg(value) if update.robot.spec.compiler.degree else value
-        values[key] = numbers(value, *higher)
-    yield from attribute_edits(data, joint, values)
+        if key == "springref" and in_degrees:
+            value = np.rad2deg(value)
+        values[key] = values_text(value, *_higher_coefficients(source, key))
+    yield from value_edits(data, joint, values)
+
+
+def _higher_coefficients(joint: mujoco.MjsJoint, key: str) -> Array:
+    """Coefficients beyond the linear one, which stay: damping and stiffness are polynomials."""
+    written = getattr(joint, key) if key in ("damping", "stiffness") else ()
+    return np.trim_zeros(np.ravel(written)[1:], "b")
 
 
 def _joint_share(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> float:
@@ -172,18 +193,23 @@ def _joint_share(spec: mujoco.MjSpec, joint: str, key: str, total: float) -> flo
     """
     if key not in ("armature", "damping"):
         return total
-    parts = {
+    parts = _actuator_parts(spec, joint, key)
+    added = sum(parts.values())
+    share = total - added
+    if share < -ROUNDING * added:
+        adding = [name for name, part in parts.items() if part]
+        raise ModelError(
+            f"Not written: {key} of the joint {joint!r} is {total:.4g}, less than the {added:.4g} "
+            f"that the actuator {', '.join(adding)} adds to it; change the actuator first."
+        )
+    return max(share, 0.0) if added else total
+
+
+def _actuator_parts(spec: mujoco.MjSpec, joint: str, key: str) -> dict[str, float]:
+    """Armature or damping that each actuator adds to a joint."""
+    return {
         actuator.name or f"of {joint}": float(actuator.gear[0]) ** 2
         * float(np.ravel(getattr(actuator, key))[0])
         for actuator in spec.actuators
         if actuator.target == joint and int(actuator.trntype) in AT_JOINT
     }
-    added = sum(parts.values())
-    share = total - added
-    if share < -ROUNDING * added:
-        raise ModelError(
-            f"Not written: {key} of the joint {joint!r} is {total:.4g}, less than the {added:.4g} "
-            f"that the actuator {', '.join(name for name, part in parts.items() if part)} adds to "
-            "it; change the actuator first."
-        )
-    return max(share, 0.0) if added else total

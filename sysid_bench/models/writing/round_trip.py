@@ -33,6 +33,12 @@ def check_round_trip(path: Path, text: str, update: Update) -> None:
     if again.body_names != robot.body_names or again.rows != robot.rows:
         raise ModelError(f"{path.name} has different bodies or joints with its new values.")
     phi = _requested_phi(update)
+    _check_parameters(path, again, update, phi)
+    _check_torques(path, again, update, phi)
+
+
+def _check_parameters(path: Path, again: RobotModel, update: Update, phi: Array) -> None:
+    robot = update.robot
     scale = np.abs(phi).max(axis=1)
     apart = np.abs(again.phi - phi).max(axis=1)
     for b in np.flatnonzero(~(apart <= PARAMETERS * scale)):
@@ -40,13 +46,18 @@ def check_round_trip(path: Path, text: str, update: Update) -> None:
             f"{path.name} gives the body {robot.body_names[b]!r} different parameters from those "
             f"written (by {apart[b]:.2g}): {_compiler_advice(robot)}"
         )
-    motion = random_states(robot, 10, np.random.default_rng(0))
+
+
+def _check_torques(path: Path, again: RobotModel, update: Update, phi: Array) -> None:
+    """Raise ModelError where the torques of the written text differ from those of the source with
+    its arrays changed in memory, without any text."""
+    motion = random_states(update.robot, 10, np.random.default_rng(0))
     theirs, ours = _torque(again.mj, motion), _torque(_with(update, phi), motion)
     gap = float(np.abs(theirs - ours).max()) / (float(np.abs(ours).max()) or 1.0)
-    if not gap <= TORQUES:
+    if not gap <= TORQUES:  # true for NaN, too
         raise ModelError(
             f"{path.name} has different torques from those written (by {gap:.2g}): "
-            f"{_compiler_advice(robot)}"
+            f"{_compiler_advice(update.robot)}"
         )
 
 
@@ -84,21 +95,29 @@ def _with(update: Update, phi: Array) -> mujoco.MjModel:
     mj = spec.compile()
     for name in update.phi:
         b = robot.body_names.index(name)
-        mass, com, inertia = mass_com_inertia(phi[b])
-        moments, axes = np.linalg.eigh(inertia)
-        mj.body_mass[b + 1], mj.body_ipos[b + 1] = mass, com
-        mj.body_inertia[b + 1] = np.maximum(moments, 0.0)
-        mujoco.mju_mat2Quat(mj.body_iquat[b + 1], (axes * np.linalg.det(axes)).ravel())
-        mj.body_sameframe[b + 1] = 0  # else MuJoCo takes the inertial frame for the body frame
+        _put_body(mj, b + 1, phi[b])  # MuJoCo counts the world as body 0
     for joint in robot.joints:
         for key, value in update.joints.get(joint.name, {}).items():
             _put(mj, joint.name, key, value)
+    # Constants such as the inertia at the reference follow from the new arrays.
     mujoco.mj_setConst(mj, mujoco.MjData(mj))
     return mj
 
 
+def _put_body(mj: mujoco.MjModel, b: int, phi: Array) -> None:
+    """Write phi (10,) into the arrays of a model, as principal moments and their axes."""
+    mass, com, inertia = mass_com_inertia(phi)
+    moments, axes = np.linalg.eigh(inertia)
+    mj.body_mass[b], mj.body_ipos[b] = mass, com
+    mj.body_inertia[b] = np.maximum(moments, 0.0)
+    # det = -1 of a reflection: the opposite axes are a rotation, with the same inertia.
+    mujoco.mju_mat2Quat(mj.body_iquat[b], (axes * np.linalg.det(axes)).ravel())
+    mj.body_sameframe[b] = 0  # else MuJoCo takes the inertial frame for the body frame
+
+
 def _put(mj: mujoco.MjModel, joint: str, key: str, value: float) -> None:
     j = mj.joint(joint).id
+    # Arrays of MuJoCo count joints, coordinates or degrees of freedom.
     dof, qadr = int(mj.jnt_dofadr[j]), int(mj.jnt_qposadr[j])
     if key == "springref":
         mj.qpos_spring[qadr] = value
@@ -133,16 +152,7 @@ def file_spec(robot: RobotModel) -> mujoco.MjSpec:
 def _compiler_advice(robot: RobotModel) -> str:
     """Compiler options that may have changed the values of the file, and the remedy."""
     compiler = file_spec(robot).compiler
-    found = [
-        word
-        for word, on in (
-            ("settotalmass", compiler.settotalmass > 0),
-            ("balanceinertia", bool(compiler.balanceinertia)),
-            ("boundmass", compiler.boundmass > 0),
-            ("boundinertia", compiler.boundinertia > 0),
-        )
-        if on
-    ]
+    found = _active_options(compiler)
     advice = [f"take {', '.join(found)} out of its <compiler>"] if found else []
     if int(compiler.inertiafromgeom) == int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE):
         # Only the user can decide this: without it all other <inertial> elements count again.
@@ -150,3 +160,9 @@ def _compiler_advice(robot: RobotModel) -> str:
     if advice:
         return f"its <compiler> overrides the written values; {', and '.join(advice)}."
     return "something in the file overrides the written values."
+
+
+def _active_options(compiler: mujoco.MjsCompiler) -> list[str]:
+    """Options that change masses and inertias of the text; negative and zero bounds do nothing."""
+    options = ("settotalmass", "balanceinertia", "boundmass", "boundinertia")
+    return [option for option in options if getattr(compiler, option) > 0]

@@ -3,7 +3,7 @@
 A model file carries no verdicts, so that its readers would rely on every number in it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -47,18 +47,22 @@ def update_of(
     """
     _refuse_unidentified(verdicts or {})
     robot = load_robot(Manifest(path.stem, path, couplings=False))
-    known_joints = [j.name for j in robot.joints if j.kind in ("hinge", "slide")]
-    for kind, wanted, known in (
-        ("body", bodies, robot.body_names),
-        ("joint", joints, known_joints),
-    ):
-        for name in wanted:
-            if name not in known:
-                raise unknown_name(kind, name, known, f"({path.name})")
+    _check_names("body", bodies, robot.body_names, path)
+    _check_names("joint", joints, _scalar_joints(robot), path)
     phi = {name: _phi(name, value) for name, value in bodies.items()}
     terms = {name: _terms(name, values) for name, values in joints.items()}
     _refuse_infeasible(phi)
     return Update(robot, phi, terms)
+
+
+def _scalar_joints(robot: RobotModel) -> list[str]:
+    return [joint.name for joint in robot.joints if joint.kind in ("hinge", "slide")]
+
+
+def _check_names(kind: str, wanted: Iterable[str], known: Sequence[str], path: Path) -> None:
+    for name in wanted:
+        if name not in known:
+            raise unknown_name(kind, name, known, f"({path.name})")
 
 
 def _refuse_unidentified(verdicts: Mapping[str, str]) -> None:
@@ -79,6 +83,7 @@ def _refuse_infeasible(phi: Mapping[str, Array]) -> None:
     impossible = []
     for name, values in phi.items():
         smallest = float(smallest_eigenvalue(values))
+        # Negated, so that NaN is refused as well.
         if not smallest >= -POSSIBLE * float(np.abs(values).max()):
             impossible.append(f"{name} (m = {values[0]:.4g} kg, {smallest:.2g})")
     if impossible:
@@ -89,10 +94,7 @@ def _refuse_infeasible(phi: Mapping[str, Array]) -> None:
 
 
 def _phi(name: str, value: BodyValue) -> Array:
-    try:
-        phi = _phi_of_three(*value) if len(value) == 3 else np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        phi = np.zeros(0)
+    phi = _parsed_phi(value)
     if phi.shape != (10,) or not np.isfinite(phi).all():
         raise UsageError(
             f"The body {name!r} cannot have {value!r}; it needs ten finite numbers "
@@ -100,6 +102,14 @@ def _phi(name: str, value: BodyValue) -> Array:
             "(3, 3))."
         )
     return phi
+
+
+def _parsed_phi(value: BodyValue) -> Array:
+    """phi (10,) of a value in either form; another shape where it is neither."""
+    try:
+        return _phi_of_three(*value) if len(value) == 3 else np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        return np.zeros(0)
 
 
 def _phi_of_three(mass: float, com: Sequence[float], inertia: Any) -> Array:
@@ -111,12 +121,16 @@ def _phi_of_three(mass: float, com: Sequence[float], inertia: Any) -> Array:
 
 def _terms(name: str, values: Mapping[str, float]) -> dict[str, float]:
     for key, value in values.items():
-        if key not in JOINT_KEYS:
-            raise unknown_name("term of a joint in a file", key, JOINT_KEYS)
-        if not np.isfinite(value):
-            raise UsageError(f"{key} of the joint {name!r} is {value!r}; it must be finite.")
-        if value < 0 and key != "springref":
-            raise ModelError(
-                f"Not written: {key} of the joint {name!r} is {value:.4g}; it must not be negative."
-            )
+        _check_term(name, key, value)
     return {key: float(value) for key, value in values.items()}
+
+
+def _check_term(name: str, key: str, value: float) -> None:
+    if key not in JOINT_KEYS:
+        raise unknown_name("term of a joint in a file", key, JOINT_KEYS)
+    if not np.isfinite(value):
+        raise UsageError(f"{key} of the joint {name!r} is {value!r}; it must be finite.")
+    if value < 0 and key != "springref":  # the other terms would supply energy
+        raise ModelError(
+            f"Not written: {key} of the joint {name!r} is {value:.4g}; it must not be negative."
+        )

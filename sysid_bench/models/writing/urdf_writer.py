@@ -1,18 +1,18 @@
 """Writing of identified parameters into a URDF; every other byte of its text stays."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
-from sysid_bench.models.writing.rewrite import rewrite
 from sysid_bench.models.writing.update import Bodies, Joints, Update
+from sysid_bench.models.writing.updated_text import updated_text
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
-    attribute_edits,
     element_edit,
-    numbers,
+    value_edits,
+    values_text,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia, six_of_matrix
 from sysid_bench.types import Array
@@ -36,7 +36,7 @@ def updated_urdf(
     text is read again before it is returned. Raises ModelError for values that must not be written
     (see models/writing/update.py), and for joint terms that a URDF cannot hold.
     """
-    return rewrite(path, bodies, joints, verdicts, "robot", _edits)
+    return updated_text(path, bodies, joints, verdicts, "robot", _edits)
 
 
 def _edits(data: bytes, root: Element, update: Update) -> Iterator[Edit]:
@@ -56,40 +56,48 @@ def _called(root: Element, tag: str, name: str, file: str) -> Element:
 
 def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
     mass, com, inertia = mass_com_inertia(phi)
-    moments = zip(_SIX, map(numbers, six_of_matrix(inertia)), strict=True)
+    moments = zip(_SIX, map(values_text, six_of_matrix(inertia)), strict=True)
+    # The moments are about axes parallel to those of the link: a rotation in the text goes.
     parts: dict[str, dict[str, str]] = {
-        "origin": {"xyz": numbers(*com), "rpy": "0 0 0"},
-        "mass": {"value": numbers(mass)},
+        "origin": {"xyz": values_text(*com), "rpy": "0 0 0"},
+        "mass": {"value": values_text(mass)},
         "inertia": dict(moments),
     }
-    inertial = link.child("inertial")
-    if inertial is None:
-        if phi.any():
-            yield element_edit(data, link, _inertial(parts))
-        return
-    for part in parts.items():
-        present = inertial.child(part[0])
-        if present is None:
-            yield element_edit(data, inertial, _element(part))
-        else:
-            yield from attribute_edits(data, present, part[1])
+    inertial = link.find("inertial")
+    if inertial is not None:
+        for tag, values in parts.items():
+            yield from _child_edits(data, inertial, tag, values)
+    elif phi.any():
+        yield element_edit(data, link, _inertial(parts))
 
 
 def _joint_edits(
     data: bytes, joint: Element, terms: Mapping[str, float], file: str
 ) -> Iterator[Edit]:
+    _check_terms(joint, terms, file)
+    values = {_DYNAMICS[key]: values_text(value) for key, value in terms.items()}
+    yield from _child_edits(data, joint, "dynamics", values)
+
+
+def _check_terms(joint: Element, terms: Iterable[str], file: str) -> None:
+    """Raise ModelError for a term that the format has no attribute for."""
     for key in terms:
         if key not in _DYNAMICS:
             raise ModelError(
                 f"{file}: a URDF has no {key} of joints (joint {joint.attributes['name']!r}); "
                 "write an MJCF, or leave that term out."
             )
-    values = {_DYNAMICS[key]: numbers(value) for key, value in terms.items()}
-    dynamics = joint.child("dynamics")
-    if dynamics is None:
-        yield element_edit(data, joint, _element(("dynamics", values)))
+
+
+def _child_edits(
+    data: bytes, parent: Element, tag: str, values: Mapping[str, str]
+) -> Iterator[Edit]:
+    """Edits that set attributes of a child element, which is added where it is absent."""
+    present = parent.find(tag)
+    if present is None:
+        yield element_edit(data, parent, _element((tag, values)))
     else:
-        yield from attribute_edits(data, dynamics, values)
+        yield from value_edits(data, present, values)
 
 
 def _inertial(parts: Mapping[str, Mapping[str, str]]) -> str:

@@ -11,6 +11,9 @@ from sysid_bench.errors import ModelError
 
 _ATTRIBUTE: Final = re.compile(rb"\s+([^\s=/>\"']+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 
+# Possessive: quoted values are not tried again in parts, so that the time stays linear.
+_START_TAG: Final = re.compile(rb"(?:[^\"'>]++|\"[^\"]*\"|'[^']*')*+>")
+
 
 @dataclass(eq=False)
 class Element:
@@ -26,7 +29,7 @@ class Element:
     tail: int = -1
     children: list["Element"] = field(default_factory=list)
 
-    def child(self, tag: str) -> "Element | None":
+    def find(self, tag: str) -> "Element | None":
         """Return the first child with this tag, None without one."""
         return next((child for child in self.children if child.tag == tag), None)
 
@@ -57,6 +60,7 @@ def element_tree(data: bytes, name: str) -> Element:
         raise ModelError(
             f"{name} is not in UTF-8 ({error.reason} at byte {error.start}); convert it first."
         ) from error
+    # Positions are those of bytes: a text of characters would shift them after the first "é".
     parser = expat.ParserCreate("utf-8")
     stack: list[Element] = []
     roots: list[Element] = []
@@ -84,30 +88,40 @@ def element_tree(data: bytes, name: str) -> Element:
 def apply_edits(data: bytes, edits: Iterable[Edit]) -> str:
     """Return the text with its edits, which must not overlap; every other byte stays."""
     out, position = [], 0
+    # An insertion comes before a replacement that starts at the same byte.
     for edit in sorted(edits, key=lambda e: (e.start, e.end)):
         out += [data[position : edit.start], edit.text.encode()]
         position = edit.end
     return b"".join([*out, data[position:]]).decode("utf-8")
 
 
-def attribute_edits(
-    data: bytes, element: Element, values: Mapping[str, str | None]
-) -> Iterator[Edit]:
+def value_edits(data: bytes, element: Element, values: Mapping[str, str | None]) -> Iterator[Edit]:
     """Yield edits that set attributes of an element; None removes one. New attributes come last."""
-    spans = {}
-    last = element.start + 1 + len(element.tag.encode())
-    for match in _ATTRIBUTE.finditer(data, last, element.head_end):
-        spans[match[1].decode()] = match.span()[0], *match.span(2)
-        last = match.end()
+    spans, last = _attribute_spans(data, element)
     new = ""
     for key, value in values.items():
         if key in spans:
-            before, start, end = spans[key]
-            yield Edit(before, end, "") if value is None else Edit(start, end, quoteattr(value))
+            yield _value_edit(spans[key], value)
         elif value is not None:
             new += f" {key}={quoteattr(value)}"
     if new:
         yield Edit(last, last, new)
+
+
+def _value_edit(span: tuple[int, int, int], value: str | None) -> Edit:
+    before, start, end = span
+    return Edit(before, end, "") if value is None else Edit(start, end, quoteattr(value))
+
+
+def _attribute_spans(data: bytes, element: Element) -> tuple[dict[str, tuple[int, int, int]], int]:
+    """For each attribute the positions of the blanks before it, and of start and end of its quoted
+    value; and the position after the last one."""
+    spans = {}
+    last = element.start + 1 + len(element.tag.encode())
+    for match in _ATTRIBUTE.finditer(data, last, element.head_end):
+        spans[match[1].decode()] = match.start(), *match.span(2)
+        last = match.end()
+    return spans, last
 
 
 def element_edit(data: bytes, parent: Element, element: str) -> Edit:
@@ -122,20 +136,12 @@ def element_edit(data: bytes, parent: Element, element: str) -> Edit:
     return Edit(parent.head_end, parent.head_end, indent + element)
 
 
-def numbers(*values: float) -> str:
+def values_text(*values: float) -> str:
     """Return numbers with all digits, so that they read back exactly."""
     return " ".join(repr(float(value)) for value in values)
 
 
 def _end_of_tag(data: bytes, start: int) -> int:
     """Position after the ">" of the start tag at `start`; one within quotes does not count."""
-    quote = 0
-    for position in range(start, len(data)):
-        byte = data[position]
-        if quote:
-            quote = 0 if byte == quote else quote
-        elif byte in b"\"'":
-            quote = byte
-        elif byte == ord(">"):
-            return position + 1
-    return len(data)
+    match = _START_TAG.match(data, start)
+    return len(data) if match is None else match.end()

@@ -14,7 +14,7 @@ FORMATS: Final = {"mujoco": "an MJCF", "robot": "a URDF"}
 Edits = Callable[[bytes, Element, Update], Iterable[Edit]]
 
 
-def rewrite(
+def updated_text(
     path: Path | str,
     bodies: Bodies,
     joints: Joints | None,
