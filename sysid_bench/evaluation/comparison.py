@@ -28,7 +28,7 @@ def interquartile_mean(values: Array, axis: int = 0) -> Array:
     return np.asarray(np.tensordot(weight[used] / weight.sum(), ordered[used], axes=1))
 
 
-def robot_bootstrap(
+def robot_interval(
     values: Array,
     statistic: Callable[[Array], Array] = interquartile_mean,
     level: float = 0.95,
@@ -66,7 +66,7 @@ def wilcoxon_holm(values: Array) -> Array:
     return p
 
 
-def wilcoxon_holm_against(values: Array, reference: int) -> Array:
+def wilcoxon_holm_reference(values: Array, reference: int) -> Array:
     """Return the p-values (methods,) of the same test against one method, `reference`.
 
     Holm's correction is over these comparisons alone, so that fewer robots suffice; the reference

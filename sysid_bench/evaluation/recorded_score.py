@@ -34,7 +34,7 @@ def joint_errors(problem: Problem, beta: Array) -> dict[str, dict[str, Any]]:
     return errors
 
 
-def pooled_error(problem: Problem, beta: Array) -> float:
+def rms_error(problem: Problem, beta: Array) -> float:
     """Return the RMSE (N m, N) over all joints with equal weight."""
     return float(np.sqrt(np.mean([e["rmse"] ** 2 for e in joint_errors(problem, beta).values()])))
 
@@ -73,8 +73,8 @@ def score_recorded(
     return Score(
         **about_data,
         **eigenvalues(estimate, problem),
-        rmse_train=pooled_error(problem, beta),
-        rmse_test=_rms([pooled_error(test, beta) for test in tests.values()]),
+        rmse_train=rms_error(problem, beta),
+        rmse_test=_rms([rms_error(test, beta) for test in tests.values()]),
         torque_error=torque_error(tests, beta),
         torque_error_worst=max(worst, default=None) if tests else None,
         torque_error_by_motion={n: torque_error({n: test}, beta) for n, test in tests.items()},

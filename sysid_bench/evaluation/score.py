@@ -51,7 +51,7 @@ def score(
     return Score(
         **about_data,
         **figures,
-        rmse_train=train.rmse,
+        rmse_train=train.rms_error,
         beta_error=_relative(beta - beta_true, beta_true),
         coverage={kind: _coverage(e, beta, beta_true) for kind, e in (errors or {}).items()},
         joints=tuple(_joint_figures(problem.rows, train, test)),
@@ -64,7 +64,7 @@ def _held_out_figures(
 ) -> dict[str, Any]:
     beta = test.beta
     return {
-        "rmse_test": test.rmse,
+        "rmse_test": test.rms_error,
         "torque_error": test.torque_error,
         "torque_error_sample": _sample_error(test.problems, beta),
         "torque_error_worst": test.worst,
@@ -181,7 +181,7 @@ class RowErrors:
         return np.asarray(self.relative[self.judged_rows & np.isfinite(self.relative)])
 
     @property
-    def rmse(self) -> float:
+    def rms_error(self) -> float:
         """RMS of all rows' errors."""
         return float(np.sqrt((self.errors**2).mean()))
 

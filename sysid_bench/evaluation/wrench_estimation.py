@@ -49,7 +49,7 @@ class SensorNewtonEuler:
         """Names of the degrees of freedom (k,) distal to the sensor."""
         return self.tree.rows
 
-    def external_wrench(self, phi: Array, f_b: Array) -> Array:
+    def contact_wrench(self, phi: Array, f_b: Array) -> Array:
         """Return f_beta (N, 6) [n; f] (N m, N) at the origin of the base, in its axes.
 
         phi (p,) are the parameters, f_b (N, 6) the measured wrench [n; f] in the sensor frame.
@@ -134,7 +134,7 @@ def wrench_errors(
     free = ~contact.any(axis=1)
     out = {}
     for name, phi in phis.items():
-        wrench = method.external_wrench(phi, f_b) - contact
+        wrench = method.contact_wrench(phi, f_b) - contact
         alone = (method.tree.Y_c @ phi - tau)[free]
         out[name] = WrenchErrors(
             torque=_rms(method.joint_torque(phi, f_b) - tau),

@@ -10,7 +10,7 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UnsupportedError, reason_of
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.paper_data import store_paper_data
-from sysid_bench.experiments.plugin_metrics import own_metrics
+from sysid_bench.experiments.plugin_metrics import plugin_metrics
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -113,7 +113,7 @@ def _scored(
     score = Score(**{f.name: scores[f.name] for f in fields(Score) if f.name in scores})
     cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
     store_paper_data(argument, estimator["cell"], estimate, prepared)
-    return row | scores | prepared.fields | own_metrics(argument, cell) | {"stats": stats}
+    return row | scores | prepared.fields | plugin_metrics(argument, cell) | {"stats": stats}
 
 
 def _explained(row: Row, prepared: Prepared[Any]) -> Row:

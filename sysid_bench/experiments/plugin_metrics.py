@@ -9,7 +9,7 @@ from sysid_bench.naming import build
 from sysid_bench.types import MetricInput, Row
 
 
-def own_metrics(argument: Mapping[str, Any], cell: MetricInput) -> Row:
+def plugin_metrics(argument: Mapping[str, Any], cell: MetricInput) -> Row:
     """Row fields of `argument["metrics"]` ({name, spec} each, see harness/job.py); empty values
     where the estimator gave no estimate."""
     entries = argument.get("metrics", ())

@@ -13,7 +13,7 @@ from sysid_bench.evaluation.comparison import (
     holm,
     interquartile_mean,
     performance_profile,
-    robot_bootstrap,
+    robot_interval,
     wilcoxon_holm,
     win_rates,
 )
@@ -36,7 +36,7 @@ from sysid_bench.evaluation.distance import (
     geodesic_distance,
     subspace_distance,
 )
-from sysid_bench.evaluation.repeats import bias, bound_ratio, efficiency, spread
+from sysid_bench.evaluation.repeat_statistic import mean_error, bound_ratio, efficiency, spread
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.linear.weights import row_sigmas
@@ -229,7 +229,7 @@ def test_bias_is_told_apart_from_scatter(share: float) -> None:
     straight = errors_of(WLS(), 400)
     errors = straight + share * bound
     np.testing.assert_allclose(spread(errors, bound), spread(straight, bound))
-    told, low, high = bias(errors)
+    told, low, high = mean_error(errors)
     assert low <= told <= high
     assert low <= share <= high + 0.05
     assert high - low < 0.3
@@ -304,9 +304,9 @@ def test_robots_and_not_motions_make_the_interval() -> None:
     robots = rng.normal(size=(6, 1, 1))
     few = robots + 0.1 * rng.normal(size=(6, 3, 1))
     many = robots + 0.1 * rng.normal(size=(6, 60, 1))
-    width = [float(np.diff(robot_bootstrap(v, draws=400), axis=0)[0, 0]) for v in (few, many)]
+    width = [float(np.diff(robot_interval(v, draws=400), axis=0)[0, 0]) for v in (few, many)]
     assert width[1] > 0.6 * width[0]
-    naive = float(np.diff(robot_bootstrap(many.reshape(360, 1, 1), draws=400), axis=0)[0, 0])
+    naive = float(np.diff(robot_interval(many.reshape(360, 1, 1), draws=400), axis=0)[0, 0])
     assert naive < 0.5 * width[1]
 
 

@@ -73,7 +73,7 @@ def test_exact_parameters_give_exact_torques_and_wrenches() -> None:
     method, f_b, tau, contact = test_run()
     phi = task().truth.theta
     np.testing.assert_allclose(method.joint_torque(phi, f_b), tau, atol=1e-11)
-    np.testing.assert_allclose(method.external_wrench(phi, f_b), contact, atol=1e-10)
+    np.testing.assert_allclose(method.contact_wrench(phi, f_b), contact, atol=1e-10)
 
 
 def test_identified_parameters_serve_as_well_as_the_true_ones() -> None:

@@ -11,7 +11,7 @@ from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.problem import (
     LogProblemBuilder,
     fold_factors,
-    merge_factors,
+    row_factor,
 )
 from sysid_bench.experiments.recorded.term_selection import FOLDS
 from sysid_bench.experiments.recorded.unknowns import MASS
@@ -70,7 +70,7 @@ def _leave_one_fold_out(
         replace(
             problem,
             factors=tuple(
-                merge_factors([R for f in range(FOLDS) if f != left_out for R in parts[f][k]])
+                row_factor([R for f in range(FOLDS) if f != left_out for R in parts[f][k]])
                 for k in range(len(problem.rows))
             ),
         )

@@ -13,7 +13,7 @@ from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
-from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog, process_log
+from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog, process_log
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.recorded.term_selection import select_terms
@@ -104,7 +104,7 @@ def prepare_logs(
 def build_problems(
     training: Sequence[ProcessedLog],
     tests: Mapping[str, ProcessedLog],
-    preprocessing: Preprocessing,
+    preprocessing: LogProcessing,
     options: LogOptions,
 ) -> Prepared[RecordedSource]:
     """The problem of all training logs together, and one of each test log.
@@ -161,14 +161,14 @@ def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
     return found
 
 
-def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> Preprocessing:
+def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> LogProcessing:
     slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
     signals: dict[str, Any] = {
         "filter": options.filter or (FILTER if slowest > SLOW else "none"),
         "derivatives": options.derivatives
         or ("from v" if all(log.v is not None for log in logs) else "from q"),
     }
-    return Preprocessing(
+    return LogProcessing(
         processing_of(signals), options.moving, signals["filter"], signals["derivatives"]
     )
 

@@ -18,7 +18,7 @@ from sysid_bench.types import Recording, Trajectory
 
 
 @dataclass(frozen=True)
-class Preprocessing:
+class LogProcessing:
     """Settings for all logs: `processing` gives motion and torque. Rows whose joint moves slower
     than `moving` (rad/s, m/s) are left out: no model has static friction."""
 
@@ -44,7 +44,7 @@ class ProcessedLog:
 
 
 def process_log(
-    log: LogDescription, manifest: Manifest, preprocessing: Preprocessing
+    log: LogDescription, manifest: Manifest, preprocessing: LogProcessing
 ) -> ProcessedLog:
     """Read and preprocess a log; its contradictions are still to be refused.
 
@@ -66,7 +66,7 @@ def process_log(
     )
 
 
-def _motors(log: Log, preprocessing: Preprocessing) -> Trajectory | None:
+def _motors(log: Log, preprocessing: LogProcessing) -> Trajectory | None:
     """Motion of the motors, filtered like that of the joints."""
     if log.coordinates is None or log.description.transmission is None:
         return None

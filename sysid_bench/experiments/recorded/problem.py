@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog
+from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.regressors.qr_accumulation import upper_factor
@@ -20,7 +20,7 @@ class LogProblemBuilder:
 
     unknowns: Unknowns
     columns: tuple[str, ...]
-    preprocessing: Preprocessing
+    preprocessing: LogProcessing
 
     def build(self, logs: Sequence[ProcessedLog], base: BaseMap) -> Problem:
         """The problem W beta = b of all rows of the logs."""
@@ -28,7 +28,7 @@ class LogProblemBuilder:
         names = self.unknowns.robot.torque_rows
         kinds = tuple(self.unknowns.robot.torque_kinds[names.index(row)] for row in rows)
         parts = [self._factors(log) for log in logs]
-        factors = tuple(merge_factors(of_row) for of_row in zip(*parts, strict=True))
+        factors = tuple(row_factor(of_row) for of_row in zip(*parts, strict=True))
         return Problem(
             parameters=self.unknowns.parameters,
             base=base,
@@ -144,7 +144,7 @@ def fold_factors(
     return [[tuple(factors[f][k] for factors in log_factors) for k in rows] for f in range(count)]
 
 
-def merge_factors(factors: Sequence[Factor]) -> Factor:
+def row_factor(factors: Sequence[Factor]) -> Factor:
     """One factor of the same row of several logs, which may have different columns."""
     if len(factors) == 1:
         return factors[0]

@@ -102,7 +102,7 @@ class RecordedSource:
 
 
 @dataclass(frozen=True, eq=False)
-class TorquePrediction:
+class PredictedTorque:
     """Times (N,), measured and predicted torque (N, rows) of a log, and its problem."""
 
     t: Array
@@ -113,7 +113,7 @@ class TorquePrediction:
 
 def predict_log(
     prepared: Prepared[RecordedSource], beta: Array, test: str | None = None
-) -> TorquePrediction:
+) -> PredictedTorque:
     """Predicted torque of a test log; None: of the first one, else of the first training log.
 
     Raises UsageError for the name of another log.
@@ -127,7 +127,7 @@ def predict_log(
     log = source.training[0] if label is None else source.tests[label]
     measured, predicted = predict_torque(problem, beta)
     N = len(log.recording)
-    return TorquePrediction(log.recording.t, measured[:N], predicted[:N], problem)
+    return PredictedTorque(log.recording.t, measured[:N], predicted[:N], problem)
 
 
 def _parameter_table(estimate: Estimate, problem: Problem) -> list[Row]:

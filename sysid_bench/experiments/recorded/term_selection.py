@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from sysid_bench.experiments.recorded.extra_columns import extra_columns, is_motor
-from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog
+from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, fold_factors
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
@@ -33,7 +33,7 @@ def select_terms(
     unknowns: Unknowns,
     candidates: tuple[str, ...],
     training: Sequence[ProcessedLog],
-    preprocessing: Preprocessing,
+    preprocessing: LogProcessing,
 ) -> tuple[Unknowns, TermSelection]:
     """The unknowns with those candidates that improve the prediction of left-out parts.
 

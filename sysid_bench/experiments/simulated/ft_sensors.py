@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.experiments.seeds import noise_seed, seed_of, sensor_seed
+from sysid_bench.experiments.seed import noise_seed, seed_of, sensor_seed
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.sensor import last_body
 from sysid_bench.simulation.force_torque import (
@@ -55,7 +55,7 @@ class MeasuredSensors:
         rows = tuple(row for cut in self.task.cuts for row in cut.rows)
         return replace(raw, wrench=np.hstack(parts), wrench_rows=rows)
 
-    def exact(self, oracle: Oracle) -> Array:
+    def noise_free(self, oracle: Oracle) -> Array:
         """Noise-free torques and wrenches (N, nv + 6 sensors), with the constant offsets of the
         sensors where those are among the unknowns."""
         if not self.task.cuts:

@@ -12,7 +12,7 @@ from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import TorqueModel, information_model
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.seeds import known_seed, prior_seed
+from sysid_bench.experiments.seed import known_seed, prior_seed
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sensor_offset
 from sysid_bench.experiments.simulated.method_model import known_model
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
@@ -55,7 +55,7 @@ class NoiseFreePart:
         """Problems of other motions, with exact signals."""
         sensors = MeasuredSensors(self.spec, self.simulated.plant, self.task)
         return {
-            name: self.builder.build(oracle.motion, sensors.exact(oracle))
+            name: self.builder.build(oracle.motion, sensors.noise_free(oracle))
             for name, oracle in held_out_motions(self.spec, self.simulated).items()
         }
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.seeds import noise_seed
+from sysid_bench.experiments.seed import noise_seed
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.method_model import (
     KnownTorque,
@@ -19,7 +19,7 @@ from sysid_bench.experiments.simulated.method_model import (
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart, noise_free_part
 from sysid_bench.experiments.simulated.preprocess import ProcessedRecording, preprocess
 from sysid_bench.experiments.simulated.problem import measured_signals, regressor_blocks
-from sysid_bench.experiments.simulated.record import Repetition, record, repetitions
+from sysid_bench.experiments.simulated.record import Repetition, record, recordings_of
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
@@ -35,7 +35,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     """
     noise_free = noise_free_part(spec, loaded)
     builder, simulated = noise_free.builder, noise_free.simulated
-    order = repetitions(spec, noise_free.task)
+    order = recordings_of(spec, noise_free.task)
     first_loaded = next(repetition for repetition in order if repetition.loaded)
     sensors = MeasuredSensors(spec, simulated.plant, noise_free.task)
     sampled = record(spec, simulated, sensors, first_loaded)

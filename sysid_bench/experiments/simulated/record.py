@@ -11,7 +11,7 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.seeds import (
+from sysid_bench.experiments.seed import (
     drift_seed,
     held_out_seed,
     motion_seed,
@@ -86,7 +86,7 @@ class Repetition:
     seed: int  # of its noise
 
 
-def repetitions(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
+def recordings_of(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
     """The recordings of an experiment in order, "A" without and "B" with the payload.
 
     The first loaded one has the noise that it has without the others, so that comparisons are

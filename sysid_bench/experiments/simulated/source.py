@@ -8,7 +8,7 @@ from typing import Any
 from sysid_bench.evaluation.covariance import StandardError, standard_errors
 from sysid_bench.evaluation.score import data_figures, score
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.simulated.ft_scores import (
+from sysid_bench.experiments.simulated.ft_score import (
     ContactTest,
     contact_fields,
     contact_test,

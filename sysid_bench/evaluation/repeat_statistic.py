@@ -33,7 +33,7 @@ Figure = tuple[float, float, float]
 """Value, low and high end of its 95 % bootstrap interval over repeats."""
 
 
-def bias(errors: Array) -> Figure:
+def mean_error(errors: Array) -> Figure:
     """Return the mean error in standard deviations of a single estimate, RMS over parameters, minus
     its expected value for an unbiased method with n repeats."""
 
