@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
+from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.execute import load_experiment, method_of
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
@@ -88,8 +89,9 @@ def _gap(loaded: LoadedRobot, prepared: Prepared[SimulatedSource]) -> dict[str, 
 
 def _predicted(prepared: Prepared[SimulatedSource], estimate: Estimate) -> Array | None:
     """Torque (N, rows) of the estimate and of the known parts along the measured motion."""
-    if estimate.status != "ok" or estimate.beta is None:
+    beta = base_parameters(estimate)
+    if beta is None:
         return None
     blocks = prepared.experiment.regress(prepared.experiment.recording.motion)
-    predicted = np.concatenate([block @ estimate.beta for block in blocks])
+    predicted = np.concatenate([block @ beta for block in blocks])
     return np.asarray(predicted + prepared.source.known)

@@ -10,12 +10,11 @@ import numpy as np
 from sysid_bench.errors import EstimationError
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.recorded_score import (
-    eigenvalues,
     joint_errors,
     rms_error,
     torque_error,
 )
-from sysid_bench.evaluation.score import data_figures
+from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.payload_mass import payload_mass
 from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_logs
@@ -247,7 +246,7 @@ def _result(
         bodies=bodies,
         joints=joints,
         payload=payload,
-        feasible=eigenvalues(estimate, problem).get("feasible"),
+        feasible=feasible_figures(estimate.theta, problem).get("feasible"),
         warnings=[
             *robot.repairs,
             *_findings(processed),
