@@ -115,17 +115,17 @@ def _noise_level(key: str, written: Any) -> tuple[str, float]:
     """Key and SI number of one entry of a [noise] table."""
     if key not in NOISE_UNITS:
         raise unknown_name("kind of noise", key, NOISE_UNITS)
-    if key == "tau" and _is_share(written):
-        key, unit = "tau_relative", "%"
-    else:
-        unit = NOISE_UNITS[key]
-    number = quantity(written, unit)
-    # A first-order autoregression with correlation 1 is a random walk without finite variance.
+    share = key == "tau" and _is_share(written)
+    number = quantity(written, "%" if share else NOISE_UNITS[key])
+    _validate_level(key, number, written)
+    return "tau_relative" if share else key, number
+
+
+def _validate_level(key: str, number: float, written: Any) -> None:
+    # A first-order autoregression with correlation 1 is a random walk, without finite variance.
     below, most = (1.0, " and below 1") if key == "tau_correlation" else (inf, "")
     if not 0 <= number < below:
-        shown = key.removesuffix("_relative")
-        raise UsageError(f"noise.{shown} must be 0 or more{most}; got {written!r}.")
-    return key, number
+        raise UsageError(f"noise.{key} must be 0 or more{most}; got {written!r}.")
 
 
 def _is_share(written: Any) -> bool:

@@ -74,9 +74,10 @@ def _motors(log: Log, preprocessing: LogProcessing) -> Trajectory | None:
         Joint(name, "hinge", k, k, (name,)) for k, name in enumerate(log.description.joints)
     )
     motion = preprocessing.processing.apply(log.coordinates, joints).motion
-    q, v, a = (
-        np.linalg.solve(log.description.transmission, x.T).T for x in (motion.q, motion.v, motion.a)
-    )
+    # q = G q_motor, and G is constant: rates transform alike.
+    q, v, a = np.linalg.solve(
+        log.description.transmission, np.stack([motion.q.T, motion.v.T, motion.a.T])
+    ).swapaxes(1, 2)
     return replace(motion, q=q, v=v, a=a)
 
 
