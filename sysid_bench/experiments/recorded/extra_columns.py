@@ -100,9 +100,14 @@ def _addresses(robot: RobotModel) -> dict[str, tuple[int, int]]:
     return {dof: (joint.qadr, joint.vadr) for joint in robot.joints for dof in joint.dofs}
 
 
-def is_motor(word: str) -> bool:
-    """True for a term or feature of motors: "motor.play"."""
-    return word.startswith(f"{MOTOR}.")
+def motor_terms(words: Sequence[str]) -> tuple[str, ...]:
+    """Those words that name terms or features of motors: "motor.play"."""
+    return tuple(word for word in words if word.startswith(f"{MOTOR}."))
+
+
+def joint_terms(words: Sequence[str]) -> tuple[str, ...]:
+    """Those words that name terms or features of joints: "play"."""
+    return tuple(word for word in words if not word.startswith(f"{MOTOR}."))
 
 
 def extra_columns(
@@ -114,9 +119,9 @@ def extra_columns(
     """
     address = _addresses(robot)
     motions = [log.recording.motion for log in training]
-    features = _features([word for word in words if not is_motor(word)])
+    features = _features(joint_terms(words))
     table = features_of(features, rows, [address[row] for row in rows], motions)
-    of_motors = [word.removeprefix(f"{MOTOR}.") for word in words if is_motor(word)]
+    of_motors = [word.removeprefix(f"{MOTOR}.") for word in motor_terms(words)]
     return ExtraColumns(table, _motors(of_motors, training) if of_motors else None)
 
 

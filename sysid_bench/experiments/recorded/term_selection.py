@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from sysid_bench.experiments.recorded.extra_columns import extra_columns, is_motor
+from sysid_bench.experiments.recorded.extra_columns import extra_columns, joint_terms
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, fold_factors
 from sysid_bench.experiments.recorded.unknowns import Unknowns
@@ -79,7 +79,7 @@ def _with_candidates(
 ) -> Unknowns:
     """The unknowns with all candidates; of motors those that share joints, since the columns of a
     motor that drives one joint alone are those of that joint."""
-    terms = tuple(name for name in candidates if is_term(name) and not is_motor(name))
+    terms = tuple(name for name in joint_terms(candidates) if is_term(name))
     columns = unknowns.robot.term_columns(terms)
     more = [column for column in columns if column.split(".")[0] in unknowns.rows]
     words = [name for name in candidates if name not in terms]

@@ -8,7 +8,12 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError
-from sysid_bench.experiments.recorded.extra_columns import ExtraColumns, extra_columns, is_motor
+from sysid_bench.experiments.recorded.extra_columns import (
+    ExtraColumns,
+    extra_columns,
+    joint_terms,
+    motor_terms,
+)
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_factor
@@ -60,7 +65,7 @@ class Unknowns:
     @property
     def payload_parameters(self) -> tuple[str, ...]:
         """Names of the payload's ten parameters, or none."""
-        return tuple(column for body in self._payload for column in body.columns)
+        return _columns(self._payload)
 
     def rigid_bodies(self, log: ProcessedLog) -> tuple[RobotModel, tuple[str, ...]]:
         """The robot of a log, with those unknowns that its regressor has columns for."""
@@ -139,6 +144,11 @@ class Unknowns:
         return partial(self.features.on_rows, robot, self.rows, self._motor_names)
 
 
+def _columns(bodies: Sequence[Body]) -> tuple[str, ...]:
+    """Names of the ten parameters of each body."""
+    return tuple(column for body in bodies for column in body.columns)
+
+
 def unknowns_of(
     task: str, terms: tuple[str, ...], training: Sequence[ProcessedLog], position_given: bool
 ) -> Unknowns:
@@ -150,12 +160,12 @@ def unknowns_of(
     definition = named_task(task)
     _validate_task(definition, position_given)
     unloaded, loaded = _robots(definition, training)
-    words = tuple(term for term in terms if is_motor(term))
+    words = motor_terms(terms)
     unknowns = Unknowns(
         unloaded,
         loaded,
-        tuple(column for body in unknown_bodies(unloaded) for column in body.columns),
-        unloaded.term_columns(tuple(term for term in terms if not is_motor(term))),
+        _columns(unknown_bodies(unloaded)),
+        unloaded.term_columns(joint_terms(terms)),
         training[0].log.joints,
         motor_words=words,
         extra=(MASS,) if position_given else (),
@@ -184,6 +194,11 @@ def _validate_task(task: TaskDefinition, position_given: bool) -> None:
         raise UsageError("A given position needs a task that identifies the payload: 'payload'.")
 
 
+def _first_robot(training: Sequence[ProcessedLog], loaded: bool) -> RobotModel | None:
+    """The robot of the first log with or without a payload; None without such a log."""
+    return next((log.robot for log in training if bool(log.payload) is loaded), None)
+
+
 def _robots(
     task: TaskDefinition, training: Sequence[ProcessedLog]
 ) -> tuple[RobotModel, RobotModel | None]:
@@ -191,8 +206,7 @@ def _robots(
 
     Raises UsageError where the task compares both and the logs have only one of them.
     """
-    unloaded = next((log.robot for log in training if not log.payload), None)
-    loaded = next((log.robot for log in training if log.payload), None)
+    unloaded, loaded = (_first_robot(training, payload) for payload in (False, True))
     if not task.identifies_payload:
         return unloaded or load_robot(training[0].robot.manifest), None
     if unloaded is None or loaded is None:

@@ -1,10 +1,12 @@
 """Evaluation of a task behind a force/torque sensor: torques, contacts, unexcited directions."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
 
 import numpy as np
 
+from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.evaluation.wrench_estimation import (
     SensorNewtonEuler,
     WrenchErrors,
@@ -57,12 +59,17 @@ class ContactTest:
         if prior is None or theta is None:
             return None
         sets = {"true": truth.theta, "CAD": prior.theta, "identified": theta}
-        index = {name: i for i, name in enumerate(problem.parameters)}
-        phis = {
-            name: np.array([values[index[c]] if c in index else 0.0 for c in self.method.columns])
-            for name, values in sets.items()
-        }
+        columns = self.method.columns
+        phis = {name: subtree_parameters(x, problem, columns) for name, x in sets.items()}
         return wrench_errors(self.method, phis, self.wrench, self.tau, self.touch)
+
+
+def subtree_parameters(theta: Array, problem: Problem, columns: Sequence[str]) -> Array:
+    """Parameters phi (..., p') of a sub-tree by name, from those of a problem (..., p); zero where
+    the problem has none, as for joint terms, which a wrench does not contain."""
+    index = {name: i for i, name in enumerate(problem.parameters)}
+    indices = np.array([index.get(name, -1) for name in columns], dtype=int)
+    return np.where(indices >= 0, theta[..., indices], 0.0)
 
 
 def sensor_excitation(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> Excitation:
@@ -117,9 +124,10 @@ def contact_fields(errors: dict[str, WrenchErrors] | None) -> Row:
 
 
 def _theta(estimate: Estimate, problem: Problem) -> Array | None:
-    if estimate.status != "ok" or estimate.beta is None:
+    beta = base_parameters(estimate)
+    if beta is None:
         return None
-    return problem.base.embed(estimate.beta) if estimate.theta is None else estimate.theta
+    return problem.base.embed(beta) if estimate.theta is None else estimate.theta
 
 
 def _ratio(error: float, other: float) -> float | None:

@@ -45,12 +45,11 @@ class MeasuredSensors:
         if contact is not None:
             tau = contact_torque(self.plant, contact, motion)
             raw = replace(raw, tau=raw.tau - self.plant.robot.reduced(motion.q, tau))
-        exact = self._wrench(motion, contact)
+        exact = _by_sensor(self._wrench(motion, contact))
+        errors = _sensor_errors(self.spec, len(self.task.cuts))
         parts = [
             error.measure(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
-            for error, wrench in zip(
-                _sensor_errors(self.spec, len(self.task.cuts)), _by_sensor(exact), strict=True
-            )
+            for error, wrench in zip(errors, exact, strict=True)
         ]
         rows = tuple(row for cut in self.task.cuts for row in cut.rows)
         return replace(raw, wrench=np.hstack(parts), wrench_rows=rows)

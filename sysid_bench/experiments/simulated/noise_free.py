@@ -112,7 +112,15 @@ def _design_problem(
     robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float
 ) -> DesignProblem:
     """Inputs of excitation design at `rate` (Hz): limits, regressor, and torques by the prior."""
-    problem = design_problem(robot, rate)
+    # A task with sensors has no prior of the bodies before them: torques cannot be predicted.
+    torque = None if prior is None or task.cuts else _torque_model(robot, task, prior)
+    information = information_model(robot, base.names, task.rows, task.cuts)
+    scene = partial(collision_model, robot)
+    return replace(design_problem(robot, rate), regress=information, torque=torque, scene=scene)
+
+
+def _torque_model(robot: RobotModel, task: Task, prior: Prior) -> TorqueModel:
+    """Torque by the prior parameters and the known parts, for limits of torque."""
     # Designs hold ball and free joints, whose terms have no columns.
     terms = {
         f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
@@ -120,22 +128,19 @@ def _design_problem(
         for dof in robot.scalar_dofs
         if values[dof]
     }
-    torque = None
-    # A task with sensors has no prior of the bodies before them: torques cannot be predicted.
-    if prior is not None and not task.cuts:
-        regression = torque_regression(robot, (*task.parameters, *terms))
-        theta = np.array([*prior.theta, *terms.values()])
-        torque = TorqueModel(regression, theta, task.known_links, robot.tree, robot.coupling)
-    information = information_model(robot, base.names, task.rows, task.cuts)
-    scene = partial(collision_model, robot)
-    return replace(problem, regress=information, torque=torque, scene=scene)
+    regression = torque_regression(robot, (*task.parameters, *terms))
+    theta = np.array([*prior.theta, *terms.values()])
+    return TorqueModel(regression, theta, task.known_links, robot.tree, robot.coupling)
 
 
 def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
+    """The prior of the unknowns: drawn around the truth, the truth itself, or None."""
     if spec.prior == "none":
         return None
-    spread = None
-    if not isinstance(spec.prior, str):
-        spreads = {key: x for key, x in spec.prior.items() if key not in (REDRAWN, "known")}
-        spread = PriorSpread(**spreads)
-    return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
+    return prior_of(task, _prior_spread(spec), np.random.default_rng(prior_seed(spec)))
+
+
+def _prior_spread(spec: ExperimentSpec) -> PriorSpread | None:
+    if isinstance(spec.prior, str):
+        return None
+    return PriorSpread(**{k: x for k, x in spec.prior.items() if k not in (REDRAWN, "known")})

@@ -1,6 +1,6 @@
 """Simulated experiments: record, preprocess, build the problem; once for all estimators."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from typing import Any
@@ -81,14 +81,20 @@ def _make_read_only(value: Any) -> None:
     """Make the arrays of a frozen type read-only: the estimators of one experiment share them."""
     if isinstance(value, np.ndarray):
         value.flags.writeable = False
-    elif isinstance(value, partial):
-        _make_read_only(value.args)
-    elif isinstance(value, tuple):
-        for part in value:
-            _make_read_only(part)
-    elif is_dataclass(value) and type(value).__module__ == Problem.__module__:
-        for field in fields(value):
-            _make_read_only(getattr(value, field.name))
+    for part in _parts(value):
+        _make_read_only(part)
+
+
+def _parts(value: Any) -> Iterable[Any]:
+    """The values that a tuple, a partial or a type that methods are given holds."""
+    if isinstance(value, tuple):
+        return value
+    if isinstance(value, partial):
+        return value.args
+    # Types of other modules, such as a robot, have caches that are filled later.
+    if is_dataclass(value) and type(value).__module__ == Problem.__module__:
+        return [getattr(value, field.name) for field in fields(value)]
+    return ()
 
 
 def _runs(
