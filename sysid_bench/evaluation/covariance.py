@@ -113,6 +113,7 @@ def residual_scores(problem: Problem, beta: Array, sigma: Array) -> ResidualScor
     """Return the scores of a fit `beta` (r,) with rows divided by `sigma` (rows,)."""
     R = stacked_factor(problem, (1 / sigma).tolist())[:-1, :-1]
     inverse = solve_triangular(R, np.eye(len(R)))
+    # The residual enters with 1 / sigma^2: once by the weighted row, once by the weighted residual.
     forces = [np.einsum("nir,ni->nr", Y, (b - Y @ beta) / sigma**2) for Y, b in problem.blocks()]
     return ResidualScores(inverse, np.concatenate(forces) @ inverse)
 

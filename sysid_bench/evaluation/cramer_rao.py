@@ -31,6 +31,8 @@ def torque_bound(
     `rows` are blocks of W (n, rows, r), `covariance` is C (rows, rows). The noise is white in time,
     or a first-order autoregression with this `correlation` of consecutive samples.
     """
+    # QR of the whitened rows, block by block: the information W' C^-1 W itself would have the
+    # squared condition number.
     L = np.linalg.cholesky(covariance)
     blocks = rows if correlation == 0.0 else _whitened(rows, correlation)
     R = np.zeros((0, 0))
@@ -56,6 +58,7 @@ def _whitened(rows: Iterable[Array], correlation: float) -> Iterator[Array]:
         previous = block[:1] if last is None else last
         whitened = block - correlation * np.concatenate([previous, block[:-1]])
         whitened /= np.sqrt(1 - correlation**2)
+        # The first sample has no predecessor, and the full variance of the process.
         if last is None:
             whitened[0] = block[0]
         last = block[-1:]

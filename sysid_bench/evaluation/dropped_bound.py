@@ -44,9 +44,10 @@ def dropped_bound(problem: Problem, held_out: Mapping[str, Problem], theta: Arra
         return DroppedBound()
     r = base.rank
     R = stacked_factor(problem)[:r, :r]
-    size = share * _size([problem])
+    size = share * _size([problem])  # |d|
     beta = base.K @ theta
     tests = list(held_out.values())
+    # |W^+| = 1 / sigma_min(W), and W has the singular values of R.
     return DroppedBound(
         beta_error=size / float(np.linalg.svd(R, compute_uv=False)[-1] * np.linalg.norm(beta)),
         torque_error=_torque_error(tests, R, size, share, beta) if tests else 0.0,

@@ -50,6 +50,7 @@ def _on_ranked(metric: Metric, cell: MetricInput, value: float) -> Iterator[str]
     """Broken laws of a metric by which methods are ranked, smaller being better."""
     if value < 0:
         yield f"A ranked metric is not negative; a cell has {value:g}."
+    # The sign of a metric is easily inverted: more error has to be a larger value.
     worse, _ = _value(metric, _disturbed(cell))
     if worse is not None and worse < value:
         yield f"Parameters that are off by {DISTURBANCE:.0%} look better: {worse:g} < {value:g}."

@@ -21,6 +21,7 @@ def joint_errors(problem: Problem, beta: Array) -> dict[str, dict[str, Any]]:
     errors = {}
     norms = residual_norms(problem, beta)
     for i, (factor, norm) in enumerate(zip(problem.factors, norms, strict=True)):
+        # Joints differ in their samples: those at which one stands still are left out.
         count = max(factor.samples, 1)
         size = float(np.linalg.norm(factor.R[:, -1]))
         # The factor has the torque minus known contributions; problem.torque includes them.

@@ -103,6 +103,7 @@ def data_figures(problem: Problem, held_out: Mapping[str, Problem]) -> dict[str,
     if base.rank == 0 or rank < base.rank:
         return figures
     figures["condition"] = float(np.linalg.cond(R))
+    # Columns in kg, kg m and kg m^2: a change of units scales them and alters the plain condition.
     figures["condition_unit"] = float(np.linalg.cond(R / norms))
     if held_out:
         figures["d_optimality"] = _d_optimality(problem, list(held_out.values()))
@@ -124,11 +125,13 @@ def _d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
     train = stacked_factor(problem, weights)[:r, :r]
     if excited_rank(train) < r:
         return None
+    # QR of the stacked factors: products R'R would square the condition number.
     tests = upper_factor(stacked_factor(test, weights)[:r, :r] for test in held_out)
     samples = sum(test.samples for test in held_out)
     spreads = np.linalg.svd(
         solve_triangular(train, tests.T, trans="T").T / np.sqrt(samples), compute_uv=False
     )
+    # Directions that the held-out motions do not excite are rounding errors, whose log is large.
     spreads = spreads[spreads > 1e-9 * spreads[0]]
     return float(-2 * np.log(spreads).sum())
 
@@ -145,6 +148,7 @@ def _torque(problem: Problem) -> Array:
     """RMS torque of each row (rows,) of one problem."""
     if problem.torque is not None:
         return problem.torque
+    # The last column of R is Q'b, which has the norm of b: Q is orthogonal.
     norms = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
     return np.asarray(norms / np.sqrt(problem.samples))
 
@@ -170,6 +174,7 @@ class RowErrors:
     @cached_property
     def judged_rows(self) -> Array:
         """Mask of the rows with enough torque to count in means."""
+        # The relative error of a joint that carries hardly any torque is that of its noise.
         names = np.array(self.problems[0].kinds or ("",) * len(self.rms))
         large = np.zeros(len(self.rms), dtype=bool)
         for kind in set(names):
@@ -208,6 +213,7 @@ class RowErrors:
 def _sample_error(problems: list[Problem], beta: Array) -> float | None:
     """Mean over samples of |error| / |torque|, norms over the joints, as in BIRDy (Leboutet et al.
     2021); None unless all rows are joint torques."""
+    # A norm over rows in N and in N m would depend on the unit of length.
     if set(problems[0].kinds) != {"joint N m"}:
         return None
     relative = np.concatenate([r for problem in problems for r in _sample_ratios(problem, beta)])
@@ -225,6 +231,7 @@ def _sample_ratios(problem: Problem, beta: Array) -> Iterator[Array]:
 def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> float | None:
     """|W (beta - beta*)| / |W beta*| over the held-out rows."""
     r = len(beta)
+    # |W x| = |R x| for each problem, so that W itself is not needed.
     R = np.concatenate([stacked_factor(problem)[:, :r] for problem in problems])
     return _relative(R @ (beta - beta_true), R @ beta_true)
 

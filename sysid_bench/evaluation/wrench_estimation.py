@@ -101,6 +101,7 @@ def wrench_errors(
 
     `tau` (N, k) and `contact` (N, 6), the external wrench at the base, are the ground truth.
     """
+    # Parameters alone cannot predict the torque of an unknown contact.
     free = ~contact.any(axis=1)
     out = {}
     for name, phi in phis.items():

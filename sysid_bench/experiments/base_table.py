@@ -181,6 +181,7 @@ def _with_lengths(robot: RobotModel, table: Path, lengths: Mapping[str, float]) 
 
 def _same_pivots(R: Array, pivots: Array) -> Array:
     """K (r, p) of another regressor on the same pivots."""
+    # R = R_pivots K: a QR of its own could choose other pivots at other lengths.
     return np.asarray(np.linalg.lstsq(R[:, pivots], R, rcond=None)[0])
 
 
@@ -235,6 +236,7 @@ def _in_these_rows(given: Sequence[Mapping[str, Any]], base: BaseMap) -> Array:
     K = np.zeros((len(given), len(base.parameters)))
     for i, row in enumerate(given):
         K[i] = [row["terms"].get(name, 0.0) for name in base.parameters]
+    # beta_given = K_given theta and beta = K theta, with equal row spaces of both maps.
     M, *_ = np.linalg.lstsq(K.T, base.K.T, rcond=None)
     if not np.allclose(K.T @ M, base.K.T, atol=1e-6 * np.abs(base.K).max()):
         raise UsageError("the base parameters identified are other ones than those of this table.")

@@ -78,6 +78,7 @@ def _gap(loaded: LoadedRobot, prepared: Prepared[SimulatedSource]) -> dict[str, 
     """Differences of our regressor from Pinocchio's on the measured rows, and column names."""
     robot, cuts, check = prepared.robot, prepared.source.task.cuts, loaded.check
     if not cuts:
+        # The cross-check of the robot has all rows; with a sensor there are other ones.
         rows = [robot.rows.index(row) for row in prepared.problem.rows]
         return {"gap_map": check.gap_map[rows], "gap_columns": check.columns}
     motion = random_states(robot, 5, np.random.default_rng(0))

@@ -13,7 +13,7 @@ import numpy as np
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.base_table import base_table
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.recorded.source import PredictedTorque, RecordedSource, predict_log
+from sysid_bench.experiments.recorded.source import LogTorque, RecordedSource, predict_log
 from sysid_bench.identifiability.base_expressions import base_expressions
 from sysid_bench.models.dh.dh_table import printed_table
 from sysid_bench.models.load import load_robot
@@ -79,7 +79,7 @@ def _manifest_of(argument: Mapping[str, Any]) -> Manifest:
     return find_manifest(argument["experiment"]["robot"], *places)
 
 
-def _write_torques(folder: Path, name: str, found: PredictedTorque) -> None:
+def _write_torques(folder: Path, name: str, found: LogTorque) -> None:
     units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
     np.savez_compressed(
         folder / f"{name}.npz",

@@ -57,6 +57,7 @@ def process_log(
         recording = preprocessing.processing.apply(read.recording, robot.joints)
     except UsageError as error:
         raise UsageError(f"{log.source}: {error}") from error
+    # Dependent joints follow from the filtered independent ones: the closure is nonlinear.
     motion = robot.completed(recording.motion)
     return ProcessedLog(
         read,

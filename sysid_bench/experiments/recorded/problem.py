@@ -71,6 +71,7 @@ class LogProblemBuilder:
             parameters=self.unknowns.parameters,
             base=base,
             rows=rows,
+            # QR of each row by itself: weights of rows can be changed without the samples.
             factors=tuple(map(row_factor, zip(*parts, strict=True))),
             bodies=self.unknowns.bodies,
             blocks=partial(_blocks, self, tuple(logs)),
@@ -97,6 +98,7 @@ class LogProblemBuilder:
     def torque(self, log: ProcessedLog) -> Array:
         """Measured torque (N, n) minus that of a known payload."""
         tau, load = log.recording.tau, log.robot.payload_body
+        # A payload whose parameters are unknown has columns, and stays in the torque.
         if load is None or self.unknowns.loaded is not None:
             return tau
         regression = torque_regression(log.robot, log.robot.bodies[load].columns)
@@ -171,6 +173,7 @@ class LogProblemBuilder:
 
     def moving_rows(self, log: ProcessedLog, row: str) -> Array:
         """Samples (N,) at which a joint moves fast enough."""
+        # Below the threshold static friction may balance any torque up to its limit.
         v = log.recording.motion.v[:, log.robot.rows.index(row)]
         return np.asarray(np.abs(v) >= self.preprocessing.moving)
 
@@ -226,6 +229,7 @@ def _torque_per_kilogram(log: ProcessedLog) -> Array:
     body = log.robot.payload_body
     assert body is not None
     regression = torque_regression(log.robot, log.robot.bodies[body].columns)
+    # phi is linear in the mass where the centre of mass and the inertia per mass are given.
     per_kilogram = log.robot.phi[body] / log.payload.mass
     return np.asarray(regression.torque(log.recording.motion, per_kilogram))
 

@@ -47,6 +47,7 @@ def _nearest(one: ProcessedLog, other: ProcessedLog) -> _Match:
     """The states (q, v) of one log that are nearest to those of another."""
     from scipy.spatial import cKDTree
 
+    # rad, m and rad/s have no common norm: each coordinate is in units of its deviation.
     spread = np.concatenate([one.recording.q.std(axis=0), one.recording.motion.v.std(axis=0)])
     moves = spread > 0  # a joint that stands still has no unit
 

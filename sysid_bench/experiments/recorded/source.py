@@ -115,7 +115,7 @@ def _selection_fields(selection: TermSelection | None) -> Row:
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedTorque:
+class LogTorque:
     """Times (N,), measured and predicted torque (N, rows) of a log, and its problem."""
 
     t: Array
@@ -126,7 +126,7 @@ class PredictedTorque:
 
 def predict_log(
     prepared: Prepared[RecordedSource], beta: Array, test: str | None = None
-) -> PredictedTorque:
+) -> LogTorque:
     """Predicted torque of a test log; None: of the first one, else of the first training log.
 
     Raises UsageError for the name of another log.
@@ -134,7 +134,7 @@ def predict_log(
     problem, log = _log_named(prepared, test)
     measured, predicted = predict_torque(problem, beta)
     N = len(log.recording)
-    return PredictedTorque(log.recording.t, measured[:N], predicted[:N], problem)
+    return LogTorque(log.recording.t, measured[:N], predicted[:N], problem)
 
 
 def _log_named(

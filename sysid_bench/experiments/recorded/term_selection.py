@@ -43,6 +43,7 @@ def select_terms(
     """
     wide = _with_candidates(unknowns, candidates, training)
     names = wide.base().names
+    # Factors of all candidates once: the search only takes columns of them.
     folds = _folds(LogProblemBuilder(wide, names, preprocessing), training)
     known = {*unknowns.robot_parameters, *unknowns.payload_parameters, *unknowns.extra}
     start = [i for i, name in enumerate(names) if name in known]

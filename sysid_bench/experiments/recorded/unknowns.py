@@ -104,6 +104,7 @@ class Unknowns:
         if not self._extra_parameters:
             return base
         r, p, k = base.rank, len(base.parameters), len(self._extra_parameters)
+        # [[K, 0], [0, I]]: each extra parameter is independent of the rigid bodies.
         K = np.zeros((r + k, p + k))
         K[:r, :p], K[r:, p:] = base.K, np.eye(k)
         return replace(
@@ -135,6 +136,7 @@ class Unknowns:
             return R
         motors = self._motor_terms(self.loaded)
         R_loaded = structural_factor(self.loaded, robot + load, self.rows, appended=motors)
+        # Both robots together: the payload is what makes the difference between their rows.
         m, zeros = len(robot), np.zeros((len(R), len(load)))
         return upper_factor([np.hstack([R[:, :m], zeros, R[:, m:]]), R_loaded])
 

@@ -88,11 +88,12 @@ def contact_test(spec: ExperimentSpec, robot: RobotModel, task: Task) -> Contact
     rng = np.random.default_rng(seed_of(spec.seed, "touch", spec.robot))
     motion = PointToPoint().design(design_problem(robot, RATE), rng)
     wrench = random_wrench(motion, TOUCH, rng)
+    # The first half is without contact: there the parameters alone are compared.
     wrench[: len(motion) // 2] = 0.0
     touch, plant = Contact(last_body(robot, cut), wrench), plant_of(robot)
     method = sensor_newton_euler(robot, cut, motion, robot.body_names[touch.body])
     tau = newton_euler(robot.tree, robot.tree.link_parameters(robot.phi), motion)
-    tau -= contact_torque(plant, touch, motion)
+    tau -= contact_torque(plant, touch, motion)  # J' f of the contact, which the motors oppose
     f_b = sensor_wrench(plant, (cut,), motion, touch)
     white = np.random.default_rng(seed_of(noise_seed(spec), "touch"))
     f_b += wrench_noise(spec.noise).white() * white.normal(size=f_b.shape)

@@ -38,11 +38,13 @@ class MeasuredSensors:
         """
         if not self.task.cuts:
             return raw
+        # A stream of its own: a sensor leaves the noise of torques and encoders as it is.
         white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench", self.run))
         noise = wrench_noise(self.spec.noise)
         motion = sampled_motion(oracle.motion, decimation)
         contact = self._contact(motion)
         if contact is not None:
+            # The motors hold the robot on its motion against the contact.
             tau = contact_torque(self.plant, contact, motion)
             raw = replace(raw, tau=raw.tau - self.plant.robot.reduced(motion.q, tau))
         exact = _by_sensor(self._wrench(motion, contact))
@@ -60,6 +62,7 @@ class MeasuredSensors:
         if not self.task.cuts:
             return oracle.tau
         wrench = self._wrench(oracle.motion)
+        # Constant offsets are unknowns of a task that has more than ten parameters for each body.
         alone = self.task.definition.measures_sensor_only
         if alone and len(self.task.parameters) > 10 * len(self.task.bodies):
             wrench += self.task.truth.theta[10 * len(self.task.bodies) :]

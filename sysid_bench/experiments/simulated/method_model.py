@@ -55,6 +55,7 @@ class SimulateModel:
         oracle = ClosedLoop(rate=controller.rate).track(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
+        # The loop runs at the rate of the controller; its signals are sampled like the measured.
         decimation = round(controller.rate / self.raw.rate)
         motion, tau = sampled_motion(oracle.motion, decimation), oracle.tau[::decimation]
         return replace(self.raw, t=motion.t, q=motion.q, v=motion.v, a=motion.a, tau=tau)

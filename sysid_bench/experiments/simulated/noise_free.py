@@ -85,6 +85,7 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     terms = unknown_terms(spec, robot, definition)
     exact_task = definition.unknowns(robot, terms, spec.sensor, partial(sensor_offset, spec))
     task = _task_with_known_errors(spec, exact_task)
+    # Base parameters depend on structure alone: no motion, noise or true value is involved.
     base = loaded.base_map(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
     regression = measured_regression(robot, base.names, instruments, task.rows)

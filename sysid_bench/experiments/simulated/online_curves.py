@@ -44,6 +44,7 @@ def _track_of(problem: Problem) -> ParameterTrack:
     assert problem.prior is not None
     W, f = rows_of(problem)
     K, step = problem.base.K, max(len(f) // HISTORY, 1)
+    # beta = K theta with independent theta: the covariance is K diag(std^2) K'.
     spread = (K * problem.prior.std**2) @ K.T
     return RecursiveEstimator(every=step).run(
         W, f, _noise(problem), K @ problem.prior.theta, spread

@@ -170,8 +170,10 @@ def record(
     processing = processing_of(spec.signals)
     rng = np.random.default_rng(seed)
     samples = len(range(0, len(commanded), decimation))
+    # All draws before the run, in units of their deviation: levels of noise share the same draws.
     draws = draw_noise(len(commanded), samples, len(robot.torque_dofs), rng)
     oracle, controller, error = _run_with_encoders(simulated, noise, draws)
+    # A relative level refers to the exact torque, so that the noise is independent of itself.
     torque_std = noise.torque_std(oracle.tau[::decimation])
     raw = measure(
         robot,
@@ -215,6 +217,7 @@ def _with_drift(spec: ExperimentSpec, recording: Recording, index: int, level: f
     if level == 0.0:
         return recording
     slope = level * np.random.default_rng(drift_seed(spec)).normal(size=recording.tau.shape[1])
+    # Drift is common to all runs, so that differences of runs contain it.
     start = index * len(recording) / recording.rate
     return replace(recording, tau=recording.tau + (recording.t + start)[:, None] * slope)
 
@@ -223,6 +226,7 @@ def _with_dependent_joints(robot: RobotModel, recording: Recording) -> Recording
     """The recording with dependent joints solved from the filtered independent ones."""
     if robot.coupling is None:
         return recording
+    # Filtering each joint by itself would violate the closure, which is nonlinear.
     motion = robot.completed(recording.motion)
     return replace(recording, q=motion.q, v=motion.v, a=motion.a)
 
@@ -234,6 +238,7 @@ def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[st
         seed = held_out_seed(spec, index)
         problem = simulated.design_problem(spec.rate)
         motion = design_motion(excitation, simulated.loaded, problem, seed)
+        # Inverse dynamics, whatever the training uses: the motion is exactly the commanded one.
         no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
         oracle, _ = Inverse().run(simulated.plant, motion, no_error)
         name = excitation["use"]
