@@ -95,8 +95,8 @@ def _(value: Sequence[Any]) -> Iterator[bytes]:
         yield from _typed(part)
 
 
-@_content.register
-def _(value: Mapping) -> Iterator[bytes]:  # type: ignore[type-arg]
+@_content.register(Mapping)
+def _(value: Mapping[str, Any]) -> Iterator[bytes]:
     for key in sorted(value):
         yield from _typed([key, value[key]])
 
