@@ -119,7 +119,8 @@ class LogProblemBuilder:
             extra, columns = self.extra_columns(log, row)
             columns = np.concatenate([indices[regression.touched[i]], columns])
             used = np.where(self.moving_rows(log, row), labels, UNUSED)
-            joints.append(_RowFactors(row, i, columns, extra, tau[:, i], used, count))
+            joint = _RowFactors(row, i, columns, extra, tau=tau[:, i], labels=used, count=count)
+            joints.append(joint)
         for block in regression.blocks(log.recording.motion):
             for joint in joints:
                 joint.add(block)
