@@ -97,7 +97,7 @@ STD_FROM: Final = "std_from"
 the truth lies in their 95 % intervals."""
 
 REPEATED: Final = names_of("repeats")
-"""Metrics of all repeats together (evaluation/repeats.py); a single cell has none."""
+"""Metrics of all repeats together (evaluation/repeat_statistic.py); a single cell has none."""
 
 ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *METRICS}
 """Fields of a finished cell in expressions."""

@@ -130,7 +130,7 @@ def _names_parameters_of_the_robot(task: Task, case: TaskCase) -> str | None:
 
 def _is_term(name: str, robot: RobotModel) -> bool:
     try:
-        robot.term_index(name)
+        robot.resolve_term(name)
     except UsageError:
         return False
     return True
@@ -203,7 +203,7 @@ def _total_terms(task: Task, robot: RobotModel) -> dict[str, Array]:
     """Unknown plus given joint terms, (nv,) each."""
     total = {term: task.known_terms[term].copy() for term in SUFFIX}
     for name, value in _unknown_terms(task):
-        term, dof, other = robot.term_index(name)
+        term, dof, other = robot.resolve_term(name)
         # Friction between two joints is not a term of one of them.
         total[term][dof] += value if other is None else 0.0
     return total

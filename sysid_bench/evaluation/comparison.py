@@ -28,7 +28,7 @@ def interquartile_mean(values: Array, axis: int = 0) -> Array:
     return np.asarray(np.tensordot(weight[used] / weight.sum(), ordered[used], axes=1))
 
 
-def robot_bootstrap(
+def robot_interval(
     values: Array,
     statistic: Callable[[Array], Array] = interquartile_mean,
     level: float = 0.95,
@@ -43,6 +43,7 @@ def robot_bootstrap(
     rng = np.random.default_rng(seed)
     robots, motions = values.shape[0], values.shape[1]
     resampled = []
+    # Motions of one robot are correlated: resampling cells alike would make intervals too short.
     for _ in range(draws):
         chosen = rng.integers(robots, size=(robots, 1))
         within = rng.integers(motions, size=(robots, motions))
@@ -66,7 +67,7 @@ def wilcoxon_holm(values: Array) -> Array:
     return p
 
 
-def wilcoxon_holm_against(values: Array, reference: int) -> Array:
+def wilcoxon_holm_reference(values: Array, reference: int) -> Array:
     """Return the p-values (methods,) of the same test against one method, `reference`.
 
     Holm's correction is over these comparisons alone, so that fewer robots suffice; the reference
@@ -95,6 +96,7 @@ def _corrected_p_values(values: Array, pairs: Sequence[tuple[int, int]]) -> Arra
 def holm(p: Array) -> Array:
     """Return the p-values (k,) corrected for k comparisons by Holm's step-down method (1979)."""
     order = np.argsort(p)
+    # The smallest p is multiplied by k, the next by k - 1, ...; a later one is never smaller.
     stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
     out = np.empty(len(p))
     out[order] = np.minimum(stepped, 1.0)
@@ -104,7 +106,7 @@ def holm(p: Array) -> Array:
 def win_rates(values: Array) -> Array:
     """Return the fraction (methods, methods) of cases in which the row's method beats the column's,
     for values (cases, methods); ties and pairs of failures count half."""
-    ranked = np.where(np.isnan(values), np.inf, values)
+    ranked = np.where(np.isnan(values), np.inf, values)  # inf == inf: two failures are a tie
     better = ranked[:, :, None] < ranked[:, None, :]
     same = ranked[:, :, None] == ranked[:, None, :]
     return np.asarray((better + 0.5 * same).mean(axis=0))
@@ -119,6 +121,7 @@ def performance_profile(values: Array, ratios: Array) -> Array:
     failed = np.isnan(values)
     best = np.where(failed, np.inf, values).min(axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
+        # A best of exactly zero is within every ratio of itself, although 0 / 0 is not a number.
         relative = np.where(values == best, 1.0, values / best)
     within = (relative <= np.asarray(ratios)[:, None, None]) & ~failed
     return np.asarray(within.mean(axis=1))

@@ -39,14 +39,83 @@ class StandardError:
 
     def interval(self, beta: Array, level: float = LEVEL) -> tuple[Array, Array]:
         """Return the confidence interval (low, high), (r,) each, by Student's distribution."""
-        half_width = quantile(level, self.freedom) * self.std
+        half_width = _quantile(level, self.freedom) * self.std
         return beta - half_width, beta + half_width
 
 
-def quantile(level: float, freedom: float) -> float:
-    """Return the two-sided quantile of Student's distribution: the half-width of the interval of a
-    confidence level, in standard deviations."""
+def _quantile(level: float, freedom: float) -> float:
+    """Two-sided quantile of Student's distribution: the half-width of the interval of a confidence
+    level, in standard deviations."""
+    # stdtrit is not defined for infinity; at 1e9 Student's distribution is the normal one.
     return float(stdtrit(min(freedom, 1e9), 0.5 + 0.5 * level))
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualScores:
+    """Scores g_k = W_k' S^-1 r_k of weighted least squares, one for each sample k.
+
+    The covariance of beta is H^-1 L H^-1 with H = W' S^-1 W = R'R and L the covariance of their
+    sum; both methods below estimate L. `values` (N, r) are R^-T g_k and `inverse` (r, r) is R^-1,
+    so that `inverse` times their sum is H^-1 W' S^-1 r without squaring the condition of W.
+    """
+
+    inverse: Array
+    values: Array
+
+    def period_covariance(self, samples: int) -> StandardError:
+        """Return the cluster-robust covariance over repeated periods of `samples` samples each.
+
+        L = M / (M - 1) sum_m (g_m - mean)(g_m - mean)', g_m the sum over period m of M. Periods are
+        assumed independent and identically distributed. Errors in q are covered, but not the bias
+        that they cause. An incomplete last period is left out. Raises UsageError for fewer than two
+        periods.
+        """
+        periods = len(self.values) // samples if samples > 0 else 0
+        if periods < LEAST_PERIODS:
+            raise UsageError(
+                f"{len(self.values)} samples contain {periods} full periods of {samples}; a "
+                "covariance needs at least two. Record more periods, or use residual_covariance."
+            )
+        sums = self.values[: periods * samples].reshape(periods, samples, -1).sum(axis=1)
+        sums = sums - sums.mean(axis=0)
+        # Scores come from full periods alone, but the fit uses all samples.
+        share = len(self.values) / (periods * samples)
+        parts = np.sqrt(share * periods / (periods - 1)) * sums @ self.inverse.T
+        return StandardError(parts.T @ parts, periods - 1)
+
+    def residual_covariance(self, lags: int) -> StandardError:
+        """Return the heteroskedasticity- and autocorrelation-consistent (HAC) covariance.
+
+        L is the long-run covariance with Bartlett weights (Newey and West 1987) up to `lags`
+        samples. Samples have to be in temporal order; W is taken as exact.
+        """
+        lags = min(lags, len(self.values) - 1)
+        # The outer products of sums over all windows of `lags` + 1 samples give exactly Bartlett's
+        # weights: a pair k samples apart is in lags + 1 - k windows.
+        total = np.cumsum(np.pad(self.values, ((lags + 1, lags), (0, 0))), axis=0)
+        windows = (total[lags + 1 :] - total[: -lags - 1]) @ self.inverse.T / np.sqrt(lags + 1)
+        return StandardError(windows.T @ windows)
+
+    @property
+    def bandwidth(self) -> int:
+        """Lags for Bartlett weights by Andrews' rule (1991): 1.1447 (a N)^(1/3), with a from a
+        first-order autoregression of each score; the largest, at most N / 4."""
+        count = len(self.values)
+        previous, current = self.values[:-1], self.values[1:]
+        squares = np.maximum((previous**2).sum(axis=0), 1e-300)
+        # A fitted |rho| of one would mean a random walk, and no finite bandwidth.
+        rho = np.clip((previous * current).sum(axis=0) / squares, -0.99, 0.99)
+        slowest = float((4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2)).max(initial=0.0))
+        return int(min(np.ceil(1.1447 * (slowest * count) ** (1 / 3)), count // 4))
+
+
+def residual_scores(problem: Problem, beta: Array, sigma: Array) -> ResidualScores:
+    """Return the scores of a fit `beta` (r,) with rows divided by `sigma` (rows,)."""
+    R = stacked_factor(problem, (1 / sigma).tolist())[:-1, :-1]
+    inverse = solve_triangular(R, np.eye(len(R)))
+    # The residual enters with 1 / sigma^2: once by the weighted row, once by the weighted residual.
+    forces = [np.einsum("nir,ni->nr", Y, (b - Y @ beta) / sigma**2) for Y, b in problem.blocks()]
+    return ResidualScores(inverse, np.concatenate(forces) @ inverse)
 
 
 def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardError]:
@@ -55,84 +124,17 @@ def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardE
     "periods" if the recording has ENOUGH_PERIODS, then "residuals" (both for weighted least squares
     on rows), then "textbook", the formula of the method itself.
     """
-    found = {}
+    found: dict[str, StandardError] = {}
     if estimate.beta is not None and estimate.sigma is not None:
-        inverse, scores = _scores(problem, estimate.beta, estimate.sigma)
-        if problem.period > 0 and problem.samples // problem.period >= ENOUGH_PERIODS:
-            found["periods"] = _over_periods(inverse, scores, problem.period)
-        found["residuals"] = _over_lags(inverse, scores, bandwidth(scores))
+        found |= _robust(problem, residual_scores(problem, estimate.beta, estimate.sigma))
     if estimate.covariance is not None:
         found["textbook"] = StandardError(estimate.covariance)
     return found
 
 
-def period_standard_error(
-    problem: Problem, beta: Array, sigma: Array, samples: int
-) -> StandardError:
-    """Return the cluster-robust covariance over repeated periods of `samples` samples each, for a
-    fit `beta` (r,) with rows divided by `sigma` (rows,).
-
-    H^-1 (M / (M - 1) sum_m g_m g_m') H^-1, with H = W' S^-1 W and g_m the sum of W' S^-1 r over
-    period m of M. Periods are assumed independent and identically distributed. Errors in q are
-    covered, but not the bias that they cause. An incomplete last period is left out. Raises
-    UsageError for fewer than two periods.
-    """
-    periods = problem.samples // samples if samples > 0 else 0
-    if periods < LEAST_PERIODS:
-        raise UsageError(
-            f"{problem.samples} samples contain {periods} full periods of {samples}; a covariance "
-            "needs at least two. Record more periods, or use residual_standard_error."
-        )
-    return _over_periods(*_scores(problem, beta, sigma), samples)
-
-
-def _over_periods(inverse: Array, scores: Array, samples: int) -> StandardError:
-    periods = len(scores) // samples
-    sums = scores[: periods * samples].reshape(periods, samples, -1).sum(axis=1)
-    sums = sums - sums.mean(axis=0)
-    # Scores come from full periods alone, but the fit uses all samples.
-    share = len(scores) / (periods * samples)
-    parts = np.sqrt(share * periods / (periods - 1)) * sums @ inverse.T
-    return StandardError(parts.T @ parts, periods - 1)
-
-
-def residual_standard_error(
-    problem: Problem, beta: Array, sigma: Array, lags: int | None = None
-) -> StandardError:
-    """Return the heteroskedasticity- and autocorrelation-consistent covariance H^-1 L H^-1.
-
-    L is the long-run covariance of the scores W' S^-1 r with Bartlett weights (Newey and West 1987)
-    up to `lags` samples; None takes Andrews' (1991) rule for the slowest score. Samples have to be
-    in temporal order; W is taken as exact.
-    """
-    inverse, scores = _scores(problem, beta, sigma)
-    return _over_lags(inverse, scores, bandwidth(scores) if lags is None else lags)
-
-
-def _over_lags(inverse: Array, scores: Array, lags: int) -> StandardError:
-    """Newey-West covariance: the outer products of sums over all windows of `lags` + 1 samples give
-    exactly Bartlett's weights."""
-    lags = min(lags, len(scores) - 1)
-    total = np.cumsum(np.pad(scores, ((lags + 1, lags), (0, 0))), axis=0)
-    windows = (total[lags + 1 :] - total[: -lags - 1]) @ inverse.T / np.sqrt(lags + 1)
-    return StandardError(windows.T @ windows)
-
-
-def bandwidth(scores: Array) -> int:
-    """Return the lags for Bartlett weights by Andrews' rule (1991): 1.1447 (a N)^(1/3), with a from
-    a first-order autoregression of each score (N, r); the largest, at most N / 4."""
-    count = len(scores)
-    previous, current = scores[:-1], scores[1:]
-    squares = np.maximum((previous**2).sum(axis=0), 1e-300)
-    rho = np.clip((previous * current).sum(axis=0) / squares, -0.99, 0.99)
-    slowest = float((4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2)).max(initial=0.0))
-    return int(min(np.ceil(1.1447 * (slowest * count) ** (1 / 3)), count // 4))
-
-
-def _scores(problem: Problem, beta: Array, sigma: Array) -> tuple[Array, Array]:
-    """R^-1 (r, r) of the weighted rows, and the scores (N, r) in its coordinates: R^-1 times their
-    sum is H^-1 W' S^-1 r."""
-    R = stacked_factor(problem, (1 / sigma).tolist())[:-1, :-1]
-    inverse = solve_triangular(R, np.eye(len(R)))
-    forces = [np.einsum("nir,ni->nr", Y, (b - Y @ beta) / sigma**2) for Y, b in problem.blocks()]
-    return inverse, np.concatenate(forces) @ inverse
+def _robust(problem: Problem, scores: ResidualScores) -> dict[str, StandardError]:
+    """The covariances that hold under coloured noise, that over periods first."""
+    found = {}
+    if problem.period > 0 and problem.samples // problem.period >= ENOUGH_PERIODS:
+        found["periods"] = scores.period_covariance(problem.period)
+    return found | {"residuals": scores.residual_covariance(scores.bandwidth)}

@@ -31,6 +31,8 @@ def torque_bound(
     `rows` are blocks of W (n, rows, r), `covariance` is C (rows, rows). The noise is white in time,
     or a first-order autoregression with this `correlation` of consecutive samples.
     """
+    # QR of the whitened rows, block by block: the information W' C^-1 W itself would have the
+    # squared condition number.
     L = np.linalg.cholesky(covariance)
     blocks = rows if correlation == 0.0 else _whitened(rows, correlation)
     R = np.zeros((0, 0))
@@ -51,39 +53,13 @@ def _inverse(R: Array) -> Array | None:
 
 def _whitened(rows: Iterable[Array], correlation: float) -> Iterator[Array]:
     """Rows with independent noise in every sample: W_0, then (W_t - c W_(t-1)) / sqrt(1 - c^2)."""
-    last = None
+    last = None  # sample of the block before
     for block in rows:
         previous = block[:1] if last is None else last
         whitened = block - correlation * np.concatenate([previous, block[:-1]])
         whitened /= np.sqrt(1 - correlation**2)
+        # The first sample has no predecessor, and the full variance of the process.
         if last is None:
             whitened[0] = block[0]
         last = block[-1:]
         yield whitened
-
-
-def trajectory_bound(
-    rows: Iterable[Array], slopes: Iterable[Array], torque: Array, motion: Array
-) -> Array:
-    """Return the bound (r, r) for errors in variables, (sum_k W_k' (C + G_k M G_k')^-1 W_k)^-1.
-
-    (q, v, a) of each sample is a nuisance parameter, measured with the covariance M = `motion`
-    (3 nv, 3 nv) and eliminated by linearisation; `slopes` are blocks of G (n, rows, 3 nv), the
-    derivatives of the torque `W beta` by (q, v, a); `torque` is C (rows, rows). Errors of different
-    samples are taken as independent, which is pessimistic for rates filtered from the same q.
-    """
-    total: Array = np.zeros(())
-    for W, G in zip(rows, slopes, strict=True):
-        noise = torque + G @ motion @ G.swapaxes(1, 2)
-        total = total + np.einsum("nir,nis->rs", W, np.linalg.solve(noise, W))
-    return np.linalg.inv(total)
-
-
-def coverage(low: Array, high: Array, truth: Array) -> tuple[float, float]:
-    """Return the fraction of intervals (n, r) that contain the truth (r,), and its standard error.
-
-    Parameters of one repeat share their noise, so the standard error is over the n repeats only.
-    """
-    held = ((low <= truth) & (truth <= high)).mean(axis=1)
-    spread = held.std(ddof=1) / np.sqrt(len(held)) if len(held) > 1 else np.nan
-    return float(held.mean()), float(spread)

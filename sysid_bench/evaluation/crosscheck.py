@@ -53,7 +53,7 @@ class CrossCheck:
         return "; ".join(
             f"{name} {value:.2g} is above {limit:.2g}"
             for name, value, limit in figures
-            if not value <= limit
+            if not value <= limit  # true for NaN as well
         )
 
 
@@ -70,6 +70,7 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
     Y = regression(robot, robot.inertial_columns).dense(motion).Y
     reference = pinocchio_regressor(robot, motion).Y
     tau = inverse_torque(robot, motion)
+    # MuJoCo adds the rotor inertia to the diagonal of M; it has no column among the inertial ones.
     predicted = Y @ robot.phi.ravel() + robot.joint_terms.armature * motion.a
     native_gap, reason = None, ""
     if native:

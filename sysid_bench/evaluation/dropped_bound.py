@@ -3,6 +3,10 @@
 The rank rule drops directions with singular values between 1e-12 and 1e-5 of the largest. Their
 torque d is in the data and in no base parameter. Least squares then errs by W^+ d in beta, and the
 prediction on held-out data by W_h W^+ d - d_h. Both are bounded by the size of d.
+
+Two assumptions: the estimator is ordinary least squares on exact data (any other weighting has
+another pseudo-inverse), and |d| along the motion is at most MOTION = 3 times its share at random
+states, a measured factor. Tests of exact data compare with these bounds instead of rounding errors.
 """
 
 from collections.abc import Mapping
@@ -40,9 +44,10 @@ def dropped_bound(problem: Problem, held_out: Mapping[str, Problem], theta: Arra
         return DroppedBound()
     r = base.rank
     R = stacked_factor(problem)[:r, :r]
-    size = share * _size([problem])
+    size = share * _size([problem])  # |d|
     beta = base.K @ theta
     tests = list(held_out.values())
+    # |W^+| = 1 / sigma_min(W), and W has the singular values of R.
     return DroppedBound(
         beta_error=size / float(np.linalg.svd(R, compute_uv=False)[-1] * np.linalg.norm(beta)),
         torque_error=_torque_error(tests, R, size, share, beta) if tests else 0.0,

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import starmap
 from typing import Final
 
 import numpy as np
@@ -39,12 +40,17 @@ def _on_cell(metric: Metric, cell: MetricInput) -> Iterator[str]:
         return
     if _value(metric, cell)[0] != value:
         yield "The same cell gives two values."
-    if any(not np.array_equal(a, b) for a, b in zip(before, _arrays(cell), strict=True)):
+    if not all(starmap(np.array_equal, zip(before, _arrays(cell), strict=True))):
         yield "The input has changed."
-    if not metric.ranked or value is None:
-        return
+    if metric.ranked and value is not None:
+        yield from _on_ranked(metric, cell, value)
+
+
+def _on_ranked(metric: Metric, cell: MetricInput, value: float) -> Iterator[str]:
+    """Broken laws of a metric by which methods are ranked, smaller being better."""
     if value < 0:
         yield f"A ranked metric is not negative; a cell has {value:g}."
+    # The sign of a metric is easily inverted: more error has to be a larger value.
     worse, _ = _value(metric, _disturbed(cell))
     if worse is not None and worse < value:
         yield f"Parameters that are off by {DISTURBANCE:.0%} look better: {worse:g} < {value:g}."

@@ -26,6 +26,7 @@ def body_plausibility(phi: Array, extent: Extent | None) -> str:
     out.
     """
     mass, com, _ = mass_com_inertia(phi)
+    # Relative to the largest entry: a point mass has eigenvalues of zero up to rounding.
     if smallest_eigenvalue(phi) < -1e-9 * float(np.abs(phi).max()):
         return "it is not physically feasible"
     if mass <= MASSLESS or extent is None:

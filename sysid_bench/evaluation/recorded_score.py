@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.evaluation.rms import known_rms
+from sysid_bench.evaluation.score import base_parameters, feasible_figures
 from sysid_bench.identification.linear.normal_qr import residual_norms
-from sysid_bench.spatial.inertia import smallest_eigenvalue
 from sysid_bench.types import Array, Estimate, Problem, Score
 
 
@@ -20,6 +21,7 @@ def joint_errors(problem: Problem, beta: Array) -> dict[str, dict[str, Any]]:
     errors = {}
     norms = residual_norms(problem, beta)
     for i, (factor, norm) in enumerate(zip(problem.factors, norms, strict=True)):
+        # Joints differ in their samples: those at which one stands still are left out.
         count = max(factor.samples, 1)
         size = float(np.linalg.norm(factor.R[:, -1]))
         # The factor has the torque minus known contributions; problem.torque includes them.
@@ -34,20 +36,18 @@ def joint_errors(problem: Problem, beta: Array) -> dict[str, dict[str, Any]]:
     return errors
 
 
-def pooled_error(problem: Problem, beta: Array) -> float:
+def rms_error(problem: Problem, beta: Array) -> float:
     """Return the RMSE (N m, N) over all joints with equal weight."""
     return float(np.sqrt(np.mean([e["rmse"] ** 2 for e in joint_errors(problem, beta).values()])))
 
 
 def torque_error(tests: Mapping[str, Problem], beta: Array) -> float | None:
     """Return the RMS of the joints' relative errors over all test recordings; None without any."""
-    relative = [
+    return known_rms(
         errors["relative"]
         for test in tests.values()
         for errors in joint_errors(test, beta).values()
-        if errors["relative"] is not None
-    ]
-    return float(np.sqrt(np.mean(np.square(relative)))) if relative else None
+    )
 
 
 def score_recorded(
@@ -61,56 +61,48 @@ def score_recorded(
     `about_data` is the result of `data_figures`. Errors of joints are those of training and of the
     tests; the latter are RMS over the test recordings.
     """
-    if estimate.status != "ok" or estimate.beta is None:
+    beta = base_parameters(estimate)
+    if beta is None:
         return Score(**about_data)
-    beta = estimate.beta
-    held_out = [joint_errors(test, beta) for test in tests.values()]
-    joints = [
-        _joint(name, train, [table[name] for table in held_out])
-        for name, train in joint_errors(problem, beta).items()
-    ]
-    worst = [joint["relative"] for joint in joints if joint["relative"] is not None]
+    joints = _joints(problem, tests, beta)
     return Score(
         **about_data,
-        **eigenvalues(estimate, problem),
-        rmse_train=pooled_error(problem, beta),
-        rmse_test=_rms([pooled_error(test, beta) for test in tests.values()]),
+        **feasible_figures(estimate.theta, problem),
+        rmse_train=rms_error(problem, beta),
+        rmse_test=known_rms(rms_error(test, beta) for test in tests.values()),
         torque_error=torque_error(tests, beta),
-        torque_error_worst=max(worst, default=None) if tests else None,
+        torque_error_worst=_worst(joints),
         torque_error_by_motion={n: torque_error({n: test}, beta) for n, test in tests.items()},
-        joints=tuple(joints),
+        joints=joints,
     )
 
 
-def eigenvalues(estimate: Estimate, problem: Problem) -> dict[str, Any]:
-    """Return the smallest pseudo-inertia eigenvalue of all bodies and whether all are feasible; {}
-    if the method does not estimate all parameters of bodies."""
-    if estimate.theta is None or not problem.bodies:
-        return {}
-    index = {name: i for i, name in enumerate(problem.parameters)}
-    phi = np.array([[estimate.theta[index[c]] for c in body.columns] for body in problem.bodies])
-    smallest = smallest_eigenvalue(phi)
-    scale = np.abs(phi).max(axis=1)
-    return {
-        "min_eigenvalue": float(smallest.min()),
-        "feasible": bool((smallest >= -1e-9 * scale).all()),
-    }
+def _joints(
+    problem: Problem, tests: Mapping[str, Problem], beta: Array
+) -> tuple[dict[str, Any], ...]:
+    """Errors of each joint, in training and over all test recordings."""
+    held_out = [joint_errors(test, beta) for test in tests.values()]
+    return tuple(
+        _joint(name, train, [table[name] for table in held_out])
+        for name, train in joint_errors(problem, beta).items()
+    )
 
 
 def _joint(
     name: str, train: Mapping[str, Any], tests: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    relative = [test["relative"] for test in tests if test["relative"] is not None]
     return {
         "name": name,
         "rmse_train": train["rmse"],
         "relative_train": train["relative"],
-        "rmse_test": _rms([test["rmse"] for test in tests]),
-        "rms": _rms([test["rms"] for test in tests]),
-        "relative": _rms(relative),
+        "rmse_test": known_rms(test["rmse"] for test in tests),
+        "rms": known_rms(test["rms"] for test in tests),
+        "relative": known_rms(test["relative"] for test in tests),
         "small": False,
     }
 
 
-def _rms(values: Sequence[float]) -> float | None:
-    return float(np.sqrt(np.mean(np.square(values)))) if values else None
+def _worst(joints: Sequence[Mapping[str, Any]]) -> float | None:
+    """Largest relative error of a joint on the tests; None without tests."""
+    relative = [joint["relative"] for joint in joints if joint["relative"] is not None]
+    return max(relative, default=None)

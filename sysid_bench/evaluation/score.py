@@ -23,6 +23,9 @@ means. Forces and torques, of joints and of a floating base, are kinds of their 
 ROUNDING: Final = 1e-12
 """A row whose RMS torque is below this fraction of the largest of all rows is a rounding error."""
 
+UNTESTED: Final = {"rmse_test": None, "rms": None, "relative": None, "small": True}
+"""Fields of a joint without held-out motions."""
+
 
 def score(
     estimate: Estimate,
@@ -40,31 +43,37 @@ def score(
     coverage is reported (None: not reported). `about_data` is the result of `data_figures`,
     computed once for many estimates of a problem; it is reported for failed estimates too.
     """
-    beta = estimate.beta if estimate.status == "ok" else None
+    beta = base_parameters(estimate)
     about_data = data_figures(problem, held_out) if about_data is None else about_data
     if beta is None:
         return Score(**about_data)
     beta_true = problem.base.K @ truth.theta
     tests = list(held_out.values())
     train, test = RowErrors([problem], beta), RowErrors(tests, beta) if tests else None
-    figures = {} if test is None else _held_out_figures(test, held_out, beta_true)
     return Score(
         **about_data,
-        **figures,
-        rmse_train=train.rmse,
+        **_held_out_figures(test, held_out, beta_true),
+        rmse_train=train.rms_error,
         beta_error=_relative(beta - beta_true, beta_true),
         coverage={kind: _coverage(e, beta, beta_true) for kind, e in (errors or {}).items()},
         joints=tuple(_joint_figures(problem.rows, train, test)),
-        **_body_figures(estimate, problem, truth, extents),
+        **_body_figures(_whole_theta(estimate, problem), problem, truth, extents),
     )
 
 
+def base_parameters(estimate: Estimate) -> Array | None:
+    """Return beta (r,) of an estimate; None where the method failed, whatever it returned."""
+    return estimate.beta if estimate.status == "ok" else None
+
+
 def _held_out_figures(
-    test: "RowErrors", held_out: Mapping[str, Problem], beta_true: Array
+    test: "RowErrors | None", held_out: Mapping[str, Problem], beta_true: Array
 ) -> dict[str, Any]:
+    if test is None:
+        return {}
     beta = test.beta
     return {
-        "rmse_test": test.rmse,
+        "rmse_test": test.rms_error,
         "torque_error": test.torque_error,
         "torque_error_sample": _sample_error(test.problems, beta),
         "torque_error_worst": test.worst,
@@ -94,13 +103,14 @@ def data_figures(problem: Problem, held_out: Mapping[str, Problem]) -> dict[str,
     if base.rank == 0 or rank < base.rank:
         return figures
     figures["condition"] = float(np.linalg.cond(R))
+    # Columns in kg, kg m and kg m^2: a change of units scales them and alters the plain condition.
     figures["condition_unit"] = float(np.linalg.cond(R / norms))
     if held_out:
-        figures["d_optimality"] = d_optimality(problem, list(held_out.values()))
+        figures["d_optimality"] = _d_optimality(problem, list(held_out.values()))
     return figures
 
 
-def d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
+def _d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
     """Return log det of the information that the training motion contains about held-out torques.
 
     With rows scaled by the held-out RMS torque of their joint, R factors R of training and R_h of
@@ -115,11 +125,13 @@ def d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
     train = stacked_factor(problem, weights)[:r, :r]
     if excited_rank(train) < r:
         return None
+    # QR of the stacked factors: products R'R would square the condition number.
     tests = upper_factor(stacked_factor(test, weights)[:r, :r] for test in held_out)
     samples = sum(test.samples for test in held_out)
     spreads = np.linalg.svd(
         solve_triangular(train, tests.T, trans="T").T / np.sqrt(samples), compute_uv=False
     )
+    # Directions that the held-out motions do not excite are rounding errors, whose log is large.
     spreads = spreads[spreads > 1e-9 * spreads[0]]
     return float(-2 * np.log(spreads).sum())
 
@@ -136,6 +148,7 @@ def _torque(problem: Problem) -> Array:
     """RMS torque of each row (rows,) of one problem."""
     if problem.torque is not None:
         return problem.torque
+    # The last column of R is Q'b, which has the norm of b: Q is orthogonal.
     norms = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
     return np.asarray(norms / np.sqrt(problem.samples))
 
@@ -161,6 +174,7 @@ class RowErrors:
     @cached_property
     def judged_rows(self) -> Array:
         """Mask of the rows with enough torque to count in means."""
+        # The relative error of a joint that carries hardly any torque is that of its noise.
         names = np.array(self.problems[0].kinds or ("",) * len(self.rms))
         large = np.zeros(len(self.rms), dtype=bool)
         for kind in set(names):
@@ -181,7 +195,7 @@ class RowErrors:
         return np.asarray(self.relative[self.judged_rows & np.isfinite(self.relative)])
 
     @property
-    def rmse(self) -> float:
+    def rms_error(self) -> float:
         """RMS of all rows' errors."""
         return float(np.sqrt((self.errors**2).mean()))
 
@@ -199,21 +213,25 @@ class RowErrors:
 def _sample_error(problems: list[Problem], beta: Array) -> float | None:
     """Mean over samples of |error| / |torque|, norms over the joints, as in BIRDy (Leboutet et al.
     2021); None unless all rows are joint torques."""
+    # A norm over rows in N and in N m would depend on the unit of length.
     if set(problems[0].kinds) != {"joint N m"}:
         return None
-    ratios = []
-    for problem in problems:
-        for Y, b in problem.blocks():
-            size = np.linalg.norm(b, axis=1)
-            nonzero = size > 0
-            ratios.append(np.linalg.norm(b - Y @ beta, axis=1)[nonzero] / size[nonzero])
-    relative = np.concatenate(ratios)
+    relative = np.concatenate([r for problem in problems for r in _sample_ratios(problem, beta)])
     return float(relative.mean()) if len(relative) else None
+
+
+def _sample_ratios(problem: Problem, beta: Array) -> Iterator[Array]:
+    """|error| / |torque| (n,) of the samples of each block that have a torque."""
+    for Y, b in problem.blocks():
+        size = np.linalg.norm(b, axis=1)
+        nonzero = size > 0
+        yield np.linalg.norm(b - Y @ beta, axis=1)[nonzero] / size[nonzero]
 
 
 def _parameter_error(problems: list[Problem], beta: Array, beta_true: Array) -> float | None:
     """|W (beta - beta*)| / |W beta*| over the held-out rows."""
     r = len(beta)
+    # |W x| = |R x| for each problem, so that W itself is not needed.
     R = np.concatenate([stacked_factor(problem)[:, :r] for problem in problems])
     return _relative(R @ (beta - beta_true), R @ beta_true)
 
@@ -233,48 +251,65 @@ def _joint_figures(
     names: Sequence[str], train: RowErrors, test: RowErrors | None
 ) -> Iterator[dict[str, Any]]:
     for i, name in enumerate(names):
-        finite = test is not None and np.isfinite(test.relative[i])
-        yield {
-            "name": name,
-            "rmse_train": float(train.errors[i]),
-            "rmse_test": None if test is None else float(test.errors[i]),
-            "rms": None if test is None else float(test.rms[i]),
-            "relative": float(test.relative[i]) if test is not None and finite else None,
-            "small": test is None or not bool(test.judged_rows[i]),
-        }
+        held_out = UNTESTED if test is None else _joint_on_tests(test, i)
+        yield {"name": name, "rmse_train": float(train.errors[i]), **held_out}
+
+
+def _joint_on_tests(test: RowErrors, i: int) -> dict[str, Any]:
+    """Fields of row i on the held-out motions."""
+    return {
+        "rmse_test": float(test.errors[i]),
+        "rms": float(test.rms[i]),
+        "relative": float(test.relative[i]) if np.isfinite(test.relative[i]) else None,
+        "small": not bool(test.judged_rows[i]),
+    }
+
+
+def _whole_theta(estimate: Estimate, problem: Problem) -> Array | None:
+    """All parameters (p,) of an estimate; None if the method determines base parameters alone."""
+    if estimate.theta is not None or estimate.beta is None:
+        return estimate.theta
+    # Each parameter is then a base parameter of its own, as those of a payload are.
+    complete = problem.base.rank == len(problem.parameters)
+    return problem.base.embed(estimate.beta) if complete else None
 
 
 def _body_figures(
-    estimate: Estimate,
-    problem: Problem,
-    truth: Truth,
-    extents: Mapping[str, Extent] | None,
+    theta: Array | None, problem: Problem, truth: Truth, extents: Mapping[str, Extent] | None
 ) -> dict[str, Any]:
     """Feasibility, plausibility and errors of bodies; {} unless all ten parameters of each body are
     estimated or known."""
-    theta = estimate.theta
-    if theta is None and problem.base.rank == len(problem.parameters) and estimate.beta is not None:
-        theta = problem.base.embed(estimate.beta)
     if theta is None or not problem.bodies:
         return {}
-    index = {name: i for i, name in enumerate(problem.parameters)}
-    phi = np.array([[theta[index[c]] for c in body.columns] for body in problem.bodies])
+    figures, phi = feasible_figures(theta, problem), _body_parameters(theta, problem)
+    if extents is not None:
+        named = {body.name: one for body, one in zip(problem.bodies, phi, strict=True)}
+        figures["plausible"] = not plausibility_findings(named, extents)
+    if len(problem.bodies) == 1:
+        figures |= _payload_figures(phi[0], _body_parameters(truth.theta, problem)[0])
+    return figures
+
+
+def feasible_figures(theta: Array | None, problem: Problem) -> dict[str, Any]:
+    """Return the smallest pseudo-inertia eigenvalue of all bodies, and `feasible`: True if all
+    bodies are; {} without parameters theta (p,) or without unknown bodies."""
+    if theta is None or not problem.bodies:
+        return {}
+    phi = _body_parameters(theta, problem)
     smallest = smallest_eigenvalue(phi)
     scale = np.abs(phi).max(axis=1)
-    figures: dict[str, Any] = {
+    return {
         "min_eigenvalue": float(smallest.min()),
         # The pseudo-inertia of a point mass has rank one: an eigenvalue of zero up to rounding is
         # still feasible.
         "feasible": bool((smallest >= -1e-9 * scale).all()),
     }
-    if extents is not None:
-        named = {body.name: one for body, one in zip(problem.bodies, phi, strict=True)}
-        figures["plausible"] = not plausibility_findings(named, extents)
-    if len(problem.bodies) == 1:
-        figures |= _payload_figures(
-            phi[0], truth.theta[[index[c] for c in problem.bodies[0].columns]]
-        )
-    return figures
+
+
+def _body_parameters(theta: Array, problem: Problem) -> Array:
+    """phi (nb, 10) of the unknown bodies."""
+    index = {name: i for i, name in enumerate(problem.parameters)}
+    return np.array([[theta[index[c]] for c in body.columns] for body in problem.bodies])
 
 
 def _payload_figures(phi: Array, phi_true: Array) -> dict[str, Any]:

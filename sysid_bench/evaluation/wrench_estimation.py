@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid_bench.evaluation.rms import rms
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.sensor import SensorCut, instruments_of
-from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.wrench import SubtreeRegressors, subtree_dofs, subtree_regressors
+from sysid_bench.models.sensor import SensorCut
+from sysid_bench.regressors.wrench import SubtreeRegressors, subtree_regressors
 from sysid_bench.types import Array, Trajectory
 
 
@@ -49,7 +49,7 @@ class SensorNewtonEuler:
         """Names of the degrees of freedom (k,) distal to the sensor."""
         return self.tree.rows
 
-    def external_wrench(self, phi: Array, f_b: Array) -> Array:
+    def contact_wrench(self, phi: Array, f_b: Array) -> Array:
         """Return f_beta (N, 6) [n; f] (N m, N) at the origin of the base, in its axes.
 
         phi (p,) are the parameters, f_b (N, 6) the measured wrench [n; f] in the sensor frame.
@@ -78,36 +78,6 @@ def sensor_newton_euler(
     return SensorNewtonEuler(tree, base, tree.wrench_transform(base), tree.jacobian(base))
 
 
-def upstream_torque(
-    robot: RobotModel, cut: SensorCut, motion: Trajectory, phi: Array, f_b: Array
-) -> tuple[tuple[str, ...], Array]:
-    """Return names and torques tau (N, u) of the joints proximal to the sensor.
-
-    f_b (N, 6) is the measured wrench [n; f]; phi (nb, 10) are the parameters of the whole robot, of
-    which those distal to the sensor are not used. Rigid-body torques, as for `SensorNewtonEuler`.
-    """
-    instruments = instruments_of(robot, (cut,))
-    whole = instruments.motion(motion)
-    link = int(instruments.tree.carrier[cut.body])
-    distal = {*subtree_dofs(robot, cut), *instruments.root(cut)}
-    dofs = [int(dof) for dof in instruments.tree.links[link].dofs if dof not in distal]
-    upstream = phi.copy()
-    upstream[list(_distal_bodies(robot, cut))] = 0.0
-    tau = newton_euler(instruments.tree, instruments.tree.link_parameters(upstream), whole)[:, dofs]
-    J = subtree_regressors(robot, cut, motion).link_jacobian(link, dofs)
-    return tuple(robot.rows[dof] for dof in dofs), tau + np.einsum("nuc,nc->nu", J, f_b)
-
-
-def _distal_bodies(robot: RobotModel, cut: SensorCut) -> set[int]:
-    """Bodies distal to a sensor, also those distal to further sensors: its reading contains their
-    wrench."""
-    inside = {cut.body}
-    for b in range(cut.body + 1, len(robot.body_names)):
-        if int(robot.mj.body_parentid[b + 1]) - 1 in inside:
-            inside.add(b)
-    return inside
-
-
 @dataclass(frozen=True)
 class WrenchErrors:
     """RMS errors of one set of parameters.
@@ -131,19 +101,16 @@ def wrench_errors(
 
     `tau` (N, k) and `contact` (N, 6), the external wrench at the base, are the ground truth.
     """
+    # Parameters alone cannot predict the torque of an unknown contact.
     free = ~contact.any(axis=1)
     out = {}
     for name, phi in phis.items():
-        wrench = method.external_wrench(phi, f_b) - contact
+        wrench = method.contact_wrench(phi, f_b) - contact
         alone = (method.tree.Y_c @ phi - tau)[free]
         out[name] = WrenchErrors(
-            torque=_rms(method.joint_torque(phi, f_b) - tau),
-            torque_alone=_rms(alone),
-            force=_rms(wrench[:, 3:]),
-            moment=_rms(wrench[:, :3]),
+            torque=rms(method.joint_torque(phi, f_b) - tau),
+            torque_alone=rms(alone),
+            force=rms(wrench[:, 3:]),
+            moment=rms(wrench[:, :3]),
         )
     return out
-
-
-def _rms(errors: Array) -> float:
-    return float(np.sqrt((errors**2).mean())) if errors.size else float("nan")

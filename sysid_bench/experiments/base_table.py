@@ -2,9 +2,12 @@
 with symbols of lengths, single parameters first, values and the signs that no body can have.
 """
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,7 +24,10 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.tasks.task import task_of, unknown_bodies
-from sysid_bench.types import Array, BaseMap
+from sysid_bench.types import Array, BaseMap, Body
+
+SUM: Final = re.compile(" [+-] ")
+"""Sign of a coefficient that is a sum, and needs brackets."""
 
 
 def base_table(
@@ -37,35 +43,49 @@ def base_table(
     [{terms, value}]} of an identification, or {row: value} with rows as they are printed here or
     by their first parameter; `missing` are the rows without a value. Raises UsageError.
     """
-    manifest = robot.manifest
-    chosen = manifest.terms if terms is None else tuple(terms)
+    chosen = robot.manifest.terms if terms is None else tuple(terms)
     unknowns = task_of(robot, "robot", chosen).parameters
-    left_out = _zero(manifest, zero, unknowns)
-    parameters = _ordered(robot, manifest, unknowns, left_out)
+    left_out = _zero(robot.manifest, zero, unknowns)
+    parameters = tuple(name for name in _ordered(robot, unknowns) if name not in left_out)
     base = base_map(structural_factor(robot, parameters), parameters)
     bodies = unknown_bodies(robot)
     rows = _rows(robot, base)
-    given = np.full(base.rank, np.nan) if values is None else _values(values, rows, base)
+    given = _values(values, rows, base)
     for row, value in zip(rows, given.tolist(), strict=True):
-        known = bool(np.isfinite(value))
-        row["value"] = value if known else None
-        row["impossible"] = infeasible_signs(row["terms"], value, bodies) if known else None
-    change, known = None, np.isfinite(given)
-    if known.any():
-        change = smallest_feasible_change(base.K[known], given[known], parameters, bodies)
-    missing = [] if values is None else [r["expression"] for r in rows if r["value"] is None]
+        row |= _judged_value(row["terms"], value, bodies)
     inertial = {column for body in bodies for column in body.columns}
     return {
         "robot": robot.name,
         "parameters": len(parameters),
         "zero": list(left_out),
         "base_parameters": base.rank,
-        "inertial": sum(name in inertial for name in base.names),
+        "inertial": len(inertial.intersection(base.names)),
         "gap": base.gap,
         "rows": sorted(rows, key=lambda row: len(row["terms"]) > 1),
-        "missing": missing,
-        "smallest_change": change,
+        "missing": [] if values is None else _without_value(rows),
+        "smallest_change": _smallest_change(base, given, bodies),
     }
+
+
+def _judged_value(
+    terms: Mapping[str, float], value: float, bodies: Sequence[Body]
+) -> dict[str, Any]:
+    """The value of a row and those of its signs that no body can have; None without a value."""
+    if not np.isfinite(value):
+        return {"value": None, "impossible": None}
+    return {"value": value, "impossible": infeasible_signs(terms, value, bodies)}
+
+
+def _without_value(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    return [row["expression"] for row in rows if row["value"] is None]
+
+
+def _smallest_change(base: BaseMap, values: Array, bodies: Sequence[Body]) -> Any:
+    """The change that makes the known values (r,) feasible; None without known ones."""
+    known = np.isfinite(values)
+    if not known.any():
+        return None
+    return smallest_feasible_change(base.K[known], values[known], base.parameters, bodies)
 
 
 def _rows(robot: RobotModel, base: BaseMap) -> list[dict[str, Any]]:
@@ -87,6 +107,7 @@ def _rows(robot: RobotModel, base: BaseMap) -> list[dict[str, Any]]:
 def _zero(
     manifest: Manifest, zero: Sequence[str] | None, parameters: Sequence[str]
 ) -> tuple[str, ...]:
+    """The parameters that count as zero; UsageError for any other name."""
     usual = () if manifest.paper is None else manifest.paper.zero
     chosen = usual if zero is None else tuple(zero)
     for name in chosen:
@@ -95,19 +116,23 @@ def _zero(
     return chosen
 
 
-def _ordered(
-    robot: RobotModel, manifest: Manifest, unknowns: Sequence[str], left_out: Sequence[str]
-) -> tuple[str, ...]:
-    """Parameters (p,), body after body as the paper has them, joint terms last."""
+def _ordered(robot: RobotModel, unknowns: Sequence[str]) -> tuple[str, ...]:
+    """Parameters (p,), body after body as the paper has them, joint terms last.
+
+    The order decides which parameters become pivots: those of the links that come last.
+    """
     bodies = {body.name: body.columns for body in unknown_bodies(robot)}
+    columns = [column for name in _body_order(robot.manifest, bodies) for column in bodies[name]]
+    return tuple(dict.fromkeys([*columns, *unknowns]))
+
+
+def _body_order(manifest: Manifest, bodies: Iterable[str]) -> list[str]:
+    """Names of bodies, those of the paper first; UsageError for a name that the robot lacks."""
     first = () if manifest.paper is None else manifest.paper.order
     for name in first:
         if name not in bodies:
             raise UsageError(f"{manifest.name}: paper.order: {unknown_name('body', name, bodies)}")
-    names = dict.fromkeys([*first, *bodies])
-    columns = [column for name in names for column in bodies[name]]
-    rest = [name for name in unknowns if name not in columns]
-    return tuple(name for name in [*columns, *rest] if name not in left_out)
+    return list(dict.fromkeys([*first, *bodies]))
 
 
 def _symbols(robot: RobotModel, base: BaseMap) -> list[dict[str, str]]:
@@ -117,59 +142,82 @@ def _symbols(robot: RobotModel, base: BaseMap) -> list[dict[str, str]]:
     expression of the lengths gives its value in all of them.
     """
     found: list[dict[str, str]] = [{} for _ in range(base.rank)]
-    dh, file = robot.manifest.dh, robot.manifest.manifest_file
-    if dh is None or file is None:
+    table = _length_table(robot.manifest)
+    if table is None:
         return found
-    table = file.parent / dh.table
-    names = read_table(table).symbols
-    if not names:
-        return found
-    sets = lengths_of(names)
-    massless = [body.removeprefix("link") for body in robot.manifest.massless]
-    maps = []
-    for lengths in sets:
-        text = mjcf_of(
-            read_table(table, lengths), robot.name, dh.convention, dh.frames, dh.base,
-            gravity=robot.tree.gravity.tolist(), massless=massless,
-        )  # fmt: skip
-        other = load_robot(replace(robot.manifest, text=text))
-        maps.append(_same_pivots(structural_factor(other, base.parameters), base.pivots))
-    cache: dict[tuple[float, ...], str | None] = {}
+    sets = lengths_of(read_table(table).symbols)
+    others = [_with_lengths(robot, table, lengths) for lengths in sets]
+    maps = [
+        _same_pivots(structural_factor(other, base.parameters), base.pivots) for other in others
+    ]
+    symbol = cache(partial(symbolic_coefficient, lengths=sets))
     for i, j in np.argwhere(coefficients(base) != 0.0):
-        values = tuple(float(np.round(K[i, j], 9)) for K in maps)
-        if values not in cache:
-            cache[values] = symbolic_coefficient(values, sets)
-        if (words := cache[values]) is not None:
+        # Rounded, so that coefficients that differ by rounding errors share one search.
+        words = symbol(tuple(float(np.round(K[i, j], 9)) for K in maps))
+        if words is not None:
             found[i][base.parameters[j]] = words
     return found
 
 
+def _length_table(manifest: Manifest) -> Path | None:
+    """The kinematic table of a robot, where it has symbols of lengths."""
+    if manifest.dh is None or manifest.manifest_file is None:
+        return None
+    table = manifest.manifest_file.parent / manifest.dh.table
+    return table if read_table(table).symbols else None
+
+
+def _with_lengths(robot: RobotModel, table: Path, lengths: Mapping[str, float]) -> RobotModel:
+    """The robot of the same kinematic table with other lengths."""
+    dh = robot.manifest.dh
+    assert dh is not None
+    massless = [body.removeprefix("link") for body in robot.manifest.massless]
+    text = mjcf_of(
+        read_table(table, lengths), robot.name, dh.convention, dh.frames, dh.base,
+        gravity=robot.tree.gravity.tolist(), massless=massless,
+    )  # fmt: skip
+    return load_robot(replace(robot.manifest, text=text))
+
+
 def _same_pivots(R: Array, pivots: Array) -> Array:
     """K (r, p) of another regressor on the same pivots."""
+    # R = R_pivots K: a QR of its own could choose other pivots at other lengths.
     return np.asarray(np.linalg.lstsq(R[:, pivots], R, rcond=None)[0])
 
 
 def _expression(terms: Mapping[str, float], symbols: Mapping[str, str]) -> str:
     """A sum with symbols of lengths before the parameters, where they are known."""
-    words: list[str] = []
-    for name, value in terms.items():
-        factor = symbols.get(name, f"{value:.4g}")
-        negative = factor.startswith("-") and " + " not in factor and " - " not in factor
-        size = factor.removeprefix("-") if negative else factor
-        if " + " in size or " - " in size:
-            size = f"({size})"
-        words += ["-" if negative else "+", *([] if size == "1" else [size]), name]
+    words = [_signed(symbols.get(name, f"{value:.4g}"), name) for name, value in terms.items()]
     return " ".join(words).removeprefix("+ ")
 
 
-def _values(given: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], base: BaseMap) -> Array:
+def _signed(factor: str, name: str) -> str:
+    """One term of a sum, with its sign: "- 0.5 link2.m", "+ (a1 + a2) link2.m", "+ link2.m"."""
+    if SUM.search(factor):
+        return f"+ ({factor}) {name}"
+    sign, size = ("-", factor[1:]) if factor.startswith("-") else ("+", factor)
+    return f"{sign} {name}" if size == "1" else f"{sign} {size} {name}"
+
+
+def _values(
+    given: Mapping[str, Any] | None, rows: Sequence[Mapping[str, Any]], base: BaseMap
+) -> Array:
     """Values (r,) of the rows, NaN where there are none."""
+    if given is None:
+        return np.full(base.rank, np.nan)
     if isinstance(given.get("base"), list):
         return _in_these_rows(given["base"], base)
     if not all(isinstance(value, (int, float)) for value in given.values()):
         raise UsageError(
             "expected what `identify --json-out` writes, or {row: value} with numbers."
         )
+    return _values_by_row(given, rows, base)
+
+
+def _values_by_row(
+    given: Mapping[str, float], rows: Sequence[Mapping[str, Any]], base: BaseMap
+) -> Array:
+    """Values (r,) given by the printed row, with symbols or numbers, or by its first parameter."""
     indices: dict[str, int] = {}
     for i, row in enumerate(rows):
         indices |= {row["expression"]: i, row["numbers"]: i, base.names[i]: i}
@@ -184,12 +232,11 @@ def _values(given: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], base: B
 def _in_these_rows(given: Sequence[Mapping[str, Any]], base: BaseMap) -> Array:
     """Values in these rows of base parameters that were identified in others of the same space:
     K_given.T M = K.T, so that beta = M.T beta_given."""
-    indices = {name: j for j, name in enumerate(base.parameters)}
-    K = np.zeros((len(given), len(indices)))
+    # Parameters that are taken for zero here have no column.
+    K = np.zeros((len(given), len(base.parameters)))
     for i, row in enumerate(given):
-        for name, value in row["terms"].items():
-            if name in indices:  # the others are those that are taken for zero
-                K[i, indices[name]] = value
+        K[i] = [row["terms"].get(name, 0.0) for name in base.parameters]
+    # beta_given = K_given theta and beta = K theta, with equal row spaces of both maps.
     M, *_ = np.linalg.lstsq(K.T, base.K.T, rcond=None)
     if not np.allclose(K.T @ M, base.K.T, atol=1e-6 * np.abs(base.K).max()):
         raise UsageError("the base parameters identified are other ones than those of this table.")

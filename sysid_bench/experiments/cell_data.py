@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
+from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.experiments.execute import load_experiment, method_of
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
@@ -77,6 +78,7 @@ def _gap(loaded: LoadedRobot, prepared: Prepared[SimulatedSource]) -> dict[str, 
     """Differences of our regressor from Pinocchio's on the measured rows, and column names."""
     robot, cuts, check = prepared.robot, prepared.source.task.cuts, loaded.check
     if not cuts:
+        # The cross-check of the robot has all rows; with a sensor there are other ones.
         rows = [robot.rows.index(row) for row in prepared.problem.rows]
         return {"gap_map": check.gap_map[rows], "gap_columns": check.columns}
     motion = random_states(robot, 5, np.random.default_rng(0))
@@ -88,8 +90,9 @@ def _gap(loaded: LoadedRobot, prepared: Prepared[SimulatedSource]) -> dict[str, 
 
 def _predicted(prepared: Prepared[SimulatedSource], estimate: Estimate) -> Array | None:
     """Torque (N, rows) of the estimate and of the known parts along the measured motion."""
-    if estimate.status != "ok" or estimate.beta is None:
+    beta = base_parameters(estimate)
+    if beta is None:
         return None
     blocks = prepared.experiment.regress(prepared.experiment.recording.motion)
-    predicted = np.concatenate([block @ estimate.beta for block in blocks])
+    predicted = np.concatenate([block @ beta for block in blocks])
     return np.asarray(predicted + prepared.source.known)

@@ -15,7 +15,7 @@ from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.loaded_sources import loaded_sources
 from sysid_bench.experiments.machine_use import PeakMemory, machine_fields
 from sysid_bench.experiments.paper_data import store_paper_data
-from sysid_bench.experiments.plugin_metrics import own_metrics
+from sysid_bench.experiments.plugin_metrics import plugin_metrics
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -173,7 +173,7 @@ def _scored(
     cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
     row |= _unusable(row, scores)
     store_paper_data(argument, estimator["cell"], estimate, prepared)
-    return row | scores | prepared.fields | own_metrics(argument, cell) | {"stats": stats}
+    return row | scores | prepared.fields | plugin_metrics(argument, cell) | {"stats": stats}
 
 
 def _unusable(row: Row, scores: Row) -> Row:

@@ -13,7 +13,7 @@ import numpy as np
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.base_table import base_table
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
+from sysid_bench.experiments.recorded.source import LogTorque, RecordedSource, predict_log
 from sysid_bench.identifiability.base_expressions import base_expressions
 from sysid_bench.models.dh.dh_table import printed_table
 from sysid_bench.models.load import load_robot
@@ -37,10 +37,20 @@ def store_paper_data(
     folder = Path(argument["artifacts"]) / cell / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     for entry in entries:
-        try:
-            _store(argument, entry, folder, estimate, prepared)
-        except Exception as error:
-            _write_json(folder, entry["name"], {"error": reason_of(error)})
+        _store_or_explain(argument, entry, folder, estimate, prepared)
+
+
+def _store_or_explain(
+    argument: Mapping[str, Any],
+    entry: Mapping[str, Any],
+    folder: Path,
+    estimate: Estimate,
+    prepared: Prepared[Any],
+) -> None:
+    try:
+        _store(argument, entry, folder, estimate, prepared)
+    except Exception as error:
+        _write_json(folder, entry["name"], {"error": reason_of(error)})
 
 
 def _store(
@@ -50,20 +60,29 @@ def _store(
     estimate: Estimate,
     prepared: Prepared[Any],
 ) -> None:
-    places = [None if argument[k] is None else Path(argument[k]) for k in ("robots_dir", "folder")]
-    manifest = find_manifest(argument["experiment"]["robot"], *places)
-    if entry["show"] == "model":
-        _write_json(folder, entry["name"], _model(manifest))
+    name, shown = entry["name"], entry["show"]
+    if shown == "model":
+        _write_json(folder, name, _model(_manifest_of(argument)))
         return
     if not isinstance(prepared.source, RecordedSource) or estimate.beta is None:
-        raise UsageError(f"it shows {entry['show']} of recordings; select a cell of a [[log]].")
-    if entry["show"] == "base-parameters":
-        _write_json(folder, entry["name"], _base_parameters(manifest, prepared, estimate.beta))
+        raise UsageError(f"it shows {shown} of recordings; select a cell of a [[log]].")
+    if shown == "base-parameters":
+        found = _base_parameters(_manifest_of(argument), prepared, estimate.beta)
+        _write_json(folder, name, found)
         return
-    found = predict_log(prepared, estimate.beta, entry["test"])
+    _write_torques(folder, name, predict_log(prepared, estimate.beta, entry["test"]))
+
+
+def _manifest_of(argument: Mapping[str, Any]) -> Manifest:
+    """The manifest of the robot as the suite names it, without the joints that logs lock."""
+    places = [None if argument[k] is None else Path(argument[k]) for k in ("robots_dir", "folder")]
+    return find_manifest(argument["experiment"]["robot"], *places)
+
+
+def _write_torques(folder: Path, name: str, found: LogTorque) -> None:
     units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
     np.savez_compressed(
-        folder / f"{entry['name']}.npz",
+        folder / f"{name}.npz",
         rows=found.problem.rows,
         units=units,
         t=found.t,
@@ -78,12 +97,11 @@ def _model(manifest: Manifest) -> dict[str, Any]:
         head, rows, lengths = printed_table(manifest.manifest_file.parent / manifest.dh.table)
         return {"robot": manifest.name, "head": head, "rows": rows, "lengths": dict(lengths)}
     robot = load_robot(manifest)
-    limits = robot.limits
-    ranges = [
-        (f"{limits.q_low[joint.vadr]:.4g}", f"{limits.q_high[joint.vadr]:.4g}")
+    low, high = robot.limits.q_low, robot.limits.q_high
+    rows = tuple(
+        (joint.name, joint.kind, f"{low[joint.vadr]:.4g}", f"{high[joint.vadr]:.4g}")
         for joint in robot.joints
-    ]
-    rows = tuple((j.name, j.kind, *ends) for j, ends in zip(robot.joints, ranges, strict=True))
+    )
     head = ("joint", "kind", "from", "to")
     return {"robot": manifest.name, "head": head, "rows": rows, "lengths": {}}
 

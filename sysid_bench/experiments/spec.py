@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+from math import inf
 from typing import Any, Final
 
 from sysid_bench.canonical_json import digest
@@ -103,32 +104,50 @@ def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
     """
     if not isinstance(written, Mapping):
         raise UsageError(f"noise must be a table such as {{'tau': '0.5 %'}}; got {written!r}.")
-    noise = {}
-    for key, value in written.items():
-        relative = key == "tau" and isinstance(value, str) and split_quantity(value)[1] == "%"
-        if key not in NOISE_UNITS:
-            raise unknown_name("kind of noise", key, NOISE_UNITS)
-        unit = "%" if relative else NOISE_UNITS[key]
-        number = quantity(value, unit)
-        if number < 0 or (key == "tau_correlation" and number >= 1):
-            most = " and below 1" if key == "tau_correlation" else ""
-            raise UsageError(f"noise.{key} must be 0 or more{most}; got {value!r}.")
-        noise["tau_relative" if relative else key] = number
+    noise = dict(_noise_level(key, value) for key, value in written.items())
     noise = {key: value for key, value in noise.items() if value != 0.0}
     if not {"tau", "tau_relative"} & set(noise):
         noise.pop("tau_correlation", None)
     return noise
 
 
+def _noise_level(key: str, written: Any) -> tuple[str, float]:
+    """Key and SI number of one entry of a [noise] table."""
+    if key not in NOISE_UNITS:
+        raise unknown_name("kind of noise", key, NOISE_UNITS)
+    share = key == "tau" and _is_share(written)
+    number = quantity(written, "%" if share else NOISE_UNITS[key])
+    _validate_level(key, number, written)
+    return "tau_relative" if share else key, number
+
+
+def _validate_level(key: str, number: float, written: Any) -> None:
+    # A first-order autoregression with correlation 1 is a random walk, without finite variance.
+    below, most = (1.0, " and below 1") if key == "tau_correlation" else (inf, "")
+    if not 0 <= number < below:
+        raise UsageError(f"noise.{key} must be 0 or more{most}; got {written!r}.")
+
+
+def _is_share(written: Any) -> bool:
+    return isinstance(written, str) and split_quantity(written)[1] == "%"
+
+
+PRIOR_UNITS: Final = {"com": "mm"}
+"""Units of the spreads of a prior that are not shares."""
+
+
 def normal_prior(written: str | Mapping[str, Any]) -> str | dict[str, float]:
     """SI numbers of a prior: standard deviations as shares, in metres for com."""
     if isinstance(written, str):
         return written
-    spreads = {key: value for key, value in written.items() if key not in (REDRAWN,)}
-    spreads = {key: value for key, value in spreads.items() if value is not None}
-    normal = {key: quantity(value, "mm" if key == "com" else "%") for key, value in spreads.items()}
+    normal = {
+        key: quantity(value, PRIOR_UNITS.get(key, "%"))
+        for key, value in written.items()
+        if key != REDRAWN and value is not None
+    }
     # Exactly known parts are not written: ids are older than the key.
-    normal = {key: value for key, value in normal.items() if key != "known" or value}
+    if not normal.get("known"):
+        normal.pop("known", None)
     return normal | ({REDRAWN: True} if written.get(REDRAWN) else {})
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.evaluation.repeats import ENOUGH_REPEATS
+from sysid_bench.evaluation.repeat_statistic import ENOUGH_REPEATS
 from sysid_bench.metrics import METRICS, REASONS, metric_of
 from sysid_bench.reporting.best_entries import with_best
 from sysid_bench.reporting.notation import ABSENT

@@ -16,9 +16,9 @@ from sysid_bench.evaluation.comparison import (
     failures_last,
     interquartile_mean,
     performance_profile,
-    robot_bootstrap,
+    robot_interval,
     wilcoxon_holm,
-    wilcoxon_holm_against,
+    wilcoxon_holm_reference,
     win_rates,
 )
 from sysid_bench.metrics import METRICS, metric_of
@@ -191,7 +191,7 @@ def _ranking(
     ratios = cases.errors / np.fmin.reduce(cases.errors, axis=1)[:, None]
     logs = _by_robot(np.log(failures_last(ratios)), cases.robots, cases.motions)
     mean = interquartile_mean(np.exp(logs).reshape(-1, logs.shape[-1]))
-    low, high = robot_bootstrap(np.exp(logs))
+    low, high = robot_interval(np.exp(logs))
     order = np.argsort(mean, kind="stable")
     pairs, by_robot = np.ix_(order, order), np.exp(logs.mean(axis=1))
     against = str(spec.get("against", ""))
@@ -212,7 +212,7 @@ def _ranking(
         high=high[order],
         wins=win_rates(cases.errors)[pairs],
         p=wilcoxon_holm(by_robot)[pairs],
-        p_against=wilcoxon_holm_against(by_robot, reference)[order],
+        p_against=wilcoxon_holm_reference(by_robot, reference)[order],
         against=against,
     )
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid_bench.evaluation.repeats import ENOUGH_REPEATS, WITH_BOUND, Figure, bias
+from sysid_bench.evaluation.repeat_statistic import ENOUGH_REPEATS, WITH_BOUND, Figure, mean_error
 from sysid_bench.types import Array
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def repeat_statistic(
     if len(errors) < ENOUGH_REPEATS or errors.shape[1] == 0 or (np.ptp(errors, axis=0) == 0).any():
         return None
     if metric == "bias":
-        return bias(errors)
+        return mean_error(errors)
     return WITH_BOUND[metric](errors, bound) if np.isfinite(bound).all() else None
 
 

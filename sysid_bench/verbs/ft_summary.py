@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.simulated.ft_scores import sensor_excitation
+from sysid_bench.experiments.simulated.ft_score import sensor_excitation
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.types import Estimate
 

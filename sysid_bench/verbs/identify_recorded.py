@@ -10,16 +10,15 @@ import numpy as np
 from sysid_bench.errors import EstimationError
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.recorded_score import (
-    eigenvalues,
     joint_errors,
-    pooled_error,
+    rms_error,
     torque_error,
 )
-from sysid_bench.evaluation.score import data_figures
+from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.payload_mass import payload_mass
 from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_logs
-from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog
+from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.repeatability import repeatability_error
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.experiments.recorded.term_selection import TermSelection
@@ -232,8 +231,8 @@ def _result(
         near_degenerate=figures["near_degenerate"],
         condition=figures.get("condition"),
         condition_unit=figures.get("condition_unit"),
-        rmse_train=pooled_error(problem, beta),
-        rmse_test=_mean([pooled_error(test, beta) for test in posed.held_out.values()]),
+        rmse_train=rms_error(problem, beta),
+        rmse_test=_mean([rms_error(test, beta) for test in posed.held_out.values()]),
         torque_error=torque_error(posed.held_out, beta),
         training=training,
         tests={label: joint_errors(test, beta) for label, test in posed.held_out.items()},
@@ -247,7 +246,7 @@ def _result(
         bodies=bodies,
         joints=joints,
         payload=payload,
-        feasible=eigenvalues(estimate, problem).get("feasible"),
+        feasible=feasible_figures(estimate.theta, problem).get("feasible"),
         warnings=[
             *robot.repairs,
             *_findings(processed),
@@ -305,7 +304,7 @@ def _payload_line(payload: Mapping[str, Any]) -> str:
     return ", ".join(values) or "nothing of it is identifiable on its own"
 
 
-def _signals(preprocessing: Preprocessing) -> dict[str, Any]:
+def _signals(preprocessing: LogProcessing) -> dict[str, Any]:
     return {
         "filter": preprocessing.filter,
         "derivatives": preprocessing.derivatives,

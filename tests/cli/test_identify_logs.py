@@ -99,14 +99,14 @@ def test_blocks_are_the_factors(folder: Path) -> None:
     """What methods may read again and again is what was folded, slow rows left out of both."""
     from sysid_bench.experiments.recorded.locked_joints import locked_manifest
     from sysid_bench.experiments.recorded.prepare import LogOptions, build_problems
-    from sysid_bench.experiments.recorded.preprocess import Preprocessing, process_log
+    from sysid_bench.experiments.recorded.preprocess import LogProcessing, process_log
     from sysid_bench.identification.linear.normal_qr import stacked_factor
     from sysid_bench.signals.log_description import read_description
     from sysid_bench.signals.processing import processing_of
 
     logs = [read_description(folder / f"{name}.toml") for name in ("run", "loaded")]
     manifest = locked_manifest(find_manifest("ur5"), named_robot("ur5"), logs)
-    treatment = Preprocessing(processing_of({"derivatives": "from v"}), moving=0.3)
+    treatment = LogProcessing(processing_of({"derivatives": "from v"}), moving=0.3)
     read = [process_log(log, manifest, treatment) for log in logs]
     options = LogOptions(task="payload", terms=("viscous", "offset"))
     posed = build_problems(read, {}, treatment, options)

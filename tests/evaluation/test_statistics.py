@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.linalg import logm, sqrtm
 from scipy.stats import wilcoxon
 
 from sysid_bench.errors import UsageError
@@ -13,37 +12,23 @@ from sysid_bench.evaluation.comparison import (
     holm,
     interquartile_mean,
     performance_profile,
-    robot_bootstrap,
+    robot_interval,
     wilcoxon_holm,
     win_rates,
 )
 from sysid_bench.evaluation.covariance import (
+    ResidualScores,
     StandardError,
-    bandwidth,
-    period_standard_error,
-    quantile,
-    residual_standard_error,
+    residual_scores,
     standard_errors,
 )
-from sysid_bench.evaluation.cramer_rao import (
-    coverage,
-    torque_bound,
-    trajectory_bound,
-    white_bound,
-)
-from sysid_bench.evaluation.distance import (
-    entropic_distance,
-    geodesic_distance,
-    subspace_distance,
-)
-from sysid_bench.evaluation.repeats import bias, bound_ratio, efficiency, spread
+from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
+from sysid_bench.evaluation.repeat_statistic import WITH_BOUND, mean_error
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.linear.weights import row_sigmas
-from sysid_bench.spatial.inertia import pseudo_inertia, transport
 from sysid_bench.types import Array, Estimate, Trajectory
 from tests.identification.test_least_squares import problem_of
-from tests.robots import random_phi, random_rotation
 
 TRUTH = np.array([1.0, -2.0, 0.5, 3.0])
 PERIOD, PERIODS, REPEATS = 150, 10, 250
@@ -65,6 +50,13 @@ def noise(kind: str, rng: np.random.Generator) -> Array:
     return np.asarray(lfilter([1.0], [1.0, -slow], white, axis=0)[500:])
 
 
+def coverage(low: Array, high: Array, truth: Array) -> tuple[float, float]:
+    """The share of intervals (n, r) that hold the truth (r,), and its standard error: parameters of
+    one repeat share their noise, so it is over the n repeats alone."""
+    held = ((low <= truth) & (truth <= high)).mean(axis=1)
+    return float(held.mean()), float(held.std(ddof=1) / np.sqrt(len(held)))
+
+
 @cache
 def covered(kind: str) -> dict[str, float]:
     """The share of intervals that hold the truth, of three ways to make them."""
@@ -76,10 +68,11 @@ def covered(kind: str) -> dict[str, float]:
         estimate, sigma = WLS().solve(problem), row_sigmas(problem)
         assert estimate.beta is not None
         assert estimate.covariance is not None
+        scores = residual_scores(problem, estimate.beta, sigma)
         for name, made in (
             ("textbook", StandardError(estimate.covariance)),
-            ("sandwich", residual_standard_error(problem, estimate.beta, sigma)),
-            ("periods", period_standard_error(problem, estimate.beta, sigma, PERIOD)),
+            ("sandwich", scores.residual_covariance(scores.bandwidth)),
+            ("periods", scores.period_covariance(PERIOD)),
         ):
             ends[name].append(made.interval(estimate.beta))
     found = {}
@@ -106,19 +99,19 @@ def test_slow_noise_is_covered_by_repeated_periods_and_not_by_the_textbook() -> 
 
 def test_two_periods_are_needed_to_see_a_spread() -> None:
     W = regressor()
-    problem = problem_of(W, W @ TRUTH)
+    scores = residual_scores(problem_of(W, W @ TRUTH), TRUTH, np.ones(2))
     for samples in (PERIOD * PERIODS, 10 * PERIOD * PERIODS, 0):
         with pytest.raises(UsageError, match="at least two"):
-            period_standard_error(problem, TRUTH, np.ones(2), samples)
-    assert period_standard_error(problem, TRUTH, np.ones(2), PERIOD * PERIODS // 2).freedom == 1
+            scores.period_covariance(samples)
+    assert scores.period_covariance(PERIOD * PERIODS // 2).freedom == 1
 
 
 def test_a_spread_of_exact_data_is_nothing() -> None:
     W = regressor()
-    problem = problem_of(W, W @ TRUTH)
+    scores = residual_scores(problem_of(W, W @ TRUTH), TRUTH, np.ones(2))
     for made in (
-        period_standard_error(problem, TRUTH, np.ones(2), PERIOD),
-        residual_standard_error(problem, TRUTH, np.ones(2)),
+        scores.period_covariance(PERIOD),
+        scores.residual_covariance(scores.bandwidth),
     ):
         assert np.abs(made.std).max() < 1e-12
 
@@ -167,20 +160,26 @@ def test_windows_are_bartlett_weights() -> None:
         middle += (1 - k / (lags + 1)) * (shifted + shifted.T)
     inverse = np.linalg.inv(np.einsum("nir,nis->rs", W / sigma[:, None] ** 2, W))
     np.testing.assert_allclose(
-        residual_standard_error(problem, beta, sigma, lags).covariance, inverse @ middle @ inverse
+        residual_scores(problem, beta, sigma).residual_covariance(lags).covariance,
+        inverse @ middle @ inverse,
     )
 
 
 def test_the_bandwidth_grows_with_how_slow_noise_is() -> None:
     rng = np.random.default_rng(0)
-    white, slow = (noise(kind, rng) for kind in ("white", "slow"))
-    assert bandwidth(white) < 8 < 30 < bandwidth(slow)
+    white, slow = (ResidualScores(np.eye(2), noise(kind, rng)) for kind in ("white", "slow"))
+    assert white.bandwidth < 8 < 30 < slow.bandwidth
 
 
 def test_quantiles_are_students() -> None:
-    assert quantile(0.95, np.inf) == pytest.approx(1.959964, rel=1e-5)
-    assert quantile(0.95, 1.0) == pytest.approx(12.7062, rel=1e-5)
-    assert quantile(0.9, 9.0) == pytest.approx(1.833113, rel=1e-5)
+    for level, freedom, quantile in (
+        (0.95, np.inf, 1.959964),
+        (0.95, 1.0, 12.7062),
+        (0.9, 9.0, 1.833113),
+    ):
+        low, high = StandardError(np.diag([1.0, 4.0]), freedom).interval(np.ones(2), level)
+        np.testing.assert_allclose(high - 1.0, [quantile, 2 * quantile], rtol=1e-5)
+        np.testing.assert_allclose(1.0 - low, high - 1.0, rtol=1e-12)
 
 
 # --- The bound ----------------------------------------------------------------------------------
@@ -215,11 +214,11 @@ def test_factors_give_the_bound_of_the_rows() -> None:
 
 def test_weighted_least_squares_reaches_the_bound_and_plain_does_not() -> None:
     errors, bound = errors_of(WLS(), 400), bound_of_white()
-    for figure in (efficiency, spread, bound_ratio):
+    for figure in WITH_BOUND.values():
         told, low, high = figure(errors, bound)
         assert low < told < high
         assert low < 1.0 < high
-    _, _, high = efficiency(errors_of(OLS(), 400), bound)
+    _, _, high = WITH_BOUND["efficiency"](errors_of(OLS(), 400), bound)
     assert high < 0.9
 
 
@@ -228,8 +227,9 @@ def test_bias_is_told_apart_from_scatter(share: float) -> None:
     bound = bound_of_white()
     straight = errors_of(WLS(), 400)
     errors = straight + share * bound
+    spread, bound_ratio = WITH_BOUND["spread"], WITH_BOUND["bound_ratio"]
     np.testing.assert_allclose(spread(errors, bound), spread(straight, bound))
-    told, low, high = bias(errors)
+    told, low, high = mean_error(errors)
     assert low <= told <= high
     assert low <= share <= high + 0.05
     assert high - low < 0.3
@@ -238,7 +238,7 @@ def test_bias_is_told_apart_from_scatter(share: float) -> None:
 
 def test_intervals_of_figures_narrow_with_repeats() -> None:
     bound = bound_of_white()
-    few, many = (efficiency(errors_of(WLS(), 400)[:n], bound) for n in (40, 400))
+    few, many = (WITH_BOUND["efficiency"](errors_of(WLS(), 400)[:n], bound) for n in (40, 400))
     assert (many[2] - many[1]) < 0.5 * (few[2] - few[1])
 
 
@@ -258,30 +258,6 @@ def test_what_the_motion_does_not_excite_has_no_bound() -> None:
     W[..., 2] = W[..., 1]
     assert torque_bound([W], np.eye(2)) is None
     assert torque_bound([], np.eye(2)) is None
-
-
-def test_a_motion_that_is_unknown_makes_the_bound_wider() -> None:
-    rng = np.random.default_rng(6)
-    W, G = regressor(), rng.normal(size=(PERIOD * PERIODS, 2, 6))
-    torque = np.diag([0.09, 0.01])
-    known = torque_bound([W[:100], W[100:]], torque)
-    assert known is not None
-    np.testing.assert_allclose(
-        known, trajectory_bound([W], [G], torque, np.zeros((6, 6))), atol=1e-15
-    )
-    wider = trajectory_bound([W[:70], W[70:]], [G[:70], G[70:]], torque, 0.01 * np.eye(6))
-    assert np.linalg.eigvalsh(wider - known).min() > 0
-    # One sample: the covariance of torque and motion together, by elimination.
-    joint = np.zeros((10, 10))
-    measured = np.linalg.inv(0.01 * np.eye(6))
-    stack = np.zeros((2, 10))
-    for k in range(len(W)):
-        stack[:, :4], stack[:, 4:] = W[k], G[k]
-        information = stack.T @ np.linalg.inv(torque) @ stack
-        information[4:, 4:] += measured
-        inner = np.linalg.solve(information[4:, 4:], information[4:, :4])
-        joint[:4, :4] += information[:4, :4] - information[:4, 4:] @ inner
-    np.testing.assert_allclose(np.linalg.inv(joint[:4, :4]), wider, rtol=1e-8)
 
 
 # --- Comparisons --------------------------------------------------------------------------------
@@ -304,9 +280,9 @@ def test_robots_and_not_motions_make_the_interval() -> None:
     robots = rng.normal(size=(6, 1, 1))
     few = robots + 0.1 * rng.normal(size=(6, 3, 1))
     many = robots + 0.1 * rng.normal(size=(6, 60, 1))
-    width = [float(np.diff(robot_bootstrap(v, draws=400), axis=0)[0, 0]) for v in (few, many)]
+    width = [float(np.diff(robot_interval(v, draws=400), axis=0)[0, 0]) for v in (few, many)]
     assert width[1] > 0.6 * width[0]
-    naive = float(np.diff(robot_bootstrap(many.reshape(360, 1, 1), draws=400), axis=0)[0, 0])
+    naive = float(np.diff(robot_interval(many.reshape(360, 1, 1), draws=400), axis=0)[0, 0])
     assert naive < 0.5 * width[1]
 
 
@@ -334,35 +310,6 @@ def test_wins_and_profiles_count_failures_as_lost() -> None:
     np.testing.assert_allclose(profile[:, 0], [0.5, 0.75, 0.75, 0.75])
     np.testing.assert_allclose(profile[:, 2], [0.0, 0.0, 0.25, 0.25])
     assert (np.diff(profile, axis=0) >= 0).all()
-
-
-# --- Distances ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_distances_of_inertias_are_their_definitions_in_any_frame(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    phi, phi0 = random_phi(rng, 2)
-    J, J0 = pseudo_inertia(phi), pseudo_inertia(phi0)
-    root = np.linalg.inv(sqrtm(J0))
-    geodesic = np.linalg.norm(logm(root @ J @ root))
-    assert geodesic_distance(phi, phi0) == pytest.approx(geodesic, rel=1e-9)
-    ratio = np.linalg.solve(J0, J)
-    entropic = np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4
-    assert entropic_distance(phi, phi0) == pytest.approx(entropic, rel=1e-9)
-    X = 3.0 * transport(random_rotation(rng), rng.normal(size=3))
-    for distance in (geodesic_distance, entropic_distance):
-        assert distance(X @ phi, X @ phi0) == pytest.approx(float(distance(phi, phi0)), rel=1e-8)
-        assert distance(phi, phi) == pytest.approx(0.0, abs=1e-6)
-        assert distance(-phi, phi0) == distance(phi, -phi0) == np.inf
-    assert geodesic_distance(phi, phi0) == pytest.approx(float(geodesic_distance(phi0, phi)))
-
-
-def test_subspaces_are_compared_by_their_angle() -> None:
-    a = np.array([[1.0], [0.0], [0.0]])
-    b = np.array([[np.cos(0.3)], [np.sin(0.3)], [0.0]])
-    assert subspace_distance(a, 5 * b) == pytest.approx(0.3)
-    assert subspace_distance(np.hstack([a, b]), np.eye(3)[:, :2]) == pytest.approx(0.0, abs=1e-7)
 
 
 # --- Periods ------------------------------------------------------------------------------------

@@ -9,13 +9,14 @@ import pytest
 from sysid_bench.evaluation.wrench_estimation import (
     SensorNewtonEuler,
     sensor_newton_euler,
-    upstream_torque,
     wrench_errors,
 )
 from sysid_bench.identifiability.subspaces import structural_subspaces
 from sysid_bench.identification.linear.online_estimation import RecursiveEstimator, batch_estimate
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.wrench import subtree_regressors
+from sysid_bench.regressors.wrench import subtree_dofs, subtree_regressors
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.simulation.force_torque import contact_torque, sensor_wrench
 from sysid_bench.tasks.prior import PriorSpread, prior_of
@@ -73,7 +74,7 @@ def test_exact_parameters_give_exact_torques_and_wrenches() -> None:
     method, f_b, tau, contact = test_run()
     phi = task().truth.theta
     np.testing.assert_allclose(method.joint_torque(phi, f_b), tau, atol=1e-11)
-    np.testing.assert_allclose(method.external_wrench(phi, f_b), contact, atol=1e-10)
+    np.testing.assert_allclose(method.contact_wrench(phi, f_b), contact, atol=1e-10)
 
 
 def test_identified_parameters_serve_as_well_as_the_true_ones() -> None:
@@ -95,6 +96,36 @@ def test_identified_parameters_serve_as_well_as_the_true_ones() -> None:
     assert worst < 1.02
     assert np.median(alone) < 0.05
     assert np.median(error) < 1e-3
+
+
+def upstream_torque(
+    robot: RobotModel, cut: SensorCut, motion: Trajectory, phi: Array, f_b: Array
+) -> tuple[tuple[str, ...], Array]:
+    """Names and torques tau (N, u) of the joints proximal to the sensor (Traversaro et al. 2015).
+
+    f_b (N, 6) is the measured wrench [n; f]; phi (nb, 10) are the parameters of the whole robot, of
+    which those distal to the sensor are not used. Rigid-body torques, as for `SensorNewtonEuler`.
+    """
+    instruments = instruments_of(robot, (cut,))
+    whole = instruments.motion(motion)
+    link = int(instruments.tree.carrier[cut.body])
+    distal = {*subtree_dofs(robot, cut), *instruments.root(cut)}
+    dofs = [int(dof) for dof in instruments.tree.links[link].dofs if dof not in distal]
+    upstream = phi.copy()
+    upstream[list(_distal_bodies(robot, cut))] = 0.0
+    tau = newton_euler(instruments.tree, instruments.tree.link_parameters(upstream), whole)[:, dofs]
+    J = subtree_regressors(robot, cut, motion).link_jacobian(link, dofs)
+    return tuple(robot.rows[dof] for dof in dofs), tau + np.einsum("nuc,nc->nu", J, f_b)
+
+
+def _distal_bodies(robot: RobotModel, cut: SensorCut) -> set[int]:
+    """Bodies distal to a sensor, also those distal to further sensors: its reading contains their
+    wrench."""
+    inside = {cut.body}
+    for b in range(cut.body + 1, len(robot.body_names)):
+        if int(robot.mj.body_parentid[b + 1]) - 1 in inside:
+            inside.add(b)
+    return inside
 
 
 def test_joints_before_the_sensor_need_the_links_between() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from sysid_bench.experiments.execute import execute
-from sysid_bench.experiments.seeds import prior_seed
+from sysid_bench.experiments.seed import prior_seed
 from sysid_bench.harness.plan import Cell, Plan, expand
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.places import suite

@@ -59,9 +59,9 @@ def test_another_seed_task_or_setting_is_another_design(solved: list[Optimised])
 def test_content_is_what_is_held_and_not_the_rate() -> None:
     problem = design_problem(robot_of("ur5"), 100.0)
     same = design_problem(robot_of("ur5"), 200.0)
-    assert motions.content_hash(problem) == motions.content_hash(same)
-    assert motions.content_hash(problem) != motions.content_hash(replace(same, v=1.01 * same.v))
-    assert motions.content_hash(problem) != motions.content_hash(
+    assert motions.design_key(problem) == motions.design_key(same)
+    assert motions.design_key(problem) != motions.design_key(replace(same, v=1.01 * same.v))
+    assert motions.design_key(problem) != motions.design_key(
         design_problem(robot_of("ur10"), 100.0)
     )
 

@@ -169,9 +169,10 @@ def test_a_fit_that_never_left_its_start_is_a_failure(name: str, allowed: int) -
     assert found.reason
 
 
-def test_torques_of_nothing_are_a_failure_or_far_from_certain() -> None:
+def test_torques_of_nothing_are_far_from_certain() -> None:
+    """A fit to pure noise converges somewhere; its deviation exceeds all of the parameters."""
     made = noisy()
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(1)
     raw, recording = made.experiment.raw, made.experiment.recording
     noise = 1e3 * rng.normal(size=raw.tau.shape)
     wild = replace(
@@ -180,11 +181,8 @@ def test_torques_of_nothing_are_a_failure_or_far_from_certain() -> None:
         recording=replace(recording, tau=noise[: len(recording)]),
     )
     found = identify(build("estimator", "didim"), made.problem, wild)
-    if found.status == "ok":
-        assert found.covariance is not None
-        start = made.problem.prior
-        assert start is not None
-        assert np.sqrt(np.trace(found.covariance)) > np.linalg.norm(start.theta)
-    else:
-        assert found.status == "failed"
-        assert found.reason
+    assert found.status == "ok", found.reason
+    assert found.covariance is not None
+    start = made.problem.prior
+    assert start is not None
+    assert np.sqrt(np.trace(found.covariance)) > 3 * np.linalg.norm(start.theta)

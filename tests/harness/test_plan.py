@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.seeds import (
+from sysid_bench.experiments.seed import (
     held_out_seed,
     motion_seed,
     noise_seed,

@@ -221,7 +221,7 @@ def test_settings_reach_everything_and_nothing_else() -> None:
 
 
 def test_words_are_those_of_the_other_rooms() -> None:
-    from sysid_bench.evaluation.repeats import WITH_BOUND
+    from sysid_bench.evaluation.repeat_statistic import WITH_BOUND
     from sysid_bench.metrics import METRICS
     from sysid_bench.models.manifest import TERMS
     from sysid_bench.reporting.statistic import INTERVALS, STATISTICS

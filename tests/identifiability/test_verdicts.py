@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from sysid_bench import places
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.distance import subspace_distance
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     expression,
@@ -25,6 +24,7 @@ from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, BaseMap
+from tests.identifiability.subspace_distance import subspace_distance
 from tests.robots import NAMED, named_robot, random_robot
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -201,6 +201,13 @@ def test_other_spaces_are_told_apart() -> None:
     moved = K.copy()
     moved[0, 0] += 0.1  # shoulder_link.m, which nothing tells
     assert subspace_distance(K.T, moved.T) > 1e-3
+
+
+def test_subspaces_are_compared_by_their_angle() -> None:
+    a = np.array([[1.0], [0.0], [0.0]])
+    b = np.array([[np.cos(0.3)], [np.sin(0.3)], [0.0]])
+    assert subspace_distance(a, 5 * b) == pytest.approx(0.3)
+    assert subspace_distance(np.hstack([a, b]), np.eye(3)[:, :2]) == pytest.approx(0.0, abs=1e-7)
 
 
 @settings(max_examples=20)

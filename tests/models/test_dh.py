@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.evaluation.distance import subspace_distance
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.dh.dh_expression import read_expression
 from sysid_bench.models.dh.dh_robot import mjcf_of
@@ -19,6 +18,7 @@ from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.task import unknown_bodies
 from sysid_bench.types import Array
 from sysid_bench.verbs.init_robot import init_robot
+from tests.identifiability.subspace_distance import subspace_distance
 from tests.robots import robot_of, states
 
 HEAD = "link,joint,prev,a,alpha,d,theta,mass,com,size\n"

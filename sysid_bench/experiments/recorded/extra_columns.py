@@ -1,6 +1,6 @@
 """Regressor columns besides rigid bodies and joint terms: features of joints, terms of motors."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.naming import build
 from sysid_bench.regressors.friction_features import JointFeatures, features_of
 from sysid_bench.regressors.transmission import MOTOR, MotorColumns, motor_names
-from sysid_bench.signals.log_description import NO_JOINT
+from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.types import Array, Trajectory
 
 WIDTHS: Final = (0.003, 0.01, 0.03)
@@ -20,6 +20,14 @@ WIDTHS: Final = (0.003, 0.01, 0.03)
 
 SCALES: Final = (0.01, 0.05)
 """rad/s, m/s, of the smooth transition of Coulomb friction through zero velocity."""
+
+VARIANTS: Final[Mapping[str, Sequence[Mapping[str, float]]]] = {
+    "play": [{"width": width} for width in WIDTHS],
+    "playq": [{"width": width} for width in WIDTHS],
+    "tanh": [{"scale": scale} for scale in SCALES],
+}
+"""Settings of features that are nonlinear in a parameter and are used with several values of it: a
+weighted sum of plays (Prandtl-Ishlinskii) approximates hysteresis whose width is unknown."""
 
 MOTOR_TERMS: Final = ("viscous", "coulomb", "armature")
 """Joint terms that motors may have ("motor.armature"); any other name is a feature ("motor.play").
@@ -48,16 +56,18 @@ class ExtraColumns:
         self, row: str, chosen: Sequence[str], motion: Trajectory, motors: Trajectory | None
     ) -> tuple[list[str], Array]:
         """Those of the chosen names that act in a joint's row, and their values (N, k)."""
-        names = [name for name in chosen if name in self.joints.columns]
-        names = [name for name in names if name.rpartition(".")[0] == row]
-        parts = [self.joints.of_joint(row, motion, names) if names else np.zeros((len(motion), 0))]
-        if self.motors is not None and motors is not None:
-            coupled = [name for name in chosen if name in self.motors.columns]
-            coupled = [name for name in coupled if row in self.motors.rows_of(name)]
-            if coupled:
-                names = names + coupled
-                parts.append(self.motors.on_row(row, coupled, motors))
-        return names, np.column_stack(parts)
+        names = self._acting(row, chosen, self.joints.columns)
+        values = self.joints.of_joint(row, motion, names)
+        if self.motors is None or motors is None:
+            return names, values
+        coupled = self._acting(row, chosen, self.motors.columns)
+        if not coupled:
+            return names, values
+        return names + coupled, np.column_stack([values, self.motors.on_row(row, coupled, motors)])
+
+    def _acting(self, row: str, chosen: Sequence[str], columns: Sequence[str]) -> list[str]:
+        """Those of the chosen names among some columns that are not zero in a joint's row."""
+        return [name for name in chosen if name in columns and row in self.rows_of(name)]
 
     def on_rows(
         self, robot: RobotModel, rows: Sequence[str], chosen: Sequence[str], motion: Trajectory
@@ -75,9 +85,9 @@ class ExtraColumns:
         joint stand still. None without a transmission."""
         if self.motors is None:
             return None
-        address = {dof: (joint.qadr, joint.vadr) for joint in robot.joints for dof in joint.dofs}
-        q, v, a = (np.zeros((len(motion), len(self.motors.coordinates))) for _ in range(3))
-        for i, name in enumerate(self.motors.coordinates):
+        address, coordinates = _addresses(robot), self.motors.coordinates
+        q, v, a = np.zeros((3, len(motion), len(coordinates)))
+        for i, name in enumerate(coordinates):
             if name != NO_JOINT:
                 qadr, dof = address[name]
                 q[:, i], v[:, i], a[:, i] = motion.q[:, qadr], motion.v[:, dof], motion.a[:, dof]
@@ -85,9 +95,19 @@ class ExtraColumns:
         return Trajectory(motion.t, q @ inverse, v @ inverse, a @ inverse, "motors")
 
 
-def is_motor(word: str) -> bool:
-    """True for a term or feature of motors: "motor.play"."""
-    return word.startswith(f"{MOTOR}.")
+def _addresses(robot: RobotModel) -> dict[str, tuple[int, int]]:
+    """Indices (in q, in v) of each degree of freedom's joint, by name."""
+    return {dof: (joint.qadr, joint.vadr) for joint in robot.joints for dof in joint.dofs}
+
+
+def motor_terms(words: Sequence[str]) -> tuple[str, ...]:
+    """Those words that name terms or features of motors: "motor.play"."""
+    return tuple(word for word in words if word.startswith(f"{MOTOR}."))
+
+
+def joint_terms(words: Sequence[str]) -> tuple[str, ...]:
+    """Those words that name terms or features of joints: "play"."""
+    return tuple(word for word in words if not word.startswith(f"{MOTOR}."))
 
 
 def extra_columns(
@@ -97,51 +117,65 @@ def extra_columns(
 
     Raises UsageError for unknown names, and for motors where a log states no transmission.
     """
-    of_joints = [word for word in words if not is_motor(word)]
-    address = {dof: (joint.qadr, joint.vadr) for joint in robot.joints for dof in joint.dofs}
+    address = _addresses(robot)
     motions = [log.recording.motion for log in training]
-    table = features_of(_features(of_joints), rows, [address[row] for row in rows], motions)
-    of_motors = [word.removeprefix(f"{MOTOR}.") for word in words if is_motor(word)]
+    features = _features(joint_terms(words))
+    table = features_of(features, rows, [address[row] for row in rows], motions)
+    of_motors = [word.removeprefix(f"{MOTOR}.") for word in motor_terms(words)]
     return ExtraColumns(table, _motors(of_motors, training) if of_motors else None)
 
 
 def _motors(words: Sequence[str], training: Sequence[ProcessedLog]) -> MotorColumns:
+    """The columns of motors, which all training logs have to drive alike."""
+    motions = [log.motors for log in training if log.motors is not None]
+    joints, transmission = _common_transmission(words[0], training)
+    _validate_motor_terms(words)
+    names = motor_names(len(joints))
+    features = _features([word for word in words if word not in MOTOR_TERMS])
+    table = features_of(features, names, [(k, k) for k in range(len(names))], motions)
+    inverse = np.linalg.inv(transmission)
+    # Rounding of the inverse would give a column to every joint that the motor does not move.
+    inverse[np.abs(inverse) < 1e-12 * np.abs(inverse).max()] = 0.0
+    plain = tuple(SUFFIX[word] for word in words if word in MOTOR_TERMS)
+    return MotorColumns(inverse, joints, plain, table)
+
+
+def _common_transmission(
+    word: str, training: Sequence[ProcessedLog]
+) -> tuple[tuple[str, ...], Array]:
+    """Joints and transmission G (k, k) of all logs; UsageError where a log states none or another.
+
+    `word` is a term of motors that needs it.
+    """
     first = training[0].log.description
     if any(log.motors is None for log in training):
         raise UsageError(
-            f"'motor.{words[0]}' needs transmission = [[...], ...] (q = G q_motor) in "
+            f"'motor.{word}' needs transmission = [[...], ...] (q = G q_motor) in "
             f"{first.source}: motors that move joints together."
         )
-    assert first.transmission is not None
     for log in training[1:]:
         other = log.log.description
-        if other.joints != first.joints or not np.array_equal(
-            np.asarray(other.transmission), first.transmission
-        ):
+        if other.joints != first.joints or not _same_transmission(other, first):
             raise UsageError(f"{other.source} has another transmission than {first.source}.")
-    plain = [SUFFIX[word] for word in words if word in MOTOR_TERMS]
+    return first.joints, np.asarray(first.transmission)
+
+
+def _same_transmission(one: LogDescription, other: LogDescription) -> bool:
+    return np.array_equal(np.asarray(one.transmission), np.asarray(other.transmission))
+
+
+def _validate_motor_terms(words: Sequence[str]) -> None:
+    """Raise UsageError for a joint term that motors do not have, such as a spring."""
     unknown = [word for word in words if word in SUFFIX and word not in MOTOR_TERMS]
     if unknown:
         advice = "Features, such as play, are also possible."
         raise unknown_name("term of motors", unknown[0], MOTOR_TERMS, advice)
-    names = motor_names(len(first.joints))
-    motions = [log.motors for log in training if log.motors is not None]
-    features = _features([word for word in words if word not in MOTOR_TERMS])
-    table = features_of(features, names, [(k, k) for k in range(len(names))], motions)
-    inverse = np.linalg.inv(first.transmission)
-    # Rounding of the inverse would give a column to every joint that the motor does not move.
-    inverse[np.abs(inverse) < 1e-12 * np.abs(inverse).max()] = 0.0
-    return MotorColumns(inverse, first.joints, tuple(plain), table)
 
 
 def _features(names: Sequence[str]) -> list[Any]:
     """The feature plug-ins of these names, in several widths or scales where they have one."""
-    features: list[Any] = []
-    for name in names:
-        if name in ("play", "playq"):
-            features += [build("term", {"use": name, "width": width}) for width in WIDTHS]
-        elif name == "tanh":
-            features += [build("term", {"use": name, "scale": scale}) for scale in SCALES]
-        else:
-            features.append(build("term", name))
-    return features
+    return [
+        build("term", {"use": name, **settings})
+        for name in names
+        for settings in VARIANTS.get(name, ({},))
+    ]

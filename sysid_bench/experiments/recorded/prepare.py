@@ -13,7 +13,7 @@ from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
-from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog, process_log
+from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog, process_log
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.experiments.recorded.term_selection import select_terms
@@ -63,21 +63,27 @@ def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Reco
     Raises UnsupportedError or UsageError where there is none, with the reason.
     """
     assert spec.log is not None
-    folder, mass = loaded.folder or Path(), spec.log.get("true_mass")
-    options = LogOptions(
+    folder = loaded.folder or Path()
+    options = _options(spec, spec.log, folder)
+    training = [log_description(written, folder) for written in spec.log["train"]]
+    tests = _test_descriptions(spec.log["test"], folder)
+    return prepare_logs(loaded.robot.manifest, training, tests, options)
+
+
+def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogOptions:
+    """Options of a suite's [[log]] entry."""
+    mass = log.get("true_mass")
+    return LogOptions(
         task=str(resolve_paths({"use": spec.task}, folder)["use"]),
         terms=spec.terms,
         filter=spec.signals.get("filter"),
         derivatives=spec.signals.get("derivatives"),
-        moving=float(spec.log["moving"]),
-        candidates=tuple(spec.log["choose"]),
-        position_given=bool(spec.log["position_given"]),
-        accept=tuple(spec.log["accept"]),
+        moving=float(log["moving"]),
+        candidates=tuple(log["choose"]),
+        position_given=bool(log["position_given"]),
+        accept=tuple(log["accept"]),
         true_mass=None if mass is None else quantity(mass, "kg"),
     )
-    training = [log_description(written, folder) for written in spec.log["train"]]
-    tests = _test_descriptions(spec.log["test"], folder)
-    return prepare_logs(loaded.robot.manifest, training, tests, options)
 
 
 def prepare_logs(
@@ -104,7 +110,7 @@ def prepare_logs(
 def build_problems(
     training: Sequence[ProcessedLog],
     tests: Mapping[str, ProcessedLog],
-    preprocessing: Preprocessing,
+    preprocessing: LogProcessing,
     options: LogOptions,
 ) -> Prepared[RecordedSource]:
     """The problem of all training logs together, and one of each test log.
@@ -161,29 +167,31 @@ def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
     return found
 
 
-def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> Preprocessing:
+def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> LogProcessing:
+    filters = options.filter or _default_filter(logs)
+    derivatives = options.derivatives or _default_derivatives(logs)
+    processing = processing_of({"filter": filters, "derivatives": derivatives})
+    return LogProcessing(processing, options.moving, filters, derivatives)
+
+
+def _default_filter(logs: Sequence[LogDescription]) -> str:
+    """FILTER, or none where the slowest log is too slow for it."""
     slowest = min((log.rate for log in logs if log.rate is not None), default=np.inf)
-    signals: dict[str, Any] = {
-        "filter": options.filter or (FILTER if slowest > SLOW else "none"),
-        "derivatives": options.derivatives
-        or ("from v" if all(log.v is not None for log in logs) else "from q"),
-    }
-    return Preprocessing(
-        processing_of(signals), options.moving, signals["filter"], signals["derivatives"]
-    )
+    return FILTER if slowest > SLOW else "none"
+
+
+def _default_derivatives(logs: Sequence[LogDescription]) -> str:
+    """Measured velocities where every log has them: q is differentiated once less."""
+    return "from v" if all(log.v is not None for log in logs) else "from q"
 
 
 def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:
     """The terms of the options, else the manifest's without those of locked joints, else TERMS."""
     if options.terms is not None:
         return options.terms
-    rows = log.robot.rows
-    terms = tuple(
-        term
-        for term in log.robot.manifest.terms
-        if "." not in term or any(term.startswith(f"{row}.") for row in rows)
-    )
-    return terms or TERMS
+    of_joints = tuple(f"{row}." for row in log.robot.rows)
+    terms = log.robot.manifest.terms
+    return tuple(t for t in terms if "." not in t or t.startswith(of_joints)) or TERMS
 
 
 def _test_descriptions(written: Any, folder: Path) -> dict[str, LogDescription]:

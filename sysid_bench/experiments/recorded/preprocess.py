@@ -18,7 +18,7 @@ from sysid_bench.types import Recording, Trajectory
 
 
 @dataclass(frozen=True)
-class Preprocessing:
+class LogProcessing:
     """Settings for all logs: `processing` gives motion and torque. Rows whose joint moves slower
     than `moving` (rad/s, m/s) are left out: no model has static friction."""
 
@@ -44,7 +44,7 @@ class ProcessedLog:
 
 
 def process_log(
-    log: LogDescription, manifest: Manifest, preprocessing: Preprocessing
+    log: LogDescription, manifest: Manifest, preprocessing: LogProcessing
 ) -> ProcessedLog:
     """Read and preprocess a log; its contradictions are still to be refused.
 
@@ -57,6 +57,7 @@ def process_log(
         recording = preprocessing.processing.apply(read.recording, robot.joints)
     except UsageError as error:
         raise UsageError(f"{log.source}: {error}") from error
+    # Dependent joints follow from the filtered independent ones: the closure is nonlinear.
     motion = robot.completed(recording.motion)
     return ProcessedLog(
         read,
@@ -66,7 +67,7 @@ def process_log(
     )
 
 
-def _motors(log: Log, preprocessing: Preprocessing) -> Trajectory | None:
+def _motors(log: Log, preprocessing: LogProcessing) -> Trajectory | None:
     """Motion of the motors, filtered like that of the joints."""
     if log.coordinates is None or log.description.transmission is None:
         return None
@@ -74,9 +75,10 @@ def _motors(log: Log, preprocessing: Preprocessing) -> Trajectory | None:
         Joint(name, "hinge", k, k, (name,)) for k, name in enumerate(log.description.joints)
     )
     motion = preprocessing.processing.apply(log.coordinates, joints).motion
-    q, v, a = (
-        np.linalg.solve(log.description.transmission, x.T).T for x in (motion.q, motion.v, motion.a)
-    )
+    # q = G q_motor, and G is constant: rates transform alike.
+    q, v, a = np.linalg.solve(
+        log.description.transmission, np.stack([motion.q.T, motion.v.T, motion.a.T])
+    ).swapaxes(1, 2)
     return replace(motion, q=q, v=v, a=a)
 
 

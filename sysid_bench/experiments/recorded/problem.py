@@ -1,17 +1,58 @@
 """Problems W beta = b of logs, as triangular factors row by row."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import partial
+from typing import Final
 
 import numpy as np
 
-from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog
+from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
-from sysid_bench.regressors.coupled import AnyRegression, torque_regression
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.regressors.coupled import AnyRegression, CoupledBlock, torque_regression
 from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.regressors.regression import Block
 from sysid_bench.signals.time_folds import time_folds
 from sysid_bench.types import Array, BaseMap, Factor, Problem, RowBlock, Trajectory
+
+UNUSED: Final = -1
+"""Label of samples that are in no factor."""
+
+
+@dataclass(eq=False)
+class _RowFactors:
+    """Triangular factors of the row of one joint in a log, one for each label of its samples.
+
+    `index` is that of the row in the regression, `columns` (k,) those that act in it, the last of
+    them the features `extra` (N, k'); `tau` (N,) and `labels` (N,) belong to its samples.
+    """
+
+    row: str
+    index: int
+    columns: Array
+    extra: Array
+    tau: Array
+    labels: Array
+    count: int  # of labels
+    Rs: list[Array] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.Rs = [np.zeros((0, len(self.columns) + 1)) for _ in range(self.count)]
+
+    def add(self, block: Block | CoupledBlock) -> None:
+        """Add the samples of a block of the regressor."""
+        part = block.samples
+        Wb = np.column_stack([block.row(self.index).T, self.extra[part], self.tau[part]])
+        for label in range(self.count):
+            used = self.labels[part] == label
+            if used.any():
+                self.Rs[label] = upper_factor([self.Rs[label], Wb[used]])
+
+    def factor(self, label: int) -> Factor:
+        """The factor of all samples with a label."""
+        samples = int((self.labels == label).sum())
+        return Factor(self.row, self.columns, self.Rs[label], samples)
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,24 +61,22 @@ class LogProblemBuilder:
 
     unknowns: Unknowns
     columns: tuple[str, ...]
-    preprocessing: Preprocessing
+    preprocessing: LogProcessing
 
     def build(self, logs: Sequence[ProcessedLog], base: BaseMap) -> Problem:
         """The problem W beta = b of all rows of the logs."""
         rows = self.unknowns.rows
-        names = self.unknowns.robot.torque_rows
-        kinds = tuple(self.unknowns.robot.torque_units[names.index(row)] for row in rows)
         parts = [self._factors(log) for log in logs]
-        factors = tuple(merge_factors(of_row) for of_row in zip(*parts, strict=True))
         return Problem(
             parameters=self.unknowns.parameters,
             base=base,
             rows=rows,
-            factors=factors,
+            # QR of each row by itself: weights of rows can be changed without the samples.
+            factors=tuple(map(row_factor, zip(*parts, strict=True))),
             bodies=self.unknowns.bodies,
             blocks=partial(_blocks, self, tuple(logs)),
             samples=sum(len(log.recording) for log in logs),
-            kinds=kinds,
+            kinds=self.unknowns.kinds,
             torque=np.array([self._rms_torque(logs, row) for row in rows]),
             # Motions of several logs differ: their spread is more than that of the noise.
             period=logs[0].recording.motion.period_samples if len(logs) == 1 else 0,
@@ -45,18 +84,21 @@ class LogProblemBuilder:
 
     def regression(self, log: ProcessedLog) -> tuple[AnyRegression, Array]:
         """The regression of the columns that act in a log, and their indices among all (k,)."""
-        known = set(self.unknowns.robot_parameters) | (
-            set(self.unknowns.payload_parameters) if log.payload else set()
-        )
+        robot, parameters = self.unknowns.rigid_bodies(log)
+        return self.rigid_regression(robot, parameters)
+
+    def rigid_regression(
+        self, robot: RobotModel, parameters: Collection[str]
+    ) -> tuple[AnyRegression, Array]:
+        """The regression of those columns that are among some parameters, and their indices."""
+        known = set(parameters)
         indices = [i for i, name in enumerate(self.columns) if name in known]
-        robot = (
-            log.robot if self.unknowns.loaded is not None and log.payload else self.unknowns.robot
-        )
         return torque_regression(robot, [self.columns[i] for i in indices]), np.array(indices)
 
     def torque(self, log: ProcessedLog) -> Array:
         """Measured torque (N, n) minus that of a known payload."""
         tau, load = log.recording.tau, log.robot.payload_body
+        # A payload whose parameters are unknown has columns, and stays in the torque.
         if load is None or self.unknowns.loaded is not None:
             return tau
         regression = torque_regression(log.robot, log.robot.bodies[load].columns)
@@ -70,30 +112,19 @@ class LogProblemBuilder:
         """For each label 0 ... count - 1 the factors of all joints at samples that have it (N,),
         in one pass over the motion."""
         regression, indices = self.regression(log)
-        rows = [regression.rows.index(row) for row in self.unknowns.rows]
-        extra = [self.extra_columns(log, row) for row in self.unknowns.rows]
-        moving = [self._moving_rows(log, row) for row in self.unknowns.rows]
-        columns = [
-            np.concatenate([indices[regression.touched[i]], of_extra])
-            for i, (_, of_extra) in zip(rows, extra, strict=True)
-        ]
-        Rs = [[np.zeros((0, len(of_row) + 1)) for of_row in columns] for _ in range(count)]
         tau = self.torque(log)
+        joints = []
+        for row in self.unknowns.rows:
+            i = regression.rows.index(row)
+            extra, columns = self.extra_columns(log, row)
+            columns = np.concatenate([indices[regression.touched[i]], columns])
+            used = np.where(self.moving_rows(log, row), labels, UNUSED)
+            joint = _RowFactors(row, i, columns, extra, tau=tau[:, i], labels=used, count=count)
+            joints.append(joint)
         for block in regression.blocks(log.recording.motion):
-            part = block.samples
-            for k, i in enumerate(rows):
-                Wb = np.column_stack([block.row(i).T, extra[k][0][part], tau[part, i]])
-                for label in range(count):
-                    used = moving[k][part] & (labels[part] == label)
-                    if used.any():
-                        Rs[label][k] = upper_factor([Rs[label][k], Wb[used]])
-        return [
-            [
-                Factor(row, columns[k], Rs[label][k], int((moving[k] & (labels == label)).sum()))
-                for k, row in enumerate(self.unknowns.rows)
-            ]
-            for label in range(count)
-        ]
+            for joint in joints:
+                joint.add(block)
+        return [[joint.factor(label) for joint in joints] for label in range(count)]
 
     def motors(self, motion: Trajectory) -> Trajectory | None:
         """Motion of the motors along a motion of the robot."""
@@ -102,33 +133,48 @@ class LogProblemBuilder:
 
     def extra_columns(self, log: ProcessedLog, row: str) -> tuple[Array, Array]:
         """Feature columns (N, k) of one joint, and their indices among all."""
-        names, values = self.features(row, log.recording.motion, log.motors)
+        values, indices = self.features(row, log.recording.motion, log.motors)
         if self.unknowns.given and log.payload:
             i = log.robot.torque_rows.index(row)
             values = np.column_stack([values, _torque_per_kilogram(log)[:, i]])
-            names = [*names, MASS]
-        return values, np.array([self.columns.index(name) for name in names], dtype=int)
+            indices = np.append(indices, self.columns.index(MASS))
+        return values, indices
 
     def features(
         self, row: str, motion: Trajectory, motors: Trajectory | None
-    ) -> tuple[list[str], Array]:
-        """Names of the features on one joint's row, and their values (N, k)."""
+    ) -> tuple[Array, Array]:
+        """Values (N, k) of the features on one joint's row, and their indices among all columns."""
         if self.unknowns.features is None:
-            return [], np.zeros((len(motion), 0))
+            return np.zeros((len(motion), 0)), np.zeros(0, dtype=int)
         chosen = [name for name in self.unknowns.extra if name in self.columns]
-        return self.unknowns.features.on_row(row, chosen, motion, motors)
+        names, values = self.unknowns.features.on_row(row, chosen, motion, motors)
+        return values, np.array([self.columns.index(name) for name in names], dtype=int)
+
+    def dense(
+        self, block: Block | CoupledBlock, indices: Array, features: Sequence[tuple[Array, Array]]
+    ) -> Array:
+        """Base regressor (n, rows, r) of one block: the rigid-body columns have these `indices`
+        (k,), those of `features` are given for each row with their values."""
+        names = block.regression.rows
+        rows = [names.index(row) for row in self.unknowns.rows]
+        W = np.zeros((block.count, len(rows), len(self.columns)))
+        W[:, :, indices] = block.dense()[:, rows]
+        for i, (values, columns) in enumerate(features):
+            W[:, i, columns] = values[block.samples]
+        return W
 
     def _rms_torque(self, logs: Sequence[ProcessedLog], row: str) -> float:
         """RMS of the measured torque of a joint, known parts included."""
         parts = [
-            log.recording.tau[self._moving_rows(log, row), log.robot.torque_rows.index(row)]
+            log.recording.tau[self.moving_rows(log, row), log.robot.torque_rows.index(row)]
             for log in logs
         ]
         tau = np.concatenate(parts)
         return float(np.sqrt((tau**2).mean())) if len(tau) else 0.0
 
-    def _moving_rows(self, log: ProcessedLog, row: str) -> Array:
+    def moving_rows(self, log: ProcessedLog, row: str) -> Array:
         """Samples (N,) at which a joint moves fast enough."""
+        # Below the threshold static friction may balance any torque up to its limit.
         v = log.recording.motion.v[:, log.robot.rows.index(row)]
         return np.asarray(np.abs(v) >= self.preprocessing.moving)
 
@@ -144,35 +190,39 @@ def fold_factors(
     return [[tuple(factors[f][k] for factors in log_factors) for k in rows] for f in range(count)]
 
 
-def merge_factors(factors: Sequence[Factor]) -> Factor:
+def row_factor(factors: Sequence[Factor]) -> Factor:
     """One factor of the same row of several logs, which may have different columns."""
     if len(factors) == 1:
         return factors[0]
     columns = np.unique(np.concatenate([factor.columns for factor in factors]))
-    padded = []
-    for factor in factors:
-        R = np.zeros((len(factor.R), len(columns) + 1))
-        R[:, np.searchsorted(columns, factor.columns)] = factor.R[:, :-1]
-        R[:, -1] = factor.R[:, -1]
-        padded.append(R)
+    padded = [_padded(factor, columns) for factor in factors]
     return Factor(factors[0].row, columns, upper_factor(padded), sum(f.samples for f in factors))
+
+
+def _padded(factor: Factor, columns: Array) -> Array:
+    """R of a factor with zero columns for those of the sorted `columns` that it lacks."""
+    R = np.zeros((len(factor.R), len(columns) + 1))
+    R[:, np.searchsorted(columns, factor.columns)] = factor.R[:, :-1]
+    R[:, -1] = factor.R[:, -1]
+    return R
 
 
 def _blocks(builder: LogProblemBuilder, logs: tuple[ProcessedLog, ...]) -> Iterator[RowBlock]:
     """Dense rows W, b; those of joints that move too slowly are zero."""
     for log in logs:
-        regression, indices = builder.regression(log)
-        tau, motion = builder.torque(log), log.recording.motion
-        rows = [regression.rows.index(row) for row in builder.unknowns.rows]
-        moving = np.stack([builder._moving_rows(log, row) for row in builder.unknowns.rows], axis=1)
-        features = [builder.extra_columns(log, row) for row in builder.unknowns.rows]
-        for block in regression.blocks(motion):
-            W = np.zeros((block.count, len(rows), len(builder.columns)))
-            W[:, :, indices] = block.dense()[:, rows]
-            for i, (values, columns) in enumerate(features):
-                W[:, i, columns] = values[block.samples]
-            kept = moving[block.samples]
-            yield W * kept[:, :, None], tau[block.samples][:, rows] * kept
+        yield from _log_blocks(builder, log)
+
+
+def _log_blocks(builder: LogProblemBuilder, log: ProcessedLog) -> Iterator[RowBlock]:
+    regression, indices = builder.regression(log)
+    names, tau = builder.unknowns.rows, builder.torque(log)
+    rows = [regression.rows.index(row) for row in names]
+    moving = np.stack([builder.moving_rows(log, row) for row in names], axis=1)
+    features = [builder.extra_columns(log, row) for row in names]
+    for block in regression.blocks(log.recording.motion):
+        kept = moving[block.samples]
+        W = builder.dense(block, indices, features)
+        yield W * kept[:, :, None], tau[block.samples][:, rows] * kept
 
 
 def _torque_per_kilogram(log: ProcessedLog) -> Array:
@@ -180,26 +230,19 @@ def _torque_per_kilogram(log: ProcessedLog) -> Array:
     body = log.robot.payload_body
     assert body is not None
     regression = torque_regression(log.robot, log.robot.bodies[body].columns)
+    # phi is linear in the mass where the centre of mass and the inertia per mass are given.
     per_kilogram = log.robot.phi[body] / log.payload.mass
     return np.asarray(regression.torque(log.recording.motion, per_kilogram))
 
 
 def regressor_blocks(builder: LogProblemBuilder, motion: Trajectory) -> Iterator[Array]:
     """Blocks of the base regressor (n, rows, r) along any motion of the unloaded robot."""
-    known = [
-        i for i, name in enumerate(builder.columns) if name in builder.unknowns.robot_parameters
-    ]
-    regression = torque_regression(builder.unknowns.robot, [builder.columns[i] for i in known])
-    rows = [regression.rows.index(row) for row in builder.unknowns.rows]
-    features = [
-        builder.features(row, motion, builder.motors(motion)) for row in builder.unknowns.rows
-    ]
+    unknowns = builder.unknowns
+    regression, indices = builder.rigid_regression(unknowns.robot, unknowns.robot_parameters)
+    motors = builder.motors(motion)
+    features = [builder.features(row, motion, motors) for row in unknowns.rows]
     for block in regression.blocks(motion):
-        W = np.zeros((block.count, len(rows), len(builder.columns)))
-        W[:, :, known] = block.dense()[:, rows]
-        for i, (names, values) in enumerate(features):
-            W[:, i, [builder.columns.index(name) for name in names]] = values[block.samples]
-        yield W
+        yield builder.dense(block, indices, features)
 
 
 def predict_torque(problem: Problem, beta: Array) -> tuple[Array, Array]:

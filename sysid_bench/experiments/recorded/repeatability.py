@@ -1,6 +1,8 @@
 """Repeatability: test logs that repeat the training motion, and the error of doing so."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -21,27 +23,31 @@ def repeatability_error(
 
     None where the test motion is another one, or has another payload.
     """
-    same = [log for log in training if log.payload == test.payload]
-    if not same:
-        return None
-    nearest = [_nearest(log, test) for log in same]
-    distance, near, log = min(
-        ((float(np.median(d)), i, log) for (d, i), log in zip(nearest, same, strict=True)),
-        key=lambda match: match[0],
-    )
-    if distance >= REPEATS:
+    matches = [_nearest(log, test) for log in training if log.payload == test.payload]
+    match = min(matches, key=attrgetter("distance"), default=None)
+    if match is None or match.distance >= REPEATS:
         return None
     columns = [test.robot.torque_rows.index(row) for row in rows]
     measured = test.recording.tau[:, columns]
-    errors = np.linalg.norm(log.recording.tau[near][:, columns] - measured, axis=0)
+    errors = np.linalg.norm(match.tau[:, columns] - measured, axis=0)
     sizes = np.linalg.norm(measured, axis=0)
     return {row: float(e / s) for row, e, s in zip(rows, errors, sizes, strict=True) if s > 0}
 
 
-def _nearest(one: ProcessedLog, other: ProcessedLog) -> tuple[Array, Array]:
-    """Distance of every state (q, v) of another log from the nearest of this one, and its index."""
+@dataclass(frozen=True, eq=False)
+class _Match:
+    """Median distance of the states of a test log from the nearest ones of a training log, and the
+    torque (N, n) of the latter."""
+
+    distance: float
+    tau: Array
+
+
+def _nearest(one: ProcessedLog, other: ProcessedLog) -> _Match:
+    """The states (q, v) of one log that are nearest to those of another."""
     from scipy.spatial import cKDTree
 
+    # rad, m and rad/s have no common norm: each coordinate is in units of its deviation.
     spread = np.concatenate([one.recording.q.std(axis=0), one.recording.motion.v.std(axis=0)])
     moves = spread > 0  # a joint that stands still has no unit
 
@@ -52,4 +58,5 @@ def _nearest(one: ProcessedLog, other: ProcessedLog) -> tuple[Array, Array]:
 
     tree: cKDTree = cKDTree(states(one))
     distance, near = tree.query(states(other))
-    return distance / np.sqrt(moves.sum()), np.asarray(near)
+    # Per coordinate, so that the threshold does not depend on the number of joints.
+    return _Match(float(np.median(distance / np.sqrt(moves.sum()))), one.recording.tau[near])

@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.recorded_score import score_recorded
-from sysid_bench.evaluation.score import data_figures
+from sysid_bench.evaluation.score import base_parameters, data_figures
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.payload_mass import payload_mass
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
@@ -42,26 +42,22 @@ class RecordedSource:
 
     def fields(self) -> Row:
         """Preprocessing, findings and selected terms, as the field `log`."""
-        logs = [*self.training, *self.tests.values()]
-        findings = [
-            f"{log.log.description.source.name}: {finding.text}"
-            for log in logs
-            for finding in log.log.findings
-        ]
-        selection, preprocessing = self.selection, self.builder.preprocessing
+        preprocessing = self.builder.preprocessing
         return {
             "log": {
                 "filter": preprocessing.filter,
                 "derivatives": preprocessing.derivatives,
                 "seconds": sum(float(np.ptp(log.recording.t)) for log in self.training),
-                "findings": "; ".join(dict.fromkeys(findings)),
-                "chosen": ""
-                if selection is None
-                else " ".join(name for name, _ in selection.added),
-                "error_before": None if selection is None else selection.error_before,
-                "error_after": None if selection is None else selection.error_after,
+                "findings": "; ".join(dict.fromkeys(self._findings())),
+                **_selection_fields(self.selection),
             }
         }
+
+    def _findings(self) -> Iterator[str]:
+        """Contradictions in the data that were accepted, with the file of each."""
+        for log in (*self.training, *self.tests.values()):
+            for finding in log.log.findings:
+                yield f"{log.log.description.source.name}: {finding.text}"
 
     def score(self, prepared: Prepared["RecordedSource"], method: Any, estimate: Estimate) -> Row:
         """Scores of an estimate against the measured torque, with the mass of an unknown payload,
@@ -69,8 +65,9 @@ class RecordedSource:
         problem = prepared.problem
         scores = score_recorded(estimate, problem, prepared.held_out, prepared.figures)
         scores = replace(scores, joints=tuple(self._with_repeatability(scores.joints, problem)))
-        if estimate.status == "ok" and estimate.beta is not None:
-            scores = replace(scores, **self._payload_mass(method, estimate.beta, problem))
+        beta = base_parameters(estimate)
+        if beta is not None:
+            scores = replace(scores, **self._payload_fields(method, beta, problem))
         return vars(scores) | {"parameters_table": _parameter_table(estimate, problem)}
 
     def _with_repeatability(
@@ -83,26 +80,42 @@ class RecordedSource:
         for joint in joints:
             yield {**joint, "replayed": errors.get(joint["name"])}
 
-    def _payload_mass(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:
-        """Mass of the payload (kg) as fields of Score: with its interval where the position is
-        given; alone where all ten parameters are unknown and the mass is identifiable."""
-        unknowns = self.builder.unknowns
-        fields: dict[str, Any] = {}
-        if unknowns.given:
-            found = payload_mass(method, problem, self.builder, self.training, beta)
-            low, high = found.interval
-            fields = {"mass": found.mass, "mass_low": low, "mass_high": high}
-        elif unknowns.payload_parameters:
-            index = problem.base.parameters.index(unknowns.payload_parameters[0])
-            if verdicts(problem.base)[index] == "identifiable":
-                fields = {"mass": float(problem.base.embed(beta)[index])}
+    def _payload_fields(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:
+        """Mass of the payload (kg) as fields of Score, with its error where it was weighed."""
+        fields = self._mass_fields(method, beta, problem)
         if fields and self.true_mass is not None:
             fields["mass_error"] = abs(fields["mass"] - self.true_mass)
         return fields
 
+    def _mass_fields(self, method: Any, beta: Array, problem: Problem) -> dict[str, Any]:
+        """The mass with its interval where the position is given; alone where all ten parameters
+        are unknown and the mass is identifiable."""
+        unknowns = self.builder.unknowns
+        if unknowns.given:
+            found = payload_mass(method, problem, self.builder, self.training, beta)
+            low, high = found.interval
+            return {"mass": found.mass, "mass_low": low, "mass_high": high}
+        if not unknowns.payload_parameters:
+            return {}
+        index = problem.base.parameters.index(unknowns.payload_parameters[0])
+        if verdicts(problem.base)[index] != "identifiable":
+            return {}
+        return {"mass": float(problem.base.embed(beta)[index])}
+
+
+def _selection_fields(selection: TermSelection | None) -> Row:
+    """Fields of the selection of terms; empty values where none was asked for."""
+    if selection is None:
+        return {"chosen": "", "error_before": None, "error_after": None}
+    return {
+        "chosen": " ".join(name for name, _ in selection.added),
+        "error_before": selection.error_before,
+        "error_after": selection.error_after,
+    }
+
 
 @dataclass(frozen=True, eq=False)
-class TorquePrediction:
+class LogTorque:
     """Times (N,), measured and predicted torque (N, rows) of a log, and its problem."""
 
     t: Array
@@ -113,31 +126,39 @@ class TorquePrediction:
 
 def predict_log(
     prepared: Prepared[RecordedSource], beta: Array, test: str | None = None
-) -> TorquePrediction:
+) -> LogTorque:
     """Predicted torque of a test log; None: of the first one, else of the first training log.
 
     Raises UsageError for the name of another log.
     """
+    problem, log = _log_named(prepared, test)
+    measured, predicted = predict_torque(problem, beta)
+    N = len(log.recording)
+    return LogTorque(log.recording.t, measured[:N], predicted[:N], problem)
+
+
+def _log_named(
+    prepared: Prepared[RecordedSource], test: str | None
+) -> tuple[Problem, ProcessedLog]:
+    """The problem of a test log, and the log itself."""
     if test is not None and test not in prepared.held_out:
         known = ", ".join(prepared.held_out) or "none"
         raise UsageError(f"Unknown test log {test!r} in this cell; there are: {known}.")
     label = test or next(iter(prepared.held_out), None)
-    problem = prepared.problem if label is None else prepared.held_out[label]
-    source = prepared.source
-    log = source.training[0] if label is None else source.tests[label]
-    measured, predicted = predict_torque(problem, beta)
-    N = len(log.recording)
-    return TorquePrediction(log.recording.t, measured[:N], predicted[:N], problem)
+    if label is None:
+        return prepared.problem, prepared.source.training[0]
+    return prepared.held_out[label], prepared.source.tests[label]
 
 
 def _parameter_table(estimate: Estimate, problem: Problem) -> list[Row]:
     """The estimated base parameters, each with the sum of parameters that it stands for."""
-    if estimate.status != "ok" or estimate.beta is None:
+    beta = base_parameters(estimate)
+    if beta is None:
         return []
     verdict = verdicts(problem.base)
     rows = []
     for j, value, terms in zip(
-        problem.base.pivots.tolist(), estimate.beta, base_expressions(problem.base), strict=True
+        problem.base.pivots.tolist(), beta, base_expressions(problem.base), strict=True
     ):
         body, _, name = problem.parameters[j].rpartition(".")
         rows.append(

@@ -1,11 +1,11 @@
 """Selection of terms and features by cross-validation within the training motion."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from sysid_bench.experiments.recorded.extra_columns import extra_columns, is_motor
-from sysid_bench.experiments.recorded.preprocess import Preprocessing, ProcessedLog
+from sysid_bench.experiments.recorded.extra_columns import extra_columns, joint_terms
+from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, fold_factors
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
@@ -13,6 +13,7 @@ from sysid_bench.identification.linear.normal_qr import spread
 from sysid_bench.models.manifest import is_term
 from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.signals.time_folds import time_folds
+from sysid_bench.types import Array, Factor
 
 FOLDS: Final = 5
 """Parts of a motion for cross-validation."""
@@ -33,7 +34,7 @@ def select_terms(
     unknowns: Unknowns,
     candidates: tuple[str, ...],
     training: Sequence[ProcessedLog],
-    preprocessing: Preprocessing,
+    preprocessing: LogProcessing,
 ) -> tuple[Unknowns, TermSelection]:
     """The unknowns with those candidates that improve the prediction of left-out parts.
 
@@ -42,14 +43,11 @@ def select_terms(
     """
     wide = _with_candidates(unknowns, candidates, training)
     names = wide.base().names
+    # Factors of all candidates once: the search only takes columns of them.
     folds = _folds(LogProblemBuilder(wide, names, preprocessing), training)
-    known = {*unknowns.inertial, *unknowns.terms, *unknowns.payload_parameters, *unknowns.extra}
+    known = {*unknowns.robot_parameters, *unknowns.payload_parameters, *unknowns.extra}
     start = [i for i, name in enumerate(names) if name in known]
-    optional = [
-        (tuple(unknowns.rows.index(row) for row in wide.rows_of(name) if row in unknowns.rows), i)
-        for i, name in enumerate(names)
-        if name not in known
-    ]
+    optional = [(_row_indices(wide, name), i) for i, name in enumerate(names) if name not in known]
     choice = select_columns(folds, start, [(rows, i) for rows, i in optional if rows])
     added = {names[i] for i in choice.columns} - known
     selection = TermSelection(
@@ -58,13 +56,23 @@ def select_terms(
         choice.error_after,
         time_folds(training[0].recording.motion, FOLDS)[1],
     )
-    terms, extra = set(unknowns.terms), set(unknowns.extra)
     selected = replace(
         wide,
-        terms=tuple(name for name in wide.terms if name in terms | added),
-        extra=tuple(name for name in wide.extra if name in extra | added),
+        terms=_selected(wide.terms, added.union(unknowns.terms)),
+        extra=_selected(wide.extra, added.union(unknowns.extra)),
     )
     return selected, selection
+
+
+def _row_indices(unknowns: Unknowns, name: str) -> tuple[int, ...]:
+    """Indices of the recorded rows in which a term or feature acts."""
+    rows = unknowns.rows
+    return tuple(rows.index(row) for row in unknowns.rows_of(name) if row in rows)
+
+
+def _selected(names: Sequence[str], wanted: Collection[str]) -> tuple[str, ...]:
+    """Those names that are wanted, in their own order."""
+    return tuple(name for name in names if name in wanted)
 
 
 def _with_candidates(
@@ -72,12 +80,9 @@ def _with_candidates(
 ) -> Unknowns:
     """The unknowns with all candidates; of motors those that share joints, since the columns of a
     motor that drives one joint alone are those of that joint."""
-    terms = tuple(name for name in candidates if is_term(name) and not is_motor(name))
-    more = [
-        column
-        for column in unknowns.robot.term_columns(terms)
-        if column.split(".")[0] in unknowns.rows
-    ]
+    terms = tuple(name for name in joint_terms(candidates) if is_term(name))
+    columns = unknowns.robot.term_columns(terms)
+    more = [column for column in columns if column.split(".")[0] in unknowns.rows]
     words = [name for name in candidates if name not in terms]
     table = extra_columns(unknowns.robot, unknowns.rows, (*unknowns.motor_words, *words), training)
     coupled = () if table.motors is None else table.motors.coupled
@@ -92,17 +97,19 @@ def _with_candidates(
 def _folds(builder: LogProblemBuilder, training: Sequence[ProcessedLog]) -> list[list[FoldRow]]:
     """Training and left-out rows of each part and joint."""
     width = len(builder.columns)
-    left_out = [
-        [upper_factor(spread(factor, width) for factor in factors) for factors in part]
+    parts = [
+        [_joined(factors, width) for factors in part]
         for part in fold_factors(builder, training, FOLDS)
     ]
-    return [
-        [
-            FoldRow(
-                upper_factor(left_out[other][k] for other in range(FOLDS) if other != f),
-                left_out[f][k],
-            )
-            for k in range(len(builder.unknowns.rows))
-        ]
-        for f in range(FOLDS)
-    ]
+    return [_fold(parts[:f] + parts[f + 1 :], parts[f]) for f in range(FOLDS)]
+
+
+def _joined(factors: Sequence[Factor], width: int) -> Array:
+    """One triangular factor (m, width + 1) of the rows of a joint in all logs."""
+    return upper_factor(spread(factor, width) for factor in factors)
+
+
+def _fold(training: Sequence[Sequence[Array]], left_out: Sequence[Array]) -> list[FoldRow]:
+    """The rows of each joint, of the training parts together and of the part left out."""
+    by_row = zip(*training, strict=True)
+    return [FoldRow(upper_factor(R), last) for R, last in zip(by_row, left_out, strict=True)]

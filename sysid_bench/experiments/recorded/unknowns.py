@@ -8,7 +8,12 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError
-from sysid_bench.experiments.recorded.extra_columns import ExtraColumns, extra_columns, is_motor
+from sysid_bench.experiments.recorded.extra_columns import (
+    ExtraColumns,
+    extra_columns,
+    joint_terms,
+    motor_terms,
+)
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_factor
@@ -51,11 +56,23 @@ class Unknowns:
         return self.inertial + self.terms
 
     @property
-    def payload_parameters(self) -> tuple[str, ...]:
-        """Names of the payload's ten parameters, or none."""
+    def _payload(self) -> tuple[Body, ...]:
+        """The payload if its ten parameters are unknown, else nothing."""
         if self.loaded is None or self.loaded.payload_body is None or self.given:
             return ()
-        return self.loaded.bodies[self.loaded.payload_body].columns
+        return (self.loaded.bodies[self.loaded.payload_body],)
+
+    @property
+    def payload_parameters(self) -> tuple[str, ...]:
+        """Names of the payload's ten parameters, or none."""
+        return _columns(self._payload)
+
+    def rigid_bodies(self, log: ProcessedLog) -> tuple[RobotModel, tuple[str, ...]]:
+        """The robot of a log, with those unknowns that its regressor has columns for."""
+        if not log.payload:
+            return self.robot, self.robot_parameters
+        robot = self.robot if self.loaded is None else log.robot
+        return robot, self.robot_parameters + self.payload_parameters
 
     @property
     def _motor_names(self) -> tuple[str, ...]:
@@ -87,6 +104,7 @@ class Unknowns:
         if not self._extra_parameters:
             return base
         r, p, k = base.rank, len(base.parameters), len(self._extra_parameters)
+        # [[K, 0], [0, I]]: each extra parameter is independent of the rigid bodies.
         K = np.zeros((r + k, p + k))
         K[:r, :p], K[r:, p:] = base.K, np.eye(k)
         return replace(
@@ -101,9 +119,13 @@ class Unknowns:
     @property
     def bodies(self) -> tuple[Body, ...]:
         """Bodies whose ten numbers are unknown."""
-        if self.loaded is None or self.loaded.payload_body is None or self.given:
-            return unknown_bodies(self.robot)
-        return (*unknown_bodies(self.robot), self.loaded.bodies[self.loaded.payload_body])
+        return (*unknown_bodies(self.robot), *self._payload)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kind of each row: "joint N m" or "joint N"."""
+        names = self.robot.torque_rows
+        return tuple(self.robot.torque_units[names.index(row)] for row in self.rows)
 
     def _structural_factor(self) -> Array:
         """Triangular factor R (m, p) of the regressor over random states with and, where there is
@@ -114,6 +136,7 @@ class Unknowns:
             return R
         motors = self._motor_terms(self.loaded)
         R_loaded = structural_factor(self.loaded, robot + load, self.rows, appended=motors)
+        # Both robots together: the payload is what makes the difference between their rows.
         m, zeros = len(robot), np.zeros((len(R), len(load)))
         return upper_factor([np.hstack([R[:, :m], zeros, R[:, m:]]), R_loaded])
 
@@ -121,6 +144,11 @@ class Unknowns:
         if not self._motor_names or self.features is None:
             return None
         return partial(self.features.on_rows, robot, self.rows, self._motor_names)
+
+
+def _columns(bodies: Sequence[Body]) -> tuple[str, ...]:
+    """Names of the ten parameters of each body."""
+    return tuple(column for body in bodies for column in body.columns)
 
 
 def unknowns_of(
@@ -132,30 +160,32 @@ def unknowns_of(
     do not fit the task.
     """
     definition = find_task(task)
-    unloaded, loaded = _robots(definition, training, position_given)
-    robot = load_robot(training[0].robot.manifest) if unloaded is None else unloaded
-    bodies = tuple(column for body in unknown_bodies(robot) for column in body.columns)
-    rows = training[0].log.joints
-    words = tuple(term for term in terms if is_motor(term))
-    features = extra_columns(robot, rows, words, training) if words else None
-    motors = () if features is None or features.motors is None else features.motors.columns
-    return Unknowns(
-        robot,
-        loaded if definition.identifies_payload else None,
-        bodies,
-        robot.term_columns(tuple(term for term in terms if not is_motor(term))),
-        rows,
-        features=features,
+    _validate_task(definition, position_given)
+    unloaded, loaded = _robots(definition, training)
+    words = motor_terms(terms)
+    unknowns = Unknowns(
+        unloaded,
+        loaded,
+        _columns(unknown_bodies(unloaded)),
+        unloaded.term_columns(joint_terms(terms)),
+        training[0].log.joints,
         motor_words=words,
-        extra=(*((MASS,) if position_given else ()), *motors),
+        extra=(MASS,) if position_given else (),
         given=position_given,
     )
+    return _with_motors(unknowns, training) if words else unknowns
 
 
-def _robots(
-    task: TaskDefinition, training: Sequence[ProcessedLog], position_given: bool
-) -> tuple[RobotModel | None, RobotModel | None]:
-    """The robots of the first logs without and with a payload, where a task can use them."""
+def _with_motors(unknowns: Unknowns, training: Sequence[ProcessedLog]) -> Unknowns:
+    """The unknowns with the named terms and features of motors."""
+    features = extra_columns(unknowns.robot, unknowns.rows, unknowns.motor_words, training)
+    assert features.motors is not None
+    return replace(unknowns, features=features, extra=(*unknowns.extra, *features.motors.columns))
+
+
+def _validate_task(task: TaskDefinition, position_given: bool) -> None:
+    """Raise UnsupportedError for a task that recordings do not support, UsageError for a position
+    without an unknown payload."""
     if not task.supports_recordings:
         served = [name for name in known("task") if find_task(name).supports_recordings]
         raise UnsupportedError(
@@ -164,9 +194,24 @@ def _robots(
         )
     if position_given and not task.identifies_payload:
         raise UsageError("A given position needs a task that identifies the payload: 'payload'.")
-    unloaded = next((log.robot for log in training if not log.payload), None)
-    loaded = next((log.robot for log in training if log.payload), None)
-    if task.identifies_payload and (unloaded is None or loaded is None):
+
+
+def _first_robot(training: Sequence[ProcessedLog], loaded: bool) -> RobotModel | None:
+    """The robot of the first log with or without a payload; None without such a log."""
+    return next((log.robot for log in training if bool(log.payload) is loaded), None)
+
+
+def _robots(
+    task: TaskDefinition, training: Sequence[ProcessedLog]
+) -> tuple[RobotModel, RobotModel | None]:
+    """The robot without a payload and, where a payload is unknown, the first log's that carries it.
+
+    Raises UsageError where the task compares both and the logs have only one of them.
+    """
+    unloaded, loaded = (_first_robot(training, payload) for payload in (False, True))
+    if not task.identifies_payload:
+        return unloaded or load_robot(training[0].robot.manifest), None
+    if unloaded is None or loaded is None:
         raise UsageError(
             f"The task {task.name!r} compares recordings with and without the payload: give one "
             "--log of each, and the loaded one a payload."

@@ -8,9 +8,9 @@ seed and the code alone. Cells that agree in these share it, within a worker and
 import hashlib
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache
+from functools import cache, singledispatch
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ def design_motion(
     if not hasattr(plugin, "solve"):
         motion = plugin.design(problem, rng)
         return motion
-    key = content_hash(
+    key = design_key(
         [code_and_libraries(), canonical(excitation), seed, loaded.robot.text, problem]
     )
     if key not in _DESIGNS:
@@ -47,35 +47,58 @@ def design_motion(
     return motion
 
 
-def content_hash(value: Any) -> str:
-    """SHA-256 of nested values by their content. Functions are left out, and so is the rate of a
-    design problem: coefficients do not depend on the sampling."""
+def design_key(value: Any) -> str:
+    """SHA-256 of nested inputs of a design by their content. Functions are left out, and so is the
+    rate of a design problem: coefficients do not depend on the sampling."""
     digest = hashlib.sha256()
-    _feed(digest, value)
+    for part in _typed(value):
+        digest.update(part)
     return digest.hexdigest()
 
 
-def _feed(digest: Any, value: Any) -> None:
-    digest.update(f"<{type(value).__name__}>".encode())
-    if isinstance(value, np.ndarray):
-        digest.update(
-            f"{value.shape}{value.dtype}".encode() + np.ascontiguousarray(value).tobytes()
-        )
-    elif is_dataclass(value):
+def _typed(value: Any) -> Iterator[bytes]:
+    """The type of a value, so that 1 and "1" differ, and its content."""
+    yield f"<{type(value).__name__}>".encode()
+    yield from _content(value)
+
+
+@singledispatch
+def _content(value: Any) -> Iterator[bytes]:
+    """The content of a dataclass or a plain value; that of a function is empty."""
+    if is_dataclass(value):
         for field in fields(value):
-            if not (isinstance(value, DesignProblem) and field.name == "rate"):
-                digest.update(field.name.encode())
-                _feed(digest, getattr(value, field.name))
-    elif isinstance(value, (list, tuple)):
-        for part in value:
-            _feed(digest, part)
-    elif isinstance(value, Mapping):
-        for key in sorted(value):
-            _feed(digest, [key, value[key]])
-    elif isinstance(value, bytes):
-        digest.update(value)
+            yield from _field(value, field.name)
     elif not callable(value):
-        digest.update(repr(value).encode())
+        yield repr(value).encode()
+
+
+def _field(value: Any, name: str) -> Iterator[bytes]:
+    if not (isinstance(value, DesignProblem) and name == "rate"):
+        yield name.encode()
+        yield from _typed(getattr(value, name))
+
+
+@_content.register
+def _(value: np.ndarray) -> Iterator[bytes]:
+    yield f"{value.shape}{value.dtype}".encode() + np.ascontiguousarray(value).tobytes()
+
+
+@_content.register
+def _(value: bytes) -> Iterator[bytes]:
+    yield value
+
+
+@_content.register(list)
+@_content.register(tuple)
+def _(value: Sequence[Any]) -> Iterator[bytes]:
+    for part in value:
+        yield from _typed(part)
+
+
+@_content.register(Mapping)
+def _(value: Mapping[str, Any]) -> Iterator[bytes]:
+    for key in sorted(value):
+        yield from _typed([key, value[key]])
 
 
 @cache

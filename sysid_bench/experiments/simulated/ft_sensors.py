@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
-from sysid_bench.experiments.seeds import noise_seed, seed_of, sensor_seed
+from sysid_bench.experiments.seed import noise_seed, seed_of, sensor_seed
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.sensor import last_body
 from sysid_bench.simulation.force_torque import (
@@ -38,29 +38,31 @@ class MeasuredSensors:
         """
         if not self.task.cuts:
             return raw
+        # A stream of its own: a sensor leaves the noise of torques and encoders as it is.
         white = np.random.default_rng(seed_of(noise_seed(self.spec), "wrench", self.run))
         noise = wrench_noise(self.spec.noise)
         motion = sampled_motion(oracle.motion, decimation)
         contact = self._contact(motion)
         if contact is not None:
+            # The motors hold the robot on its motion against the contact.
             tau = contact_torque(self.plant, contact, motion)
             raw = replace(raw, tau=raw.tau - self.plant.robot.reduced(motion.q, tau))
-        exact = self._wrench(motion, contact)
+        exact = _by_sensor(self._wrench(motion, contact))
+        errors = _sensor_errors(self.spec, len(self.task.cuts))
         parts = [
             error.measure(wrench, raw.t) + noise.white() * white.normal(size=wrench.shape)
-            for error, wrench in zip(
-                _sensor_errors(self.spec, len(self.task.cuts)), _by_sensor(exact), strict=True
-            )
+            for error, wrench in zip(errors, exact, strict=True)
         ]
         rows = tuple(row for cut in self.task.cuts for row in cut.rows)
         return replace(raw, wrench=np.hstack(parts), wrench_rows=rows)
 
-    def exact(self, oracle: Oracle) -> Array:
+    def noise_free(self, oracle: Oracle) -> Array:
         """Noise-free torques and wrenches (N, nv + 6 sensors), with the constant offsets of the
         sensors where those are among the unknowns."""
         if not self.task.cuts:
             return oracle.tau
         wrench = self._wrench(oracle.motion)
+        # Constant offsets are unknowns of a task that has more than ten parameters for each body.
         alone = self.task.definition.measures_sensor_only
         if alone and len(self.task.parameters) > 10 * len(self.task.bodies):
             wrench += self.task.truth.theta[10 * len(self.task.bodies) :]

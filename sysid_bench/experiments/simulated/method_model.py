@@ -1,11 +1,13 @@
 """Simulation callables for methods, without access to the ground truth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
+from sysid_bench.experiments.simulated.ft_sensors import sampled_motion
 from sysid_bench.experiments.simulated.problem import term_torque
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
@@ -47,27 +49,26 @@ class SimulateModel:
             raise UnsupportedError(
                 "This recording declares no controller: nothing to simulate with."
             )
-        theta, size = np.asarray(theta, dtype=float), len(self.model.parameters)
-        if theta.shape != (size,):
-            raise EstimationError(f"theta has the shape {theta.shape}; expected ({size},).")
-        if not np.isfinite(theta).all():
-            bad = self.model.parameters[int(np.flatnonzero(~np.isfinite(theta))[0])]
-            raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
+        theta = np.asarray(theta, dtype=float)
+        _validate_theta(theta, self.model.parameters)
         plant = parametrised_plant(self.model, theta)
         oracle = ClosedLoop(rate=controller.rate).track(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
+        # The loop runs at the rate of the controller; its signals are sampled like the measured.
         decimation = round(controller.rate / self.raw.rate)
-        kept = slice(None, None, decimation)
-        motion = oracle.motion
-        return replace(
-            self.raw,
-            t=motion.t[kept],
-            q=motion.q[kept],
-            v=motion.v[kept],
-            a=motion.a[kept],
-            tau=oracle.tau[kept],
-        )
+        motion, tau = sampled_motion(oracle.motion, decimation), oracle.tau[::decimation]
+        return replace(self.raw, t=motion.t, q=motion.q, v=motion.v, a=motion.a, tau=tau)
+
+
+def _validate_theta(theta: Array, parameters: Sequence[str]) -> None:
+    """Raise EstimationError for parameters of another shape than (p,), or that are not finite."""
+    size = len(parameters)
+    if theta.shape != (size,):
+        raise EstimationError(f"theta has the shape {theta.shape}; expected ({size},).")
+    if not np.isfinite(theta).all():
+        bad = parameters[int(np.flatnonzero(~np.isfinite(theta))[0])]
+        raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
 
 
 def known_model(robot: RobotModel, task: Task) -> KnownModel:

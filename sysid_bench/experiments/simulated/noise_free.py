@@ -12,7 +12,7 @@ from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import TorqueModel, information_model
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.seeds import known_seed, prior_seed
+from sysid_bench.experiments.seed import known_seed, prior_seed
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sensor_offset
 from sysid_bench.experiments.simulated.method_model import known_model
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
@@ -55,7 +55,7 @@ class NoiseFreePart:
         """Problems of other motions, with exact signals."""
         sensors = MeasuredSensors(self.spec, self.simulated.plant, self.task)
         return {
-            name: self.builder.build(oracle.motion, sensors.exact(oracle))
+            name: self.builder.build(oracle.motion, sensors.noise_free(oracle))
             for name, oracle in held_out_motions(self.spec, self.simulated).items()
         }
 
@@ -85,6 +85,7 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     terms = unknown_terms(spec, robot, definition)
     exact_task = definition.unknowns(robot, terms, spec.sensor, partial(sensor_offset, spec))
     task = _task_with_known_errors(spec, exact_task)
+    # Base parameters depend on structure alone: no motion, noise or true value is involved.
     base = loaded.base_map(task.parameters, task.rows, task.cuts)
     instruments = instruments_of(robot, task.cuts)
     regression = measured_regression(robot, base.names, instruments, task.rows)
@@ -112,7 +113,15 @@ def _design_problem(
     robot: RobotModel, task: Task, base: BaseMap, prior: Prior | None, rate: float
 ) -> DesignProblem:
     """Inputs of excitation design at `rate` (Hz): limits, regressor, and torques by the prior."""
-    problem = design_problem(robot, rate)
+    # A task with sensors has no prior of the bodies before them: torques cannot be predicted.
+    torque = None if prior is None or task.cuts else _torque_model(robot, task, prior)
+    information = information_model(robot, base.names, task.rows, task.cuts)
+    scene = partial(collision_model, robot)
+    return replace(design_problem(robot, rate), regress=information, torque=torque, scene=scene)
+
+
+def _torque_model(robot: RobotModel, task: Task, prior: Prior) -> TorqueModel:
+    """Torque by the prior parameters and the known parts, for limits of torque."""
     # Designs hold ball and free joints, whose terms have no columns.
     terms = {
         f"{robot.rows[dof]}.{SUFFIX[term]}": float(values[dof])
@@ -120,22 +129,19 @@ def _design_problem(
         for dof in robot.scalar_dofs
         if values[dof]
     }
-    torque = None
-    # A task with sensors has no prior of the bodies before them: torques cannot be predicted.
-    if prior is not None and not task.cuts:
-        regression = torque_regression(robot, (*task.parameters, *terms))
-        theta = np.array([*prior.theta, *terms.values()])
-        torque = TorqueModel(regression, theta, task.known_links, robot.tree, robot.coupling)
-    information = information_model(robot, base.names, task.rows, task.cuts)
-    scene = partial(collision_model, robot)
-    return replace(problem, regress=information, torque=torque, scene=scene)
+    regression = torque_regression(robot, (*task.parameters, *terms))
+    theta = np.array([*prior.theta, *terms.values()])
+    return TorqueModel(regression, theta, task.known_links, robot.tree, robot.coupling)
 
 
 def _prior(spec: ExperimentSpec, task: Task) -> Prior | None:
+    """The prior of the unknowns: drawn around the truth, the truth itself, or None."""
     if spec.prior == "none":
         return None
-    spread = None
-    if not isinstance(spec.prior, str):
-        spreads = {key: x for key, x in spec.prior.items() if key not in (REDRAWN, "known")}
-        spread = PriorSpread(**spreads)
-    return prior_of(task, spread, np.random.default_rng(prior_seed(spec)))
+    return prior_of(task, _prior_spread(spec), np.random.default_rng(prior_seed(spec)))
+
+
+def _prior_spread(spec: ExperimentSpec) -> PriorSpread | None:
+    if isinstance(spec.prior, str):
+        return None
+    return PriorSpread(**{k: x for k, x in spec.prior.items() if k not in (REDRAWN, "known")})

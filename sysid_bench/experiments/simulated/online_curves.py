@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.simulated.ft_score import subtree_parameters
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.identification.linear.normal_qr import residual_norms
+from sysid_bench.identification.linear.normal_qr import residual_norms, spread
 from sysid_bench.identification.linear.online_estimation import (
     ParameterTrack,
     RecursiveEstimator,
@@ -43,6 +44,7 @@ def _track_of(problem: Problem) -> ParameterTrack:
     assert problem.prior is not None
     W, f = rows_of(problem)
     K, step = problem.base.K, max(len(f) // HISTORY, 1)
+    # beta = K theta with independent theta: the covariance is K diag(std^2) K'.
     spread = (K * problem.prior.std**2) @ K.T
     return RecursiveEstimator(every=step).run(
         W, f, _noise(problem), K @ problem.prior.theta, spread
@@ -51,21 +53,13 @@ def _track_of(problem: Problem) -> ParameterTrack:
 
 def _noise(problem: Problem) -> Array:
     """Standard deviation (m,) of each row: RMS residual of the best fit."""
-    R = np.vstack([np.zeros((1, problem.base.rank + 1)), *_spread(problem)])
+    r = problem.base.rank
+    R = np.vstack([np.zeros((1, r + 1)), *(spread(factor, r) for factor in problem.factors)])
     beta = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0]
     size = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
     left = residual_norms(problem, beta)
     # Exact data leave rounding errors, whose size is not a weight.
     return np.asarray(np.maximum(left, 1e-6 * max(size.max(), 1e-12)) / np.sqrt(problem.samples))
-
-
-def _spread(problem: Problem) -> list[Array]:
-    wide = []
-    for factor in problem.factors:
-        rows = np.zeros((len(factor.R), problem.base.rank + 1))
-        rows[:, factor.columns], rows[:, -1] = factor.R[:, :-1], factor.R[:, -1]
-        wide.append(rows)
-    return wide
 
 
 def _torques(
@@ -74,17 +68,15 @@ def _torques(
     tree = subtree_regressors(prepared.robot, prepared.source.task.cuts[0], motion)
     problem = prepared.problem
     assert problem.prior is not None
-    index = {name: i for i, name in enumerate(problem.parameters)}
-    columns = np.array([index.get(name, -1) for name in tree.columns])
     sets = {
         "true": np.tile(prepared.source.truth.theta, (len(motion), 1)),
         "CAD": np.tile(problem.prior.theta, (len(motion), 1)),
         "on-line": np.array([problem.base.embed(beta) for beta in track.beta]),
     }
-    torques = {}
-    for name, theta in sets.items():
-        phi = np.where(columns >= 0, theta[:, columns], 0.0)
-        torques[name] = np.einsum("nkp,np->nk", tree.Y_c, phi)
+    torques = {
+        name: np.einsum("nkp,np->nk", tree.Y_c, subtree_parameters(theta, problem, tree.columns))
+        for name, theta in sets.items()
+    }
     return [
         Curve(f"torque of {row}", motion.t, {name: tau[:, i] for name, tau in torques.items()})
         for i, row in enumerate(tree.rows)

@@ -1,6 +1,6 @@
 """Simulated experiments: record, preprocess, build the problem; once for all estimators."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.seeds import noise_seed
+from sysid_bench.experiments.seed import noise_seed
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.method_model import (
     KnownTorque,
@@ -19,7 +19,7 @@ from sysid_bench.experiments.simulated.method_model import (
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart, noise_free_part
 from sysid_bench.experiments.simulated.preprocess import ProcessedRecording, preprocess
 from sysid_bench.experiments.simulated.problem import measured_signals, regressor_blocks
-from sysid_bench.experiments.simulated.record import Repetition, record, repetitions
+from sysid_bench.experiments.simulated.record import Repetition, record, recordings_of
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
@@ -35,7 +35,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     """
     noise_free = noise_free_part(spec, loaded)
     builder, simulated = noise_free.builder, noise_free.simulated
-    order = repetitions(spec, noise_free.task)
+    order = recordings_of(spec, noise_free.task)
     first_loaded = next(repetition for repetition in order if repetition.loaded)
     sensors = MeasuredSensors(spec, simulated.plant, noise_free.task)
     sampled = record(spec, simulated, sensors, first_loaded)
@@ -81,14 +81,20 @@ def _make_read_only(value: Any) -> None:
     """Make the arrays of a frozen type read-only: the estimators of one experiment share them."""
     if isinstance(value, np.ndarray):
         value.flags.writeable = False
-    elif isinstance(value, partial):
-        _make_read_only(value.args)
-    elif isinstance(value, tuple):
-        for part in value:
-            _make_read_only(part)
-    elif is_dataclass(value) and type(value).__module__ == Problem.__module__:
-        for field in fields(value):
-            _make_read_only(getattr(value, field.name))
+    for part in _parts(value):
+        _make_read_only(part)
+
+
+def _parts(value: Any) -> Iterable[Any]:
+    """The values that a tuple, a partial or a type that methods are given holds."""
+    if isinstance(value, tuple):
+        return value
+    if isinstance(value, partial):
+        return value.args
+    # Types of other modules, such as a robot, have caches that are filled later.
+    if is_dataclass(value) and type(value).__module__ == Problem.__module__:
+        return [getattr(value, field.name) for field in fields(value)]
+    return ()
 
 
 def _runs(

@@ -54,6 +54,7 @@ def preprocess(
 def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task) -> Calibration:
     """In-situ calibration of the measured sensor, with known payloads on the same motion."""
     readings, known = [], []
+    # Run 0 is the identification itself: other runs have other noise, and the same sensor errors.
     for run, payload in enumerate(spec.signals["calibration"], 1):
         robot = load_robot(loaded.robot.manifest, parse_payload(payload), spec.free_base)
         cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
@@ -92,6 +93,7 @@ def _without_contact(
     else:
         free = _outside(contacts, recording.t)
     motion = recording.motion
+    # Without the contact periods samples of different periods no longer correspond.
     kept = replace(
         recording, t=motion.t[free], q=motion.q[free], v=motion.v[free], a=motion.a[free],
         tau=recording.tau[free], period=None,

@@ -61,6 +61,7 @@ class ProblemBuilder:
             samples=len(motion),
             prior=prior,
             kinds=tuple(self.instruments.kinds[i] for i in self.row_indices),
+            # With the known parts, which b lacks: relative errors are those of the whole torque.
             torque=np.sqrt((measured[:, self.row_indices] ** 2).mean(axis=0)),
             period=motion.period_samples,
         )
@@ -73,6 +74,7 @@ class ProblemBuilder:
         whole = self.instruments.motion(motion)
         tau = newton_euler(self.instruments.tree, task.known_links, whole)
         terms = term_torque(robot, task.known_terms, task.known_coupling, motion)
+        # Rows of dependent joints act on the independent ones by G'; wrenches are not affected.
         joints = robot.reduced(motion.q, tau[:, : robot.nv] + terms)
         return np.hstack([joints, tau[:, robot.nv :]])
 

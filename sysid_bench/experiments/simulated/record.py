@@ -11,7 +11,7 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.experiments.seeds import (
+from sysid_bench.experiments.seed import (
     drift_seed,
     held_out_seed,
     motion_seed,
@@ -86,18 +86,15 @@ class Repetition:
     seed: int  # of its noise
 
 
-def repetitions(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
+def recordings_of(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
     """The recordings of an experiment in order, "A" without and "B" with the payload.
 
     The first loaded one has the noise that it has without the others, so that comparisons are
     paired. Raises UnsupportedError for tasks and signals that allow one recording alone.
     """
     order = spec.signals.get("runs", "B")
-    if "A" in order and (not task.definition.supports_runs_without_payload or task.cuts):
-        raise UnsupportedError(
-            "Runs without the payload identify the payload, from joint torques alone; the task is "
-            f"{task.name!r}{' with sensors' if task.cuts else ''}."
-        )
+    if "A" in order:
+        _validate_unloaded_runs(task)
     if len(order) > 1 and spec.signals.get("contacts"):
         raise UnsupportedError(
             "Contact periods leave different samples of each run: choose runs or contacts."
@@ -107,6 +104,15 @@ def repetitions(spec: ExperimentSpec, task: Task) -> tuple[Repetition, ...]:
         Repetition(i, letter == "B", noise_seed(spec) if i == first else run_seed(spec, i))
         for i, letter in enumerate(order)
     )
+
+
+def _validate_unloaded_runs(task: Task) -> None:
+    """Raise UnsupportedError for a task that cannot use runs without the payload."""
+    if task.cuts or not task.definition.supports_runs_without_payload:
+        raise UnsupportedError(
+            "Runs without the payload identify the payload, from joint torques alone; the task is "
+            f"{task.name!r}{' with sensors' if task.cuts else ''}."
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +170,10 @@ def record(
     processing = processing_of(spec.signals)
     rng = np.random.default_rng(seed)
     samples = len(range(0, len(commanded), decimation))
+    # All draws before the run, in units of their deviation: levels of noise share the same draws.
     draws = draw_noise(len(commanded), samples, len(robot.torque_dofs), rng)
     oracle, controller, error = _run_with_encoders(simulated, noise, draws)
+    # A relative level refers to the exact torque, so that the noise is independent of itself.
     torque_std = noise.torque_std(oracle.tau[::decimation])
     raw = measure(
         robot,
@@ -209,6 +217,7 @@ def _with_drift(spec: ExperimentSpec, recording: Recording, index: int, level: f
     if level == 0.0:
         return recording
     slope = level * np.random.default_rng(drift_seed(spec)).normal(size=recording.tau.shape[1])
+    # Drift is common to all runs, so that differences of runs contain it.
     start = index * len(recording) / recording.rate
     return replace(recording, tau=recording.tau + (recording.t + start)[:, None] * slope)
 
@@ -217,6 +226,7 @@ def _with_dependent_joints(robot: RobotModel, recording: Recording) -> Recording
     """The recording with dependent joints solved from the filtered independent ones."""
     if robot.coupling is None:
         return recording
+    # Filtering each joint by itself would violate the closure, which is nonlinear.
     motion = robot.completed(recording.motion)
     return replace(recording, q=motion.q, v=motion.v, a=motion.a)
 
@@ -228,6 +238,7 @@ def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[st
         seed = held_out_seed(spec, index)
         problem = simulated.design_problem(spec.rate)
         motion = design_motion(excitation, simulated.loaded, problem, seed)
+        # Inverse dynamics, whatever the training uses: the motion is exactly the commanded one.
         no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
         oracle, _ = Inverse().run(simulated.plant, motion, no_error)
         name = excitation["use"]

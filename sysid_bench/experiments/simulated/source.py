@@ -6,9 +6,9 @@ from functools import cached_property
 from typing import Any
 
 from sysid_bench.evaluation.covariance import StandardError, standard_errors
-from sysid_bench.evaluation.score import data_figures, score
+from sysid_bench.evaluation.score import base_parameters, data_figures, score
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.simulated.ft_scores import (
+from sysid_bench.experiments.simulated.ft_score import (
     ContactTest,
     contact_fields,
     contact_test,
@@ -110,27 +110,32 @@ def _parameter_table(
     parameter has the error of that one as `base_error`, and its deviation by Cramer and Rao as
     `bound`.
     """
-    if estimate.status != "ok" or estimate.beta is None:
+    beta = base_parameters(estimate)
+    if beta is None:
         return []
     base, verdict = problem.base, verdicts(problem.base)
     beta_true = base.K @ truth.theta
-    errors = {"base_error": estimate.beta - beta_true}
-    if bound is not None:
-        errors["bound"] = bound
-    whole = estimate.theta is not None
-    true = truth.theta if whole else base.embed(beta_true)
-    found = base.embed(estimate.beta) if estimate.theta is None else estimate.theta
+    errors = {"base_error": beta - beta_true} | ({} if bound is None else {"bound": bound})
+    if estimate.theta is None:
+        claimed, true, found = base.pivots.tolist(), base.embed(beta_true), base.embed(beta)
+    else:
+        claimed, true, found = list(range(len(verdict))), truth.theta, estimate.theta
     spreads, kind = _spreads(deviations), next(iter(deviations), None)
     base_index = {int(column): i for i, column in enumerate(base.pivots)}
     rows: list[Row] = []
-    for j in range(len(verdict)) if whole else base.pivots.tolist():
-        # A deviation of a base parameter is that of its pivot only where the pivot stands alone.
-        single = not whole or verdict[j] == "identifiable"
-        numbers = (errors if j in base_index else {}) | (spreads if single else {})
+    for j in claimed:
         row = _parameter_row(problem.parameters[j], float(true[j]), float(found[j]), verdict[j])
-        row["std_from"] = kind if single else None
-        rows.append(row | {key: float(x[base_index[j]]) for key, x in numbers.items()})
+        row |= _entry(errors, base_index.get(j))
+        # A deviation of a base parameter is that of its pivot only where the pivot stands alone.
+        if estimate.theta is None or verdict[j] == "identifiable":
+            row |= {"std_from": kind, **_entry(spreads, base_index[j])}
+        rows.append(row)
     return rows
+
+
+def _entry(arrays: Mapping[str, Array], i: int | None) -> dict[str, float]:
+    """Entry i of each array; {} for a parameter that is not a pivot."""
+    return {} if i is None else {key: float(x[i]) for key, x in arrays.items()}
 
 
 def _parameter_row(name: str, true: float, estimate: float, verdict: str) -> Row:

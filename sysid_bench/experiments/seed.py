@@ -24,6 +24,7 @@ def held_out_seed(spec: ExperimentSpec, index: int) -> int:
 def noise_seed(spec: ExperimentSpec) -> int:
     """Seed of the sensor noise: the same draw for every payload, level, estimator, prior and plant,
     so that their comparison is paired."""
+    # Neither payload nor level: common random numbers reduce the variance of differences.
     parts = (spec.robot, spec.task, spec.excitation, spec.simulation, spec.rate, spec.repeat)
     return seed_of(spec.seed, "noise", *parts)
 
@@ -52,6 +53,7 @@ def known_seed(spec: ExperimentSpec) -> int:
 def prior_seed(spec: ExperimentSpec) -> int:
     """Seed of the prior: the same for all noise levels, and for all repeats unless the prior is
     `redrawn`."""
+    # One prior for all repeats: their scatter is then that of the noise alone.
     parts: tuple[Any, ...] = (spec.robot, spec.payload, spec.task)
     if not isinstance(spec.prior, str) and spec.prior.get(REDRAWN):
         parts += (spec.repeat,)

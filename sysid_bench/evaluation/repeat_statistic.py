@@ -33,7 +33,7 @@ Figure = tuple[float, float, float]
 """Value, low and high end of its 95 % bootstrap interval over repeats."""
 
 
-def bias(errors: Array) -> Figure:
+def mean_error(errors: Array) -> Figure:
     """Return the mean error in standard deviations of a single estimate, RMS over parameters, minus
     its expected value for an unbiased method with n repeats."""
 
@@ -44,7 +44,7 @@ def bias(errors: Array) -> Figure:
     return _resampled(statistic, errors)
 
 
-def spread(errors: Array, bound: Array) -> Figure:
+def _spread(errors: Array, bound: Array) -> Figure:
     """Return the standard deviation over repeats, relative to the bound, RMS over parameters."""
 
     def statistic(moments: _Moments) -> Array:
@@ -53,7 +53,7 @@ def spread(errors: Array, bound: Array) -> Figure:
     return _resampled(statistic, errors)
 
 
-def efficiency(errors: Array, bound: Array) -> Figure:
+def _efficiency(errors: Array, bound: Array) -> Figure:
     """Return the statistical efficiency: variance of the bound over that of the estimates, mean
     over parameters.
 
@@ -67,7 +67,7 @@ def efficiency(errors: Array, bound: Array) -> Figure:
     return _resampled(statistic, errors)
 
 
-def bound_ratio(errors: Array, bound: Array) -> Figure:
+def _bound_ratio(errors: Array, bound: Array) -> Figure:
     """Return the RMS error (bias and scatter) relative to the bound, RMS over parameters; one is
     the best that an unbiased method can achieve."""
 
@@ -79,9 +79,9 @@ def bound_ratio(errors: Array, bound: Array) -> Figure:
 
 
 WITH_BOUND: Final[Mapping[str, Callable[[Array, Array], Figure]]] = {
-    "spread": spread,
-    "efficiency": efficiency,
-    "bound_ratio": bound_ratio,
+    "spread": _spread,
+    "efficiency": _efficiency,
+    "bound_ratio": _bound_ratio,
 }
 
 

@@ -1,10 +1,12 @@
 """Evaluation of a task behind a force/torque sensor: torques, contacts, unexcited directions."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
 
 import numpy as np
 
+from sysid_bench.evaluation.score import base_parameters
 from sysid_bench.evaluation.wrench_estimation import (
     SensorNewtonEuler,
     WrenchErrors,
@@ -13,7 +15,7 @@ from sysid_bench.evaluation.wrench_estimation import (
 )
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.point_to_point import PointToPoint
-from sysid_bench.experiments.seeds import noise_seed, seed_of
+from sysid_bench.experiments.seed import noise_seed, seed_of
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation, excitation_of, structural_subspaces
 from sysid_bench.models.robot import RobotModel
@@ -57,12 +59,17 @@ class ContactTest:
         if prior is None or theta is None:
             return None
         sets = {"true": truth.theta, "CAD": prior.theta, "identified": theta}
-        index = {name: i for i, name in enumerate(problem.parameters)}
-        phis = {
-            name: np.array([values[index[c]] if c in index else 0.0 for c in self.method.columns])
-            for name, values in sets.items()
-        }
+        columns = self.method.columns
+        phis = {name: subtree_parameters(x, problem, columns) for name, x in sets.items()}
         return wrench_errors(self.method, phis, self.wrench, self.tau, self.touch)
+
+
+def subtree_parameters(theta: Array, problem: Problem, columns: Sequence[str]) -> Array:
+    """Parameters phi (..., p') of a sub-tree by name, from those of a problem (..., p); zero where
+    the problem has none, as for joint terms, which a wrench does not contain."""
+    index = {name: i for i, name in enumerate(problem.parameters)}
+    indices = np.array([index.get(name, -1) for name in columns], dtype=int)
+    return np.where(indices >= 0, theta[..., indices], 0.0)
 
 
 def sensor_excitation(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> Excitation:
@@ -81,11 +88,12 @@ def contact_test(spec: ExperimentSpec, robot: RobotModel, task: Task) -> Contact
     rng = np.random.default_rng(seed_of(spec.seed, "touch", spec.robot))
     motion = PointToPoint().design(design_problem(robot, RATE), rng)
     wrench = random_wrench(motion, TOUCH, rng)
+    # The first half is without contact: there the parameters alone are compared.
     wrench[: len(motion) // 2] = 0.0
     touch, plant = Contact(last_body(robot, cut), wrench), plant_of(robot)
     method = sensor_newton_euler(robot, cut, motion, robot.body_names[touch.body])
     tau = newton_euler(robot.tree, robot.tree.link_parameters(robot.phi), motion)
-    tau -= contact_torque(plant, touch, motion)
+    tau -= contact_torque(plant, touch, motion)  # J' f of the contact, which the motors oppose
     f_b = sensor_wrench(plant, (cut,), motion, touch)
     white = np.random.default_rng(seed_of(noise_seed(spec), "touch"))
     f_b += wrench_noise(spec.noise).white() * white.normal(size=f_b.shape)
@@ -117,9 +125,10 @@ def contact_fields(errors: dict[str, WrenchErrors] | None) -> Row:
 
 
 def _theta(estimate: Estimate, problem: Problem) -> Array | None:
-    if estimate.status != "ok" or estimate.beta is None:
+    beta = base_parameters(estimate)
+    if beta is None:
         return None
-    return problem.base.embed(estimate.beta) if estimate.theta is None else estimate.theta
+    return problem.base.embed(beta) if estimate.theta is None else estimate.theta
 
 
 def _ratio(error: float, other: float) -> float | None:
