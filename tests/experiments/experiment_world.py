@@ -1,7 +1,7 @@
 """Small experiments: short specifications, robots of this folder and shipped ones, made once."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -10,6 +10,7 @@ import numpy as np
 
 from sysid_bench import places
 from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.experiments.job_channel import Death, JobChannel
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
@@ -112,15 +113,39 @@ def argument(
     }
 
 
+@dataclass
+class Collected:
+    """Channel that collects rows in this process, third-party code included."""
+
+    cells: frozenset[str]
+    rows: list[Row] = field(default_factory=list)
+
+    def begin(self, cell: str) -> None:
+        assert cell in self.cells
+
+    def emit(self, row: Row) -> None:
+        assert row["id"] in self.cells
+        self.rows.append(row)
+
+    def isolate(self, function: Callable[[JobChannel], Any]) -> Death | None:
+        function(self)
+        return None
+
+
+def rows_of(argument: Mapping[str, Any]) -> list[Row]:
+    """The rows that an argument of `execute` gives."""
+    from sysid_bench.experiments.execute import execute
+
+    channel = Collected(frozenset(entry["cell"] for entry in argument["estimators"]))
+    execute(argument, channel)
+    return channel.rows
+
+
 def executed(
     made: ExperimentSpec, *estimators: str | Mapping[str, Any], tolerance: float = 1e-12
 ) -> list[Row]:
     """The rows of one experiment."""
-    from sysid_bench.experiments.execute import execute
-
-    rows: list[Row] = []
-    execute(argument(made, *estimators, tolerance=tolerance), rows.append)
-    return rows
+    return rows_of(argument(made, *estimators, tolerance=tolerance))
 
 
 def dense(problem: Any) -> tuple[Array, Array]:

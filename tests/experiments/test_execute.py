@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from sysid_bench.experiments import loaded_robot as robots
-from sysid_bench.experiments.execute import execute
 from sysid_bench.experiments.loaded_robot import KEPT, loaded_robot
 from sysid_bench.experiments.simulated import noise_free
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.types import Row
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,
     LOADS,
@@ -23,6 +21,7 @@ from tests.experiments.experiment_world import (
     argument,
     executed,
     ready,
+    rows_of,
     spec,
 )
 
@@ -163,8 +162,7 @@ def test_a_robot_that_fails_its_cross_check_is_skipped() -> None:
 
 
 def test_or_measured_all_the_same_where_the_suite_says_so() -> None:
-    rows: list[Row] = []
-    execute(argument(spec(), "ols", tolerance=0.0, on_fail="continue"), rows.append)
+    rows = rows_of(argument(spec(), "ols", tolerance=0.0, on_fail="continue"))
     (row,) = checked(rows, "ok")
     assert row["crosscheck"] == "failed"
 

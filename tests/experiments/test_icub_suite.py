@@ -5,12 +5,11 @@ from typing import Any
 
 import pytest
 
-from sysid_bench.experiments.execute import execute
 from sysid_bench.experiments.seed import prior_seed
 from sysid_bench.harness.plan import Cell, Plan, expand
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.places import suite
-from tests.experiments.experiment_world import argument
+from tests.experiments.experiment_world import argument, rows_of
 
 
 @cache
@@ -26,9 +25,7 @@ def row(excitation: str, estimator: str, terms: str, noise: str, repeat: int) ->
         c for c in planned().cells
         if c.spec.repeat == repeat and all(c.labels[k] == v for k, v in wanted.items())
     )  # fmt: skip
-    rows: list[dict[str, Any]] = []
-    execute(argument(cell.spec, estimator), rows.append)
-    return rows[0]
+    return rows_of(argument(cell.spec, estimator))[0]
 
 
 WHITE = "force 0.15 N, moment 0.008 N m"
@@ -73,8 +70,7 @@ def test_a_locked_wrist_names_the_torques_that_its_data_cannot_foretell() -> Non
 
 def test_a_method_that_cannot_says_which_torques_are_missing() -> None:
     locked = next(c for c in planned().cells if c.labels["excitation"] == "locked wrist")
-    rows: list[dict[str, Any]] = []
-    execute(argument(locked.spec, "wls"), rows.append)
+    rows = rows_of(argument(locked.spec, "wls"))
     assert rows[0]["status"] == "failed"
     assert rows[0]["excited_rank"] == 17
     assert "l_wrist_yaw are unpredictable" in rows[0]["reason"]
