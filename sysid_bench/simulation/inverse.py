@@ -30,9 +30,7 @@ class Inverse:
     ) -> tuple[Oracle, Controller | None]:
         """Return the exact motion and torques; there is no controller, so that the encoder error
         (N, n) has no effect on them."""
-        tree = rigid_torque(plant.fixed_contact_free_model, commanded) + _passive_torque(
-            plant, commanded
-        )
+        tree = rigid_torque(plant.contact_free_model, commanded) + _passive_torque(plant, commanded)
         tau = plant.robot.reduced(commanded.q, tree)
         return Oracle(commanded, check_finite(plant.robot.name, tau, "torque")), None
 

@@ -252,23 +252,7 @@ def _frames(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:
     ).astype(np.uint8)  # fmt: skip
 
 
-def read_frame(drive: DamiaoDrive, data: Array) -> dict[str, Array]:
-    """Return q, v, kp, kd, tau (N,) of frames (N, 8), as the drive decodes them."""
-    b, s = data.astype(int).T, drive.scaling
-    codes = {
-        "q": (b[0] << 8 | b[1], -s.p, s.p, 16),
-        "v": (b[2] << 4 | b[3] >> 4, -s.v, s.v, 12),
-        "kp": ((b[3] & 0xF) << 8 | b[4], 0.0, _GAINS[0], 12),
-        "kd": (b[5] << 4 | b[6] >> 4, 0.0, _GAINS[1], 12),
-        "tau": ((b[6] & 0xF) << 8 | b[7], -s.tau, s.tau, 12),
-    }
-    return {
-        key: low + code * (high - low) / (2**bits - 1)
-        for key, (code, low, high, bits) in codes.items()
-    }
-
-
-def can_log(commands: Commands, drives: tuple[DamiaoDrive, ...], channel: str = "can0") -> str:
+def log_text(commands: Commands, drives: tuple[DamiaoDrive, ...], channel: str = "can0") -> str:
     """Return a log in the format of `candump -l` for `canplayer`: one frame per motor and sample,
     in the order of the drives."""
     frames = np.stack(

@@ -9,9 +9,9 @@ from sysid_bench.errors import EstimationError, UnsupportedError
 from sysid_bench.experiments.simulated.problem import term_torque
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.simulation.closed_loop import ClosedLoop
 from sysid_bench.simulation.kinematics_only import kinematics_only
 from sysid_bench.simulation.parametrised_plant import KnownModel, parametrised_plant
+from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Recording, Trajectory
 
@@ -54,7 +54,7 @@ class SimulateModel:
             bad = self.model.parameters[int(np.flatnonzero(~np.isfinite(theta))[0])]
             raise EstimationError(f"theta cannot be simulated: {bad} is not finite.")
         plant = parametrised_plant(self.model, theta)
-        oracle = ClosedLoop(rate=controller.rate).track(
+        oracle = TrackingControl(rate=controller.rate).track(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
         decimation = round(controller.rate / self.raw.rate)

@@ -1,4 +1,7 @@
-"""Closed-loop simulation: forward dynamics under PD control from noisy encoders."""
+"""Tracking control: forward dynamics of the plant under PD feedback from noisy encoders.
+
+The loop is that of the feedback; closed kinematic chains are in `models/coupling`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -43,7 +46,7 @@ constraints have a transient, during which torques are not those of the motion."
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
+class TrackingControl:
     """Closed-loop simulation with PD control of every joint at the control rate `rate` (Hz).
 
     The gains give each joint, with the diagonal of the mass matrix at the reference posture, the
@@ -107,7 +110,7 @@ class ClosedLoop:
         robot = plant.robot
         # MuJoCo replaces an input of NaN by zero, with only a warning.
         check_finite(robot.name, encoder, "encoder error")
-        mj = closed_loop_model(plant, controller)
+        mj = tracking_model(plant, controller)
         lead = 0 if robot.coupling is None else LEAD_IN
         whole = _with_lead_in(robot, commanded, lead)
         encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
@@ -131,7 +134,7 @@ class ClosedLoop:
         if plant.robot.coupling is not None:
             return False
         return (
-            _fastest_decay(plant.fixed_contact_free_model, kd + plant.terms.viscous)
+            _fastest_decay(plant.contact_free_model, kd + plant.terms.viscous)
             <= EXPLICIT_DECAY * self.rate
         )
 
@@ -196,7 +199,7 @@ def _range(robot: RobotModel) -> Array:
 
 def _own_inertia(plant: Plant) -> Array:
     """Diagonal of the mass matrix (n,) at the reference posture, kg m^2 or kg."""
-    return np.diag(_mass_matrix(plant.fixed_contact_free_model, plant.robot.coupling)).copy()
+    return np.diag(_mass_matrix(plant.contact_free_model, plant.robot.coupling)).copy()
 
 
 def _mass_matrix(mj: mujoco.MjModel, coupling: Coupling | None = None) -> Array:
@@ -216,14 +219,14 @@ def _mass_matrix(mj: mujoco.MjModel, coupling: Coupling | None = None) -> Array:
 def _typical_load(plant: Plant) -> Array:
     """RMS gravity torque plus friction at half the velocity limit (n,), N m or N."""
     robot, terms = plant.robot, plant.terms
-    load = measured_gravity_rms(robot, plant.fixed_contact_free_model)
+    load = measured_gravity_rms(robot, plant.contact_free_model)
     moving = terms.viscous * 0.5 * robot.limits.v
     for force in (moving, terms.coulomb, np.abs(terms.offset)):
         load = load + _on_motors(robot, force, 1)
     return load
 
 
-def closed_loop_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
+def tracking_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
     """Return the plant's model with one motor per independent joint, whose affine bias is the PD
     feedback: tau = kp (u - q) - kd v, limited to the joint's torque limit."""
     spec = plant.robot.spec.copy()

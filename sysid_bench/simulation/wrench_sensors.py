@@ -60,7 +60,7 @@ def sensor_wrench(
 def contact_torque(plant: Plant, touch: Contact, motion: Trajectory) -> Array:
     """Return the generalised force (N, nv) of an external wrench; the motors supply that much
     less."""
-    mj = plant.fixed_contact_free_model
+    mj = plant.contact_free_model
     data = mujoco.MjData(mj)
     out = np.zeros((len(motion), mj.nv))
     for k in np.flatnonzero(touch.wrench.any(axis=1)):
