@@ -112,15 +112,15 @@ def derivative(filter: Filter, x: Array, rate: float) -> Array:
 def filter_of(text: str) -> Filter:
     """Return the filter that a text describes; raises UsageError with the forms that exist."""
     words = text.split()
-    if words and words[-1] == "zero-phase":
+    if words[-1:] == ["zero-phase"]:
         words.pop()
     match words:
         case ["none"]:
             return NoFilter()
-        case ["butter", order, *cutoff] if order.isdecimal() and cutoff and int(order) > 0:
-            return Butterworth(int(order), _positive(quantity(" ".join(cutoff), "Hz"), text))
-        case ["fourier", *cutoff] if cutoff:
-            return FourierSeries(_positive(quantity(" ".join(cutoff), "Hz"), text))
+        case ["butter", order, number, *unit] if order.isdecimal() and int(order) > 0:
+            return Butterworth(int(order), _cutoff([number, *unit], text))
+        case ["fourier", number, *unit]:
+            return FourierSeries(_cutoff([number, *unit], text))
         case ["average", window] if window.isdecimal() and int(window) % 2 == 1:
             return MovingAverage(int(window))
     raise UsageError(
@@ -129,7 +129,9 @@ def filter_of(text: str) -> Filter:
     )
 
 
-def _positive(cutoff: float, text: str) -> float:
+def _cutoff(words: list[str], text: str) -> float:
+    """Return a cut-off in Hz; raises UsageError unless it is positive."""
+    cutoff = quantity(" ".join(words), "Hz")
     if not cutoff > 0:
         raise UsageError(f"{text!r}: a cut-off must be positive; got {cutoff} Hz.")
     return cutoff

@@ -1,6 +1,6 @@
 """From the description of a recorded log to a Recording on a uniform grid, with its findings."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -18,9 +18,10 @@ from sysid_bench.signals.log_checks import (
     check_samples,
     held_rows,
 )
-from sysid_bench.signals.log_description import NO_JOINT, UNITS, LogDescription, Signal, scales
+from sysid_bench.signals.log_description import NO_JOINT, LogDescription, Signal
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_table import table_of_rows
+from sysid_bench.signals.log_units import UNITS, scales
 from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, read_times, time_base
 from sysid_bench.types import Array, Recording
 
@@ -68,18 +69,25 @@ class _Samples:
     def __len__(self) -> int:
         return len(self.q)
 
+    @property
+    def signals(self) -> dict[str, Array]:
+        """Recorded signals by name."""
+        parts = {"q": self.q, "tau": self.tau}
+        return parts if self.v is None else {**parts, "v": self.v}
+
+    def mapped(self, change: Callable[[Array], Array]) -> "_Samples":
+        """Return the samples with each signal changed alike."""
+        v = None if self.v is None else change(self.v)
+        return replace(self, q=change(self.q), v=v, tau=change(self.tau))
+
     def select(self, rows: slice) -> "_Samples":
-        v = None if self.v is None else self.v[rows]
-        return _Samples(self.q[rows], v, self.tau[rows], self.truncated)
+        return self.mapped(lambda x: x[rows])
 
     def of_columns(self, columns: Sequence[int]) -> "_Samples":
-        v = None if self.v is None else self.v[:, columns]
-        return _Samples(self.q[:, columns], v, self.tau[:, columns], self.truncated)
+        return self.mapped(lambda x: x[:, columns])
 
     def resampled(self, grid: _Grid) -> "_Samples":
-        q, tau = (_interpolated(grid, x[grid.valid]) for x in (self.q, self.tau))
-        v = None if self.v is None else _interpolated(grid, self.v[grid.valid])
-        return _Samples(q, v, tau)
+        return self.mapped(lambda x: _interpolated(grid, x[grid.valid]))
 
 
 def read_log(description: LogDescription, robot: RobotModel) -> Log:
@@ -90,23 +98,23 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     """
     raw = _signals(description, _kinds(description, robot))
     stamps = read_times(description, len(raw))
-    findings = [_broken_off(raw.truncated)] if raw.truncated else []
-    invalid = check_finite(raw.q, raw.tau, *(() if raw.v is None else (raw.v,)))
+    invalid = check_finite(*raw.signals.values())
     t, rate, timing = time_base(description, stamps, invalid)
-    findings += [*_not_finite(invalid), *timing]
     grid = _uniform_grid(description, t, invalid, rate)
-    recorded = [i for i, joint in enumerate(description.joints) if joint != NO_JOINT]
-    joints = tuple(description.joints[i] for i in recorded)
-    measured = raw.of_columns(recorded)
-    findings += _held(*held_rows(measured.q[grid.valid], rate))
+    columns = _joint_columns(description)
+    joints = tuple(columns)
+    measured = raw.of_columns(list(columns.values()))
     samples = measured.resampled(grid)
-    if stamps is None:
-        findings += check_samples(samples.q)
-    measured_rate = None
-    if samples.v is not None:
-        found, measured_rate = check_rates(samples.q, samples.v, rate, joints)
-        findings += found
-    findings += _ranges(robot, joints, samples)
+    rates, measured_rate = _rates(samples, rate, joints)
+    findings = [
+        *_broken_off(raw.truncated),
+        *_not_finite(invalid),
+        *timing,
+        *_held(*held_rows(measured.q[grid.valid], rate)),
+        *_lost(samples, stamps),
+        *rates,
+        *_ranges(robot, joints, samples),
+    ]
     recording = _robot_recording(robot, joints, samples, grid)
     return Log(
         description=description,
@@ -115,10 +123,13 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         findings=tuple(findings),
         measured_rate=measured_rate,
         samples=len(raw),
-        coordinates=None
-        if description.transmission is None
-        else _coordinates(description.joints, raw.resampled(grid), grid),
+        coordinates=_coordinates(description, raw, grid),
     )
+
+
+def _joint_columns(log: LogDescription) -> dict[str, int]:
+    """Return the column of each recorded coordinate that is a joint of the robot, by its name."""
+    return {joint: i for i, joint in enumerate(log.joints) if joint != NO_JOINT}
 
 
 def _uniform_grid(log: LogDescription, t: Array, invalid: Array, rate: float) -> _Grid:
@@ -142,11 +153,16 @@ def _interpolated(grid: _Grid, x: Array) -> Array:
     return np.stack([np.interp(grid.times, t[kept], column[kept]) for column in x.T], axis=1)
 
 
+def _scalar_kinds(robot: RobotModel) -> dict[str, str]:
+    """Return hinge or slide of each joint of the robot that is one of them, by name."""
+    return {j.dofs[0]: j.kind for j in robot.joints if j.kind in ("hinge", "slide")}
+
+
 def _kinds(log: LogDescription, robot: RobotModel) -> list[str]:
     """Return hinge or slide of each coordinate of the log, "" where it is not a joint."""
-    known = {j.dofs[0]: j.kind for j in robot.joints if j.kind in ("hinge", "slide")}
+    known = _scalar_kinds(robot)
     for joint in log.joints:
-        if joint != NO_JOINT and joint not in known:
+        if joint not in (NO_JOINT, *known):
             advice = f"Write {NO_JOINT!r} for a coordinate that is not a joint of the model."
             raise UsageError(f"{log.source}: {unknown_name('joint', joint, known, advice)}")
     return [known.get(joint, "") for joint in log.joints]
@@ -154,32 +170,44 @@ def _kinds(log: LogDescription, robot: RobotModel) -> list[str]:
 
 def _signals(log: LogDescription, kinds: Sequence[str]) -> _Samples:
     """Return the chosen samples of all recorded coordinates, joint side, in SI."""
-    raw = _common_length(log, kinds)
-    q, v, tau = raw.q, raw.v, raw.tau
-    if log.transmission is not None:
-        G = log.transmission
-        q = q @ G.T
-        v = None if v is None else v @ G.T
-        tau = np.linalg.solve(G.T, tau.T).T  # tau_motor = G' tau, from equal power on both sides
+    motor_side = _cut_to_shortest(log, _read_signals(log, kinds))
     # Offsets are those of the joint, so they come after the transmission.
-    q = q + log.joint_values("q.offset", log.q.offset)
-    tau = tau + log.joint_values("tau.offset", log.tau.offset)
-    if v is not None and log.v is not None:
-        v = v + log.joint_values("v.offset", log.v.offset)
-    return _Samples(q, v, tau, raw.truncated).select(_selected_rows(log, len(q)))
+    samples = _with_offsets(log, _joint_side(log.transmission, motor_side))
+    return samples.select(_selected_rows(log, len(samples)))
 
 
-def _common_length(log: LogDescription, kinds: Sequence[str]) -> _Samples:
-    """Return q, v, tau as scaled by the description, cut to the shortest of them."""
+def _joint_side(G: Array | None, motor: _Samples) -> _Samples:
+    """Return the signals behind a transmission q = G q_motor; without one they are those given."""
+    if G is None:
+        return motor
+    joint = motor.mapped(lambda x: x @ G.T)
+    # tau_motor = G' tau, from equal power on both sides.
+    return replace(joint, tau=np.linalg.solve(G.T, motor.tau.T).T)
+
+
+def _with_offsets(log: LogDescription, samples: _Samples) -> _Samples:
+    offset = {
+        name: log.joint_values(f"{name}.offset", part.offset) for name, part in log.signals.items()
+    }
+    return replace(samples, **{name: x + offset[name] for name, x in samples.signals.items()})
+
+
+def _read_signals(log: LogDescription, kinds: Sequence[str]) -> _Samples:
+    """Return q, v, tau as scaled by the description, each of the length of its own file."""
     q, in_q = _columns(log, "q", log.q, kinds)
     tau, in_tau = _columns(log, "tau", log.tau, kinds)
     v, in_v = (None, 0) if log.v is None else _columns(log, "v", log.v, kinds)
-    lengths = {"q": len(q), "tau": len(tau)} | ({} if v is None else {"v": len(v)})
+    return _Samples(q, v, tau, max(in_q, in_tau, in_v))
+
+
+def _cut_to_shortest(log: LogDescription, samples: _Samples) -> _Samples:
+    """Return the samples that all signals have; separate files may differ by the broken line."""
+    lengths = {name: len(x) for name, x in samples.signals.items()}
     shortest = min(lengths.values())
-    if max(lengths.values()) > shortest + 1:  # separate files may differ by the broken line
+    if max(lengths.values()) > shortest + 1:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
         raise UsageError(f"{log.source}: the signals differ in length: {listed} samples.")
-    return _Samples(q, v, tau, max(in_q, in_tau, in_v)).select(slice(shortest))
+    return samples.select(slice(shortest))
 
 
 def _columns(
@@ -208,8 +236,23 @@ def _selected_rows(log: LogDescription, samples: int) -> slice:
     return slice(first - 1, last)
 
 
-def _broken_off(truncated: int) -> Finding:
-    return Finding("non-finite", truncated, "the last line is incomplete and was left out")
+def _broken_off(truncated: int) -> list[Finding]:
+    found = Finding("non-finite", truncated, "the last line is incomplete and was left out")
+    return [found] if truncated else []
+
+
+def _lost(samples: _Samples, stamps: Array | None) -> list[Finding]:
+    """Return findings of lost samples, which time stamps would show directly."""
+    return check_samples(samples.q) if stamps is None else []
+
+
+def _rates(
+    samples: _Samples, rate: float, joints: Sequence[str]
+) -> tuple[list[Finding], float | None]:
+    """Return findings of v against q, and the rate at which they agree; none without v."""
+    if samples.v is None:
+        return [], None
+    return check_rates(samples.q, samples.v, rate, joints)
 
 
 def _not_finite(invalid: Array) -> list[Finding]:
@@ -232,31 +275,38 @@ def _held(held: Array, standing: int) -> list[Finding]:
 
 
 def _ranges(robot: RobotModel, joints: Sequence[str], samples: _Samples) -> list[Finding]:
-    """Return findings about positions outside of the limits, which are reported, and about values
-    impossible for the joint, which are contradictions."""
-    q = samples.q
-    rows = [robot.rows.index(joint) for joint in joints]
+    """Return findings about values impossible for the joint, which are contradictions; without
+    them, about positions outside of the limits, which are reported."""
+    return _impossible(robot, joints, samples) or _outside(robot, joints, samples.q)
+
+
+def _impossible(robot: RobotModel, joints: Sequence[str], samples: _Samples) -> list[Finding]:
+    rows = list(map(robot.rows.index, joints))
     low, high = robot.limits.q_low[rows], robot.limits.q_high[rows]
-    kinds = [next(j.kind for j in robot.joints if joint in j.dofs) for joint in joints]
+    kind_of = _scalar_kinds(robot)
+    kinds = [kind_of[joint] for joint in joints]
     units = {name: [next(iter(UNITS[name][kind])) for kind in kinds] for name in UNITS}
     middle = 0.5 * (low + high)
     reach = FAR * 0.5 * (high - low)
-    found = check_limits("q less its middle", q - middle, reach, joints, units["q"])
+    found = check_limits("q less its middle", samples.q - middle, reach, joints, units["q"])
     if samples.v is not None:
         fastest = np.array([FASTEST[kind] for kind in kinds])
         found += check_limits("v", samples.v, fastest, joints, units["v"])
     strongest = FAR * robot.limits.tau[rows]
-    found += check_limits("tau", samples.tau, strongest, joints, units["tau"])
-    if found:
-        return found
-    for j, joint in enumerate(joints):
-        count = int(((q[:, j] < low[j]) | (q[:, j] > high[j])).sum())
-        if count:
-            text = (
-                f"joint {joint!r} is outside of its limits [{low[j]:.4g}, {high[j]:.4g}] in "
-                f"{count} of {len(q)} samples"
-            )
-            found.append(Finding("limits", count, text))
+    return found + check_limits("tau", samples.tau, strongest, joints, units["tau"])
+
+
+def _outside(robot: RobotModel, joints: Sequence[str], q: Array) -> list[Finding]:
+    rows = list(map(robot.rows.index, joints))
+    low, high = robot.limits.q_low[rows], robot.limits.q_high[rows]
+    counts = ((q < low) | (q > high)).sum(axis=0)
+    found = []
+    for j in np.flatnonzero(counts).tolist():
+        text = (
+            f"joint {joints[j]!r} is outside of its limits [{low[j]:.4g}, {high[j]:.4g}] in "
+            f"{counts[j]} of {len(q)} samples"
+        )
+        found.append(Finding("limits", int(counts[j]), text))
     return found
 
 
@@ -284,13 +334,16 @@ def _robot_recording(
     )
 
 
-def _coordinates(names: tuple[str, ...], samples: _Samples, grid: _Grid) -> Recording:
-    """Return all recorded coordinates, without torques."""
+def _coordinates(log: LogDescription, raw: _Samples, grid: _Grid) -> Recording | None:
+    """Return all recorded coordinates, without torques; None unless a transmission mixes them."""
+    if log.transmission is None:
+        return None
+    samples = raw.resampled(grid)
     return Recording(
         t=grid.times - grid.times[0],
         q=samples.q,
         tau=np.zeros_like(samples.q),
         rate=grid.rate,
-        rows=names,
+        rows=log.joints,
         v=samples.v,
     )
