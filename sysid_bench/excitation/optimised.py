@@ -137,7 +137,7 @@ class Optimised:
         if brief.scene is None:
             raise UsageError("Clearance, floor and boxes need a collision model of the robot.")
         scene = brief.scene(self.floor)
-        # A robot without collision shapes can still touch the floor with none of them.
+        # Links need shapes to keep clear of each other; a floor is watched in any case.
         if (self.clearance is not None and scene.shapes) or self.floor is not None:
             yield collision_limit(scene, (self.clearance or 0.0) + spare)
         if self.boxes:
@@ -171,7 +171,8 @@ class Optimised:
         # Where a short search stays infeasible, a long one only takes longer.
         if evaluation.kept and not search.interrupted:
             search.run_from(best, self.iterations)
-        if not search.interrupted and not evaluation.best <= values.min():
+        improved = evaluation.kept and evaluation.best <= values.min()
+        if not (search.interrupted or improved):
             # No feasible motion, or none better than random: start small, within the limits.
             small = _scaled_to_limits(evaluation, draws[order[0]], rng)
             search.box_search(small, self.iterations)
