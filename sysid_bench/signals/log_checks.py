@@ -59,8 +59,7 @@ def refuse_findings(findings: Sequence[Finding], accepted: Sequence[str], where:
     """Raise UsageError for contradictions that were not accepted, or for an unknown name."""
     for name in accepted:
         _check_name(name)
-    contradictions = [finding for finding in findings if finding.contradiction]
-    refused = [finding for finding in contradictions if finding.name not in accepted]
+    refused = [f for f in findings if f.contradiction and f.name not in accepted]
     if refused:
         raise _refusal(refused, where)
 
