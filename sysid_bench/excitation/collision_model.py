@@ -133,6 +133,7 @@ class CollisionModel:
 
     def _slope(self, contact: Any) -> Array:
         normal = contact.frame[:3]  # world frame, from the first shape to the second
+        # The distance grows with the second shape's speed along the normal less the first's.
         slope = np.zeros(self.mj.nv)
         for sign, geom in zip((-1.0, 1.0), contact.geom, strict=True):
             J = np.zeros((3, self.mj.nv))

@@ -120,6 +120,7 @@ class DesignEvaluation:
         self._keep_feasible(C)
 
     def _evaluate(self, motion: Trajectory) -> None:
+        # The next motion of a search is near this one, which saves steps of the closure.
         self._current = self._near = motion
         self._W = self._rows(motion)
         self._value = self.criterion.value(self._W)
@@ -184,7 +185,7 @@ class DesignEvaluation:
         """Yield one constraint per column of weights, or a single one for all uses of `shape`."""
         for j in range(len(value)):
             slope = np.zeros(self.shape)
-            if value[j] >= _NEAR:
+            if value[j] >= _NEAR:  # a query of MuJoCo per sample: worth it near the limit only
                 G = weight if limit.split == "together" else weight * (np.arange(len(value)) == j)
                 slopes = limit.slopes(motion, G.reshape(shape))
                 slope = self._coefficients(motion, slopes, limit.every)

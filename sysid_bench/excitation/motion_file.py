@@ -108,6 +108,7 @@ def _series(x: Array, period: float, grid: Array) -> tuple[Array, Array, Array]:
     k = np.flatnonzero(np.abs(c).max(axis=1) > _NEGLIGIBLE * np.abs(c[1:]).max())
     k = k[k > 0]
     w, wave = 2 * np.pi / period * k, np.exp(2j * np.pi / period * np.outer(grid, k))
+    # Real signals have conjugate harmonics at -k: twice the real part stands for both.
     parts = [2 * (wave @ ((1j * w[:, None]) ** n * c[k])).real for n in range(3)]
     return c[0].real + parts[0], parts[1], parts[2]
 
@@ -115,6 +116,7 @@ def _series(x: Array, period: float, grid: Array) -> tuple[Array, Array, Array]:
 def _check(brief: DesignProblem, motion: tuple[Array, Array, Array], file: str) -> None:
     x, dx, ddx = motion
     reach = brief.high - brief.low
+    # Rounding in the file may leave a limit by a hair; anything more is another motion.
     worst = {
         "position": np.maximum(x.max(axis=0) - brief.high, brief.low - x.min(axis=0)) / reach,
         "velocity": np.abs(dx).max(axis=0) / brief.v - 1,

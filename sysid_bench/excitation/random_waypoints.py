@@ -78,6 +78,7 @@ class RandomWaypoints:
         while start < self.duration:
             target = middle + reach * rng.uniform(-1.0, 1.0)
             step = target - position
+            # Peaks of a move over `step` in time T: rate step / T, change step / T^2.
             shortest = max(
                 _PEAK_RATE * abs(step) / (MARGIN * brief.v[i]),
                 np.sqrt(_PEAK_CHANGE * abs(step) / (MARGIN * brief.a[i])),

@@ -63,6 +63,7 @@ def _range_limit(kind: str, joints: list[Joint], low: Array, high: Array, share:
         return (motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs])[order]
 
     def slopes(motion: Trajectory, G: Array) -> Slopes:
+        # use = (x - centre) / (share reach) is linear in one of q, v, a alone.
         by_qva = [np.zeros_like(motion.v) for _ in range(3)]
         by_qva[order][:, dofs] = G / (share * reach)
         return by_qva[0], by_qva[1], by_qva[2]
@@ -89,6 +90,7 @@ def torque_limits(brief: DesignProblem, share: float = 1.0) -> tuple[Limit, ...]
     moving = brief.dofs[limited]
 
     def slopes(motion: Trajectory, G: Array) -> Slopes:
+        # The weights of limited torques, zero for the others: the adjoint of tau(q, v, a).
         U = np.zeros((len(motion), brief.nv))
         U[:, limited] = G / (share * reach)
         return torque.gradient(motion, U)

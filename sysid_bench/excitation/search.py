@@ -100,6 +100,7 @@ class Search:
         C = np.clip(C, low, high)
         box = np.maximum(low, C - radius * scale), np.minimum(high, C + radius * scale)
         end = self._restored(self._minimised(C, scale, box, sharpness, iterations), sharpness)
+        # A penalty only ranks the ends of searches; the search itself has constraints.
         over = max(self.evaluation.largest_use(end) - 1.0, 0.0)
         return self.evaluation.objective(end) + 100 * over, end
 

@@ -61,6 +61,7 @@ class MovingAverage:
 
     def smooth(self, x: Array, rate: float) -> Array:
         """Return x (N, k) averaged along time; windows at the ends are cut short."""
+        # Dividing by the samples inside the window keeps a constant signal constant at the ends.
         kernel = np.ones(self.window)
         count = np.convolve(np.ones(len(x)), kernel, "same")
         columns = [np.convolve(column, kernel, "same") / count for column in x.T]
@@ -90,6 +91,7 @@ class FourierSeries:
         return self._series(x, rate, 1)
 
     def _series(self, x: Array, rate: float, order: int) -> Array:
+        # Each derivative multiplies a harmonic by j 2 pi f.
         f = np.fft.rfftfreq(len(x), 1 / rate)
         factor = np.where(f <= self.cutoff, (2j * np.pi * f) ** order, 0.0)
         return np.fft.irfft(factor[:, None] * np.fft.rfft(x, axis=0), len(x), axis=0)

@@ -93,6 +93,7 @@ def held_rows(x: Array, rate: float) -> tuple[Array, int]:
     starts, ends = edges[::2], edges[1::2]
     held, standing = np.zeros(len(x), dtype=bool), 0
     for start, end in zip(starts, ends, strict=True):
+        # Runs at either end are the robot waiting, however short they are.
         if (end - start) <= max(_HOLD * rate, 2) and start > 1 and end < len(x):
             held[start:end] = True
         else:
@@ -127,6 +128,7 @@ def _speed_ratios(q: Array, v: Array, rate: float) -> Array:
     Distances over a lag are compared, so that noise of v averages out: for each joint the lag of
     the best agreement.
     """
+    # Trapezoidal rule: no lag between the integral of v and q, unlike a running sum.
     integral = np.zeros_like(v)
     integral[1:] = np.cumsum(0.5 * (v[1:] + v[:-1]), axis=0) / rate
     lags = [lag for lag in _LAGS if lag <= len(q) // 5]
@@ -143,6 +145,7 @@ def _speed_ratio(x: Array, integral: Array, lags: Sequence[int]) -> float:
 def _correlation(moved: Array, integrated: Array) -> tuple[float, float]:
     """Return the size of the correlation of two distances (N,), and the ratio of their deviations
     with its sign."""
+    # Without its mean, an offset of v, such as a drifting zero, does not count.
     moved, integrated = moved - moved.mean(), integrated - integrated.mean()
     sizes = float(np.linalg.norm(moved)), float(np.linalg.norm(integrated))
     if min(sizes) == 0.0:

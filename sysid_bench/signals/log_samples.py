@@ -87,6 +87,7 @@ def _joint_side(G: Array | None, motor: Samples) -> Samples:
     """Return the signals behind a transmission q = G q_motor; without one they are those given."""
     if G is None:
         return motor
+    # Samples are rows, so that q = G q_motor becomes a product with G' from the right.
     joint = motor.apply(lambda x: x @ G.T)
     # tau_motor = G' tau, from equal power on both sides.
     return replace(joint, tau=np.linalg.solve(G.T, motor.tau.T).T)

@@ -36,6 +36,7 @@ def scales(log: LogDescription, name: str, part: Signal, kinds: Sequence[str]) -
     factors = np.asarray(gain * ratio if name == "tau" else gain / ratio)
     if part.unit is None:
         return factors
+    # Gain and ratio alone describe counts of an encoder or a converter, which have no unit.
     units = part.unit * len(kinds) if len(part.unit) == 1 else part.unit
     joints = zip(log.joints, units, kinds, strict=True)
     return factors * [_unit_size(log, name, part, *joint) for joint in joints]

@@ -122,6 +122,7 @@ def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate:
 
 def _require_periods(recording: Recording, filter: Filter) -> None:
     """Raise UsageError unless the recording holds whole periods, as the series assumes."""
+    # An incomplete period makes the series jump at its end, and its derivatives ring everywhere.
     samples = 0.0 if recording.period is None else recording.period * recording.rate
     if samples == 0.0 or abs(len(recording) / samples - round(len(recording) / samples)) > 1e-9:
         period = "no period" if recording.period is None else f"periods of {recording.period:g} s"
@@ -135,6 +136,7 @@ def _rates(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> 
     """Return v (N, nv) from q (N, nq); for quaternions the angular velocity in the body frame,
     2 conj(q) dq/dt."""
     dq = derivative(filter, q, rate)
+    # A hinge or slide has one coordinate in q and v, a ball joint 4 and 3, a free one 7 and 6.
     v = np.empty((len(q), sum(len(joint.dofs) for joint in joints)))
     for joint in joints:
         first, dof = joint.qadr, joint.vadr

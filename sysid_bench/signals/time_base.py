@@ -86,6 +86,7 @@ def _missing(steps: Array, step: float) -> list[Finding]:
 def _grid_rate(declared: float | None, step: float, samples: int) -> tuple[float, list[Finding]]:
     """Return the declared rate (Hz) where the stamps agree with it, else theirs and a finding."""
     rate = declared or 1.0 / step
+    # Stamps in ms read as s are off by 1000; real clocks and rounded stamps by a few per cent.
     if abs(rate * step - 1) <= 0.05:
         return rate, []
     text = (
@@ -107,6 +108,8 @@ def _check_gaps(log: LogDescription, steps: Array, rate: float, samples: int) ->
 
 def _rising(t: Array) -> tuple[Array, list[Finding]]:
     """Return stamps (N,) with those not later than all before them as NaN, and findings."""
+    # Some loggers write a sample again under its old stamp; others set their clock back. fmax skips
+    # NaN, so that a sample without numbers does not end the comparison.
     latest = np.fmax.accumulate(np.concatenate([[-np.inf], t[:-1]]))
     stale = ~(t > latest) & np.isfinite(t)
     repeated = int((stale & (t == latest)).sum())

@@ -45,6 +45,7 @@ def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
         part = slice(start, min(start + batch.nsim, len(motion)))
         n = part.stop - part.start
         q[:n], v[:n] = motion.q[part], motion.v[part]
+        # M and the bias depend on positions and velocities alone; a is multiplied below.
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         dense = np.zeros((n, mj.nv, mj.nv))
         dense[:, rows, columns] = dense[:, columns, rows] = M[:n, indices]

@@ -57,6 +57,7 @@ class Plant:
         if self.phi is not None:
             set_inertias(mj, self.phi)
             _set_joint_terms(mj, self)
+            # Quantities that MuJoCo derives from inertias, such as the weights of constraints.
             mujoco.mj_setConst(mj, mujoco.MjData(mj))
         return mj
 

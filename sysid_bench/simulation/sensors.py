@@ -76,6 +76,7 @@ def position_error(
     orientation of a floating base has no encoder.
     """
     error = noise.q * draws.encoder
+    # Quantisation rounds the noisy reading, so that its error depends on the position itself.
     if noise.quantum > 0 and q is not None:
         read = q[:, rounded] + error[:, rounded]
         error[:, rounded] = np.round(read / noise.quantum) * noise.quantum - q[:, rounded]

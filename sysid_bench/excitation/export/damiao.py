@@ -313,6 +313,7 @@ def _comments(drive: DamiaoDrive, clamped: Mapping[str, float]) -> list[str]:
 def _code(x: Array, low: float, high: float, bits: int) -> Array:
     if not ((x >= low - 1e-12) & (x <= high + 1e-12)).all():
         raise ValueError(f"A command leaves the scaling {low:g} to {high:g}: clamp it first.")
+    # Nearest code, as half a quantum is the least error; the drive decodes code / (2^bits - 1).
     return np.asarray(np.round((x - low) * (2**bits - 1) / (high - low)).astype(int))
 
 

@@ -40,7 +40,7 @@ def _numeric_columns(arrow: Any, table: Any) -> Iterator[tuple[str, Array]]:
     for name in table.column_names:
         column = table.column(name)
         if arrow.types.is_timestamp(column.type):
-            # Whole nanoseconds first: loggers store ms, us or ns.
+            # Through whole nanoseconds, since a file may hold ms, us or ns.
             column = column.cast(arrow.timestamp("ns")).cast(arrow.int64())
             yield name.strip(), column.to_numpy().astype(float) * 1e-9
         elif arrow.types.is_floating(column.type) or arrow.types.is_integer(column.type):
