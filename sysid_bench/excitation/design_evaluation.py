@@ -79,19 +79,19 @@ class DesignEvaluation:
     def value(self, C: Array) -> float:
         """Return the criterion at C (m, k), a large number where it is infinite: SLSQP needs
         finite values."""
-        self.visit(C)
+        self.evaluate(C)
         return self._value if np.isfinite(self._value) else 1e3
 
     def gradient(self, C: Array) -> Array:
         """Return the slope (m, k) of the criterion at C."""
-        self.visit(C)
+        self.evaluate(C)
         by_W = self.criterion.gradient(self._W)
         G = by_W.reshape(len(self.t), -1, by_W.shape[1])
         return self._coefficients(self._current, self.information.gradient(self._current, G))
 
     def smooth_limits(self, C: Array, sharpness: float) -> tuple[Array, Array]:
         """Return smooth maxima (n,) of the limits at C, and their slopes (n, m k)."""
-        self.visit(C)
+        self.evaluate(C)
         values, slopes = [], []
         for limit, use, thin in zip(self.limits, self.uses, self._thin, strict=True):
             for value, slope in self._constraints(limit, use, thin, sharpness):
@@ -99,7 +99,7 @@ class DesignEvaluation:
                 slopes.append(slope.ravel())
         return np.array(values), np.array(slopes)
 
-    def visit(self, C: Array) -> None:
+    def evaluate(self, C: Array) -> None:
         """Evaluate criterion and limits at C once for the calls of value, slope and constraints.
 
         Raises SearchStop at the end of the budget.
@@ -116,10 +116,11 @@ class DesignEvaluation:
             self._C, self._value = C.copy(), np.inf
             return
         self._C = C.copy()
-        self._evaluate(self._motion(C) if motion is None else motion)
+        self._store(self._motion(C) if motion is None else motion)
         self._keep_feasible(C)
 
-    def _evaluate(self, motion: Trajectory) -> None:
+    def _store(self, motion: Trajectory) -> None:
+        """Keep criterion and uses of a motion, which value, slopes and limits share."""
         # The next motion of a search is near this one, which saves steps of the closure.
         self._current = self._near = motion
         self._W = self._rows(motion)

@@ -73,7 +73,7 @@ class Search:
         """
         radius, left = _STEP / 4, iterations
         with self._graceful_stop():
-            self.evaluation.visit(C)
+            self.evaluation.evaluate(C)
             while left > 0 and radius > _SMALLEST:
                 before = self.evaluation.best
                 end = self._descend(C, _SHARPNESS[0], min(_BURST, left), radius)[1]
@@ -85,7 +85,7 @@ class Search:
     def _backtrack(self, C: Array, end: Array, before: float) -> None:
         """Step back from `end` towards C until a motion within the limits improves on `before`."""
         for share in (1.0, 0.8, 0.6, 0.4, 0.2):
-            self.evaluation.visit(C + share * (end - C))
+            self.evaluation.evaluate(C + share * (end - C))
             if self.evaluation.best < before:
                 break
 

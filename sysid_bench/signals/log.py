@@ -147,7 +147,7 @@ def _impossible(robot: RobotModel, joints: Sequence[str], samples: Samples) -> l
     low, high = robot.limits.q_low[rows], robot.limits.q_high[rows]
     kind_of = scalar_kinds(robot)
     kinds = [kind_of[joint] for joint in joints]
-    units = {name: [next(iter(UNITS[name][kind])) for kind in kinds] for name in UNITS}
+    units = {name: _si_units(name, kinds) for name in UNITS}
     middle = 0.5 * (low + high)
     reach = FAR * 0.5 * (high - low)
     found = check_limits("q less its middle", samples.q - middle, reach, joints, units["q"])
@@ -156,6 +156,11 @@ def _impossible(robot: RobotModel, joints: Sequence[str], samples: Samples) -> l
         found += check_limits("v", samples.v, fastest, joints, units["v"])
     strongest = FAR * robot.limits.tau[rows]
     return found + check_limits("tau", samples.tau, strongest, joints, units["tau"])
+
+
+def _si_units(name: str, kinds: Sequence[str]) -> list[str]:
+    """Return the SI unit of a signal for each joint: the first one of its kind."""
+    return [next(iter(UNITS[name][kind])) for kind in kinds]
 
 
 def _outside(robot: RobotModel, joints: Sequence[str], q: Array) -> list[Finding]:

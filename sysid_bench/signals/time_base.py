@@ -32,9 +32,8 @@ def read_times(log: LogDescription, samples: int) -> Array | None:
     if log.time is None:
         return None
     stamps = _all_times(log, log.time)
-    first = 0 if log.rows is None else log.rows[0] - 1
     # The line that broke off may hold a stamp already; chosen rows end before the file does.
-    spare = 1 if log.rows is None else len(stamps)
+    first, spare = (0, 1) if log.rows is None else (log.rows[0] - 1, len(stamps))
     if not samples <= len(stamps) - first <= samples + spare:
         raise UsageError(
             f"{log.source}: there are {len(stamps)} time stamps for {samples} samples."

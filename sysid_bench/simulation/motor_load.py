@@ -21,13 +21,6 @@ def motor_values(robot: RobotModel, values: Array, power: int) -> Array:
     return np.asarray(values @ np.abs(robot.coupling.G(q[None])[0]) ** power)
 
 
-def motor_range(robot: RobotModel) -> Array:
-    """Return the range of motion of each motor (n,), rad or m."""
-    if robot.coupling is not None:
-        return np.asarray(robot.coupling.high - robot.coupling.low)
-    return np.asarray(robot.limits.q_high - robot.limits.q_low)
-
-
 def motor_inertia(plant: Plant) -> Array:
     """Return the diagonal of the mass matrix (n,) at the reference posture, kg m^2 or kg."""
     return np.diag(mass_matrix(plant.contact_free_model, plant.robot.coupling)).copy()

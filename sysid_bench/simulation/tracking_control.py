@@ -19,7 +19,6 @@ from sysid_bench.simulation.motor_load import (
     mass_matrix,
     motor_inertia,
     motor_load,
-    motor_range,
     motor_values,
 )
 from sysid_bench.simulation.plant import Plant, check_finite
@@ -150,7 +149,7 @@ class TrackingControl:
     def _designed(self, plant: Plant) -> tuple[Array, Array]:
         """Gains (n,) from the bandwidth, the damping and the load."""
         J, load = motor_inertia(plant), motor_load(plant)
-        reach = np.minimum(motor_range(plant.robot), 2 * np.pi)
+        reach = np.minimum(_range(plant.robot), 2 * np.pi)
         kp = np.maximum((2 * np.pi * self.bandwidth) ** 2 * J, load / (self.droop * reach))
         viscous = motor_values(plant.robot, plant.terms.viscous, 2)
         # Sampling limit: beyond half a radian per sample, of the natural frequency or of the lag
@@ -186,6 +185,13 @@ def _one_digit(gains: Array) -> Array:
     the true inertia to identification methods, which know the controller."""
     size = 10.0 ** np.floor(np.log10(gains))
     return np.asarray(np.round(gains / size) * size)
+
+
+def _range(robot: RobotModel) -> Array:
+    """Range of motion of each motor (n,), rad or m."""
+    if robot.coupling is not None:
+        return np.asarray(robot.coupling.high - robot.coupling.low)
+    return np.asarray(robot.limits.q_high - robot.limits.q_low)
 
 
 def tracking_model(plant: Plant, controller: Controller) -> mujoco.MjModel:

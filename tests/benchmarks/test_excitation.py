@@ -180,7 +180,7 @@ def penalised(search: Search, C: Array) -> float:
 
 def at_random(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     while True:
-        search.evaluation.visit(arm.space.random(rng, 0.97))
+        search.evaluation.evaluate(arm.space.random(rng, 0.97))
 
 
 METHODS = {

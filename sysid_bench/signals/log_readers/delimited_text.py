@@ -112,7 +112,7 @@ def _numbers_by_line(path: Path, rows: list[_Line], delimiter: str | None) -> tu
 
 def _line_error(path: Path, number: int, cells: list[str], width: int) -> UsageError | None:
     """Return what is wrong in a line, None for numbers and empty cells of the right count."""
-    wrong = next((c for c, cell in enumerate(cells) if not _is_number(cell or "nan")), None)
+    wrong = _wrong_cell(cells)
     if wrong is not None:
         return UsageError(
             f"{path}, line {number}, column {wrong + 1}: {cells[wrong]!r} is not a number; fix "
@@ -124,3 +124,8 @@ def _line_error(path: Path, number: int, cells: list[str], width: int) -> UsageE
             f"{width}."
         )
     return None
+
+
+def _wrong_cell(cells: list[str]) -> int | None:
+    """Return the index of the first cell that is neither a number nor empty."""
+    return next((c for c, cell in enumerate(cells) if cell and not _is_number(cell)), None)
