@@ -78,7 +78,7 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         },
         "simulation": {
             "inverse": "sysid_bench.simulation.inverse:Inverse",
-            "closed-loop": "sysid_bench.simulation.closed_loop:ClosedLoop",
+            "closed-loop": "sysid_bench.simulation.tracking_control:TrackingControl",
         },
         "log_reader": {
             "delimited-text": "sysid_bench.signals.log_readers.delimited_text:DelimitedText",

@@ -69,17 +69,22 @@ class CollisionModel:
         self._watched = np.ones((self.mj.nbody, self.mj.nbody), dtype=bool)
         for a, b in _neighbours(self.mj):
             self._watched[a, b] = False
-        self.data.qpos[:] = self.mj.qpos0
-        touching = {_pair(self.mj, c) for c in self._contacts(_CLOSE)}
-        always = set(touching)
-        for q in self._postures():
-            self.data.qpos[:] = q
-            always &= {_pair(self.mj, c) for c in self._contacts(_CLOSE)}
-        touching = {pair for pair in touching if pair[0] > 0 or pair in always}
+        touching = self._near_by_construction()
         for a, b in touching:
             self._watched[a, b] = False
         name = self.mj.body
         self.ignored = tuple((name(a).name or "world", name(b).name) for a, b in sorted(touching))
+
+    def _near_by_construction(self) -> set[tuple[int, int]]:
+        """Return the pairs of bodies that are near in the reference configuration, those with the
+        world only if they are near in random ones too."""
+        touching = self._near_pairs(self.mj.qpos0)
+        always = touching.intersection(*map(self._near_pairs, self._postures()))
+        return {pair for pair in touching if pair[0] > 0 or pair in always}
+
+    def _near_pairs(self, q: Array) -> set[tuple[int, int]]:
+        self.data.qpos[:] = q
+        return {_pair(self.mj, contact) for contact in self._contacts(_CLOSE)}
 
     def _postures(self) -> Iterator[Array]:
         """Yield random configurations (nq,) over the ranges of hinges and slides."""
@@ -128,6 +133,7 @@ class CollisionModel:
 
     def _slope(self, contact: Any) -> Array:
         normal = contact.frame[:3]  # world frame, from the first shape to the second
+        # The distance grows with the second shape's speed along the normal less the first's.
         slope = np.zeros(self.mj.nv)
         for sign, geom in zip((-1.0, 1.0), contact.geom, strict=True):
             J = np.zeros((3, self.mj.nv))

@@ -7,7 +7,7 @@ minimised, so that weighted sums make sense (Pukelsheim 1993; Swevers et al. 199
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -54,6 +54,7 @@ CRITERIA: Final[Mapping[str, str]] = {
 
 _SPECTRAL: Final[Mapping[str, SpectralFunction]] = {
     "cond": _condition,
+    "cond-unit": _condition,
     "D": _d_optimality,
     "A": _a_optimality,
     "E": _e_optimality,
@@ -86,28 +87,50 @@ class Criterion:
         rows = np.concatenate([self.known, W])
         R = upper_factor([rows])  # singular values of R are those of the rows
         for name, weight in self.weights.items():
-            norms = np.linalg.norm(R, axis=0) if name == "cond-unit" else np.ones(W.shape[1])
-            if len(R) < R.shape[1] or not norms.all():
+            spectrum = self._spectrum(name, R)
+            if spectrum is None:
                 return np.inf, by_W
-            S = self._scaling(name, norms)
-            _, s, Vt = np.linalg.svd(R if S is None else R @ S)
-            if not s[-1] > 1e-12 * s[0]:
-                return np.inf, by_W
-            f, df = _SPECTRAL["cond" if name == "cond-unit" else name](s)
+            f, df = _SPECTRAL[name](spectrum.s)
             total += weight * f
             if slope:
-                core = (Vt.T * (df / s)) @ Vt
-                if name == "cond-unit":
-                    by_W += weight * _projected_gradient(W / norms, rows / norms, core) / norms
-                else:
-                    by_W += weight * (W @ (core if S is None else S @ core @ S.T))
+                by_W += _weighted_gradient(weight, spectrum, df, W, rows)
         return total, by_W
 
-    def _scaling(self, name: str, norms: Array) -> Array | None:
+    def _spectrum(self, name: str, R: Array) -> "_Spectrum | None":
+        """Return the singular values of a criterion, None where a parameter is undetermined."""
+        norms = np.linalg.norm(R, axis=0) if name == "cond-unit" else None
+        if len(R) < R.shape[1] or (norms is not None and not norms.all()):
+            return None
+        S = self._scaling(name, norms)
+        _, s, Vt = np.linalg.svd(R if S is None else R @ S)
+        return _Spectrum(s, Vt, S, norms) if s[-1] > 1e-12 * s[0] else None
+
+    def _scaling(self, name: str, norms: Array | None) -> Array | None:
         """Return S (r, r) of a criterion, None for the identity."""
-        if name == "cond-unit":
+        if norms is not None:
             return np.diag(1 / norms)
         return self.whiten if name == "predict" else None
+
+
+class _Spectrum(NamedTuple):
+    """Singular values s (r,) of R S, its right singular vectors, S (None: identity), and the norms
+    of the columns where S scales them to one."""
+
+    s: Array
+    Vt: Array
+    S: Array | None
+    norms: Array | None
+
+
+def _weighted_gradient(
+    weight: float, spectrum: _Spectrum, df: Array, W: Array, rows: Array
+) -> Array:
+    """Return weight times the gradient by W (M, r), from the slope df (r,) by s."""
+    s, Vt, S, norms = spectrum
+    core = (Vt.T * (df / s)) @ Vt
+    if norms is not None:
+        return np.asarray(weight * _projected_gradient(W / norms, rows / norms, core) / norms)
+    return np.asarray(weight * (W @ (core if S is None else S @ core @ S.T)))
 
 
 def _projected_gradient(W: Array, rows: Array, core: Array) -> Array:
@@ -127,11 +150,15 @@ def criterion_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
     """
     table = {objective: 1.0} if isinstance(objective, str) else dict(objective)
     for name, weight in table.items():
-        if name not in CRITERIA:
-            raise unknown_name("objective", name, CRITERIA)
-        number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
-        if not (number and np.isfinite(weight) and weight > 0):
-            raise UsageError(f"The objective {name!r} needs a positive weight; got {weight!r}.")
+        _check_weight(name, weight)
     if not table:
         raise UsageError(f"An objective needs a criterion; there are: {', '.join(CRITERIA)}.")
     return table
+
+
+def _check_weight(name: str, weight: float) -> None:
+    if name not in CRITERIA:
+        raise unknown_name("objective", name, CRITERIA)
+    number = isinstance(weight, (int, float)) and not isinstance(weight, bool)
+    if not (number and 0 < weight < np.inf):
+        raise UsageError(f"The objective {name!r} needs a positive weight; got {weight!r}.")

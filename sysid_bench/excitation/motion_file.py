@@ -65,25 +65,34 @@ def _names(brief: DesignProblem, file: str) -> list[str]:
 
 def _read(path: Path, names: list[str]) -> tuple[Array, Array]:
     """Return times (N,) and positions (N, nv) in the order of the names."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            header, *rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
-        table = np.array(rows, dtype=float)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path} is not a table of numbers with a header: {error}.") from error
-    columns = [name.strip() for name in header]
-    missing = [name for name in ("t", *names) if name not in columns]
+    columns, table = _read_table(path)
+    missing = {"t", *names} - set(columns)
     if missing or table.ndim != 2 or table.shape[1] != len(columns):
         raise UsageError(
             f"{path} has the columns {', '.join(columns)}; expected t, {', '.join(names)}."
         )
     t = table[:, columns.index("t")]
+    _check_times(path, t, np.isfinite(table).all())
+    return t, table[:, [columns.index(name) for name in names]]
+
+
+def _read_table(path: Path) -> tuple[list[str], Array]:
+    """Return the header and the numbers below it; raises UsageError for another file."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            header, *rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+        return [name.strip() for name in header], np.array(rows, dtype=float)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path} is not a table of numbers with a header: {error}.") from error
+
+
+def _check_times(path: Path, t: Array, finite: np.bool_) -> None:
+    """Raise UsageError unless the times rise in even steps."""
     steps = np.diff(t)
-    if len(t) < 10 or not np.isfinite(table).all() or not (steps > 0).all():
+    if len(t) < 10 or not finite or not (steps > 0).all():
         raise UsageError(f"{path} needs at least ten rows of finite numbers, with rising times.")
     if np.ptp(steps) > 1e-3 * steps.mean():
         raise UsageError(f"{path}: the times are not evenly spaced; resample the motion.")
-    return t, table[:, [columns.index(name) for name in names]]
 
 
 def _spline(t: Array, x: Array, grid: Array) -> tuple[Array, Array, Array]:
@@ -99,6 +108,7 @@ def _series(x: Array, period: float, grid: Array) -> tuple[Array, Array, Array]:
     k = np.flatnonzero(np.abs(c).max(axis=1) > _NEGLIGIBLE * np.abs(c[1:]).max())
     k = k[k > 0]
     w, wave = 2 * np.pi / period * k, np.exp(2j * np.pi / period * np.outer(grid, k))
+    # Real signals have conjugate harmonics at -k: twice the real part stands for both.
     parts = [2 * (wave @ ((1j * w[:, None]) ** n * c[k])).real for n in range(3)]
     return c[0].real + parts[0], parts[1], parts[2]
 
@@ -106,6 +116,7 @@ def _series(x: Array, period: float, grid: Array) -> tuple[Array, Array, Array]:
 def _check(brief: DesignProblem, motion: tuple[Array, Array, Array], file: str) -> None:
     x, dx, ddx = motion
     reach = brief.high - brief.low
+    # Rounding in the file may leave a limit by a hair; anything more is another motion.
     worst = {
         "position": np.maximum(x.max(axis=0) - brief.high, brief.low - x.min(axis=0)) / reach,
         "velocity": np.abs(dx).max(axis=0) / brief.v - 1,

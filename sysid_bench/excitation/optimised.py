@@ -1,6 +1,6 @@
 """Optimised excitation: the curves of one family that make a criterion small within all limits."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -10,12 +10,13 @@ from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.excitation.collision_model import box_limit, collision_limit
 from sysid_bench.excitation.criterion import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
+from sysid_bench.excitation.design_evaluation import DesignEvaluation, Progress
 from sysid_bench.excitation.design_problem import MARGIN, DesignProblem, is_count
 from sysid_bench.excitation.design_space import DesignSpace
 from sysid_bench.excitation.information import InformationModel
 from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
 from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
-from sysid_bench.excitation.search import Progress, Search
+from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.types import Array, Trajectory
@@ -75,10 +76,7 @@ class Optimised:
         if self.family not in FAMILIES:
             raise unknown_name("family of curves", self.family, FAMILIES)
         for name in ("harmonics", "cycles", "iterations", "starts"):
-            if not is_count(getattr(self, name)):
-                raise UsageError(
-                    f"{name} must be an integer of at least 1; got {getattr(self, name)!r}."
-                )
+            _check_count(name, getattr(self, name))
         if not self.period > 0:
             raise UsageError(f"The period must be positive; got {self.period:g} s.")
         if not 0 < self.torque_share <= 1:
@@ -104,19 +102,13 @@ class Optimised:
 
         Raises UsageError for an unknown or dependent joint, UnsupportedError where none can move.
         """
-        profile = {int(dof): k for k, dof in enumerate(brief.dofs)}
-        joints = {j.name: j for j in brief.joints if j.kind in ("hinge", "slide")}
-        scalar = {name: profile[j.vadr] for name, j in joints.items() if j.vadr in profile}
+        profiles = _scalar_profiles(brief)
         for name in self.joints:
-            if name in joints and name not in scalar and brief.coupling is not None:
-                drivers = brief.coupling.independent_of(joints[name].vadr)
-                followed = ", ".join(brief.coupling.names[dof] for dof in drivers) or "constraints"
-                raise UsageError(f"The joint {name!r} follows {followed}; name that instead.")
-            if name not in scalar:
-                raise unknown_name("hinge or slide", name, scalar)
-        if not scalar:
+            if name not in profiles:
+                raise _joint_error(brief, name, profiles)
+        if not profiles:
             raise UnsupportedError("This robot has no hinge and no slide that a design could move.")
-        dofs = [scalar[name] for name in self.joints] or list(scalar.values())
+        dofs = [profiles[name] for name in self.joints] or list(profiles.values())
         return DesignSpace(
             brief, curves_of(self.family, self.period, self.harmonics), np.array(dofs)
         )
@@ -136,17 +128,20 @@ class Optimised:
             *joint_limits(brief, space.dofs, share),
             *torque_limits(brief, share * self.torque_share),
         ]
+        return (*limits, *self._scene_limits(brief, _SPARE if share < 1.0 else 0.0))
+
+    def _scene_limits(self, brief: DesignProblem, spare: float) -> Iterator[Limit]:
+        """Yield limits of clearance and boxes; `spare` (m) is added to the clearance."""
         if self.clearance is None and self.floor is None and not self.boxes:
-            return tuple(limits)
+            return
         if brief.scene is None:
             raise UsageError("Clearance, floor and boxes need a collision model of the robot.")
         scene = brief.scene(self.floor)
+        # Links need shapes to keep clear of each other; a floor is watched in any case.
         if (self.clearance is not None and scene.shapes) or self.floor is not None:
-            spare = _SPARE if share < 1.0 else 0.0
-            limits.append(collision_limit(scene, (self.clearance or 0.0) + spare))
+            yield collision_limit(scene, (self.clearance or 0.0) + spare)
         if self.boxes:
-            limits.append(box_limit(scene, self.boxes))
-        return tuple(limits)
+            yield box_limit(scene, self.boxes)
 
     def solve(
         self,
@@ -167,22 +162,23 @@ class Optimised:
         information = excited_parameters(space, brief.regress, draws)
         criterion = design_criterion(self.objective, information, space, draws, known)
         limits = self.limits(brief, MARGIN)
-        search = Search(space, information.smooth, criterion, limits, progress)
-        values = np.array([search.objective(C) for C in draws])
-        over = np.array([search.largest_use(C) for C in draws])
+        evaluation = DesignEvaluation(space, information.smooth, criterion, limits, progress)
+        values = np.array([evaluation.objective(C) for C in draws])
+        over = np.array([evaluation.largest_use(C) for C in draws])
         order = np.lexsort((values, np.maximum(over, 1.0)))
+        search = Search(evaluation)
         best = search.start([draws[i] for i in order[: self.starts]], self.iterations)
         # Where a short search stays infeasible, a long one only takes longer.
-        if search.kept and not search.interrupted:
+        if evaluation.kept and not search.interrupted:
             search.run_from(best, self.iterations)
-        if not search.interrupted and not (search.kept and search.kept[-1][0] <= values.min()):
+        improved = evaluation.kept and evaluation.best <= values.min()
+        if not (search.interrupted or improved):
             # No feasible motion, or none better than random: start small, within the limits.
-            search.box_search(
-                _scaled_to_limits(search, space, draws[order[0]], rng), self.iterations
-            )
-        C, value = self._checked(brief, space, search)
+            small = _scaled_to_limits(evaluation, draws[order[0]], rng)
+            search.box_search(small, self.iterations)
+        C, value = self._checked(brief, evaluation)
         median = float(np.median(values))
-        return Design(C, value, median, search.evaluations, search.interrupted)
+        return Design(C, value, median, evaluation.evaluations, search.interrupted)
 
     def report(self, C: Array, brief: DesignProblem) -> dict[str, LimitUse]:
         """Return the largest use of each kind of limit, on the finer grid, of the whole limits."""
@@ -193,39 +189,64 @@ class Optimised:
     def _fine(self, C: Array, space: DesignSpace) -> Trajectory:
         return space.motion(C, space.curves.grid(_DENSER))
 
-    def _checked(
-        self, brief: DesignProblem, space: DesignSpace, search: Search
-    ) -> tuple[Array, float]:
+    def _checked(self, brief: DesignProblem, evaluation: DesignEvaluation) -> tuple[Array, float]:
         """Return the best kept motion within the limits on the finer grid, and its value."""
         limits = self.limits(brief)
-        nearest = search.nearest
-        # Neighbours in the list are alike: the last ones singly, earlier ones in growing strides.
-        count = len(search.kept)
-        indices = count - np.unique(np.geomspace(1, count or 1, _CHECKS, dtype=int))
-        for index in indices[indices >= 0]:  # -1: nothing was kept
-            value, C = search.kept[index]
-            motion = self._fine(C, space)
+        nearest = evaluation.nearest
+        for value, C in _best_first(evaluation.kept):
+            motion = self._fine(C, evaluation.space)
             uses = [float(np.abs(limit.use(motion)).max()) for limit in limits]
             if max(uses) <= 1.0:
                 return C, value
             finer = max(uses), limits[int(np.argmax(uses))].kind
             nearest = finer if nearest[0] <= 1.0 else min(nearest, finer)
         raise UnsupportedError(
-            f"No motion within all limits was found in {search.evaluations} evaluations; the "
+            f"No motion within all limits was found in {evaluation.evaluations} evaluations; the "
             f"nearest one breaks this limit: {nearest[1]} ({nearest[0]:.3f} of it). "
             "Give another seed, more iterations, a longer period, or wider limits."
         )
 
 
-def _scaled_to_limits(
-    search: Search, space: DesignSpace, C: Array, rng: np.random.Generator
-) -> Array:
+def _check_count(name: str, value: object) -> None:
+    if not is_count(value):
+        raise UsageError(f"{name} must be an integer of at least 1; got {value!r}.")
+
+
+def _scalar_profiles(brief: DesignProblem) -> dict[str, int]:
+    """Return the profile of each independent hinge and slide, by its name."""
+    profile = {int(dof): k for k, dof in enumerate(brief.dofs)}
+    scalar = [joint for joint in brief.joints if joint.kind in ("hinge", "slide")]
+    return {joint.name: profile[joint.vadr] for joint in scalar if joint.vadr in profile}
+
+
+def _joint_error(brief: DesignProblem, name: str, profiles: Mapping[str, int]) -> UsageError:
+    """Return the error of a joint that cannot be designed: it depends on others, or is unknown."""
+    vadr = {j.name: j.vadr for j in brief.joints if j.kind in ("hinge", "slide")}
+    if name not in vadr or brief.coupling is None:
+        return unknown_name("hinge or slide", name, profiles)
+    drivers = brief.coupling.independent_of(vadr[name])
+    followed = ", ".join(brief.coupling.names[dof] for dof in drivers) or "constraints"
+    return UsageError(f"The joint {name!r} follows {followed}; name that instead.")
+
+
+def _best_first(kept: Sequence[tuple[float, Array]]) -> list[tuple[float, Array]]:
+    """Return up to _CHECKS of the kept motions, the best first.
+
+    Neighbours in the list are alike: the last ones singly, earlier ones in growing strides.
+    """
+    count = len(kept)
+    indices = count - np.unique(np.geomspace(1, count or 1, _CHECKS, dtype=int))
+    return [kept[index] for index in indices[indices >= 0]]  # -1: nothing was kept
+
+
+def _scaled_to_limits(evaluation: DesignEvaluation, C: Array, rng: np.random.Generator) -> Array:
     """Return a random motion scaled down until it keeps torques, clearances and boxes too; the
     least violating one where none does.
 
     Each size is tried about its own centre, the reference posture and random postures.
     """
-    best, least = C, search.largest_use(C)
+    best, least = C, evaluation.largest_use(C)
+    space = evaluation.space
     low, high = (edge[space.dofs] for edge in (space.brief.low, space.brief.high))
     # The author of a model has usually checked its reference posture for collisions.
     room = 0.1 * (high - low)
@@ -237,7 +258,7 @@ def _scaled_to_limits(
         inner = 0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high
         for centre in (C[0], reference, *rng.uniform(*inner, (6, len(low)))):
             small[0] = centre
-            over = search.largest_use(small)
+            over = evaluation.largest_use(small)
             if over < least:
                 best, least = small.copy(), over
     return best

@@ -8,6 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.design_problem import MARGIN, DesignProblem
+from sysid_bench.models.robot import Joint
 from sysid_bench.types import Array, Trajectory
 
 # s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7 on [0, 1], whose jerk is zero at both ends: peaks of s'
@@ -51,17 +52,20 @@ class RandomWaypoints:
 
     def _moving(self, brief: DesignProblem) -> list[int]:
         """Return the indices of the profiles that move."""
+        dofs = {
+            dof
+            for joint in self._chosen(brief)
+            for dof in range(joint.vadr, joint.vadr + len(joint.dofs))
+        }
+        return [i for i, dof in enumerate(brief.dofs) if int(dof) in dofs]
+
+    def _chosen(self, brief: DesignProblem) -> list[Joint]:
+        """Return the joints named, or all; raises UsageError for an unknown name."""
         names = [joint.name for joint in brief.joints]
         for name in self.joints:
             if name not in names:
                 raise unknown_name("joint", name, names)
-        dofs = {
-            dof
-            for joint in brief.joints
-            if not self.joints or joint.name in self.joints
-            for dof in range(joint.vadr, joint.vadr + len(joint.dofs))
-        }
-        return [i for i, dof in enumerate(brief.dofs) if int(dof) in dofs]
+        return [joint for joint in brief.joints if joint.name in (self.joints or names)]
 
     def _profile(
         self, brief: DesignProblem, i: int, t: Array, rng: np.random.Generator
@@ -74,6 +78,7 @@ class RandomWaypoints:
         while start < self.duration:
             target = middle + reach * rng.uniform(-1.0, 1.0)
             step = target - position
+            # Peaks of a move over `step` in time T: rate step / T, change step / T^2.
             shortest = max(
                 _PEAK_RATE * abs(step) / (MARGIN * brief.v[i]),
                 np.sqrt(_PEAK_CHANGE * abs(step) / (MARGIN * brief.a[i])),

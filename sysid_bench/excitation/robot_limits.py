@@ -34,8 +34,7 @@ def _stated_limits(brief: DesignProblem, dofs: Array, bounds: Array, share: floa
 
     Infinite bounds are left out.
     """
-    scalar = {j.vadr: j for j in brief.joints if j.kind in ("hinge", "slide")}
-    joints = [scalar[int(dof)] for dof in dofs]
+    joints = _scalar_joints(brief, dofs)
     low, high, v, a = bounds
     ranges = {"position": (low, high), "velocity": (-v, v), "acceleration": (-a, a)}
     limits = []
@@ -45,6 +44,12 @@ def _stated_limits(brief: DesignProblem, dofs: Array, bounds: Array, share: floa
             bounded = [joints[k] for k in stated]
             limits.append(_range_limit(kind, bounded, lowest[stated], highest[stated], share))
     return limits
+
+
+def _scalar_joints(brief: DesignProblem, dofs: Array) -> list[Joint]:
+    """Return the hinge or slide of each degree of freedom."""
+    scalar = {joint.vadr: joint for joint in brief.joints if joint.kind in ("hinge", "slide")}
+    return [scalar[int(dof)] for dof in dofs]
 
 
 def _range_limit(kind: str, joints: list[Joint], low: Array, high: Array, share: float) -> Limit:
@@ -58,6 +63,7 @@ def _range_limit(kind: str, joints: list[Joint], low: Array, high: Array, share:
         return (motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs])[order]
 
     def slopes(motion: Trajectory, G: Array) -> Slopes:
+        # use = (x - centre) / (share reach) is linear in one of q, v, a alone.
         by_qva = [np.zeros_like(motion.v) for _ in range(3)]
         by_qva[order][:, dofs] = G / (share * reach)
         return by_qva[0], by_qva[1], by_qva[2]
@@ -81,10 +87,10 @@ def torque_limits(brief: DesignProblem, share: float = 1.0) -> tuple[Limit, ...]
         return ()
     reach = brief.tau[limited]
     rows = [row for joint in brief.joints for row in joint.dofs]
-    slides = {joint.vadr for joint in brief.joints if joint.kind == "slide"}
     moving = brief.dofs[limited]
 
     def slopes(motion: Trajectory, G: Array) -> Slopes:
+        # The weights of limited torques, zero for the others: the adjoint of tau(q, v, a).
         U = np.zeros((len(motion), brief.nv))
         U[:, limited] = G / (share * reach)
         return torque.gradient(motion, U)
@@ -93,7 +99,7 @@ def torque_limits(brief: DesignProblem, share: float = 1.0) -> tuple[Limit, ...]
         Limit(
             kind="torque",
             names=tuple(rows[dof] for dof in moving),
-            units=tuple("N" if dof in slides else "N m" for dof in moving),
+            units=_torque_units(brief, moving),
             use=lambda motion: torque.of(motion)[:, limited] / (share * reach),
             value=lambda motion: torque.of(motion)[:, limited],
             allowed=lambda values: np.where(values < 0, -reach, reach),
@@ -101,3 +107,8 @@ def torque_limits(brief: DesignProblem, share: float = 1.0) -> tuple[Limit, ...]
             split="by moment",
         ),
     )
+
+
+def _torque_units(brief: DesignProblem, dofs: Array) -> tuple[str, ...]:
+    slides = {joint.vadr for joint in brief.joints if joint.kind == "slide"}
+    return tuple("N" if dof in slides else "N m" for dof in dofs)

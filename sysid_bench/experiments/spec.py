@@ -18,7 +18,7 @@ class ExperimentSpec:
 
     `noise` holds q, quantum (rad, m), tau (N m, N) or tau_relative (share of the joint's RMS
     torque) with its tau_correlation from sample to sample, and the errors of force/torque sensors
-    (simulation/force_torque.py); `prior` holds mass, inertia, terms (shares) and com (m), or is
+    (simulation/wrench_sensors.py); `prior` holds mass, inertia, terms (shares) and com (m), or is
     "truth" or "none".
     """
 

@@ -61,6 +61,7 @@ class MovingAverage:
 
     def smooth(self, x: Array, rate: float) -> Array:
         """Return x (N, k) averaged along time; windows at the ends are cut short."""
+        # Dividing by the samples inside the window keeps a constant signal constant at the ends.
         kernel = np.ones(self.window)
         count = np.convolve(np.ones(len(x)), kernel, "same")
         columns = [np.convolve(column, kernel, "same") / count for column in x.T]
@@ -90,6 +91,7 @@ class FourierSeries:
         return self._series(x, rate, 1)
 
     def _series(self, x: Array, rate: float, order: int) -> Array:
+        # Each derivative multiplies a harmonic by j 2 pi f.
         f = np.fft.rfftfreq(len(x), 1 / rate)
         factor = np.where(f <= self.cutoff, (2j * np.pi * f) ** order, 0.0)
         return np.fft.irfft(factor[:, None] * np.fft.rfft(x, axis=0), len(x), axis=0)
@@ -112,15 +114,15 @@ def derivative(filter: Filter, x: Array, rate: float) -> Array:
 def filter_of(text: str) -> Filter:
     """Return the filter that a text describes; raises UsageError with the forms that exist."""
     words = text.split()
-    if words and words[-1] == "zero-phase":
+    if words[-1:] == ["zero-phase"]:
         words.pop()
     match words:
         case ["none"]:
             return NoFilter()
-        case ["butter", order, *cutoff] if order.isdecimal() and cutoff and int(order) > 0:
-            return Butterworth(int(order), _positive(quantity(" ".join(cutoff), "Hz"), text))
-        case ["fourier", *cutoff] if cutoff:
-            return FourierSeries(_positive(quantity(" ".join(cutoff), "Hz"), text))
+        case ["butter", order, number, *unit] if order.isdecimal() and int(order) > 0:
+            return Butterworth(int(order), _cutoff([number, *unit], text))
+        case ["fourier", number, *unit]:
+            return FourierSeries(_cutoff([number, *unit], text))
         case ["average", window] if window.isdecimal() and int(window) % 2 == 1:
             return MovingAverage(int(window))
     raise UsageError(
@@ -129,7 +131,9 @@ def filter_of(text: str) -> Filter:
     )
 
 
-def _positive(cutoff: float, text: str) -> float:
+def _cutoff(words: list[str], text: str) -> float:
+    """Return a cut-off in Hz; raises UsageError unless it is positive."""
+    cutoff = quantity(" ".join(words), "Hz")
     if not cutoff > 0:
         raise UsageError(f"{text!r}: a cut-off must be positive; got {cutoff} Hz.")
     return cutoff

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_checks import (
     FASTEST,
@@ -18,9 +18,9 @@ from sysid_bench.signals.log_checks import (
     check_samples,
     held_rows,
 )
-from sysid_bench.signals.log_description import NO_JOINT, UNITS, LogDescription, Signal, scales
-from sysid_bench.signals.log_reader import read_table
-from sysid_bench.signals.log_table import table_of_rows
+from sysid_bench.signals.log_description import NO_JOINT, LogDescription
+from sysid_bench.signals.log_samples import Grid, Samples, read_samples, scalar_kinds
+from sysid_bench.signals.log_units import UNITS
 from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, read_times, time_base
 from sysid_bench.types import Array, Recording
 
@@ -45,68 +45,31 @@ class Log:
     coordinates: Recording | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class _Grid:
-    """Uniform `times` (M,) at `rate` (Hz), and times t (n,) of the `valid` samples (n,), all in the
-    log's own time (s)."""
-
-    times: Array
-    t: Array
-    valid: Array
-    rate: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Samples:
-    """q, v, tau (N, k) of the recorded coordinates in SI; `truncated`: lines that broke off."""
-
-    q: Array
-    v: Array | None
-    tau: Array
-    truncated: int = 0
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def select(self, rows: slice) -> "_Samples":
-        v = None if self.v is None else self.v[rows]
-        return _Samples(self.q[rows], v, self.tau[rows], self.truncated)
-
-    def of_columns(self, columns: Sequence[int]) -> "_Samples":
-        v = None if self.v is None else self.v[:, columns]
-        return _Samples(self.q[:, columns], v, self.tau[:, columns], self.truncated)
-
-    def resampled(self, grid: _Grid) -> "_Samples":
-        q, tau = (_interpolated(grid, x[grid.valid]) for x in (self.q, self.tau))
-        v = None if self.v is None else _interpolated(grid, self.v[grid.valid])
-        return _Samples(q, v, tau)
-
-
 def read_log(description: LogDescription, robot: RobotModel) -> Log:
     """Return the recording of a description in the coordinates of `robot`.
 
     Joints that are not in the log stand at their reference; their torque is set to zero and must
     not be used. Raises UsageError for files, columns, units or joints that do not exist.
     """
-    raw = _signals(description, _kinds(description, robot))
+    raw = read_samples(description, robot)
     stamps = read_times(description, len(raw))
-    findings = [_broken_off(raw.truncated)] if raw.truncated else []
-    invalid = check_finite(raw.q, raw.tau, *(() if raw.v is None else (raw.v,)))
+    invalid = check_finite(*raw.signals.values())
     t, rate, timing = time_base(description, stamps, invalid)
-    findings += [*_not_finite(invalid), *timing]
     grid = _uniform_grid(description, t, invalid, rate)
-    recorded = [i for i, joint in enumerate(description.joints) if joint != NO_JOINT]
-    joints = tuple(description.joints[i] for i in recorded)
-    measured = raw.of_columns(recorded)
-    findings += _held(*held_rows(measured.q[grid.valid], rate))
-    samples = measured.resampled(grid)
-    if stamps is None:
-        findings += check_samples(samples.q)
-    measured_rate = None
-    if samples.v is not None:
-        found, measured_rate = check_rates(samples.q, samples.v, rate, joints)
-        findings += found
-    findings += _ranges(robot, joints, samples)
+    columns = _joint_columns(description)
+    joints = tuple(columns)
+    measured = raw.columns(list(columns.values()))
+    samples = measured.at(grid)
+    rates, measured_rate = _rates(samples, rate, joints)
+    findings = [
+        *_broken_off(raw.truncated),
+        *_not_finite(invalid),
+        *timing,
+        *_held(*held_rows(measured.q[grid.valid], rate)),
+        *_lost(samples, stamps),
+        *rates,
+        *_ranges(robot, joints, samples),
+    ]
     recording = _robot_recording(robot, joints, samples, grid)
     return Log(
         description=description,
@@ -115,13 +78,16 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         findings=tuple(findings),
         measured_rate=measured_rate,
         samples=len(raw),
-        coordinates=None
-        if description.transmission is None
-        else _coordinates(description.joints, raw.resampled(grid), grid),
+        coordinates=_coordinates(description, raw, grid),
     )
 
 
-def _uniform_grid(log: LogDescription, t: Array, invalid: Array, rate: float) -> _Grid:
+def _joint_columns(log: LogDescription) -> dict[str, int]:
+    """Return the column of each recorded coordinate that is a joint of the robot, by its name."""
+    return {joint: i for i, joint in enumerate(log.joints) if joint != NO_JOINT}
+
+
+def _uniform_grid(log: LogDescription, t: Array, invalid: Array, rate: float) -> Grid:
     """Return the grid from the first to the last valid sample; raises UsageError for too few."""
     valid = np.flatnonzero(~invalid & np.isfinite(t))
     if len(valid) < SHORTEST:
@@ -129,87 +95,26 @@ def _uniform_grid(log: LogDescription, t: Array, invalid: Array, rate: float) ->
             f"{log.source}: {len(valid)} of {len(t)} samples are usable; {SHORTEST} are needed."
         )
     times = np.arange(t[valid[0]], t[valid[-1]] + 0.5 / rate, 1.0 / rate)
-    return _Grid(times, t[valid], valid, rate)
+    return Grid(times, t[valid], valid, rate)
 
 
-def _interpolated(grid: _Grid, x: Array) -> Array:
-    """Return x (n, k) of the valid samples at the times of the grid, linear between samples.
-
-    Held rows are left out: a drive that repeats its last value has not measured one.
-    """
-    t = grid.t
-    kept = ~held_rows(x, 1.0 / np.median(np.diff(t)))[0]
-    return np.stack([np.interp(grid.times, t[kept], column[kept]) for column in x.T], axis=1)
+def _broken_off(truncated: int) -> list[Finding]:
+    found = Finding("non-finite", truncated, "the last line is incomplete and was left out")
+    return [found] if truncated else []
 
 
-def _kinds(log: LogDescription, robot: RobotModel) -> list[str]:
-    """Return hinge or slide of each coordinate of the log, "" where it is not a joint."""
-    known = {j.dofs[0]: j.kind for j in robot.joints if j.kind in ("hinge", "slide")}
-    for joint in log.joints:
-        if joint != NO_JOINT and joint not in known:
-            advice = f"Write {NO_JOINT!r} for a coordinate that is not a joint of the model."
-            raise UsageError(f"{log.source}: {unknown_name('joint', joint, known, advice)}")
-    return [known.get(joint, "") for joint in log.joints]
+def _lost(samples: Samples, stamps: Array | None) -> list[Finding]:
+    """Return findings of lost samples, which time stamps would show directly."""
+    return check_samples(samples.q) if stamps is None else []
 
 
-def _signals(log: LogDescription, kinds: Sequence[str]) -> _Samples:
-    """Return the chosen samples of all recorded coordinates, joint side, in SI."""
-    raw = _common_length(log, kinds)
-    q, v, tau = raw.q, raw.v, raw.tau
-    if log.transmission is not None:
-        G = log.transmission
-        q = q @ G.T
-        v = None if v is None else v @ G.T
-        tau = np.linalg.solve(G.T, tau.T).T  # tau_motor = G' tau, from equal power on both sides
-    # Offsets are those of the joint, so they come after the transmission.
-    q = q + log.joint_values("q.offset", log.q.offset)
-    tau = tau + log.joint_values("tau.offset", log.tau.offset)
-    if v is not None and log.v is not None:
-        v = v + log.joint_values("v.offset", log.v.offset)
-    return _Samples(q, v, tau, raw.truncated).select(_selected_rows(log, len(q)))
-
-
-def _common_length(log: LogDescription, kinds: Sequence[str]) -> _Samples:
-    """Return q, v, tau as scaled by the description, cut to the shortest of them."""
-    q, in_q = _columns(log, "q", log.q, kinds)
-    tau, in_tau = _columns(log, "tau", log.tau, kinds)
-    v, in_v = (None, 0) if log.v is None else _columns(log, "v", log.v, kinds)
-    lengths = {"q": len(q), "tau": len(tau)} | ({} if v is None else {"v": len(v)})
-    shortest = min(lengths.values())
-    if max(lengths.values()) > shortest + 1:  # separate files may differ by the broken line
-        listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
-        raise UsageError(f"{log.source}: the signals differ in length: {listed} samples.")
-    return _Samples(q, v, tau, max(in_q, in_tau, in_v)).select(slice(shortest))
-
-
-def _columns(
-    log: LogDescription, name: str, part: Signal, kinds: Sequence[str]
-) -> tuple[Array, int]:
-    table = read_table(log.file_of(part), log.reader_of(part))
-    if part.per_row is not None:
-        table = table_of_rows(table, part.per_row)
-    values = table.columns(part.columns)
-    if values.shape[1] != len(log.joints):
-        raise UsageError(
-            f"{log.source}: {name} has {values.shape[1]} columns for {len(log.joints)} joints; "
-            f"write one column for each of {', '.join(log.joints)}."
-        )
-    return values * scales(log, name, part, kinds), table.truncated
-
-
-def _selected_rows(log: LogDescription, samples: int) -> slice:
-    if log.rows is None:
-        return slice(0, samples)
-    first, last = log.rows
-    if last > samples:
-        raise UsageError(
-            f"{log.source}: rows = [{first}, {last}], but there are {samples} samples."
-        )
-    return slice(first - 1, last)
-
-
-def _broken_off(truncated: int) -> Finding:
-    return Finding("non-finite", truncated, "the last line is incomplete and was left out")
+def _rates(
+    samples: Samples, rate: float, joints: Sequence[str]
+) -> tuple[list[Finding], float | None]:
+    """Return findings of v against q, and the rate at which they agree; none without v."""
+    if samples.v is None:
+        return [], None
+    return check_rates(samples.q, samples.v, rate, joints)
 
 
 def _not_finite(invalid: Array) -> list[Finding]:
@@ -231,37 +136,49 @@ def _held(held: Array, standing: int) -> list[Finding]:
     return found
 
 
-def _ranges(robot: RobotModel, joints: Sequence[str], samples: _Samples) -> list[Finding]:
-    """Return findings about positions outside of the limits, which are reported, and about values
-    impossible for the joint, which are contradictions."""
-    q = samples.q
-    rows = [robot.rows.index(joint) for joint in joints]
+def _ranges(robot: RobotModel, joints: Sequence[str], samples: Samples) -> list[Finding]:
+    """Return findings about values impossible for the joint, which are contradictions; without
+    them, about positions outside of the limits, which are reported."""
+    return _impossible(robot, joints, samples) or _outside(robot, joints, samples.q)
+
+
+def _impossible(robot: RobotModel, joints: Sequence[str], samples: Samples) -> list[Finding]:
+    rows = list(map(robot.rows.index, joints))
     low, high = robot.limits.q_low[rows], robot.limits.q_high[rows]
-    kinds = [next(j.kind for j in robot.joints if joint in j.dofs) for joint in joints]
-    units = {name: [next(iter(UNITS[name][kind])) for kind in kinds] for name in UNITS}
+    kind_of = scalar_kinds(robot)
+    kinds = [kind_of[joint] for joint in joints]
+    units = {name: _si_units(name, kinds) for name in UNITS}
     middle = 0.5 * (low + high)
     reach = FAR * 0.5 * (high - low)
-    found = check_limits("q less its middle", q - middle, reach, joints, units["q"])
+    found = check_limits("q less its middle", samples.q - middle, reach, joints, units["q"])
     if samples.v is not None:
         fastest = np.array([FASTEST[kind] for kind in kinds])
         found += check_limits("v", samples.v, fastest, joints, units["v"])
     strongest = FAR * robot.limits.tau[rows]
-    found += check_limits("tau", samples.tau, strongest, joints, units["tau"])
-    if found:
-        return found
-    for j, joint in enumerate(joints):
-        count = int(((q[:, j] < low[j]) | (q[:, j] > high[j])).sum())
-        if count:
-            text = (
-                f"joint {joint!r} is outside of its limits [{low[j]:.4g}, {high[j]:.4g}] in "
-                f"{count} of {len(q)} samples"
-            )
-            found.append(Finding("limits", count, text))
+    return found + check_limits("tau", samples.tau, strongest, joints, units["tau"])
+
+
+def _si_units(name: str, kinds: Sequence[str]) -> list[str]:
+    """Return the SI unit of a signal for each joint: the first one of its kind."""
+    return [next(iter(UNITS[name][kind])) for kind in kinds]
+
+
+def _outside(robot: RobotModel, joints: Sequence[str], q: Array) -> list[Finding]:
+    rows = list(map(robot.rows.index, joints))
+    low, high = robot.limits.q_low[rows], robot.limits.q_high[rows]
+    counts = ((q < low) | (q > high)).sum(axis=0)
+    found = []
+    for j in np.flatnonzero(counts).tolist():
+        text = (
+            f"joint {joints[j]!r} is outside of its limits [{low[j]:.4g}, {high[j]:.4g}] in "
+            f"{counts[j]} of {len(q)} samples"
+        )
+        found.append(Finding("limits", int(counts[j]), text))
     return found
 
 
 def _robot_recording(
-    robot: RobotModel, joints: Sequence[str], samples: _Samples, grid: _Grid
+    robot: RobotModel, joints: Sequence[str], samples: Samples, grid: Grid
 ) -> Recording:
     """Return q, v, tau (N, k) of the log's joints in the coordinates of the whole robot."""
     N = len(grid.times)
@@ -284,13 +201,16 @@ def _robot_recording(
     )
 
 
-def _coordinates(names: tuple[str, ...], samples: _Samples, grid: _Grid) -> Recording:
-    """Return all recorded coordinates, without torques."""
+def _coordinates(log: LogDescription, raw: Samples, grid: Grid) -> Recording | None:
+    """Return all recorded coordinates, without torques; None unless a transmission mixes them."""
+    if log.transmission is None:
+        return None
+    samples = raw.at(grid)
     return Recording(
         t=grid.times - grid.times[0],
         q=samples.q,
         tau=np.zeros_like(samples.q),
         rate=grid.rate,
-        rows=names,
+        rows=log.joints,
         v=samples.v,
     )

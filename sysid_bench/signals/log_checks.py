@@ -5,6 +5,7 @@ A `Finding` is reported; a contradiction is an error unless the user accepts it 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -27,6 +28,9 @@ drive is off by 18 % on a real arm)."""
 
 _WRONG_COLUMN: Final = 1.5
 """Factor beyond which v cannot be that joint's rate in these units."""
+
+_LAGS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+"""Samples over which distances are compared: short ones for fast motion, long ones for noisy v."""
 
 _HOLD: Final = 0.25
 """s; q constant for longer stands still, for shorter a sample was held."""
@@ -54,15 +58,23 @@ class Finding:
 def refuse_findings(findings: Sequence[Finding], accepted: Sequence[str], where: str) -> None:
     """Raise UsageError for contradictions that were not accepted, or for an unknown name."""
     for name in accepted:
-        if name not in NAMES:
-            raise unknown_name("finding", name, NAMES, "Give --accept the names to let pass.")
+        _check_name(name)
     refused = [f for f in findings if f.contradiction and f.name not in accepted]
     if refused:
-        names = ",".join(dict.fromkeys(finding.name for finding in refused))
-        raise UsageError(
-            f"{where}: {'; '.join(finding.text for finding in refused)}. Fix the description, or "
-            f"go on with --accept {names}."
-        )
+        raise _refusal(refused, where)
+
+
+def _check_name(name: str) -> None:
+    if name not in NAMES:
+        raise unknown_name("finding", name, NAMES, "Give --accept the names to let pass.")
+
+
+def _refusal(refused: Sequence[Finding], where: str) -> UsageError:
+    names = ",".join(dict.fromkeys(finding.name for finding in refused))
+    return UsageError(
+        f"{where}: {'; '.join(finding.text for finding in refused)}. Fix the description, or "
+        f"go on with --accept {names}."
+    )
 
 
 def check_finite(*signals: Array) -> Array:
@@ -81,6 +93,7 @@ def held_rows(x: Array, rate: float) -> tuple[Array, int]:
     starts, ends = edges[::2], edges[1::2]
     held, standing = np.zeros(len(x), dtype=bool), 0
     for start, end in zip(starts, ends, strict=True):
+        # Runs at either end are the robot waiting, however short they are.
         if (end - start) <= max(_HOLD * rate, 2) and start > 1 and end < len(x):
             held[start:end] = True
         else:
@@ -115,23 +128,30 @@ def _speed_ratios(q: Array, v: Array, rate: float) -> Array:
     Distances over a lag are compared, so that noise of v averages out: for each joint the lag of
     the best agreement.
     """
-    ratios = np.full(q.shape[1], np.nan)
+    # Trapezoidal rule: no lag between the integral of v and q, unlike a running sum.
     integral = np.zeros_like(v)
     integral[1:] = np.cumsum(0.5 * (v[1:] + v[:-1]), axis=0) / rate
-    lags = [lag for lag in (1, 2, 5, 10, 20, 50, 100, 200, 500) if lag <= len(q) // 5]
-    for j in range(q.shape[1]):
-        best = _AGREES
-        for lag in lags:
-            moved, integrated = q[lag:, j] - q[:-lag, j], integral[lag:, j] - integral[:-lag, j]
-            moved, integrated = moved - moved.mean(), integrated - integrated.mean()
-            sizes = float(np.linalg.norm(moved)), float(np.linalg.norm(integrated))
-            if min(sizes) == 0.0:
-                continue
-            correlation = float(moved @ integrated) / (sizes[0] * sizes[1])
-            if abs(correlation) > best:
-                best = abs(correlation)
-                ratios[j] = np.sign(correlation) * sizes[0] / sizes[1]
-    return ratios
+    lags = [lag for lag in _LAGS if lag <= len(q) // 5]
+    return np.array([_speed_ratio(x, y, lags) for x, y in zip(q.T, integral.T, strict=True)])
+
+
+def _speed_ratio(x: Array, integral: Array, lags: Sequence[int]) -> float:
+    """Return the ratio of one joint at the lag of the highest correlation."""
+    pairs = [_correlation(x[lag:] - x[:-lag], integral[lag:] - integral[:-lag]) for lag in lags]
+    agreeing = [pair for pair in pairs if pair[0] > _AGREES]
+    return max(agreeing, key=itemgetter(0), default=(0.0, np.nan))[1]
+
+
+def _correlation(moved: Array, integrated: Array) -> tuple[float, float]:
+    """Return the size of the correlation of two distances (N,), and the ratio of their deviations
+    with its sign."""
+    # Without its mean, an offset of v, such as a drifting zero, does not count.
+    moved, integrated = moved - moved.mean(), integrated - integrated.mean()
+    sizes = float(np.linalg.norm(moved)), float(np.linalg.norm(integrated))
+    if min(sizes) == 0.0:
+        return 0.0, np.nan
+    correlation = float(moved @ integrated) / (sizes[0] * sizes[1])
+    return abs(correlation), np.sign(correlation) * sizes[0] / sizes[1]
 
 
 def check_rates(
@@ -140,31 +160,41 @@ def check_rates(
     """Return findings of v against the differences of q (N, k), and the rate (Hz) at which they
     agree; None where no joint agrees."""
     ratios = _speed_ratios(q, v, rate)
-    agreeing = np.isfinite(ratios)
-    found = _exchanged_columns(q, v, rate, joints, np.flatnonzero(~agreeing))
-    if not agreeing.any():
+    agreeing = np.flatnonzero(np.isfinite(ratios))
+    found = _exchanged_columns(q, v, rate, joints, np.flatnonzero(~np.isfinite(ratios)))
+    if len(agreeing) == 0:
         return found, None
+    # A wrong rate scales the ratios of all joints alike, wrong columns and units those of one.
     common = float(np.median(np.abs(ratios[agreeing])))
-    measured = rate / common
     if abs(common - 1) > _RATE_ERROR:
-        text = (
-            f"a rate of {rate:.6g} Hz is declared, but v and the differences of q agree at "
-            f"{measured:.4g} Hz{_degrees(common)}"
-        )
-        found.append(Finding("rate", len(q), text, contradiction=True))
-    for j in (int(j) for j in np.flatnonzero(agreeing)):
-        relative = ratios[j] / common
-        if relative < 0:
-            text = f"v of joint {joints[j]!r} has the opposite sign of its q's motion"
-            found.append(Finding("velocity", len(q), text, contradiction=True))
-        elif agreeing.sum() > 1 and abs(relative - 1) > _JOINT_ERROR:
-            text = (
-                f"joint {joints[j]!r} moves {relative:.3g} times as far as its v says, compared "
-                "with the other joints: check units, ratio and column"
-            )
-            contradiction = not 1 / _WRONG_COLUMN < relative < _WRONG_COLUMN
-            found.append(Finding("velocity", len(q), text, contradiction))
-    return found, measured
+        found.append(_wrong_rate(rate, common, len(q)))
+    for j in agreeing.tolist():
+        found += _joint_rate(joints[j], ratios[j] / common, len(q), len(agreeing) > 1)
+    return found, rate / common
+
+
+def _wrong_rate(rate: float, ratio: float, samples: int) -> Finding:
+    text = (
+        f"a rate of {rate:.6g} Hz is declared, but v and the differences of q agree at "
+        f"{rate / ratio:.4g} Hz{_degrees(ratio)}"
+    )
+    return Finding("rate", samples, text, contradiction=True)
+
+
+def _joint_rate(joint: str, relative: float, samples: int, compared: bool) -> list[Finding]:
+    """Return findings of one joint, whose distance over that of its v is `relative` times that of
+    all joints; `compared`: there are others."""
+    if relative < 0:
+        text = f"v of joint {joint!r} has the opposite sign of its q's motion"
+        return [Finding("velocity", samples, text, contradiction=True)]
+    if not compared or abs(relative - 1) <= _JOINT_ERROR:
+        return []
+    text = (
+        f"joint {joint!r} moves {relative:.3g} times as far as its v says, compared "
+        "with the other joints: check units, ratio and column"
+    )
+    contradiction = not 1 / _WRONG_COLUMN < relative < _WRONG_COLUMN
+    return [Finding("velocity", samples, text, contradiction)]
 
 
 def _degrees(ratio: float) -> str:

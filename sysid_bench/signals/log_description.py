@@ -3,6 +3,7 @@
 import os
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -20,20 +21,6 @@ from sysid_bench.units import quantity
 NO_JOINT: Final = "-"
 """Stands in `joints` for a recorded coordinate that is not a joint of the model (a gripper's)."""
 
-_ANGLE: Final = {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}
-_LENGTH: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_CURRENT: Final = {"A": 1.0, "mA": 1e-3}
-_TORQUE: Final = {"N m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN m": 1e-3, "mNm": 1e-3}
-_FORCE: Final = {"N": 1.0, "kN": 1e3}
-_SPEED: Final = {f"{unit}/s": scale for unit, scale in _LENGTH.items()}
-_RATE: Final = {f"{unit}/s": scale for unit, scale in _ANGLE.items()} | {"rpm": np.pi / 30.0}
-UNITS: Final[Mapping[str, Mapping[str, Mapping[str, float]]]] = {
-    "q": {"hinge": _ANGLE, "slide": _LENGTH},
-    "v": {"hinge": _RATE, "slide": _SPEED},
-    "tau": {"hinge": _TORQUE | _CURRENT, "slide": _FORCE | _CURRENT},
-}
-"""Units of a signal by kind of joint, each with its value in SI; a current needs a gain."""
-
 
 def _one_or_more(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
@@ -43,8 +30,12 @@ _Several = BeforeValidator(_one_or_more)
 _Column = Annotated[int | str, Field(union_mode="left_to_right")]
 
 
+def _is_list_of_lists(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(row, list) for row in value)
+
+
 def _matrix(value: Any) -> Any:
-    if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
+    if not _is_list_of_lists(value):
         raise ValueError("must be a list of rows, [[1, 0], [1, 1]]")
     return tuple(tuple(row) for row in value)
 
@@ -127,6 +118,12 @@ class LogDescription:
     period: float | None = None
     reader: str | Mapping[str, Any] | None = None
 
+    @property
+    def signals(self) -> dict[str, Signal]:
+        """Recorded signals by name: q, v where there is one, and tau."""
+        parts = {"q": self.q, "v": self.v, "tau": self.tau}
+        return {name: part for name, part in parts.items() if part is not None}
+
     def file_of(self, part: Signal | Time) -> Path:
         """Return the absolute path of a signal's file; raises UsageError where none is named."""
         written = self.file if part.file is None else part.file
@@ -148,10 +145,10 @@ class LogDescription:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that the signals depend on, once each: recordings, and code of plug-in readers."""
-        parts = [part for part in (self.q, self.v, self.tau, self.time) if part is not None]
+        parts: list[Signal | Time] = [*self.signals.values(), *filter(None, [self.time])]
         recorded = {self.file_of(part): self.reader_of(part) for part in parts}
         code = [plugin_file(path, reader) for path, reader in recorded.items()]
-        return tuple(dict.fromkeys([*recorded, *(path for path in code if path is not None)]))
+        return tuple(dict.fromkeys([*recorded, *filter(None, code)]))
 
     def joint_values(self, name: str, numbers: Sequence[float]) -> Array:
         """Return one number per joint (k,) of a setting `name` that may hold one for all.
@@ -180,15 +177,21 @@ def log_description(written: str | Mapping[str, Any], folder: Path) -> LogDescri
     """
     if isinstance(written, str):
         return read_description(folder / written)
-    given = {key: value for key, value in written.items() if key not in ("use", "name")}
-    if "use" not in written:
+    given = dict(written)
+    given.pop("name", None)
+    if "use" not in given:
         return _parse_description(given, folder / "[[log]]")
-    source = folder / str(written["use"])
-    text = dict(_read_keys(source))
-    for key, value in given.items():
-        both = isinstance(value, Mapping) and isinstance(text.get(key), Mapping)
-        text[key] = {**text[key], **value} if both and key in ("q", "v", "tau") else value
-    return _parse_description(text, source)
+    source = folder / str(given.pop("use"))
+    text = _read_keys(source)
+    replaced = {key: _replaced(key, text.get(key), value) for key, value in given.items()}
+    return _parse_description({**text, **replaced}, source)
+
+
+def _replaced(key: str, before: Any, value: Any) -> Any:
+    """Return the value of a key given instead of that of a file: for a signal its keys one by
+    one, so that a suite may correct a gain alone."""
+    tables = isinstance(before, Mapping) and isinstance(value, Mapping)
+    return {**before, **value} if tables and key in ("q", "v", "tau") else value
 
 
 def name_of(written: str | Mapping[str, Any]) -> str:
@@ -217,11 +220,7 @@ def _read_keys(source: Path) -> dict[str, Any]:
 
 def _parse_description(text: Mapping[str, Any], source: Path) -> LogDescription:
     """Return the description of these keys, with files relative to `source`."""
-    try:
-        written = _Text.model_validate(text)
-    except ValidationError as error:
-        lines = "; ".join(_line(problem) for problem in error.errors())
-        raise UsageError(f"{source}: {lines}.") from error
+    written = _validated(text, source)
     if written.rate is None and written.time is None:
         raise UsageError(
             f"{source}: neither rate nor time is given; write rate = '200 Hz', or time = the "
@@ -234,17 +233,26 @@ def _parse_description(text: Mapping[str, Any], source: Path) -> LogDescription:
         v=written.v,
         tau=written.tau,
         file=written.file,
-        rate=None if written.rate is None else _positive("rate", written.rate, "Hz", source),
+        rate=_positive("rate", written.rate, "Hz", source),
         time=written.time,
         transmission=_transmission(written, source),
         payload=written.payload,
         rows=_rows(written.rows, source),
         locked=written.locked,
-        period=None if written.period is None else _positive("period", written.period, "s", source),
+        period=_positive("period", written.period, "s", source),
         reader=written.reader,
     )
     _check_joints(description)
     return description
+
+
+def _validated(text: Mapping[str, Any], source: Path) -> _Text:
+    """Return the keys once their names and types fit; raises UsageError with all mistakes."""
+    try:
+        return _Text.model_validate(text)
+    except ValidationError as error:
+        lines = "; ".join(_line(problem) for problem in error.errors())
+        raise UsageError(f"{source}: {lines}.") from error
 
 
 def _expanded(written: str, source: Path) -> str:
@@ -262,7 +270,10 @@ def _expanded(written: str, source: Path) -> str:
     return folder + written[found.end() :]
 
 
-def _positive(key: str, written: str | float, unit: str, source: Path) -> float:
+def _positive(key: str, written: str | float | None, unit: str, source: Path) -> float | None:
+    """Return a quantity in its SI unit, None where none is given."""
+    if written is None:
+        return None
     try:
         value = quantity(written, unit)
     except UsageError as error:
@@ -288,7 +299,11 @@ def _transmission(written: _Text, source: Path) -> Array | None:
             f"{source}: transmission must be {k} rows of {k} numbers, one for each joint; got "
             f"{len(lengths)} rows of {', '.join(map(str, lengths))}."
         )
-    G = np.array(written.transmission)
+    return _invertible(np.array(written.transmission), source)
+
+
+def _invertible(G: Array, source: Path) -> Array:
+    # A matrix that is singular up to the digits written down amplifies noise without bound.
     if not np.isfinite(G).all() or np.linalg.cond(G) > 1e8:
         raise UsageError(
             f"{source}: transmission has no inverse, so two motors move the joints alike; check "
@@ -298,66 +313,40 @@ def _transmission(written: _Text, source: Path) -> Array | None:
 
 
 def _check_joints(log: LogDescription) -> None:
-    named = [joint for joint in log.joints if joint != NO_JOINT]
-    twice = {joint for joint in named if named.count(joint) > 1}
+    """Raise UsageError for wrong names of joints, and for settings that do not fit them."""
+    _check_names(log)
+    for name, part in log.signals.items():
+        _check_signal(log, name, part)
+
+
+def _check_names(log: LogDescription) -> None:
+    """Raise UsageError for a joint named twice, and without any."""
+    twice = {joint for joint, count in Counter(log.joints).items() if count > 1} - {NO_JOINT}
     if twice:
         raise UsageError(f"{log.source}: joints names {', '.join(sorted(twice))} more than once.")
-    if not named:
+    if set(log.joints) <= {NO_JOINT}:
         raise UsageError(f"{log.source}: joints names no joint of the robot.")
-    for name, part in (("q", log.q), ("v", log.v), ("tau", log.tau)):
-        if part is None:
-            continue
-        for setting in ("gain", "ratio", "offset"):
-            values = log.joint_values(f"{name}.{setting}", getattr(part, setting))
-            if not np.isfinite(values).all() or (setting != "offset" and (values == 0).any()):
-                raise UsageError(
-                    f"{log.source}: {name}.{setting} must be finite"
-                    f"{'' if setting == 'offset' else ' and not zero'}; got {values.tolist()}."
-                )
-        if part.unit is not None and len(part.unit) not in (1, len(log.joints)):
-            raise UsageError(
-                f"{log.source}: {name}.unit has {len(part.unit)} units; write one, or one for each "
-                f"of the {len(log.joints)} joints."
-            )
 
 
-def scales(log: LogDescription, name: str, part: Signal, kinds: Sequence[str]) -> Array:
-    """Return the factors (k,) from a file's numbers to SI: unit, gain and ratio together.
-
-    `kinds`: hinge or slide of each coordinate, "" where it is not a joint. Raises UsageError for a
-    unit that does not fit the joint, or a current without a gain.
-    """
-    gain, ratio = (log.joint_values(f"{name}.{s}", getattr(part, s)) for s in ("gain", "ratio"))
-    # Power is conserved through a gear: it divides speed and multiplies torque.
-    factors = np.asarray(gain * ratio if name == "tau" else gain / ratio)
-    if part.unit is None:
-        return factors
-    units = part.unit * len(kinds) if len(part.unit) == 1 else part.unit
-    for i, (unit, kind) in enumerate(zip(units, kinds, strict=True)):
-        size = _unit_size(log, name, unit, i, kind)
-        if unit in _CURRENT and part.gain == (1.0,):
-            raise UsageError(
-                f"{log.source}: {name} is a current in {unit}; write gain = [...] in N m/A (or N/A)"
-                ", and ratio = [...] where it is the motor's."
-            )
-        factors[i] *= size
-    return factors
-
-
-def _unit_size(log: LogDescription, name: str, unit: str, i: int, kind: str) -> float:
-    """Return the value in SI of the unit of coordinate i."""
-    all_units = {**UNITS[name]["hinge"], **UNITS[name]["slide"]}
-    fitting = UNITS[name].get(kind, all_units)
-    if unit in fitting:
-        return fitting[unit]
-    where = f"{log.source}: {name}.unit of joint {log.joints[i]!r}"
-    if unit in all_units:
-        movement = "turns" if kind == "hinge" else "slides"
+def _check_signal(log: LogDescription, name: str, part: Signal) -> None:
+    for setting in ("gain", "ratio", "offset"):
+        _check_setting(log, f"{name}.{setting}", getattr(part, setting), setting == "offset")
+    if part.unit is not None and len(part.unit) not in (1, len(log.joints)):
         raise UsageError(
-            f"{where}: {unit!r} does not fit, since it {movement}; write one unit for each joint, "
-            f"here one of {', '.join(fitting)}."
+            f"{log.source}: {name}.unit has {len(part.unit)} units; write one, or one for each "
+            f"of the {len(log.joints)} joints."
         )
-    raise UsageError(f"{where}: {unknown_name('unit', unit, fitting)}")
+
+
+def _check_setting(log: LogDescription, key: str, numbers: Sequence[float], zero: bool) -> None:
+    """Raise UsageError for a wrong count of numbers, and unless all are finite and, without
+    `zero`, not zero."""
+    values = log.joint_values(key, numbers)
+    if not (np.isfinite(values) & ((values != 0) | zero)).all():
+        raise UsageError(
+            f"{log.source}: {key} must be finite{'' if zero else ' and not zero'}; got "
+            f"{values.tolist()}."
+        )
 
 
 def _line(problem: Any) -> str:
@@ -374,5 +363,5 @@ def _line(problem: Any) -> str:
 def _keys(path: tuple[Any, ...]) -> set[str]:
     if len(path) == 1:
         return set(_Text.model_fields)
-    table = Time if path[0] == "time" else Signal
+    table = {"time": Time}.get(path[0], Signal)
     return {f"{path[0]}.{key}" for key in table.model_fields}

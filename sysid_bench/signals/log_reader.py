@@ -61,9 +61,14 @@ def _table(path: Path, state: tuple[int, int], make: Any, settings: str) -> LogT
         raise UsageError(
             f"{path}: the log reader {spec['use']!r} failed with {reason_of(error)}."
         ) from error
+    return _valid_table(table, path, spec["use"])
+
+
+def _valid_table(table: Any, path: Path, use: str) -> LogTable:
+    """Return what a reader returned; raises UsageError unless it is a table."""
     if not isinstance(table, LogTable) or table.values.ndim != 2:
         raise UsageError(
-            f"{path}: the log reader {spec['use']!r} must return a LogTable with values (N, c)."
+            f"{path}: the log reader {use!r} must return a LogTable with values (N, c)."
         )
     return table
 
@@ -79,11 +84,15 @@ def _reader_spec(path: Path, reader: ReaderSpec | None = None) -> Mapping[str, A
         if not isinstance(reader.get("use"), str):
             raise UsageError(f"A log reader needs a name: {{ use = ... }}; got {dict(reader)}.")
         return reader
+    return {"use": _reader_by_suffix(path)}
+
+
+def _reader_by_suffix(path: Path) -> str:
     suffix, found = path.suffix.lower(), dict[str, str]()
     for name in naming.known(KIND):  # built-in readers come first
         suffixes = getattr(naming.resolve(KIND, name), "suffixes", ())
         if suffix in suffixes:
-            return {"use": name}
+            return name
         found |= dict.fromkeys(suffixes, name)
     raise UsageError(
         f"{path}: no log reader for files that end in {suffix!r}. Readers exist for "

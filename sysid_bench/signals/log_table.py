@@ -34,17 +34,19 @@ class LogTable:
 
     def _indices(self, column: int | str) -> tuple[int, ...]:
         if isinstance(column, str):
-            key = column.strip()
-            if key not in self.names:
-                advice = "" if self.names else "Give columns by their index, from 1."
-                raise UsageError(f"{self.path}: {unknown_name('column', key, self.names, advice)}")
-            return self.names[key]
+            return self._named(column.strip())
         if not 1 <= column <= self.values.shape[1]:
             raise UsageError(
                 f"{self.path} has {self.values.shape[1]} columns, counted from 1; there is no "
                 f"column {column}."
             )
         return (column - 1,)
+
+    def _named(self, name: str) -> tuple[int, ...]:
+        if name not in self.names:
+            advice = "" if self.names else "Give columns by their index, from 1."
+            raise UsageError(f"{self.path}: {unknown_name('column', name, self.names, advice)}")
+        return self.names[name]
 
 
 def table_of_rows(table: LogTable, per_row: int) -> LogTable:
@@ -86,27 +88,48 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
 
     Column i of an array "q" is also named "q:i", from 1. Raises UsageError without numbers.
     """
-    numeric = {
-        name: np.asarray(value, dtype=float)
-        for name, value in arrays.items()
-        if np.ndim(value) in (1, 2) and np.asarray(value).dtype.kind in "fiub"
-    }
+    numeric = _numeric_arrays(path, arrays)
+    N = max(max(x.shape) for x in numeric.values())
+    parts = {name: _time_by_rows(x, N) for name, x in numeric.items() if N in x.shape}
+    values = np.concatenate(list(parts.values()), axis=1)
+    return LogTable(path, values, _names_of_columns(parts))
+
+
+def _numeric_arrays(path: Path, arrays: Mapping[str, Any]) -> dict[str, Array]:
+    numeric = {name: np.asarray(x, dtype=float) for name, x in arrays.items() if _is_numeric(x)}
     if not numeric:
         raise UsageError(f"{path} holds no array of numbers.")
-    N = max(max(value.shape) for value in numeric.values())
-    parts: list[Array] = []
+    return numeric
+
+
+def _is_numeric(x: Any) -> bool:
+    """Return true for an array of one or two dimensions of floats, integers or booleans."""
+    return np.ndim(x) in (1, 2) and np.asarray(x).dtype.kind in "fiub"
+
+
+def _time_by_rows(x: Array, N: int) -> Array:
+    """Return x as (N, k): MATLAB users keep time along columns as often as along rows."""
+    if x.ndim == 1:
+        return x[:, None]
+    return x if len(x) == N else x.T
+
+
+def _names_of_columns(parts: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
+    """Return the indices that each name stands for, the arrays side by side."""
     names: dict[str, tuple[int, ...]] = {}
     first = 0
-    for name, value in numeric.items():
-        if N not in value.shape:
-            continue
-        # MATLAB users keep time along columns as often as along rows.
-        columns = value[:, None] if value.ndim == 1 else value if len(value) == N else value.T
-        count = columns.shape[1]
-        parts.append(columns)
-        if name:
-            names[name] = tuple(range(first, first + count))
-            if count > 1:
-                names |= {f"{name}:{c + 1}": (first + c,) for c in range(count)}
-        first += count
-    return LogTable(path, np.concatenate(parts, axis=1), names)
+    for name, part in parts.items():
+        names |= _array_names(name, range(first, first + part.shape[1]))
+        first += part.shape[1]
+    return names
+
+
+def _array_names(name: str, indices: range) -> dict[str, tuple[int, ...]]:
+    """Return the names of an array's columns: its own for all of them, and, of several, one each.
+
+    An array without a name has none.
+    """
+    if not name:
+        return {}
+    each = {f"{name}:{c}": (index,) for c, index in enumerate(indices, start=1)}
+    return {name: tuple(indices), **(each if len(each) > 1 else {})}

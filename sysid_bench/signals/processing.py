@@ -36,40 +36,56 @@ class Processing:
 
         Raises UsageError where it is too short, or where needed v or a are absent.
         """
-        smooth, rate = self.filter.smooth, recording.rate
-        differences = self.differentiate or self.from_rates
-        if isinstance(self.filter, FourierSeries):
-            _require_periods(recording, self.filter)
-            differences = False
-        # Two central differences use one neighbour each.
-        edge = self.filter.edge(rate) + (2 if differences else 0)
+        rate, edge = recording.rate, self._edge(recording)
         if len(recording) <= 2 * edge + 10:
             raise UsageError(
                 f"{len(recording)} samples are too few for {self.filter}, which spoils {edge} at "
                 "each end."
             )
         q = _smooth_positions(recording.q, joints, self.filter, rate)
-        if self.differentiate:
-            v = _rates(q, joints, self.filter, rate)
-            a = derivative(self.filter, v, rate)
-        elif self.from_rates and recording.v is not None:
-            v = smooth(recording.v, rate)
-            a = derivative(self.filter, v, rate)
-        elif self.from_rates:
-            raise UsageError("derivatives = 'from v' needs a recording with v; use 'from q'.")
-        elif recording.v is None or recording.a is None:
-            raise UsageError("derivatives = 'exact' needs a recording with v and a; use 'from q'.")
-        else:
-            v, a = smooth(recording.v, rate), smooth(recording.a, rate)
-        tau = recording.tau if self.raw_torque else smooth(recording.tau, rate)
-        wrench = recording.wrench
-        if wrench is not None and not self.raw_torque:
-            wrench = smooth(wrench, rate)
+        v, a = self._derivatives(recording, q, joints)
+        tau = self._load(recording.tau, rate)
+        wrench = None if recording.wrench is None else self._load(recording.wrench, rate)
         keep = slice(edge, len(recording) - edge)
         return replace(
             recording, t=recording.t[keep], q=q[keep], v=v[keep], a=a[keep], tau=tau[keep],
             wrench=None if wrench is None else wrench[keep],
         )  # fmt: skip
+
+    def _edge(self, recording: Recording) -> int:
+        """Return the samples to cut at each end: those spoilt by the filter, and by differences."""
+        spoilt = self.filter.edge(recording.rate)
+        if isinstance(self.filter, FourierSeries):
+            _require_periods(recording, self.filter)
+            return spoilt
+        # Two central differences use one neighbour each.
+        return spoilt + (2 if self.differentiate or self.from_rates else 0)
+
+    def _derivatives(
+        self, recording: Recording, q: Array, joints: tuple[Joint, ...]
+    ) -> tuple[Array, Array]:
+        """Return v and a (N, nv) from the filtered q (N, nq), or from the recording."""
+        rate = recording.rate
+        if self.differentiate:
+            v = _rates(q, joints, self.filter, rate)
+            return v, derivative(self.filter, v, rate)
+        if self.from_rates:
+            v = self.filter.smooth(_given(recording.v, "from v", "v"), rate)
+            return v, derivative(self.filter, v, rate)
+        v, a = (_given(x, "exact", "v and a") for x in (recording.v, recording.a))
+        return self.filter.smooth(v, rate), self.filter.smooth(a, rate)
+
+    def _load(self, x: Array, rate: float) -> Array:
+        """Return torques or wrenches (N, k) filtered, unless they stay raw."""
+        return x if self.raw_torque else self.filter.smooth(x, rate)
+
+
+def _given(x: Array | None, derivatives: str, needed: str) -> Array:
+    if x is None:
+        raise UsageError(
+            f"derivatives = {derivatives!r} needs a recording with {needed}; use 'from q'."
+        )
+    return x
 
 
 def processing_of(spec: Mapping[str, object]) -> Processing:
@@ -106,6 +122,7 @@ def _smooth_positions(q: Array, joints: tuple[Joint, ...], filter: Filter, rate:
 
 def _require_periods(recording: Recording, filter: Filter) -> None:
     """Raise UsageError unless the recording holds whole periods, as the series assumes."""
+    # An incomplete period makes the series jump at its end, and its derivatives ring everywhere.
     samples = 0.0 if recording.period is None else recording.period * recording.rate
     if samples == 0.0 or abs(len(recording) / samples - round(len(recording) / samples)) > 1e-9:
         period = "no period" if recording.period is None else f"periods of {recording.period:g} s"
@@ -119,6 +136,7 @@ def _rates(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> 
     """Return v (N, nv) from q (N, nq); for quaternions the angular velocity in the body frame,
     2 conj(q) dq/dt."""
     dq = derivative(filter, q, rate)
+    # A hinge or slide has one coordinate in q and v, a ball joint 4 and 3, a free one 7 and 6.
     v = np.empty((len(q), sum(len(joint.dofs) for joint in joints)))
     for joint in joints:
         first, dof = joint.qadr, joint.vadr

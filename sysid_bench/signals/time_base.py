@@ -6,7 +6,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.signals.log_checks import Finding
-from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_description import LogDescription, Time
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.types import Array
 
@@ -31,21 +31,24 @@ def read_times(log: LogDescription, samples: int) -> Array | None:
     """
     if log.time is None:
         return None
-    if log.time.unit not in _SECONDS:
-        raise UsageError(f"{log.source}: time: {unknown_name('unit', log.time.unit, _SECONDS)}")
-    table = read_table(log.file_of(log.time), log.reader_of(log.time))
-    values = table.columns([log.time.column])
-    if values.shape[1] != 1:
-        raise UsageError(f"{log.source}: time must be one column; got {values.shape[1]}.")
-    stamps = np.asarray(values[:, 0] * _SECONDS[log.time.unit])
-    first = 0 if log.rows is None else log.rows[0] - 1
+    stamps = _all_times(log, log.time)
     # The line that broke off may hold a stamp already; chosen rows end before the file does.
-    spare = 1 if log.rows is None else len(stamps)
+    first, spare = (0, 1) if log.rows is None else (log.rows[0] - 1, len(stamps))
     if not samples <= len(stamps) - first <= samples + spare:
         raise UsageError(
             f"{log.source}: there are {len(stamps)} time stamps for {samples} samples."
         )
     return stamps[first : first + samples]
+
+
+def _all_times(log: LogDescription, time: Time) -> Array:
+    """Return the stamps of the whole file in s."""
+    if time.unit not in _SECONDS:
+        raise UsageError(f"{log.source}: time: {unknown_name('unit', time.unit, _SECONDS)}")
+    values = read_table(log.file_of(time), log.reader_of(time)).columns([time.column])
+    if values.shape[1] != 1:
+        raise UsageError(f"{log.source}: time must be one column; got {values.shape[1]}.")
+    return np.asarray(values[:, 0] * _SECONDS[time.unit])
 
 
 def time_base(
@@ -66,30 +69,46 @@ def time_base(
             f"{log.source}: only {len(steps) + 1} time stamps rise; is this the time column?"
         )
     step = float(np.median(steps))  # the median ignores gaps and jitter
-    rate = log.rate or 1.0 / step
+    rate, wrong_rate = _grid_rate(log.rate, step, len(t))
+    _check_gaps(log, steps, rate, len(t))
+    return t, rate, [*found, *_missing(steps, step), *wrong_rate]
+
+
+def _missing(steps: Array, step: float) -> list[Finding]:
+    """Return a finding of the samples that would have fitted into longer steps."""
     lost = int(np.maximum(np.round(steps / step) - 1, 0).sum())
-    if lost:
-        longest = f"the longest gap is {steps.max():.4g} s"
-        text = f"{lost} samples are missing between the time stamps; {longest}"
-        found.append(Finding("lost", lost, text))
-    if abs(rate * step - 1) > 0.05:
-        text = (
-            f"a rate of {rate:.6g} Hz is declared, but the time stamps are {step:.4g} s apart "
-            f"({1 / step:.4g} Hz): check the unit of time, or the rate"
-        )
-        found.append(Finding("rate", len(t), text, contradiction=True))
-        rate = 1.0 / step
-    if np.nansum(steps) * rate > _WIDEST * len(t):
+    longest = f"the longest gap is {steps.max():.4g} s"
+    text = f"{lost} samples are missing between the time stamps; {longest}"
+    return [Finding("lost", lost, text)] if lost else []
+
+
+def _grid_rate(declared: float | None, step: float, samples: int) -> tuple[float, list[Finding]]:
+    """Return the declared rate (Hz) where the stamps agree with it, else theirs and a finding."""
+    rate = declared or 1.0 / step
+    # Stamps in ms read as s are off by 1000; real clocks and rounded stamps by a few per cent.
+    if abs(rate * step - 1) <= 0.05:
+        return rate, []
+    text = (
+        f"a rate of {rate:.6g} Hz is declared, but the time stamps are {step:.4g} s apart "
+        f"({1 / step:.4g} Hz): check the unit of time, or the rate"
+    )
+    return 1.0 / step, [Finding("rate", samples, text, contradiction=True)]
+
+
+def _check_gaps(log: LogDescription, steps: Array, rate: float, samples: int) -> None:
+    """Raise UsageError where most of the grid would be interpolated over gaps."""
+    if np.nansum(steps) * rate > _WIDEST * samples:
         raise UsageError(
-            f"{log.source}: the time stamps leave a gap of {steps.max():.4g} s in {len(t)} samples "
-            f"{step:.4g} s apart; choose the part that was recorded without a break (rows = "
-            "[first, last])."
+            f"{log.source}: the time stamps leave a gap of {steps.max():.4g} s in {samples} "
+            f"samples {np.median(steps):.4g} s apart; choose the part that was recorded without "
+            "a break (rows = [first, last])."
         )
-    return t, rate, found
 
 
 def _rising(t: Array) -> tuple[Array, list[Finding]]:
     """Return stamps (N,) with those not later than all before them as NaN, and findings."""
+    # Some loggers write a sample again under its old stamp; others set their clock back. fmax skips
+    # NaN, so that a sample without numbers does not end the comparison.
     latest = np.fmax.accumulate(np.concatenate([[-np.inf], t[:-1]]))
     stale = ~(t > latest) & np.isfinite(t)
     repeated = int((stale & (t == latest)).sum())

@@ -122,5 +122,6 @@ def _in_python(run: _Run, t: Array, out: tuple[Array, ...]) -> None:
             extra = plant.extra(now, data.qpos, data.qvel)
             data.qfrc_applied[:] = -plant.terms.offset - extra
             mujoco.mj_step(mj, data)
+            # Accelerations and torques belong to the sampled state, before it is advanced.
             if step == 0:
                 out[2][k], out[3][k] = data.qacc, data.qfrc_actuator

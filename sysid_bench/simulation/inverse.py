@@ -30,9 +30,7 @@ class Inverse:
     ) -> tuple[Oracle, Controller | None]:
         """Return the exact motion and torques; there is no controller, so that the encoder error
         (N, n) has no effect on them."""
-        tree = rigid_torque(plant.fixed_contact_free_model, commanded) + _passive_torque(
-            plant, commanded
-        )
+        tree = rigid_torque(plant.contact_free_model, commanded) + _passive_torque(plant, commanded)
         tau = plant.robot.reduced(commanded.q, tree)
         return Oracle(commanded, check_finite(plant.robot.name, tau, "torque")), None
 
@@ -47,6 +45,7 @@ def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
         part = slice(start, min(start + batch.nsim, len(motion)))
         n = part.stop - part.start
         q[:n], v[:n] = motion.q[part], motion.v[part]
+        # M and the bias depend on positions and velocities alone; a is multiplied below.
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_VEL)
         dense = np.zeros((n, mj.nv, mj.nv))
         dense[:, rows, columns] = dense[:, columns, rows] = M[:n, indices]

@@ -76,20 +76,28 @@ def _add_equality(
     sites, since MuJoCo computes anchors of bodies anew from their reference posture."""
     kind = mujoco.mjtEq(int(mj.eq_type[e]))
     loop = kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
-    names = []
-    if loop:
-        for end, (body, p, R) in enumerate(closure_frames(mj, e)):
-            names.append(f"end {end} of equality {e}")
-            bodies[body].add_site(name=names[-1], pos=p, quat=quaternion_of_matrix(R))
-    else:
-        for side, terms in enumerate(coupled_terms(mj, e)):
-            if terms:
-                names.append(f"sum {side} of equality {e}")
-                tendon = spec.add_tendon(name=names[-1])
-                for dof, coefficient in terms.items():
-                    tendon.wrap_joint(mj.joint(int(mj.dof_jntid[dof])).name, coefficient)
+    names = _add_sites(bodies, mj, e) if loop else _add_tendons(spec, mj, e)
     equality = spec.add_equality(name=f"equality {e}")
     equality.type = kind if loop else mujoco.mjtEq.mjEQ_TENDON
     equality.objtype = mujoco.mjtObj.mjOBJ_SITE if loop else mujoco.mjtObj.mjOBJ_TENDON
-    equality.name1, equality.name2 = names[0], names[1] if len(names) > 1 else ""
+    # An equality of one joint alone fixes it: there is no second tendon.
+    equality.name1, equality.name2 = [*names, ""][:2]
     equality.data = np.array(mj.eq_data[e])
+
+
+def _add_sites(bodies: list[mujoco.MjsBody], mj: mujoco.MjModel, e: int) -> list[str]:
+    """Add a site at each end of a loop's closure; return their names."""
+    names = [f"end {end} of equality {e}" for end in range(2)]
+    for name, (body, p, R) in zip(names, closure_frames(mj, e), strict=True):
+        bodies[body].add_site(name=name, pos=p, quat=quaternion_of_matrix(R))
+    return names
+
+
+def _add_tendons(spec: mujoco.MjSpec, mj: mujoco.MjModel, e: int) -> list[str]:
+    """Add a fixed tendon for each side of an equality that has terms; return their names."""
+    sides = {f"sum {side} of equality {e}": x for side, x in enumerate(coupled_terms(mj, e)) if x}
+    for name, terms in sides.items():
+        tendon = spec.add_tendon(name=name)
+        for dof, coefficient in terms.items():
+            tendon.wrap_joint(mj.joint(int(mj.dof_jntid[dof])).name, coefficient)
+    return list(sides)

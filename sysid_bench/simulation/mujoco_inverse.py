@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.plant import contact_free_flags
+from sysid_bench.simulation.plant import contact_free
 from sysid_bench.types import Array, Trajectory
 
 _BIT: Final = mujoco.mjtDisableBit
@@ -17,7 +17,7 @@ _BIT: Final = mujoco.mjtDisableBit
 def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
     """Return M a + bias (N, nv) by `mj_inverse`, without passive and constraint forces."""
     with recorded_warnings():
-        mj = contact_free_flags(robot.spec.copy().compile())
+        mj = contact_free(robot.spec.copy().compile())
     # Passive forces are disabled, not subtracted: the damping of 1e11 that some models use to fix a
     # joint would cancel all digits.
     for bit in (_BIT.mjDSBL_SPRING, _BIT.mjDSBL_DAMPER, _BIT.mjDSBL_FRICTIONLOSS):
@@ -49,7 +49,7 @@ def constrained_torque(robot: RobotModel, motion: Trajectory) -> ConstrainedTorq
     coupling = robot.coupling
     assert coupling is not None
     with recorded_warnings():
-        mj = contact_free_flags(robot.spec.copy().compile())
+        mj = contact_free(robot.spec.copy().compile())
     mj.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
     mj.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
     data = mujoco.MjData(mj)

@@ -53,6 +53,7 @@ def _terms(model: KnownModel, theta: Array, index: dict[str, int]) -> JointTerms
                 value[dof] = theta[i]
         values[term] = value
     coupling = model.known_coupling.copy()
+    # Friction of one joint by the speed of another: both directions are parameters of their own.
     for dof, other in itertools.permutations(robot.scalar_dofs, 2):
         i = index.get(f"{robot.rows[dof]}.fv.{robot.rows[other]}")
         if i is not None:

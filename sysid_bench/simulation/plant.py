@@ -42,21 +42,22 @@ class Plant:
     phi: Array | None = None
 
     @cached_property
-    def fixed_contact_free_model(self) -> mujoco.MjModel:
+    def contact_free_model(self) -> mujoco.MjModel:
         """Compiled model of the plant without contacts, joint limits and equality constraints."""
         return self.compiled(self.robot.spec.copy())
 
     def compiled(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Compile a spec of this robot with the plant's inertias and joint terms and
-        `contact_free_flags`; raises EstimationError if they cannot be simulated."""
+        `contact_free` applied; raises EstimationError if they cannot be simulated."""
         if self.phi is not None:
             for body in spec.bodies:
                 body.simple = 0  # MuJoCo assumes that the centre of mass of a simple body is fixed
         with recorded_warnings():
-            mj = contact_free_flags(spec.compile())
+            mj = contact_free(spec.compile())
         if self.phi is not None:
             set_inertias(mj, self.phi)
             _set_joint_terms(mj, self)
+            # Quantities that MuJoCo derives from inertias, such as the weights of constraints.
             mujoco.mj_setConst(mj, mujoco.MjData(mj))
         return mj
 
@@ -93,7 +94,7 @@ class ViscousCoupling:
         return np.asarray(v @ self.numbers.T)
 
 
-def contact_free_flags(mj: mujoco.MjModel) -> mujoco.MjModel:
+def contact_free(mj: mujoco.MjModel) -> mujoco.MjModel:
     """Disable contacts, joint limits and equality constraints of a model, in place, and return it.
 
     Forces that are not joint terms are disabled as well: tendons, gravity compensation, fluid drag,

@@ -40,7 +40,7 @@ class Noise:
         """Return the standard deviation (n,) of torque noise for noise-free torques (N, n)."""
         return np.asarray(self.tau + self.tau_relative * np.sqrt((tau**2).mean(axis=0)))
 
-    def correlated(self, white: Array) -> Array:
+    def torque_noise(self, white: Array) -> Array:
         """Return white draws w (N, n) with the correlation c of torque noise in time.
 
         e_t = c e_(t-1) + sqrt(1 - c^2) w_t with e_0 = w_0, so that the variance does not change.
@@ -67,7 +67,7 @@ def draw_noise(count: int, recorded: int, rows: int, rng: np.random.Generator) -
     return NoiseDraws(rng.normal(size=(count, rows)), rng.normal(size=(recorded, rows)))
 
 
-def encoder_error(
+def position_error(
     noise: Noise, draws: NoiseDraws, q: Array | None = None, rounded: Array | slice = slice(None)
 ) -> Array:
     """Return the error of every encoder reading (N, rows), rad or m.
@@ -76,6 +76,7 @@ def encoder_error(
     orientation of a floating base has no encoder.
     """
     error = noise.q * draws.encoder
+    # Quantisation rounds the noisy reading, so that its error depends on the position itself.
     if noise.quantum > 0 and q is not None:
         read = q[:, rounded] + error[:, rounded]
         error[:, rounded] = np.round(read / noise.quantum) * noise.quantum - q[:, rounded]

@@ -128,7 +128,7 @@ def write_motion(
         commands, report = damiao.limit_commands(commands, drives, clamp)
         warnings += [_hot_motor(entry) for entry in report if entry["hot"]]
         if kind == "can":
-            text = damiao.can_log(commands, drives)
+            text = damiao.log_text(commands, drives)
         else:
             text = damiao.table_text(commands, drives, report)
         report = [drive.to_json() | entry for drive, entry in zip(drives, report, strict=True)]

@@ -21,7 +21,7 @@ import pinocchio as pin
 import pytest
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.plant import contact_free_flags
+from sysid_bench.simulation.plant import contact_free
 from sysid_bench.types import Array, Trajectory
 
 Run = Callable[[], Any]
@@ -157,7 +157,7 @@ def _compiled_loop(folder: Path) -> Path:
 def per_sample_mujoco(robot: RobotModel, motion: Trajectory) -> Run:
     """Sample by sample in Python from MuJoCo's velocities, accelerations and Jacobians of bodies,
     Y = sum of J' A: the way of mujoco-sysid and of most scripts."""
-    mj = contact_free_flags(robot.spec.copy().compile())
+    mj = contact_free(robot.spec.copy().compile())
     data = mujoco.MjData(mj)
     bodies = [link.body + 1 for link in robot.tree.links]
     Y = np.zeros((len(motion), mj.nv, 10 * len(bodies)))

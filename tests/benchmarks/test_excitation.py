@@ -20,11 +20,12 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import Bounds, minimize
 
+from sysid_bench.excitation.design_evaluation import DesignEvaluation, SearchStop
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.information import information_model
 from sysid_bench.excitation.optimised import Optimised, design_criterion
 from sysid_bench.excitation.robot_limits import joint_limits
-from sysid_bench.excitation.search import Search, SearchStop
+from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.types import Array
@@ -58,7 +59,7 @@ class Arm:
     def search(self) -> Search:
         """A search that keeps the best feasible coefficients, with time stamps."""
         limits = self.made.limits(self.brief, 0.98)
-        return Search(self.space, self.asked, self.criterion, limits)
+        return Search(DesignEvaluation(self.space, self.asked, self.criterion, limits))
 
     def by_one_factor(self, rng: np.random.Generator) -> Array:
         """Random coefficients, scaled by one factor into all limits."""
@@ -98,7 +99,7 @@ def timed(search: Search, work: Callable[[], None], budget: float) -> list[tuple
         if course[-1][0] > budget:
             raise SearchStop
 
-    search.progress = tell
+    search.evaluation.progress = tell
     with suppress(SearchStop):
         work()
     return course
@@ -106,26 +107,29 @@ def timed(search: Search, work: Callable[[], None], budget: float) -> list[tuple
 
 def ours(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     draws = arm.made.draws(arm.space, rng)
-    values = [search.objective(C) for C in draws]
-    search.run([draws[int(np.argmin(values))]], arm.made.iterations)
+    values = [search.evaluation.objective(C) for C in draws]
+    best = search.start([draws[int(np.argmin(values))]], arm.made.iterations)
+    search.run_from(best, arm.made.iterations)
 
 
 def by_differences(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     """The same solver, slopes of the objective by finite differences."""
     draws = arm.made.draws(arm.space, rng)
-    C = draws[int(np.argmin([search.objective(C) for C in draws]))]
+    C = draws[int(np.argmin([search.evaluation.objective(C) for C in draws]))]
     low, high = arm.space.bounds()
     scale = np.tile(arm.brief.v, (11, 1))
 
     def value(x: Array) -> float:
-        return search._value_at(x.reshape(11, 7) * scale)
+        return search.evaluation.value(x.reshape(11, 7) * scale)
 
     for sharpness in (60.0, 240.0):
         constraint: Any = {
             "type": "ineq",
-            "fun": lambda x, s=sharpness: 1 - search._limits_at(x.reshape(11, 7) * scale, s)[0],
+            "fun": lambda x, s=sharpness: (
+                1 - search.evaluation.smooth_limits(x.reshape(11, 7) * scale, s)[0]
+            ),
             "jac": lambda x, s=sharpness: (
-                -search._limits_at(x.reshape(11, 7) * scale, s)[1] * scale.ravel()
+                -search.evaluation.smooth_limits(x.reshape(11, 7) * scale, s)[1] * scale.ravel()
             ),
         }
         found = minimize(
@@ -139,7 +143,7 @@ def by_differences(arm: Arm, search: Search, rng: np.random.Generator) -> None:
 def by_evolution(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     """CMA-ES (Hansen 2016) with a penalty on the limits, in its plain form."""
     draws = arm.made.draws(arm.space, rng)
-    C = draws[int(np.argmin([search.objective(C) for C in draws]))]
+    C = draws[int(np.argmin([search.evaluation.objective(C) for C in draws]))]
     scale = np.tile(arm.brief.v, (11, 1))
     mean, n, sigma = (C / scale).ravel(), C.size, 0.05
     lam = 4 + int(3 * np.log(n))
@@ -169,14 +173,14 @@ def by_evolution(arm: Arm, search: Search, rng: np.random.Generator) -> None:
 
 
 def penalised(search: Search, C: Array) -> float:
-    value = search._value_at(C)
-    over = max(float(np.abs(use).max()) for use in search._uses) - 1.0
+    value = search.evaluation.value(C)
+    over = max(float(np.abs(use).max()) for use in search.evaluation.uses) - 1.0
     return value + 100 * max(over, 0.0)
 
 
 def at_random(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     while True:
-        search._visit(arm.space.random(rng, 0.97))
+        search.evaluation.evaluate(arm.space.random(rng, 0.97))
 
 
 METHODS = {
@@ -200,10 +204,10 @@ def test_searches_side_by_side(objective: str) -> None:
     arm = Arm(objective)
     budget = EVALUATIONS * arm.pinocchio_seconds()
     search, rng = arm.search(), np.random.default_rng(99)
-    apart = [search.objective(arm.space.random(rng, 0.97)) for _ in range(400)]
-    one = [search.objective(arm.by_one_factor(rng)) for _ in range(400)]
+    apart = [search.evaluation.objective(arm.space.random(rng, 0.97)) for _ in range(400)]
+    one = [search.evaluation.objective(arm.by_one_factor(rng)) for _ in range(400)]
     shown = np.exp if objective == "cond" else (lambda x: -43 * np.asarray(x))
-    gentle = [search.objective(0.8 * arm.by_one_factor(rng)) for _ in range(400)]
+    gentle = [search.evaluation.objective(0.8 * arm.by_one_factor(rng)) for _ in range(400)]
     print(f"\n{objective}: budget {budget:.1f} CPU s ({EVALUATIONS} evaluations of Pinocchio)")
     for words, values in (
         ("each joint scaled", apart),

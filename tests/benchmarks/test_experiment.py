@@ -23,9 +23,9 @@ from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.models.load import load_robot
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.closed_loop import ClosedLoop, closed_loop_model, commands
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.plant import plant_of
+from sysid_bench.simulation.tracking_control import TrackingControl, commands, tracking_model
 from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Array
 
@@ -45,12 +45,12 @@ class Bench:
             self.robot, self.task, self.base, regression(self.robot, self.base.names)
         )
         self.plant = plant_of(self.robot)
-        self.loop = ClosedLoop()
+        self.loop = TrackingControl()
         rng = np.random.default_rng(0)
         self.motion = Fourier().design(design_problem(self.robot, 1000.0), rng)
         self.silence = np.zeros_like(self.motion.v)
         controller = self.loop.controller(self.plant)
-        self.mj = closed_loop_model(self.plant, controller)
+        self.mj = tracking_model(self.plant, controller)
         self.control = commands(controller, self.motion, self.silence, self.robot)[None]
 
     def rollout(self) -> None:

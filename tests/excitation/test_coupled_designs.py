@@ -8,6 +8,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.collision_model import collision_model
+from sysid_bench.excitation.design_evaluation import DesignEvaluation
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.optimised import (
@@ -16,7 +17,6 @@ from sysid_bench.excitation.optimised import (
     design_figures,
     excited_parameters,
 )
-from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
@@ -74,18 +74,22 @@ def test_slopes_pass_through_the_joints_that_follow(name: str) -> None:
     asked = excited_parameters(space, told.regress, draws).smooth
     limits = made.limits(told)
     assert {"follower position", "follower acceleration", "torque"} <= {x.kind for x in limits}
-    search = Search(space, asked, design_criterion(made.objective, asked, space, draws), limits)
+    evaluation = DesignEvaluation(
+        space, asked, design_criterion(made.objective, asked, space, draws), limits
+    )
     C, step = draws[0], 1e-6
-    slope = search._slope_at(C)
-    values, by_C = search._limits_at(C, 60.0)
+    slope = evaluation.gradient(C)
+    values, by_C = evaluation.smooth_limits(C, 60.0)
     near = values > 0.6  # farther ones are not looked at closer
     for i, j in [(0, 0), (1, 0), (3, -1), (4, -1)]:
         up, down = C.copy(), C.copy()
         up[i, j] += step
         down[i, j] -= step
-        difference = (search._value_at(up) - search._value_at(down)) / (2 * step)
+        difference = (evaluation.value(up) - evaluation.value(down)) / (2 * step)
         assert abs(slope[i, j] - difference) <= 1e-5 * np.abs(slope).max() + 1e-6
-        differences = (search._limits_at(up, 60.0)[0] - search._limits_at(down, 60.0)[0]) / 2e-6
+        differences = (
+            evaluation.smooth_limits(up, 60.0)[0] - evaluation.smooth_limits(down, 60.0)[0]
+        ) / 2e-6
         pulled = by_C.reshape(-1, *C.shape)[:, i, j]
         atol = 1e-6 * np.abs(by_C).max()
         np.testing.assert_allclose(pulled[near], differences[near], atol=atol)
@@ -140,14 +144,16 @@ def test_a_design_is_for_what_a_sensor_sees_too(name: str, sensor: str) -> None:
     draws = [space.random(rng, 0.8) for _ in range(3)]
     assert told.regress is not None
     seen = excited_parameters(space, told.regress, draws).smooth
-    search = Search(space, seen, design_criterion("D", seen, space, draws), made.limits(told))
+    evaluation = DesignEvaluation(
+        space, seen, design_criterion("D", seen, space, draws), made.limits(told)
+    )
     C, step = draws[0], 1e-6
-    slope = search._slope_at(C)
+    slope = evaluation.gradient(C)
     for i, j in [(1, 0), (3, -1)]:
         up, down = C.copy(), C.copy()
         up[i, j] += step
         down[i, j] -= step
-        difference = (search.objective(up) - search.objective(down)) / (2 * step)
+        difference = (evaluation.objective(up) - evaluation.objective(down)) / (2 * step)
         assert abs(slope[i, j] - difference) <= 1e-5 * np.abs(slope).max() + 1e-6
     design = made.solve(told, np.random.default_rng(0))
     assert design.value < design.start

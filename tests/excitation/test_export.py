@@ -15,13 +15,14 @@ from sysid_bench.errors import UsageError
 from sysid_bench.excitation.export.commands import Commands, csv_text
 from sysid_bench.excitation.export.damiao import (
     MOTORS,
-    can_log,
+    DamiaoDrive,
     damiao_drives,
     limit_commands,
-    read_frame,
+    log_text,
     table_text,
 )
 from sysid_bench.excitation.export.ros2 import json_text, yaml_text
+from sysid_bench.types import Array
 
 PUBLISHED = tuple(name for name, motor in MOTORS.items() if motor.speed is not None)
 SECRET = tuple(name for name in MOTORS if name not in PUBLISHED)
@@ -35,6 +36,22 @@ def commands(seed: int, count: int = 40, joints: int = 3, size: float = 1.0) -> 
     return Commands(names, np.arange(count) / 200, q, v, a, tau)
 
 
+def read_frame(drive: DamiaoDrive, data: Array) -> dict[str, Array]:
+    """q, v, kp, kd, tau (N,) of frames (N, 8), as the drive decodes them: kp to 500, kd to 5."""
+    b, s = data.astype(int).T, drive.scaling
+    codes = {
+        "q": (b[0] << 8 | b[1], -s.p, s.p, 16),
+        "v": (b[2] << 4 | b[3] >> 4, -s.v, s.v, 12),
+        "kp": ((b[3] & 0xF) << 8 | b[4], 0.0, 500.0, 12),
+        "kd": (b[5] << 4 | b[6] >> 4, 0.0, 5.0, 12),
+        "tau": ((b[6] & 0xF) << 8 | b[7], -s.tau, s.tau, 12),
+    }
+    return {
+        key: low + code * (high - low) / (2**bits - 1)
+        for key, (code, low, high, bits) in codes.items()
+    }
+
+
 @given(seed=st.integers(0, 999), name=st.sampled_from(sorted(MOTORS)), size=st.floats(0.1, 50.0))
 @settings(max_examples=40, deadline=None)
 def test_every_frame_says_what_was_commanded_within_a_quantum(
@@ -44,7 +61,7 @@ def test_every_frame_says_what_was_commanded_within_a_quantum(
     asked = commands(seed, size=size)
     drives = damiao_drives(asked.joints, {"all": told})
     inside, _ = limit_commands(asked, drives, most=1.0)
-    text = can_log(inside, drives)
+    text = log_text(inside, drives)
     frames = [bytes.fromhex(line.split("#")[1]) for line in text.splitlines()]
     data = np.array([list(f) for f in frames], dtype=np.uint8).reshape(len(asked), 3, 8)
     for j, drive in enumerate(drives):
@@ -69,7 +86,7 @@ def test_known_frames_are_those_of_the_protocol() -> None:
     s = drives[0].scaling
     q, v, tau = (np.array([[-x], [x], [0.0]]) for x in (s.p, s.v, s.tau))
     made = Commands(("j",), np.array([0.0, 0.005, 1.5]), q, v, v, tau)
-    low, high, middle = can_log(made, drives).splitlines()
+    low, high, middle = log_text(made, drives).splitlines()
     assert low == "(0.000000) can0 005#0000000FFFFFF000"
     assert high == "(0.005000) can0 005#FFFFFFFFFFFFFFFF"
     assert middle.startswith("(1.500000) can0 005#8000800FFFFFF800")
@@ -80,7 +97,7 @@ def test_python_can_reads_the_log_back(tmp_path: Path) -> None:
     drives = damiao_drives(asked.joints, {"all": {"motor": "DM4340"}})
     inside, _ = limit_commands(asked, drives, most=1.0)
     file = tmp_path / "motion.log"
-    file.write_text(can_log(inside, drives))
+    file.write_text(log_text(inside, drives))
     with can.LogReader(str(file)) as reader:
         messages = list(reader)
     assert len(messages) == len(asked) * 3

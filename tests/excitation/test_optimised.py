@@ -9,11 +9,11 @@ import pytest
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.curves import FAMILIES, curves_of
+from sysid_bench.excitation.design_evaluation import DesignEvaluation
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.limit_use import smooth_bound
 from sysid_bench.excitation.optimised import Optimised, design_criterion, excited_parameters
-from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
@@ -78,19 +78,21 @@ def test_slopes_of_a_search_are_its_differences(family: str, objective: object, 
     assert told.regress is not None
     asked = excited_parameters(space, told.regress, draws).smooth
     criterion = design_criterion(objective, asked, space, draws)  # type: ignore[arg-type]
-    search = Search(space, asked, criterion, made.limits(told))
+    evaluation = DesignEvaluation(space, asked, criterion, made.limits(told))
     C, step = draws[0], 1e-6
-    slope = search._slope_at(C)
-    _, limits = search._limits_at(C, 60.0)
+    slope = evaluation.gradient(C)
+    _, limits = evaluation.smooth_limits(C, 60.0)
     for i, j in [(0, 0), (1, 0), (3, -1), (4, -1)]:
         up, down = C.copy(), C.copy()
         up[i, j] += step
         down[i, j] -= step
-        difference = (search._value_at(up) - search._value_at(down)) / (2 * step)
+        difference = (evaluation.value(up) - evaluation.value(down)) / (2 * step)
         assert abs(slope[i, j] - difference) <= 1e-4 * np.abs(slope).max() + 1e-6
-        differences = (search._limits_at(up, 60.0)[0] - search._limits_at(down, 60.0)[0]) / 2e-6
+        differences = (
+            evaluation.smooth_limits(up, 60.0)[0] - evaluation.smooth_limits(down, 60.0)[0]
+        ) / 2e-6
         pulled = limits.reshape(-1, *C.shape)[:, i, j]
-        near = search._limits_at(C, 60.0)[0] > 0.6  # farther ones are not looked at closer
+        near = evaluation.smooth_limits(C, 60.0)[0] > 0.6  # farther ones are not looked at closer
         np.testing.assert_allclose(pulled[near], differences[near], atol=1e-4)
 
 

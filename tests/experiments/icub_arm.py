@@ -8,8 +8,8 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, cut_at
-from sysid_bench.simulation.force_torque import Contact, sensor_wrench
 from sysid_bench.simulation.plant import Plant, plant_of
+from sysid_bench.simulation.wrench_sensors import Contact, sensor_wrench
 from sysid_bench.types import Array, Trajectory
 from tests.robots import named_robot
 

@@ -18,7 +18,7 @@ from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import subtree_dofs, subtree_regressors
 from sysid_bench.signals.processing import processing_of
-from sysid_bench.simulation.force_torque import contact_torque, sensor_wrench
+from sysid_bench.simulation.wrench_sensors import contact_torque, sensor_wrench
 from sysid_bench.tasks.prior import PriorSpread, prior_of
 from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, Prior, Recording, Trajectory

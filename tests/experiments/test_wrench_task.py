@@ -21,14 +21,14 @@ from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.sensor import cut_at, instruments_of
 from sysid_bench.regressors.nested_sensors import measured_regression
 from sysid_bench.regressors.wrench import subtree_regressors
-from sysid_bench.simulation.force_torque import (
+from sysid_bench.simulation.plant import plant_of
+from sysid_bench.simulation.wrench_sensors import (
     Contact,
     WrenchNoise,
     contact_torque,
     sensor_error,
     sensor_wrench,
 )
-from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.task import task_of
 from tests.experiments.experiment_world import CLOSED_LOOP, argument, executed, ready, spec
 from tests.robots import NAMED, named_robot, relative_gap, robot_of, states

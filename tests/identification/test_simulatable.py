@@ -53,9 +53,7 @@ def test_any_beta_gives_simulatable_parameters(robot: str, seed: int) -> None:
     theta = simulatable_set(problem).nearest(wild, metric(problem))
     assert exists(problem, theta)
     assert (
-        parametrised_plant(
-            known_model(made.robot, made.source.task), theta
-        ).fixed_contact_free_model.nv
+        parametrised_plant(known_model(made.robot, made.source.task), theta).contact_free_model.nv
         == made.robot.nv
     )
 

@@ -7,7 +7,7 @@ import pytest
 from sysid_bench.errors import ModelError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.plant import contact_free_flags
+from sysid_bench.simulation.plant import contact_free
 from sysid_bench.spatial.inertia import matrix_of_six, smallest_eigenvalue
 from tests.robots import NAMED, named_robot, random_robot, robot_of, states
 
@@ -36,7 +36,7 @@ def test_every_body_can_exist(robot: RobotModel) -> None:
 def test_kinetic_energy_is_that_of_the_ten_numbers(robot: RobotModel) -> None:
     """v' M v / 2 from MuJoCo equals the sum over bodies of m v²/2 + w'(h × v) + w' I w / 2."""
 
-    mj = contact_free_flags(robot.spec.copy().compile())
+    mj = contact_free(robot.spec.copy().compile())
     data = mujoco.MjData(mj)
     motion = states(robot, 1)
     data.qpos[:], data.qvel[:] = motion.q[0], motion.v[0]
@@ -54,7 +54,7 @@ def test_kinetic_energy_is_that_of_the_ten_numbers(robot: RobotModel) -> None:
 
 def test_joint_terms_are_mujocos_own_forces(robot: RobotModel) -> None:
     """Springs and dampers of hinges and slides are -qfrc_passive."""
-    mj = contact_free_flags(robot.spec.copy().compile())
+    mj = contact_free(robot.spec.copy().compile())
     data = mujoco.MjData(mj)
     motion = states(robot, 1)
     data.qpos[:], data.qvel[:] = motion.q[0], motion.v[0]

@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import BALL, FREE
-from sysid_bench.simulation.plant import contact_free_flags
+from sysid_bench.simulation.plant import contact_free
 from sysid_bench.types import Array
 from tests.robots import named_robot, random_robot, relative_gap, states
 
@@ -68,7 +68,7 @@ def test_the_velocity_map_is_that_of_the_configuration(robot: RobotModel) -> Non
 def test_mass_matrices_and_bias_forces_agree(robot: RobotModel) -> None:
     motion = states(robot, 3)
     ours, zero = robot.pairing, np.zeros_like(motion.v)
-    mj = contact_free_flags(robot.spec.copy().compile())
+    mj = contact_free(robot.spec.copy().compile())
     data, mjdata = ours.model.createData(), mujoco.MjData(mj)
     q = ours.positions_to_pinocchio(motion.q)
     v, a0 = ours.rates(motion.q, motion.v, zero)

@@ -10,7 +10,7 @@ from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.plant import contact_free_flags
+from sysid_bench.simulation.plant import contact_free
 from sysid_bench.spatial.inertia import smallest_eigenvalue
 from sysid_bench.tasks.prior import PriorSpread, prior_of
 from sysid_bench.tasks.task import Task, task_of
@@ -39,7 +39,7 @@ def tasks(robot: RobotModel) -> list[Task]:
 def plant_torque(robot: RobotModel, motion: Trajectory) -> Array:
     """MuJoCo's inverse dynamics with its own springs, dampers and armature; what it does not know
     as a smooth force (Coulomb friction, offsets) is added by its definition."""
-    mj = contact_free_flags(robot.spec.copy().compile())
+    mj = contact_free(robot.spec.copy().compile())
     mj.dof_frictionloss[:] = 0.0  # a constraint in MuJoCo
     data = mujoco.MjData(mj)
     tau = np.empty_like(motion.v)

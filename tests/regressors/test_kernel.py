@@ -9,7 +9,7 @@ import pytest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors import kernel_numpy as kernel
 from sysid_bench.regressors.kernel_numpy import LinkMotion, blocks, link_motions, newton_euler
-from sysid_bench.simulation.plant import contact_free_flags
+from sysid_bench.simulation.plant import contact_free
 from sysid_bench.types import Trajectory
 from tests.robots import named_robot, random_robot, relative_gap, robot_of, states
 
@@ -39,7 +39,7 @@ def test_the_random_tree_has_every_kind_of_joint() -> None:
 def _engine_states(
     robot: RobotModel, motion: Trajectory
 ) -> Iterator[tuple[int, mujoco.MjModel, mujoco.MjData]]:
-    mj = contact_free_flags(robot.spec.copy().compile())
+    mj = contact_free(robot.spec.copy().compile())
     data = mujoco.MjData(mj)
     for k in range(len(motion)):
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[k], motion.v[k], motion.a[k]

@@ -129,4 +129,4 @@ def test_a_body_that_cannot_exist_is_named(column: int, value: float) -> None:
     phi = robot.phi.copy()
     phi[1, column] = value
     with pytest.raises(EstimationError, match="fore"):
-        set_inertias(plant_of(robot).fixed_contact_free_model, phi)
+        set_inertias(plant_of(robot).contact_free_model, phi)

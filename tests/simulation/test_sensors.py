@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.simulation.sensors import Noise, draw_noise, encoder_error, with_position_error
+from sysid_bench.simulation.sensors import Noise, draw_noise, position_error, with_position_error
 from sysid_bench.types import Array
 from tests.experiments.experiment_world import CLOSED_LOOP, SMOOTH, ready, robot_of
 
@@ -23,8 +23,8 @@ def test_a_rounded_reading_is_on_the_grid_and_near(quantum: float, std: float, s
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(50, 3))
     draws = draw_noise(50, 50, 3, rng)
-    exact = encoder_error(Noise(q=std), draws, q)
-    read = q + encoder_error(Noise(q=std, quantum=quantum), draws, q)
+    exact = position_error(Noise(q=std), draws, q)
+    read = q + position_error(Noise(q=std, quantum=quantum), draws, q)
     steps = read / quantum
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
     assert np.abs(read - q - exact).max() <= 0.5 * quantum * (1 + 1e-9) + 1e-15
@@ -128,7 +128,7 @@ def test_displaced_orientations_stay_orientations(seed: int, size: float) -> Non
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.98])
 def test_torque_noise_has_the_memory_that_was_asked_for(correlation: float) -> None:
     white = np.random.default_rng(0).normal(size=(400, 3000))  # 3000 series of 400 samples
-    noise = Noise(tau=1.0, tau_correlation=correlation).correlated(white)
+    noise = Noise(tau=1.0, tau_correlation=correlation).torque_noise(white)
     error = 5 / np.sqrt(white.shape[1])
     assert np.abs(noise.std(axis=1) - 1.0).max() < error  # from the first sample on
     for lag in (1, 10, 100):

@@ -9,9 +9,9 @@ from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.simulation import compiled_steps as stepped
-from sysid_bench.simulation.closed_loop import ClosedLoop
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.plant import Plant, plant_of, viscous_coupling
+from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.types import Array, Oracle
 from tests.robots import named_robot, robot_of
 
@@ -35,7 +35,7 @@ def simulated(plant: Plant) -> Oracle:
     motion = Fourier(harmonics=3, period=1.0).design(
         design_problem(plant.robot, 1000.0), np.random.default_rng(3)
     )
-    oracle, _ = ClosedLoop().run(
+    oracle, _ = TrackingControl().run(
         plant, motion, np.zeros((len(motion), len(plant.robot.torque_dofs)))
     )
     return oracle

@@ -7,6 +7,7 @@ Where the manufacturer has published none, the user gives them, or nothing is ex
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
@@ -115,12 +116,7 @@ def _drive(joint: str, number: int, settings: Mapping[str, Any]) -> DamiaoDrive:
     if name not in MOTORS:
         raise unknown_name("Damiao motor", name, MOTORS)
     motor = MOTORS[name]
-    speed, torque = settings.get("v", motor.speed), settings.get("tau", motor.torque)
-    if speed is None or torque is None:
-        raise UsageError(
-            f"The manufacturer publishes no physical limits of {name} (joint {joint!r}); give "
-            "them: v = rad/s and tau = N m. The scaling of its frames is not a limit."
-        )
+    speed, torque = _physical_limits(joint, name, settings)
     scaling = _scaling(joint, motor.scaling, settings)
     kp, kd = _gains(joint, settings)
     share = _positive(joint, "share", settings.get("share", _SHARE))
@@ -137,6 +133,18 @@ def _drive(joint: str, number: int, settings: Mapping[str, Any]) -> DamiaoDrive:
         torque=min(share * _positive(joint, "tau", torque), scaling.tau),
         rated=motor.rated,
     )
+
+
+def _physical_limits(joint: str, motor: str, settings: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Return speed and torque as given by the user, else as published."""
+    speed = settings.get("v", MOTORS[motor].speed)
+    torque = settings.get("tau", MOTORS[motor].torque)
+    if speed is None or torque is None:
+        raise UsageError(
+            f"The manufacturer publishes no physical limits of {motor} (joint {joint!r}); give "
+            "them: v = rad/s and tau = N m. The scaling of its frames is not a limit."
+        )
+    return speed, torque
 
 
 def _scaling(joint: str, factory: MotorScale, settings: Mapping[str, Any]) -> MotorScale:
@@ -201,16 +209,20 @@ def limit_commands(
         tau=np.clip(commands.tau, -torque, torque),
     )
     report = [_clamping(commands, inside, j, drive) for j, drive in enumerate(drives)]
+    _check_clamping(report, most)
+    return inside, report
+
+
+def _check_clamping(report: list[dict[str, Any]], most: float) -> None:
+    """Raise UsageError where more than the share `most` of a joint's samples is clamped."""
     worst = max(report, key=lambda entry: max(entry["clamped"].values()))
-    share = max(worst["clamped"].values())
+    key, share = max(worst["clamped"].items(), key=itemgetter(1))
     if share > most:
-        key = max(worst["clamped"], key=lambda k: worst["clamped"][k])
         raise UsageError(
             f"{share:.1%} of the samples of {worst['joint']!r} break the {_WORDS[key]} limit of "
             f"its motor, more than {most:.1%}. Clamping changes the motion: design it within these "
             "limits (--limit), or allow a larger share (--clamp)."
         )
-    return inside, report
 
 
 def _clamping(commands: Commands, inside: Commands, j: int, drive: DamiaoDrive) -> dict[str, Any]:
@@ -252,23 +264,7 @@ def _frames(drive: DamiaoDrive, q: Array, v: Array, tau: Array) -> Array:
     ).astype(np.uint8)  # fmt: skip
 
 
-def read_frame(drive: DamiaoDrive, data: Array) -> dict[str, Array]:
-    """Return q, v, kp, kd, tau (N,) of frames (N, 8), as the drive decodes them."""
-    b, s = data.astype(int).T, drive.scaling
-    codes = {
-        "q": (b[0] << 8 | b[1], -s.p, s.p, 16),
-        "v": (b[2] << 4 | b[3] >> 4, -s.v, s.v, 12),
-        "kp": ((b[3] & 0xF) << 8 | b[4], 0.0, _GAINS[0], 12),
-        "kd": (b[5] << 4 | b[6] >> 4, 0.0, _GAINS[1], 12),
-        "tau": ((b[6] & 0xF) << 8 | b[7], -s.tau, s.tau, 12),
-    }
-    return {
-        key: low + code * (high - low) / (2**bits - 1)
-        for key, (code, low, high, bits) in codes.items()
-    }
-
-
-def can_log(commands: Commands, drives: tuple[DamiaoDrive, ...], channel: str = "can0") -> str:
+def log_text(commands: Commands, drives: tuple[DamiaoDrive, ...], channel: str = "can0") -> str:
     """Return a log in the format of `candump -l` for `canplayer`: one frame per motor and sample,
     in the order of the drives."""
     frames = np.stack(
@@ -292,25 +288,32 @@ def table_text(
     position, velocity and torque of each motor."""
     lines = ["# Damiao MIT mode; t in s, then for each motor q (rad), v (rad/s), tau (N m)"]
     for drive, entry in zip(drives, report, strict=True):
-        s, (low, high) = drive.scaling, drive.position
-        shares = ", ".join(f"{key} {share:.2%}" for key, share in entry["clamped"].items())
-        lines += [
-            f"# {drive.joint}: {drive.motor}, id {drive.id}, kp {drive.kp:g}, kd {drive.kd:g}",
-            f"#   scaling (registers of the drive): PMAX {s.p:g} VMAX {s.v:g} TMAX {s.tau:g}",
-            f"#   limits: q {low:g} to {high:g}, v {drive.speed:.4g}, tau {drive.torque:.4g}; "
-            f"clamped: {shares}",
-        ]
+        lines += _comments(drive, entry["clamped"])
     keys = ("q", "v", "tau")
     lines.append(",".join(["t", *(f"{d.joint}.{key}" for d in drives for key in keys)]))
-    for k, t in enumerate(commands.t):
-        values = [getattr(commands, key)[k, j] for j in range(len(drives)) for key in keys]
-        lines.append(",".join([f"{t:.6f}", *(f"{float(x):.9g}" for x in values)]))
+    # (N, joint, signal): the numbers of one motor stand side by side.
+    values = np.stack([commands.q, commands.v, commands.tau], axis=2).reshape(len(commands), -1)
+    for t, row in zip(commands.t, values, strict=True):
+        lines.append(",".join([f"{t:.6f}", *(f"{float(x):.9g}" for x in row)]))
     return "\n".join(lines) + "\n"
+
+
+def _comments(drive: DamiaoDrive, clamped: Mapping[str, float]) -> list[str]:
+    """Return the lines about one motor: identifier, gains, scaling and limits."""
+    s, (low, high) = drive.scaling, drive.position
+    shares = ", ".join(f"{key} {share:.2%}" for key, share in clamped.items())
+    return [
+        f"# {drive.joint}: {drive.motor}, id {drive.id}, kp {drive.kp:g}, kd {drive.kd:g}",
+        f"#   scaling (registers of the drive): PMAX {s.p:g} VMAX {s.v:g} TMAX {s.tau:g}",
+        f"#   limits: q {low:g} to {high:g}, v {drive.speed:.4g}, tau {drive.torque:.4g}; "
+        f"clamped: {shares}",
+    ]
 
 
 def _code(x: Array, low: float, high: float, bits: int) -> Array:
     if not ((x >= low - 1e-12) & (x <= high + 1e-12)).all():
         raise ValueError(f"A command leaves the scaling {low:g} to {high:g}: clamp it first.")
+    # Nearest code, as half a quantum is the least error; the drive decodes code / (2^bits - 1).
     return np.asarray(np.round((x - low) * (2**bits - 1) / (high - low)).astype(int))
 
 

@@ -22,14 +22,14 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, last_body
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.wrench import subtree_regressors
-from sysid_bench.simulation.force_torque import (
+from sysid_bench.simulation.plant import plant_of
+from sysid_bench.simulation.wrench_sensors import (
     Contact,
     contact_torque,
     random_wrench,
     sensor_wrench,
     wrench_noise,
 )
-from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Estimate, Problem, Row, Trajectory, Truth
 

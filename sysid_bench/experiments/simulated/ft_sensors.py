@@ -8,7 +8,8 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.experiments.seed import noise_seed, seed_of, sensor_seed
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.sensor import last_body
-from sysid_bench.simulation.force_torque import (
+from sysid_bench.simulation.plant import Plant
+from sysid_bench.simulation.wrench_sensors import (
     Contact,
     SensorError,
     contact_torque,
@@ -17,7 +18,6 @@ from sysid_bench.simulation.force_torque import (
     sensor_wrench,
     wrench_noise,
 )
-from sysid_bench.simulation.plant import Plant
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Oracle, Recording, Trajectory
 

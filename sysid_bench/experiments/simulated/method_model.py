@@ -11,9 +11,9 @@ from sysid_bench.experiments.simulated.ft_sensors import sampled_motion
 from sysid_bench.experiments.simulated.problem import term_torque
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.simulation.closed_loop import ClosedLoop
 from sysid_bench.simulation.kinematics_only import kinematics_only
 from sysid_bench.simulation.parametrised_plant import KnownModel, parametrised_plant
+from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Recording, Trajectory
 
@@ -52,7 +52,7 @@ class SimulateModel:
         theta = np.asarray(theta, dtype=float)
         _validate_theta(theta, self.model.parameters)
         plant = parametrised_plant(self.model, theta)
-        oracle = ClosedLoop(rate=controller.rate).track(
+        oracle = TrackingControl(rate=controller.rate).track(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
         # The loop runs at the rate of the controller; its signals are sampled like the measured.

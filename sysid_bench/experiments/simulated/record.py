@@ -28,10 +28,10 @@ from sysid_bench.experiments.simulated.problem import (
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.processing import processing_of
-from sysid_bench.simulation.force_torque import WRENCH_NOISE
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import Plant
-from sysid_bench.simulation.sensors import Noise, NoiseDraws, draw_noise, encoder_error, measure
+from sysid_bench.simulation.sensors import Noise, NoiseDraws, draw_noise, measure, position_error
+from sysid_bench.simulation.wrench_sensors import WRENCH_NOISE
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 
@@ -179,7 +179,7 @@ def record(
         robot,
         oracle,
         error,
-        torque_std * noise.correlated(draws.torque),
+        torque_std * noise.torque_noise(draws.torque),
         decimation,
         # Without a controller the robot moves exactly as commanded, which is the ground truth.
         commanded=None if controller is None else commanded,
@@ -195,7 +195,7 @@ def _run_with_encoders(
     simulated: SimulatedRobot, noise: Noise, draws: NoiseDraws
 ) -> tuple[Oracle, Controller | None, Array]:
     """Ground truth, controller, and encoder errors (N, n) of a run whose loop sees these errors."""
-    error = encoder_error(noise, draws)
+    error = position_error(noise, draws)
     oracle, controller = simulated.run(error)
     if noise.quantum == 0:
         return oracle, controller, error
@@ -205,9 +205,9 @@ def _run_with_encoders(
     # Rounding depends on the position: the first run gives positions, the second one runs with the
     # loop seeing their rounding errors. The recorded errors are those of its own positions, so that
     # readings lie on the grid of the encoder.
-    error = encoder_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
+    error = position_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
     oracle, controller = simulated.run(error)
-    error = encoder_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
+    error = position_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
     return oracle, controller, error
 
 

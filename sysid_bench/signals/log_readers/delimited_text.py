@@ -38,25 +38,33 @@ class DelimitedText:
             raise UsageError(f"{path} holds no line of numbers.")
         delimiter = _delimiter(rows[0][1])
         values, truncated = _numbers(path, rows, delimiter)
-        names: dict[str, tuple[int, ...]] = {}
-        if header is not None:
-            words = _cells(header, _delimiter(header) or delimiter)
-            if len(words) == values.shape[1]:
-                names = column_names(path, words)
+        words = _cells(header, _delimiter(header) or delimiter)
+        # A title or a list of settings above the numbers has another number of words.
+        names = column_names(path, words) if len(words) == values.shape[1] else {}
         return LogTable(path, values, names, truncated)
 
 
-def _split_header(lines: list[_Line]) -> tuple[str | None, list[_Line]]:
-    """Return the line before the numbers, and the lines of numbers without comments."""
-    header: str | None = None
+def _split_header(lines: list[_Line]) -> tuple[str, list[_Line]]:
+    """Return the line before the numbers, "" without one, and the lines of numbers without
+    comments."""
+    header = ""
     for index, (_, line) in enumerate(lines):
-        bare = line.strip()
-        mark = next((mark for mark in _COMMENTS if bare.startswith(mark)), None)
-        if mark is None and any(_is_number(cell) for cell in _cells(bare, _delimiter(bare))):
+        mark = _comment_mark(line)
+        if not mark and _holds_number(line):
             rows = [row for row in lines[index:] if not row[1].lstrip().startswith(_COMMENTS)]
             return header, rows
-        header = bare.removeprefix(mark or "").strip()
+        header = line.strip().removeprefix(mark).strip()
     return header, []
+
+
+def _comment_mark(line: str) -> str:
+    """Return the mark that makes a line a comment, "" for another line."""
+    return next((mark for mark in _COMMENTS if line.lstrip().startswith(mark)), "")
+
+
+def _holds_number(line: str) -> bool:
+    bare = line.strip()
+    return any(map(_is_number, _cells(bare, _delimiter(bare))))
 
 
 def _delimiter(line: str) -> str | None:
@@ -90,21 +98,34 @@ def _numbers(path: Path, rows: list[_Line], delimiter: str | None) -> tuple[Arra
 def _numbers_by_line(path: Path, rows: list[_Line], delimiter: str | None) -> tuple[Array, int]:
     width = len(_cells(rows[0][1], delimiter))
     values: list[list[float]] = []
-    for index, (number, line) in enumerate(rows):
+    for number, line in rows:
         cells = _cells(line, delimiter)
-        wrong = next((c for c, cell in enumerate(cells) if cell and not _is_number(cell)), None)
-        if wrong is None and len(cells) == width:
-            values.append([float(cell) if cell else np.nan for cell in cells])
-        elif index == len(rows) - 1:  # the logger was stopped while it wrote
+        error = _line_error(path, number, cells, width)
+        if error is None:
+            values.append([float(cell or "nan") for cell in cells])
+        elif number == rows[-1][0]:  # the logger was stopped while it wrote
             return np.array(values).reshape(-1, width), 1
-        elif wrong is not None:
-            raise UsageError(
-                f"{path}, line {number}, column {wrong + 1}: {cells[wrong]!r} is not a number; fix "
-                "the line, or start after it (rows = [first, last] counts lines of numbers)."
-            )
         else:
-            raise UsageError(
-                f"{path}, line {number} has {len(cells)} columns; the first line of numbers has "
-                f"{width}."
-            )
+            raise error
     return np.array(values), 0
+
+
+def _line_error(path: Path, number: int, cells: list[str], width: int) -> UsageError | None:
+    """Return what is wrong in a line, None for numbers and empty cells of the right count."""
+    wrong = _wrong_cell(cells)
+    if wrong is not None:
+        return UsageError(
+            f"{path}, line {number}, column {wrong + 1}: {cells[wrong]!r} is not a number; fix "
+            "the line, or start after it (rows = [first, last] counts lines of numbers)."
+        )
+    if len(cells) != width:
+        return UsageError(
+            f"{path}, line {number} has {len(cells)} columns; the first line of numbers has "
+            f"{width}."
+        )
+    return None
+
+
+def _wrong_cell(cells: list[str]) -> int | None:
+    """Return the index of the first cell that is neither a number nor empty."""
+    return next((c for c, cell in enumerate(cells) if cell and not _is_number(cell)), None)

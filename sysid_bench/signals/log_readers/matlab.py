@@ -21,28 +21,33 @@ class Matlab:
     def read(self, path: Path) -> LogTable:
         """Return the variables as columns; raises UsageError for a damaged file, or one in the
         HDF5 format of MATLAB 7.3."""
-        from scipy.io import loadmat  # 0.1 s, spent only where such a file is read
+        return table_of_arrays(path, dict(_variables(_load(path))))
 
-        try:
-            found = loadmat(path, squeeze_me=True, struct_as_record=False)
-        except NotImplementedError as error:
-            raise UsageError(
-                f"{path} is a MATLAB 7.3 file; save it with -v7 (save('log.mat', '-v7'))."
-            ) from error
-        except Exception as error:  # SciPy's parser raises many types on damaged files
-            raise UsageError(f"{path} is not a MATLAB file that can be read: {error}.") from error
-        variables = {name: value for name, value in found.items() if not name.startswith("__")}
-        return table_of_arrays(
-            path,
-            dict(part for name, value in variables.items() for part in _arrays(name, value)),
-        )
+
+def _load(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat  # 0.1 s, spent only where such a file is read
+
+    try:
+        found: dict[str, Any] = loadmat(path, squeeze_me=True, struct_as_record=False)
+    except NotImplementedError as error:
+        raise UsageError(
+            f"{path} is a MATLAB 7.3 file; save it with -v7 (save('log.mat', '-v7'))."
+        ) from error
+    except Exception as error:  # SciPy's parser raises many types on damaged files
+        raise UsageError(f"{path} is not a MATLAB file that can be read: {error}.") from error
+    return found
+
+
+def _variables(found: dict[str, Any]) -> Iterator[tuple[str, Array]]:
+    """Yield the numeric arrays of a file, without the entries that SciPy adds."""
+    for name, value in found.items():
+        if not name.startswith("__"):
+            yield from _arrays(name, value)
 
 
 def _arrays(name: str, value: Any) -> Iterator[tuple[str, Array]]:
     """Yield the numeric arrays of a variable, recursing into structs."""
-    fields = getattr(value, "_fieldnames", None)
-    if fields is not None:
-        for field in fields:
-            yield from _arrays(f"{name}.{field}", getattr(value, field))
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
         yield name, value
+    for field in getattr(value, "_fieldnames", ()):
+        yield from _arrays(f"{name}.{field}", getattr(value, field))

@@ -1,13 +1,15 @@
 """Parquet tables, as pandas and polars write them."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.signals.log_table import LogTable, column_names
+from sysid_bench.types import Array
 
 
 @dataclass(frozen=True)
@@ -26,17 +28,20 @@ class Parquet:
             table = pyarrow.parquet.read_table(path)
         except (pyarrow.ArrowException, ValueError) as error:
             raise UsageError(f"{path} is not a parquet file that can be read: {error}.") from error
-        parts, names = [], []
-        for name in table.column_names:
-            kind = table.schema.field(name).type
-            if pyarrow.types.is_timestamp(kind):
-                column = table.column(name).cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
-                parts.append(column.to_numpy().astype(float) * 1e-9)
-            elif pyarrow.types.is_floating(kind) or pyarrow.types.is_integer(kind):
-                parts.append(np.asarray(table.column(name).to_numpy(), dtype=float))
-            else:
-                continue
-            names.append(name.strip())
-        if not parts or len(parts[0]) == 0:
+        found = list(_numeric_columns(pyarrow, table))
+        if not found or len(found[0][1]) == 0:
             raise UsageError(f"{path} holds no column of numbers.")
+        names, parts = zip(*found, strict=True)
         return LogTable(path, np.stack(parts, axis=1), column_names(path, names))
+
+
+def _numeric_columns(arrow: Any, table: Any) -> Iterator[tuple[str, Array]]:
+    """Yield name and floats of each column of numbers, and of time stamps in s."""
+    for name in table.column_names:
+        column = table.column(name)
+        if arrow.types.is_timestamp(column.type):
+            # Through whole nanoseconds, since a file may hold ms, us or ns.
+            column = column.cast(arrow.timestamp("ns")).cast(arrow.int64())
+            yield name.strip(), column.to_numpy().astype(float) * 1e-9
+        elif arrow.types.is_floating(column.type) or arrow.types.is_integer(column.type):
+            yield name.strip(), np.asarray(column.to_numpy(), dtype=float)

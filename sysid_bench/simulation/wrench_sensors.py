@@ -52,6 +52,7 @@ def sensor_wrench(
         if touch is not None:
             mujoco.mj_kinematics(mj, data)
             data.xfrc_applied[touch.body + 1] = _at_com(data, touch.body + 1, touch.wrench[k])
+        # Acceleration is given, so that the sensors read what this motion takes.
         mujoco.mj_inverse(mj, data)
         out[k] = data.sensordata[addresses]
     return check_finite(plant.robot.name, out, "sensor wrench")
@@ -60,7 +61,7 @@ def sensor_wrench(
 def contact_torque(plant: Plant, touch: Contact, motion: Trajectory) -> Array:
     """Return the generalised force (N, nv) of an external wrench; the motors supply that much
     less."""
-    mj = plant.fixed_contact_free_model
+    mj = plant.contact_free_model
     data = mujoco.MjData(mj)
     out = np.zeros((len(motion), mj.nv))
     for k in np.flatnonzero(touch.wrench.any(axis=1)):
@@ -168,6 +169,7 @@ def sensor_error(noise: WrenchNoise, rng: np.random.Generator) -> SensorError:
     cross = noise.crosstalk * z_cross * (size[:, None] / size)
     np.fill_diagonal(cross, 1.0 + noise.gain * z_gain)
     R = matrix_of_quaternion(quaternion_of_vector(noise.mounting * z_axis / np.linalg.norm(z_axis)))
+    # One rotation turns moment and force alike.
     turn = np.kron(np.eye(2), R)
     offset = np.repeat([noise.moment_offset, noise.force_offset], 3) * z_offset
     slope = np.repeat([noise.moment_drift, noise.force_drift], 3) * z_slope

@@ -10,14 +10,14 @@ from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.closed_loop import ClosedLoop, commands
 from sysid_bench.simulation.kinematics_only import kinematics_only
 from sysid_bench.simulation.plant import plant_of
+from sysid_bench.simulation.tracking_control import TrackingControl, commands
 from sysid_bench.types import Array, Controller, Oracle
 from tests.experiments.experiment_world import MODELS, RICH, SMOOTH, motion_of, robot_of
 
 RATE = 500.0
-LOOP = ClosedLoop(rate=RATE)
+LOOP = TrackingControl(rate=RATE)
 FOURIER = {"use": "fourier", "period": "2 s", "cycles": 1}
 
 
@@ -36,7 +36,10 @@ def zero(t: Array, q: Array, v: Array) -> Array:
 
 
 def run(
-    robot: RobotModel, effects: tuple[Any, ...] = (), noise: float = 0.0, loop: ClosedLoop = LOOP
+    robot: RobotModel,
+    effects: tuple[Any, ...] = (),
+    noise: float = 0.0,
+    loop: TrackingControl = LOOP,
 ) -> tuple[Oracle, Controller]:
     motion = motion_of(robot, FOURIER, loop.rate)
     encoder = noise * np.random.default_rng(3).normal(size=motion.v.shape)
@@ -244,7 +247,7 @@ def test_a_bare_robot_keeps_its_kinematics_and_nothing_else(name: str) -> None:
 def test_a_held_torque_moves_the_positions_as_the_equation_of_motion_says(name: str) -> None:
     """Second differences of the positions are the accelerations that the torques make; an implicit
     step would move them as if kd times the step were inertia."""
-    robot, loop = robot_of(name), ClosedLoop(rate=2000.0)
+    robot, loop = robot_of(name), TrackingControl(rate=2000.0)
     oracle, controller = run(robot, loop=loop)
     assert controller.held
     q, a = oracle.motion.q, oracle.motion.a
@@ -254,14 +257,14 @@ def test_a_held_torque_moves_the_positions_as_the_equation_of_motion_says(name: 
 
 def test_a_loop_too_slow_for_its_damping_is_not_held() -> None:
     robot = robot_of("kinova")  # wrists without rotors, and much viscous friction
-    assert not ClosedLoop(rate=500.0).controller(plant_of(robot)).held
+    assert not TrackingControl(rate=500.0).controller(plant_of(robot)).held
     oracle, _ = run(robot)
     assert np.isfinite(oracle.motion.q).all()
 
 
 @pytest.mark.parametrize(("kp", "kd"), [(50.0, 5.0), ([50.0, 40.0, 30.0], [5.0, 4.0, 3.0])])
 def test_declared_gains_are_the_controller(kp: Any, kd: Any) -> None:
-    robot, loop = robot_of(RICH), ClosedLoop(rate=RATE, kp=kp, kd=kd)
+    robot, loop = robot_of(RICH), TrackingControl(rate=RATE, kp=kp, kd=kd)
     oracle, controller = run(robot, loop=loop)
     np.testing.assert_array_equal(controller.kp, np.broadcast_to(kp, 3))
     np.testing.assert_array_equal(controller.kd, np.broadcast_to(kd, 3))
@@ -279,4 +282,4 @@ def test_declared_gains_are_the_controller(kp: Any, kd: Any) -> None:
 )
 def test_gains_that_are_no_controller_are_refused(gains: dict[str, Any], told: str) -> None:
     with pytest.raises(UsageError, match=told):
-        ClosedLoop(rate=RATE, **gains).controller(plant_of(robot_of(RICH)))
+        TrackingControl(rate=RATE, **gains).controller(plant_of(robot_of(RICH)))

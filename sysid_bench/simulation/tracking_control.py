@@ -1,4 +1,7 @@
-"""Closed-loop simulation: forward dynamics under PD control from noisy encoders."""
+"""Tracking control: forward dynamics of the plant under PD feedback from noisy encoders.
+
+The loop is that of the feedback; closed kinematic chains are in `models/coupling`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,10 +13,14 @@ from mujoco.batch import Batch
 from scipy.signal import lfilter
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
-from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.simulation.compiled_steps import simulate_steps
-from sysid_bench.simulation.gravity import measured_gravity_rms
+from sysid_bench.simulation.motor_load import (
+    mass_matrix,
+    motor_inertia,
+    motor_load,
+    motor_values,
+)
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
@@ -43,7 +50,7 @@ constraints have a transient, during which torques are not those of the motion."
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
+class TrackingControl:
     """Closed-loop simulation with PD control of every joint at the control rate `rate` (Hz).
 
     The gains give each joint, with the diagonal of the mass matrix at the reference posture, the
@@ -67,9 +74,8 @@ class ClosedLoop:
         missing."""
         if (self.kp is None) != (self.kd is None):
             raise UsageError("Give both kp and kd of the controller, or neither.")
-        for name, gains in (("kp", self.kp), ("kd", self.kd)):
-            if gains is not None and not _positive(gains):
-                raise UsageError(f"{name} = {gains!r}: give a positive number, or a list of them.")
+        _check_gains("kp", self.kp)
+        _check_gains("kd", self.kd)
 
     def design_rate(self, recording: float) -> float:
         """Return the control rate (Hz); raises UsageError unless the recording rate divides it."""
@@ -107,7 +113,7 @@ class ClosedLoop:
         robot = plant.robot
         # MuJoCo replaces an input of NaN by zero, with only a warning.
         check_finite(robot.name, encoder, "encoder error")
-        mj = closed_loop_model(plant, controller)
+        mj = tracking_model(plant, controller)
         lead = 0 if robot.coupling is None else LEAD_IN
         whole = _with_lead_in(robot, commanded, lead)
         encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
@@ -131,7 +137,7 @@ class ClosedLoop:
         if plant.robot.coupling is not None:
             return False
         return (
-            _fastest_decay(plant.fixed_contact_free_model, kd + plant.terms.viscous)
+            _fastest_decay(plant.contact_free_model, kd + plant.terms.viscous)
             <= EXPLICIT_DECAY * self.rate
         )
 
@@ -142,10 +148,10 @@ class ClosedLoop:
 
     def _designed(self, plant: Plant) -> tuple[Array, Array]:
         """Gains (n,) from the bandwidth, the damping and the load."""
-        J, load = _own_inertia(plant), _typical_load(plant)
+        J, load = motor_inertia(plant), motor_load(plant)
         reach = np.minimum(_range(plant.robot), 2 * np.pi)
         kp = np.maximum((2 * np.pi * self.bandwidth) ** 2 * J, load / (self.droop * reach))
-        viscous = _on_motors(plant.robot, plant.terms.viscous, 2)
+        viscous = motor_values(plant.robot, plant.terms.viscous, 2)
         # Sampling limit: beyond half a radian per sample, of the natural frequency or of the lag
         # due to viscous friction, the sampled loop oscillates.
         kp = np.minimum(kp, np.maximum(J * (0.5 * self.rate) ** 2, viscous * 0.5 * self.rate))
@@ -153,11 +159,14 @@ class ClosedLoop:
         return kp, _one_digit(2 * self.damping * np.sqrt(kp * J))
 
 
-def _positive(gains: object) -> bool:
+def _check_gains(name: str, gains: object) -> None:
     values = gains if isinstance(gains, (list, tuple)) else [gains]
-    return bool(values) and all(
-        isinstance(x, (int, float)) and not isinstance(x, bool) and 0 < x < np.inf for x in values
-    )
+    if gains is not None and not (values and all(map(_is_positive, values))):
+        raise UsageError(f"{name} = {gains!r}: give a positive number, or a list of them.")
+
+
+def _is_positive(x: object) -> bool:
+    return isinstance(x, (int, float)) and not isinstance(x, bool) and 0 < x < np.inf
 
 
 def _per_motor(gains: float | Sequence[float], robot: RobotModel) -> Array:
@@ -178,15 +187,6 @@ def _one_digit(gains: Array) -> Array:
     return np.asarray(np.round(gains / size) * size)
 
 
-def _on_motors(robot: RobotModel, values: Array, power: int) -> Array:
-    """Values (nv,) of joints referred to the motors (n,) at the reference posture: by |G| for
-    forces (power 1), by its square for damping and inertia (power 2)."""
-    if robot.coupling is None:
-        return values
-    q = robot.coupling.reference(np.array(robot.mj.qpos0))
-    return np.asarray(values @ np.abs(robot.coupling.G(q[None])[0]) ** power)
-
-
 def _range(robot: RobotModel) -> Array:
     """Range of motion of each motor (n,), rad or m."""
     if robot.coupling is not None:
@@ -194,51 +194,13 @@ def _range(robot: RobotModel) -> Array:
     return np.asarray(robot.limits.q_high - robot.limits.q_low)
 
 
-def _own_inertia(plant: Plant) -> Array:
-    """Diagonal of the mass matrix (n,) at the reference posture, kg m^2 or kg."""
-    return np.diag(_mass_matrix(plant.fixed_contact_free_model, plant.robot.coupling)).copy()
-
-
-def _mass_matrix(mj: mujoco.MjModel, coupling: Coupling | None = None) -> Array:
-    """Mass matrix M (n, n) at the reference posture; G^T M G with a coupling."""
-    data = mujoco.MjData(mj)
-    if coupling is not None:
-        data.qpos[:] = coupling.reference(np.array(mj.qpos0))
-    mujoco.mj_forward(mj, data)
-    M = np.zeros((mj.nv, mj.nv))
-    mujoco.mj_fullM(mj, data, M)
-    if coupling is None:
-        return M
-    G = coupling.G(data.qpos[None])[0]
-    return np.asarray(G.T @ M @ G)
-
-
-def _typical_load(plant: Plant) -> Array:
-    """RMS gravity torque plus friction at half the velocity limit (n,), N m or N."""
-    robot, terms = plant.robot, plant.terms
-    load = measured_gravity_rms(robot, plant.fixed_contact_free_model)
-    moving = terms.viscous * 0.5 * robot.limits.v
-    for force in (moving, terms.coulomb, np.abs(terms.offset)):
-        load = load + _on_motors(robot, force, 1)
-    return load
-
-
-def closed_loop_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
+def tracking_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
     """Return the plant's model with one motor per independent joint, whose affine bias is the PD
     feedback: tau = kp (u - q) - kd v, limited to the joint's torque limit."""
     spec = plant.robot.spec.copy()
     motors = _motors(plant.robot)
     for joint, kp, kd in zip(motors, controller.kp, controller.kd, strict=True):
-        motor = spec.add_actuator(name=f"motor of {joint.name}", target=joint.name)
-        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        motor.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-        motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        motor.gainprm[:3] = [kp, 0.0, 0.0]
-        motor.biasprm[:3] = [0.0, -kp, -kd]
-        limit = plant.robot.limits.tau[joint.vadr]
-        if np.isfinite(limit):
-            motor.forcerange = [-limit, limit]
-            motor.forcelimited = True
+        _add_motor(spec, joint.name, kp, kd, plant.robot.limits.tau[joint.vadr])
     for joint in spec.joints:
         joint.solref_friction, joint.solimp_friction = STIFF_FRICTION
     for equality in spec.equalities:
@@ -254,10 +216,23 @@ def closed_loop_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
     return mj
 
 
+def _add_motor(spec: mujoco.MjSpec, joint: str, kp: float, kd: float, limit: float) -> None:
+    """Add a motor whose gain and affine bias are PD feedback, limited to +- `limit` if finite."""
+    motor = spec.add_actuator(name=f"motor of {joint}", target=joint)
+    motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    motor.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+    motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    motor.gainprm[:3] = [kp, 0.0, 0.0]
+    motor.biasprm[:3] = [0.0, -kp, -kd]
+    if np.isfinite(limit):
+        motor.forcerange = [-limit, limit]
+        motor.forcelimited = True
+
+
 def _fastest_decay(mj: mujoco.MjModel, damping: Array) -> float:
     """Largest eigenvalue (1/s) of M^-1 D for damping D (nv,) at the reference posture."""
     root = np.sqrt(damping)
-    return float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(_mass_matrix(mj)) * root)[-1])
+    return float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(mass_matrix(mj)) * root)[-1])
 
 
 def _enable_couplings(mj: mujoco.MjModel, plant: Plant, controller: Controller) -> None:
@@ -271,8 +246,8 @@ def _enable_couplings(mj: mujoco.MjModel, plant: Plant, controller: Controller) 
     mj.opt.disableflags |= int(bits.mjDSBL_EULERDAMP)
     mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_EULER)
     # Explicit damping is stable up to D dt / M = 2, and free of oscillation well below.
-    damping = _on_motors(plant.robot, plant.terms.viscous, 2) + controller.kd
-    fastest = float((damping / _own_inertia(plant)).max()) / controller.rate
+    damping = motor_values(plant.robot, plant.terms.viscous, 2) + controller.kd
+    fastest = float((damping / motor_inertia(plant)).max()) / controller.rate
     mj.opt.timestep /= max(1, min(MOST_STEPS, int(np.ceil(fastest / EXPLICIT_DAMPING))))
 
 

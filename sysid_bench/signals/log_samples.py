@@ -1,0 +1,159 @@
+"""Samples of a recording: read from its files, on the joint side and in SI, and resampled."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals.log_checks import held_rows
+from sysid_bench.signals.log_description import NO_JOINT, LogDescription, Signal
+from sysid_bench.signals.log_reader import read_table
+from sysid_bench.signals.log_table import table_of_rows
+from sysid_bench.signals.log_units import scales
+from sysid_bench.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Uniform `times` (M,) at `rate` (Hz), and times t (n,) of the `valid` samples (n,), all in the
+    log's own time (s)."""
+
+    times: Array
+    t: Array
+    valid: Array
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """q, v, tau (N, k) of the recorded coordinates in SI; `truncated`: lines that broke off."""
+
+    q: Array
+    v: Array | None
+    tau: Array
+    truncated: int = 0
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @property
+    def signals(self) -> dict[str, Array]:
+        """Recorded signals by name."""
+        parts = {"q": self.q, "tau": self.tau}
+        return parts if self.v is None else {**parts, "v": self.v}
+
+    def apply(self, change: Callable[[Array], Array]) -> "Samples":
+        """Return the samples with each signal changed alike."""
+        v = None if self.v is None else change(self.v)
+        return replace(self, q=change(self.q), v=v, tau=change(self.tau))
+
+    def select(self, rows: slice) -> "Samples":
+        """Return some of the samples."""
+        return self.apply(lambda x: x[rows])
+
+    def columns(self, columns: Sequence[int]) -> "Samples":
+        """Return some of the coordinates."""
+        return self.apply(lambda x: x[:, columns])
+
+    def at(self, grid: Grid) -> "Samples":
+        """Return the signals at the times of a grid, by linear interpolation."""
+        return self.apply(lambda x: _interpolated(grid, x[grid.valid]))
+
+
+def _interpolated(grid: Grid, x: Array) -> Array:
+    """Return x (n, k) of the valid samples at the times of the grid, linear between samples.
+
+    Held rows are left out: a drive that repeats its last value has not measured one.
+    """
+    t = grid.t
+    kept = ~held_rows(x, 1.0 / np.median(np.diff(t)))[0]
+    return np.stack([np.interp(grid.times, t[kept], column[kept]) for column in x.T], axis=1)
+
+
+def read_samples(log: LogDescription, robot: RobotModel) -> Samples:
+    """Return the chosen samples of all recorded coordinates, joint side, in SI.
+
+    Raises UsageError for files, columns, units or joints that do not exist.
+    """
+    motor_side = _cut_to_shortest(log, _read_signals(log, _kinds(log, robot)))
+    # Offsets are those of the joint, so they come after the transmission.
+    samples = _with_offsets(log, _joint_side(log.transmission, motor_side))
+    return samples.select(_selected_rows(log, len(samples)))
+
+
+def _joint_side(G: Array | None, motor: Samples) -> Samples:
+    """Return the signals behind a transmission q = G q_motor; without one they are those given."""
+    if G is None:
+        return motor
+    # Samples are rows, so that q = G q_motor becomes a product with G' from the right.
+    joint = motor.apply(lambda x: x @ G.T)
+    # tau_motor = G' tau, from equal power on both sides.
+    return replace(joint, tau=np.linalg.solve(G.T, motor.tau.T).T)
+
+
+def _with_offsets(log: LogDescription, samples: Samples) -> Samples:
+    offset = {
+        name: log.joint_values(f"{name}.offset", part.offset) for name, part in log.signals.items()
+    }
+    return replace(samples, **{name: x + offset[name] for name, x in samples.signals.items()})
+
+
+def _read_signals(log: LogDescription, kinds: Sequence[str]) -> Samples:
+    """Return q, v, tau as scaled by the description, each of the length of its own file."""
+    q, in_q = _columns(log, "q", log.q, kinds)
+    tau, in_tau = _columns(log, "tau", log.tau, kinds)
+    v, in_v = (None, 0) if log.v is None else _columns(log, "v", log.v, kinds)
+    return Samples(q, v, tau, max(in_q, in_tau, in_v))
+
+
+def _cut_to_shortest(log: LogDescription, samples: Samples) -> Samples:
+    """Return the samples that all signals have; separate files may differ by the broken line."""
+    lengths = {name: len(x) for name, x in samples.signals.items()}
+    shortest = min(lengths.values())
+    if max(lengths.values()) > shortest + 1:
+        listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
+        raise UsageError(f"{log.source}: the signals differ in length: {listed} samples.")
+    return samples.select(slice(shortest))
+
+
+def _columns(
+    log: LogDescription, name: str, part: Signal, kinds: Sequence[str]
+) -> tuple[Array, int]:
+    table = read_table(log.file_of(part), log.reader_of(part))
+    if part.per_row is not None:
+        table = table_of_rows(table, part.per_row)
+    values = table.columns(part.columns)
+    if values.shape[1] != len(log.joints):
+        raise UsageError(
+            f"{log.source}: {name} has {values.shape[1]} columns for {len(log.joints)} joints; "
+            f"write one column for each of {', '.join(log.joints)}."
+        )
+    return values * scales(log, name, part, kinds), table.truncated
+
+
+def _selected_rows(log: LogDescription, samples: int) -> slice:
+    if log.rows is None:
+        return slice(0, samples)
+    first, last = log.rows
+    if last > samples:
+        raise UsageError(
+            f"{log.source}: rows = [{first}, {last}], but there are {samples} samples."
+        )
+    return slice(first - 1, last)
+
+
+def scalar_kinds(robot: RobotModel) -> dict[str, str]:
+    """Return hinge or slide of each joint of the robot that is one of them, by name."""
+    return {j.dofs[0]: j.kind for j in robot.joints if j.kind in ("hinge", "slide")}
+
+
+def _kinds(log: LogDescription, robot: RobotModel) -> list[str]:
+    """Return hinge or slide of each coordinate of the log, "" where it is not a joint."""
+    known = scalar_kinds(robot)
+    for joint in log.joints:
+        if joint not in (NO_JOINT, *known):
+            advice = f"Write {NO_JOINT!r} for a coordinate that is not a joint of the model."
+            raise UsageError(f"{log.source}: {unknown_name('joint', joint, known, advice)}")
+    return [known.get(joint, "") for joint in log.joints]

@@ -1,0 +1,50 @@
+"""Inertia, load and range of motion as the motors see them, which controller gains are made for."""
+
+import mujoco
+import numpy as np
+
+from sysid_bench.models.coupling.coupling import Coupling
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.simulation.gravity import measured_gravity_rms
+from sysid_bench.simulation.plant import Plant
+from sysid_bench.types import Array
+
+
+def motor_values(robot: RobotModel, values: Array, power: int) -> Array:
+    """Return values (nv,) of joints referred to the motors (n,) at the reference posture.
+
+    By |G| for forces (power 1), by its square for damping and inertia (power 2).
+    """
+    if robot.coupling is None:
+        return values
+    q = robot.coupling.reference(np.array(robot.mj.qpos0))
+    return np.asarray(values @ np.abs(robot.coupling.G(q[None])[0]) ** power)
+
+
+def motor_inertia(plant: Plant) -> Array:
+    """Return the diagonal of the mass matrix (n,) at the reference posture, kg m^2 or kg."""
+    return np.diag(mass_matrix(plant.contact_free_model, plant.robot.coupling)).copy()
+
+
+def mass_matrix(mj: mujoco.MjModel, coupling: Coupling | None = None) -> Array:
+    """Return the mass matrix M (n, n) at the reference posture; G^T M G with a coupling."""
+    data = mujoco.MjData(mj)
+    if coupling is not None:
+        data.qpos[:] = coupling.reference(np.array(mj.qpos0))
+    mujoco.mj_forward(mj, data)
+    M = np.zeros((mj.nv, mj.nv))
+    mujoco.mj_fullM(mj, data, M)
+    if coupling is None:
+        return M
+    G = coupling.G(data.qpos[None])[0]
+    return np.asarray(G.T @ M @ G)
+
+
+def motor_load(plant: Plant) -> Array:
+    """Return the RMS gravity torque plus friction at half the velocity limit (n,), N m or N."""
+    robot, terms = plant.robot, plant.terms
+    load = measured_gravity_rms(robot, plant.contact_free_model)
+    moving = terms.viscous * 0.5 * robot.limits.v
+    for force in (moving, terms.coulomb, np.abs(terms.offset)):
+        load = load + motor_values(robot, force, 1)
+    return load
