@@ -1,8 +1,8 @@
 """Data types that packages exchange: arrays and labels only.
 
 Letters: N samples, nq positions, nv velocities (degrees of freedom), p unknowns, r base parameters.
-Units are SI; a degree of freedom is an angle (rad, N m) or a length (m, N). Methods use
-`Recording`, `Prior`, `Problem`, `Experiment`; `Oracle` and `Truth` are for scoring
+Units are SI; a degree of freedom is an angle (rad, N m) or a length (m, N). A method has access to
+`Recording`, `Prior`, `Problem` and `Experiment`; `Oracle` and `Truth` are for scoring alone
 (`tests/test_layers.py`).
 """
 
@@ -295,7 +295,6 @@ class SimulatingEstimator(Protocol):
 @dataclass(frozen=True)
 class Score:
     """Figures of one estimate; None where a figure does not apply. metrics.py has their records.
-
     Torque errors are held-out and against the exact torque (the Oracle), except `rmse_train`."""
 
     rmse_train: float | None = None
