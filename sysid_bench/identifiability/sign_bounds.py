@@ -28,24 +28,27 @@ def lower_bound(terms: Mapping[str, float], bodies: Sequence[Body]) -> float:
     """Return a lower bound of a linear combination {parameter: coefficient} over feasible robots: 0
     if it cannot be negative, else -inf."""
     rest = dict(terms)
-    for body in bodies:
-        Q = np.array([rest.pop(column, 0.0) for column in body.columns])
-        if Q.any() and np.linalg.eigvalsh(_dual(Q))[0] < -1e-9 * np.abs(Q).max():
-            return -np.inf
+    inertial = [np.array([rest.pop(c, 0.0) for c in body.columns]) for body in bodies]
     nonnegative = all(_signed(name) and value >= 0 for name, value in rest.items())
-    return 0.0 if nonnegative else -np.inf
+    return 0.0 if nonnegative and all(map(_semidefinite, inertial)) else -np.inf
+
+
+def _semidefinite(coefficients: Array) -> bool:
+    """True if coefficients . phi (10,) cannot be negative for a feasible body, up to rounding."""
+    # The cone of semidefinite matrices is self-dual: tr(Q J) >= 0 for all J >= 0 iff Q >= 0.
+    smallest = np.linalg.eigvalsh(_dual(coefficients))[0]
+    return bool(smallest >= -1e-9 * np.abs(coefficients).max())
 
 
 def infeasible_signs(
     terms: Mapping[str, float], value: float, bodies: Sequence[Body]
 ) -> str | None:
     """Return the reason if the value of a linear combination is infeasible by itself, else None."""
-    if value < 0 and lower_bound(terms, bodies) == 0.0:
-        return "cannot be negative"
-    opposite = {name: -coefficient for name, coefficient in terms.items()}
-    if value > 0 and lower_bound(opposite, bodies) == 0.0:
-        return "cannot be positive"
-    return None
+    if not abs(value) > 0:
+        return None
+    sign, text = (1.0, "negative") if value < 0 else (-1.0, "positive")
+    turned = {name: sign * coefficient for name, coefficient in terms.items()}
+    return f"cannot be {text}" if lower_bound(turned, bodies) == 0.0 else None
 
 
 def smallest_feasible_change(
@@ -56,33 +59,18 @@ def smallest_feasible_change(
     The semidefinite program minimises t over theta with J_b >= 0, joint terms >= 0 and masses up to
     MASS_BOUND. Zero: the values are feasible together. Raises EstimationError if the solver fails.
     """
-    r, p = K.shape
+    p = K.shape[1]
     index = {name: i for i, name in enumerate(parameters)}
-    q = np.zeros(p + 1)
-    q[p] = 1.0
-    one = np.ones((r, 1))
-    above = np.hstack([K, -one])
-    below = np.hstack([-K, -one])
-    blocks, right, cones = [np.vstack([above, below])], [np.append(values, -values)], []
-    signed = [i for name, i in index.items() if _not_negative(name, bodies)]
-    masses = [index[body.columns[0]] for body in bodies if body.columns[0] in index]
-    rows = np.zeros((len(signed) + len(masses), p + 1))
-    rows[np.arange(len(signed)), signed] = -1.0
-    rows[len(signed) + np.arange(len(masses)), masses] = 1.0
-    blocks.append(rows)
-    right.append(np.append(np.zeros(len(signed)), np.full(len(masses), MASS_BOUND)))
-    cones.append(clarabel.NonnegativeConeT(2 * r + len(rows)))
-    for body in bodies:
-        blocks.append(-_semidefinite_rows(body, index, p + 1))
-        right.append(np.zeros(10))
-        cones.append(clarabel.PSDTriangleConeT(4))
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    solver = clarabel.DefaultSolver(
-        sparse.csc_matrix((p + 1, p + 1)), q, sparse.csc_matrix(np.vstack(blocks)),
-        np.concatenate(right), cones, settings,
-    )  # fmt: skip
-    solution = solver.solve()
+    flat, h = _linear_rows(K, values, _bound_rows(index, bodies))
+    blocks = [flat, *(-_semidefinite_rows(body, index, p + 1) for body in bodies)]
+    solution = clarabel.DefaultSolver(
+        sparse.csc_matrix((p + 1, p + 1)),
+        np.append(np.zeros(p), 1.0),
+        sparse.csc_matrix(np.vstack(blocks)),
+        np.append(h, np.zeros(10 * len(bodies))),
+        [clarabel.NonnegativeConeT(len(h)), *[clarabel.PSDTriangleConeT(4)] * len(bodies)],
+        _silent(),
+    ).solve()
     if str(solution.status) not in ("Solved", "AlmostSolved"):
         raise EstimationError(
             f"The feasibility of the values was not decided; solver status: {solution.status}."
@@ -90,9 +78,29 @@ def smallest_feasible_change(
     return max(float(solution.x[p]), 0.0)
 
 
-def _not_negative(name: str, bodies: Sequence[Body]) -> bool:
+def _silent() -> clarabel.DefaultSettings:
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    return settings
+
+
+def _linear_rows(K: Array, values: Array, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+    """G (m, p + 1) and h (m,) of G [theta; t] <= h: |K theta - values| <= t, then `bounds`."""
+    one = np.ones((len(K), 1))
+    A, b = bounds
+    bounded = np.hstack([A, np.zeros((len(A), 1))])
+    G = np.vstack([np.hstack([K, -one]), np.hstack([-K, -one]), bounded])
+    return G, np.concatenate([values, -values, b])
+
+
+def _bound_rows(index: Mapping[str, int], bodies: Sequence[Body]) -> tuple[Array, Array]:
+    """A (m, p) and b (m,) of A theta <= b: joint terms are not negative, masses are bounded."""
     inertial = {column for body in bodies for column in body.columns}
-    return name not in inertial and _signed(name)
+    signed = [i for name, i in index.items() if name not in inertial and _signed(name)]
+    masses = [index[body.columns[0]] for body in bodies if body.columns[0] in index]
+    unit = np.eye(len(index))
+    A = np.vstack([-unit[signed], unit[masses]])
+    return A, np.append(np.zeros(len(signed)), np.full(len(masses), MASS_BOUND))
 
 
 def _signed(name: str) -> bool:
@@ -116,12 +124,15 @@ def _dual(coefficients: Array) -> Array:
 def _semidefinite_rows(body: Body, index: Mapping[str, int], width: int) -> Array:
     """Rows (10, width) that map the unknowns to J in Clarabel's triangle format: the upper triangle
     by columns, off-diagonals times sqrt(2). Parameters that are not unknowns are zero."""
-    basis = pseudo_inertia(np.eye(10))
+    # Off-diagonals count twice in tr(Q J) and once in the triangle: hence sqrt(2) on each side.
+    factor = np.where(_TRIANGLE[0] == _TRIANGLE[1], 1.0, np.sqrt(2.0))
+    triangles = pseudo_inertia(np.eye(10))[:, _TRIANGLE[0], _TRIANGLE[1]] * factor
     rows = np.zeros((10, width))
-    for k, column in enumerate(body.columns):
+    for column, triangle in zip(body.columns, triangles, strict=True):
         if column in index:
-            J = basis[k]
-            rows[:, index[column]] = [
-                J[i, j] * (1.0 if i == j else np.sqrt(2.0)) for j in range(4) for i in range(j + 1)
-            ]
+            rows[:, index[column]] = triangle
     return rows
+
+
+_TRIANGLE: Final = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
+"""Row and column indices (2, 10) of the upper triangle of a matrix (4, 4), column by column."""

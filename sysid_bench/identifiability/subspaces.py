@@ -153,14 +153,6 @@ def subspace_residual(basis: Array, other: Array) -> float:
     return float(np.linalg.norm(rest, 2))
 
 
-def subspace_gap(left: Array, right: Array) -> float:
-    """Return the sine of the largest principal angle between two subspaces with orthonormal bases
-    (p, r); 1 if their dimensions differ."""
-    if left.shape != right.shape:
-        return 1.0
-    return max(subspace_residual(left, right), subspace_residual(right, left))
-
-
 @dataclass(frozen=True, eq=False)
 class Excitation:
     """Excitation of a sub-tree by one data set: `rank` of `structural` base parameters.

@@ -11,7 +11,6 @@ from sysid_bench.identifiability.subspaces import (
     excitation_of,
     row_space,
     structural_subspaces,
-    subspace_gap,
     subspace_residual,
 )
 from sysid_bench.models.random.random_tree import random_robot
@@ -37,7 +36,9 @@ CUTS = {
 def assert_lemma_and_proposition(found: Subspaces) -> None:
     """Lemma 1: I_Yn is the same for every base. Proposition 1: I_Yc is a subspace of I_Yn."""
     for wrench in found.wrenches.values():
-        assert subspace_gap(found.wrench, wrench) < ANGLE
+        assert found.wrench.shape == wrench.shape
+        assert subspace_residual(found.wrench, wrench) < ANGLE
+        assert subspace_residual(wrench, found.wrench) < ANGLE
     for torque in found.torques.values():
         assert subspace_residual(found.wrench, torque) < ANGLE
 
@@ -141,9 +142,9 @@ def test_apart_and_outside_are_sines() -> None:
     x, y, z = np.eye(3)[:, :, None]
     tilted = np.cos(0.1) * x + np.sin(0.1) * y
     assert subspace_residual(x, tilted) == pytest.approx(np.sin(0.1))
-    assert subspace_gap(x, tilted) == pytest.approx(np.sin(0.1))
-    assert subspace_gap(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
-    assert subspace_gap(x, np.hstack([x, y])) == 1.0
+    assert subspace_residual(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
+    assert subspace_residual(x, np.hstack([x, y])) == pytest.approx(1.0)
+    assert subspace_residual(np.hstack([x, y]), x) == pytest.approx(0.0, abs=1e-15)
     assert subspace_residual(np.hstack([x, y]), tilted) == pytest.approx(0.0, abs=1e-15)
 
 

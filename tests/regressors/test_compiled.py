@@ -218,7 +218,9 @@ def test_many_motions_are_folded_as_one(cuts: list[int], kernel_name: str) -> No
 def test_no_motion_at_all_has_factors_without_rows(kernel_name: str) -> None:
     robot = named_robot("ur5")
     ours = regression(robot, robot.inertial_columns)
-    for factor in accumulate_motions(ours, []):
+    factors = accumulate_motions(ours, [])
+    assert tuple(factor.row for factor in factors) == ours.rows
+    for factor in factors:
         assert factor.samples == 0
         assert factor.R.shape == (0, len(factor.columns) + 1)
 
