@@ -9,8 +9,8 @@ from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.models.tree import Tree
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors.nested_sensors import measured_regression
-from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.types import Array, BaseMap, Trajectory
 
 NARROWEST = 1.0

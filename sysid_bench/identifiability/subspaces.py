@@ -18,7 +18,7 @@ from sysid_bench.identifiability.structural import NARROWEST
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import FloatingSubtree, SensorCut, floating_subtree
-from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors.wrench import SubtreeRegressors, floating_subtree_regressors
 from sysid_bench.types import Array, Trajectory
 

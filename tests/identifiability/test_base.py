@@ -9,7 +9,7 @@ from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors.regression import regression
 from sysid_bench.types import Array, BaseMap
 from tests.robots import named_robot, random_robot, relative_gap, states

@@ -5,8 +5,9 @@ import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.contact_detection import free_samples
-from sysid_bench.identification.linear.online_estimation import RecursiveEstimator, batch_estimate
+from sysid_bench.identification.linear.online_estimation import RecursiveEstimator
 from sysid_bench.identification.sensor_calibration import calibrate
+from tests.identification.batch_solution import batch_estimate
 
 SIZE = np.repeat([1.0, 10.0], 3)
 

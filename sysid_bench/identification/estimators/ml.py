@@ -103,22 +103,22 @@ class _Data:
         W = regressor_of(experiment, motion)[inner]
         model = W @ beta + experiment.known(motion)[inner]
         tau = rows_of(experiment, experiment.raw.tau)
-        exact = experiment.raw.v is not None
-        A = None
-        for which, D in enumerate((None, *self.rates)):
-            if exact and D is not None:
-                break
-            blocks = [self._slope(beta, motion, which, j)[inner] for j in range(q.shape[1])]
-            count, n = len(q) - 2, q.shape[1]
-            B = bsr_array((np.stack(blocks, axis=-1), np.arange(count), np.arange(count + 1)))
-            pick = eye_array(len(q), format="csr")[inner] if D is None else D[inner]
-            part = csr_array(B @ kron(pick, eye_array(n), format="csr"))
-            A = part if A is None else A + part
-        assert A is not None
+        exact = experiment.raw.v is not None  # then v and a do not follow from q
+        A = self._torque_slope(beta, motion, 0, eye_array(len(q), format="csr")[inner])
+        for which, D in enumerate(() if exact else self.rates, 1):
+            A = A + self._torque_slope(beta, motion, which, D[inner])
         at_least = NOISE_FLOOR[0] * np.sqrt((self.q**2).mean(axis=0)).max()
         noise = np.maximum(white_noise(self.q), at_least)
         error, away = (tau[inner] - model).ravel(), (self.q - q).ravel()
         return _Line(W, error, A, away, noise, q=q, tau=tau)
+
+    def _torque_slope(self, beta: Array, motion: Trajectory, which: int, D: csr_array) -> csr_array:
+        """Share (M rows, N n) of d tau / d q through q, v or a (`which` 0, 1, 2), which is D q."""
+        count, n = D.shape[0], motion.q.shape[1]
+        blocks = [self._slope(beta, motion, which, j)[1:-1] for j in range(n)]
+        # Block-diagonal: a sample's torque depends on the same sample of q, v and a.
+        B = bsr_array((np.stack(blocks, axis=-1), np.arange(count), np.arange(count + 1)))
+        return csr_array(B @ kron(D, eye_array(n), format="csr"))
 
     def _slope(self, beta: Array, motion: Trajectory, which: int, j: int) -> Array:
         """Derivative (N, rows) of the torque by q, v or a (`which` 0, 1, 2) of joint j."""

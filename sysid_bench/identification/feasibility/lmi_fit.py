@@ -1,6 +1,7 @@
 """Feasible fits under linear matrix inequalities (LMIs): a quadratic objective on the R factor
 over the feasible set, solved by Clarabel."""
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -80,11 +81,7 @@ def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Lim
     """Constraints of a robot, cached."""
     feasible = feasible_set(parameters, bodies)
     p, nb = len(parameters), len(bodies)
-    rows: list[
-        tuple[Array, Array, float]
-    ] = []  # indices, coefficients, bound: coefficients x <= bound
-    for i in feasible.nonnegative:
-        rows.append((np.array([i]), np.array([-1.0]), 0.0))
+    rows: list[_Bound] = [(np.array([i]), np.array([-1.0]), 0.0) for i in feasible.nonnegative]
     for at in feasible.indices:
         rows += _body_rows(at, limits)
     G = sparse.lil_matrix((len(rows), p))
@@ -102,23 +99,31 @@ def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Lim
     return _Cones(stacked, np.append(h, least), len(rows), nb)
 
 
-def _body_rows(at: Array, limits: Limits) -> list[tuple[Array, Array, float]]:
+_Bound = tuple[Array, Array, float]
+"""Indices (k,) in x, coefficients (k,) and bound of an inequality: coefficients . x <= bound."""
+
+
+def _body_rows(at: Array, limits: Limits) -> list[_Bound]:
+    """Bounds of a body with the parameters x[at]; with an LMI, J > 0 implies those of moments."""
     least, most = limits.mass
-    rows = []
-    if limits.margin is None:
-        moments = at[[4, 7, 9]]
-        rows += [(moments[[k]], np.array([-1.0]), 0.0) for k in range(3)]
-        rows += [(moments, np.roll([1.0, -1.0, -1.0], k), 0.0) for k in range(3)]
+    rows = _moment_rows(at[[4, 7, 9]]) if limits.margin is None else []
     if limits.margin is None or least > 0:
         rows.append((at[[0]], np.array([-1.0]), -least))
     if most < np.inf:
         rows.append((at[[0]], np.array([1.0]), most))
-    if limits.com < np.inf:
-        reach = limits.com / LENGTH
-        rows += [
-            (at[[0, k]], np.array([-reach, sign]), 0.0) for k in (1, 2, 3) for sign in (1.0, -1.0)
-        ]
-    return rows
+    return rows + (_com_rows(at, limits.com / LENGTH) if limits.com < np.inf else [])
+
+
+def _moment_rows(moments: Array) -> list[_Bound]:
+    """Non-negative Ixx, Iyy, Izz, and the triangle inequality Ixx <= Iyy + Izz of each."""
+    rows: list[_Bound] = [(moments[[k]], np.array([-1.0]), 0.0) for k in range(3)]
+    return rows + [(moments, np.roll([1.0, -1.0, -1.0], k), 0.0) for k in range(3)]
+
+
+def _com_rows(at: Array, reach: float) -> list[_Bound]:
+    """|h_k| <= reach m: linear in x, where a bound on the centre of mass h / m is not."""
+    signs = itertools.product((1, 2, 3), (1.0, -1.0))
+    return [(at[[0, k]], np.array([-reach, sign]), 0.0) for k, sign in signs]
 
 
 def _triangle(margin: float) -> Array:

@@ -4,7 +4,7 @@ Each row has its own scale, the median absolute residual over 0.6745 (MAD): the 
 for Gaussian noise, insensitive to outliers (Holland and Welsch 1977).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,7 +19,7 @@ from sysid_bench.identification.linear.residuals import (
     step,
 )
 from sysid_bench.identification.linear.weights import with_floor
-from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.types import Array, Estimate, Problem, RowBlock
 
 MAD_OF_GAUSSIAN: Final = 0.6745
 """Median of |x| of the standard normal distribution."""
@@ -58,11 +58,7 @@ def m_estimate(
             scales = row_scales(problem, residual)
         R = stacked_factor(problem, (1.0 / scales).tolist())[:-1, :-1]
         roots = np.sqrt(loss.weight(residual / scales)) / scales
-        weighted = (
-            (Y * root[..., None], rest * root)
-            for Y, rest, root in sample_blocks(problem, residual, roots)
-        )
-        change, _ = step(R, weighted)
+        change, _ = step(R, _scaled_blocks(problem, residual, roots))
         beta = beta + change
         if iteration > hold_after and has_converged(R, change, beta):
             return Fit(beta, scales, iteration)
@@ -70,6 +66,12 @@ def m_estimate(
         f"The method did not converge in {iterations} iterations; allow more, or check whether "
         "most samples are outliers."
     )
+
+
+def _scaled_blocks(problem: Problem, residual: Array, roots: Array) -> Iterator[RowBlock]:
+    """Blocks of the regressor and the residuals, samples and rows times `roots` (N, rows)."""
+    for Y, rest, root in sample_blocks(problem, residual, roots):
+        yield Y * root[..., None], rest * root
 
 
 def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:

@@ -73,9 +73,7 @@ class GaussNewton:
         steps = halvings = 0
         for _ in range(self.iterations):
             sigma = sigmas(trial.error, model.floor)
-            jacobian = (
-                model.jacobian(trial) if correction is None else model.jacobian(trial) + correction
-            )
+            jacobian = _plus(model.jacobian(trial), correction)
             R = residual_factor(jacobian / sigma[:, None], trial.error / sigma)
             goal, inside = _goal(simulatable, trial, R)
             change = simulatable.problem.base.K @ (goal - trial.theta)
@@ -86,8 +84,7 @@ class GaussNewton:
             halvings += times
             if better is not None:
                 if model.approximates:
-                    more = _broyden_update(jacobian, R, trial, better)
-                    correction = more if correction is None else correction + more
+                    correction = _plus(_broyden_update(jacobian, R, trial, better), correction)
                 trial, steps = better, steps + 1
             elif correction is not None:  # restart from the analytical Jacobian
                 correction = None
@@ -110,6 +107,10 @@ class GaussNewton:
             covariance=covariance(R),
             stats={"steps": float(steps), "halvings": float(halvings)},
         )
+
+
+def _plus(value: Array, correction: Array | None) -> Array:
+    return value if correction is None else value + correction
 
 
 def _broyden_update(jacobian: Array, R: Array, trial: Candidate, after: Candidate) -> Array:
