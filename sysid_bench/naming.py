@@ -87,10 +87,10 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "parquet": "sysid_bench.signals.log_readers.parquet:Parquet",
         },
         "term": {
-            "play": "sysid_bench.regressors.friction_features:Play",
-            "playq": "sysid_bench.regressors.friction_features:PositionPlay",
-            "poly": "sysid_bench.regressors.friction_features:Polynomial",
-            "tanh": "sysid_bench.regressors.friction_features:SmoothCoulomb",
+            "play": "sysid_bench.regressors.joint_features:Play",
+            "playq": "sysid_bench.regressors.joint_features:PositionPlay",
+            "poly": "sysid_bench.regressors.joint_features:Polynomial",
+            "tanh": "sysid_bench.regressors.joint_features:SmoothCoulomb",
         },
         "metric": {},  # sysid_bench/metrics.py has the built-in ones
         "plant": {

@@ -20,7 +20,7 @@ _DIMENSIONS: tuple[dict[str, float], ...] = (
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S.*?)?\s*")
 
 
-def split_quantity(text: str) -> tuple[float, str]:
+def parse_quantity(text: str) -> tuple[float, str]:
     """Return a text as (number, unit as written). Raises UsageError unless finite."""
     match = _QUANTITY.fullmatch(text)
     if match is None or not math.isfinite(float(match[1])):
@@ -41,7 +41,7 @@ def quantity(value: object, unit: str) -> float:
     if not isinstance(value, str):
         first = unit.split("|")[0]
         return _finite(value, _dimension(first)[first], value)
-    number, written = split_quantity(value)
+    number, written = parse_quantity(value)
     return _finite(number, _factor(value, written, unit.split("|")), value)
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.units import quantity, split_quantity
+from sysid_bench.units import parse_quantity, quantity
 
 # What one of each unit is in SI, written out again: a wrong factor in the package shows here.
 DIMENSIONS: list[dict[str, float]] = [
@@ -54,7 +54,7 @@ def test_blanks_do_not_matter(x: float, unit: str, before: str, between: str, af
     if unit == "1":
         between += " "  # "5" and "1" would read as 51
     text = f"{before}{x!r}{between}{unit}{after}"
-    assert split_quantity(text) == (x, unit)
+    assert parse_quantity(text) == (x, unit)
 
 
 @given(x=NUMBERS, pair=st.sampled_from(STRANGERS))

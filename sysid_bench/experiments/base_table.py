@@ -11,9 +11,9 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.base_map import base_map
-from sysid_bench.identifiability.sign_bounds import infeasible_signs, smallest_feasible_change
+from sysid_bench.identifiability.feasible_bounds import check_bound, distance_to_feasible
 from sysid_bench.identifiability.structural import structural_factor
-from sysid_bench.identifiability.symbolic_coefficient import lengths_of, symbolic_coefficient
+from sysid_bench.identifiability.symbolic_coefficient import random_values, symbolic_coefficient
 from sysid_bench.identifiability.verdicts import coefficients
 from sysid_bench.models.dh.dh_robot import mjcf_of
 from sysid_bench.models.dh.dh_table import read_table
@@ -49,10 +49,10 @@ def base_table(
     for row, value in zip(rows, given.tolist(), strict=True):
         known = bool(np.isfinite(value))
         row["value"] = value if known else None
-        row["impossible"] = infeasible_signs(row["terms"], value, bodies) if known else None
+        row["impossible"] = check_bound(row["terms"], value, bodies) if known else None
     change, known = None, np.isfinite(given)
     if known.any():
-        change = smallest_feasible_change(base.K[known], given[known], parameters, bodies)
+        change = distance_to_feasible(base.K[known], given[known], parameters, bodies)
     missing = [] if values is None else [r["expression"] for r in rows if r["value"] is None]
     inertial = {column for body in bodies for column in body.columns}
     return {
@@ -124,7 +124,7 @@ def _symbols(robot: RobotModel, base: BaseMap) -> list[dict[str, str]]:
     names = read_table(table).symbols
     if not names:
         return found
-    sets = lengths_of(names)
+    sets = random_values(names)
     massless = [body.removeprefix("link") for body in robot.manifest.massless]
     maps = []
     for lengths in sets:

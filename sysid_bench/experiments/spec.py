@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import digest
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.units import quantity, split_quantity
+from sysid_bench.units import parse_quantity, quantity
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def normal_noise(written: Mapping[str, Any]) -> dict[str, float]:
         raise UsageError(f"noise must be a table such as {{'tau': '0.5 %'}}; got {written!r}.")
     noise = {}
     for key, value in written.items():
-        relative = key == "tau" and isinstance(value, str) and split_quantity(value)[1] == "%"
+        relative = key == "tau" and isinstance(value, str) and parse_quantity(value)[1] == "%"
         if key not in NOISE_UNITS:
             raise unknown_name("kind of noise", key, NOISE_UNITS)
         unit = "%" if relative else NOISE_UNITS[key]

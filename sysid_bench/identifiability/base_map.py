@@ -97,12 +97,12 @@ def _left_to_right_pivots(R: Array, rank: int) -> Array:
         tried.append((float(np.linalg.cond(R[:, pivots])), pivots))
         if tried[-1][0] <= CONDITION:
             return pivots
-    fallback = qr_pivots(R, rank)
+    fallback = qr_columns(R, rank)
     tried.append((float(np.linalg.cond(R[:, fallback])), fallback))
     return min(tried, key=lambda item: item[0])[1]
 
 
-def qr_pivots(R: Array, rank: int) -> Array:
+def qr_columns(R: Array, rank: int) -> Array:
     """Return the pivots (rank,) of QR with column pivoting of R (m, p), in ascending order.
 
     Each pivot is the column with the largest residual, wherever it stands (Gautier 1991).

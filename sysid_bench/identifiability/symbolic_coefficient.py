@@ -31,7 +31,7 @@ TOLERANCE: Final = 1e-7
 """Relative; the error of K at generic lengths is about 1e-10."""
 
 
-def lengths_of(symbols: Mapping[str, float], count: int = 3) -> list[dict[str, float]]:
+def random_values(symbols: Mapping[str, float], count: int = 3) -> list[dict[str, float]]:
     """Return `count` random sets of lengths, each within 15 % of the given one, in which no two
     expressions agree by chance."""
     rng = np.random.default_rng(20170924)

@@ -30,7 +30,7 @@ class Calibration:
         return np.linalg.solve(self.G, (reading - self.offset).T).T
 
 
-def calibrate(reading: Array, known: Array, spread: float = SPREAD) -> Calibration:
+def fit_calibration(reading: Array, known: Array, spread: float = SPREAD) -> Calibration:
     """Estimate the calibration from readings (N, 6) of known wrenches (N, 6), of one load or
     several.
 

@@ -226,7 +226,7 @@ def test_a_load_of_known_shape_has_a_mass_with_an_interval(folder: Path, tmp_pat
 
 
 def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
-    from sysid_bench.regressors.friction_features import Play
+    from sysid_bench.regressors.joint_features import Play
 
     logs = []
     for seed in (0, 1):

@@ -13,10 +13,10 @@ from sysid_bench import places
 from sysid_bench.evaluation.distance import subspace_distance
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
+    dropped_expressions,
     expression,
-    near_degenerate,
 )
-from sysid_bench.identifiability.base_map import CONDITION, base_map, qr_pivots
+from sysid_bench.identifiability.base_map import CONDITION, base_map, qr_columns
 from sysid_bench.identifiability.nullspace import parameter_nullspace, structural_rank
 from sysid_bench.identifiability.structural import structural_base, structural_factor
 from sysid_bench.identifiability.verdicts import verdicts
@@ -83,7 +83,7 @@ def test_directions_told_by_rounding_are_named_and_make_up_the_difference(file: 
     (path,) = places.example_robot_data().rglob(file)
     robot = load_robot(path)
     base, R = inertial_base(robot), structural_factor(robot, robot.inertial_columns)
-    directions = near_degenerate(R, base)
+    directions = dropped_expressions(R, base)
     assert base.rank + len(directions) == structural_rank(robot.tree)
     for value, terms in directions:
         assert 1e-12 < value < 1e-5
@@ -183,7 +183,7 @@ def test_qr_pivots_span_the_same_space(name: str) -> None:
     robot = random_robot(int(name[5:])) if name.startswith("tree") else named_robot(name)
     R = structural_factor(robot, robot.inertial_columns)
     base = base_map(R, robot.inertial_columns)
-    pivots = qr_pivots(R, base.rank)
+    pivots = qr_columns(R, base.rank)
     K = np.linalg.solve(base.K[:, pivots], base.K)
     assert subspace_distance(base.K.T, K.T) < 1e-8
     np.testing.assert_allclose(R[:, pivots] @ K, R, atol=1e-8 * np.abs(R).max())

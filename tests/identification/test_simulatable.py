@@ -78,7 +78,7 @@ def test_an_infeasible_beta_is_projected(robot: str) -> None:
 def test_the_right_inverse_changes_beta_alone() -> None:
     problem = ready_once(RICH).problem
     room = simulatable_set(problem)
-    lift = room.right_inverse(room.centre)
+    lift = room.pseudo_inverse(room.centre)
     K = problem.base.K
     rounding = 1e-11 * (np.abs(K) @ np.abs(lift)).max()
     np.testing.assert_allclose(K @ lift, np.eye(problem.base.rank), atol=rounding)

@@ -10,14 +10,14 @@ from scipy.sparse import bsr_array, csr_array, diags_array, eye_array, kron
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.linear.white_noise import white_noise
-from sysid_bench.identification.simulation_based.forward_dynamics import scalar_joints
+from sysid_bench.identification.simulation_based.forward_model import scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
     covariance,
     has_converged,
     regressor_of,
     residual_factor,
     rows_of,
-    step_size,
+    step_rms,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
@@ -56,7 +56,7 @@ class ML:
         for count in range(1, self.iterations + 1):
             line = data.line(beta, q)
             R, step, q_new, rest = line.solved(sigma)
-            size = step_size(R, step)
+            size = step_rms(R, step)
             if has_converged(R, step, beta):
                 return Estimate(
                     beta + step, covariance=covariance(R), stats={"iterations": float(count)}

@@ -49,7 +49,7 @@ class Coordinates:
         out[feasible.indices[:, :, None], feasible.indices[:, None, :]] = products.swapaxes(1, 2)
         return out
 
-    def curvature(self, eta: Array, pull: Array) -> Array:
+    def newton_term(self, eta: Array, pull: Array) -> Array:
         """sum_i pull_i d2x_i / deta2 (p, p) for a gradient `pull` (p,) with respect to x."""
         feasible, out = self.feasible, np.zeros((len(eta), len(eta)))
         out[feasible.nonnegative, feasible.nonnegative] = pull[feasible.nonnegative] * np.exp(
@@ -85,7 +85,7 @@ def coordinates(feasible: FeasibleSet, x0: Array) -> Coordinates:
     return Coordinates(feasible, eta)
 
 
-def damped_newton(
+def newton_fit(
     rows: Array,
     origin: Array,
     chart: Coordinates,
@@ -145,7 +145,7 @@ class _Objective:
         gradient = J.T @ u + self.weight * (eta - self.chart.eta0)
         hessian = J.T @ J + self.weight * np.eye(len(eta))
         size = 1 / np.sqrt(np.diag(hessian))
-        exact = hessian + self.chart.curvature(eta, self.rows.T @ u)
+        exact = hessian + self.chart.newton_term(eta, self.rows.T @ u)
         while damping <= 1e12:
             solve = _solver(exact, size, damping)
             if solve is not None:

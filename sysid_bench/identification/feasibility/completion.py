@@ -74,7 +74,7 @@ def _moved(estimate: Estimate, problem: Problem) -> Estimate:
 
 
 def _exists(feasible: FeasibleSet, theta: Array) -> bool:
-    return bool(feasible.regularity(theta / feasible.scale).min(initial=0.25) > 0)
+    return bool(feasible.relative_eigenvalues(theta / feasible.scale).min(initial=0.25) > 0)
 
 
 def _entropic(near: Divergence, start: Array, N: Array) -> Array:

@@ -177,7 +177,7 @@ def estimate_of(feasible: FeasibleSet, fit: Fit) -> Estimate:
     stats = {
         "duality_gap": fit.gap,
         "iterations": float(fit.iterations),
-        "roundness": float(feasible.regularity(fit.x).min(initial=0.25)),
+        "roundness": float(feasible.relative_eigenvalues(fit.x).min(initial=0.25)),
         "excess": fit.excess,
     }
     return Estimate(theta=feasible.scale * fit.x, stats=stats)

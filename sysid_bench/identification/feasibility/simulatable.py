@@ -120,15 +120,15 @@ class SimulatableSet:
                 if weight == WEIGHTS[0]:
                     raise
                 break  # the limit of rounding
-        return self.project(theta, beta)
+        return self.with_base(theta, beta)
 
-    def project(self, theta: Array, beta: Array) -> Array:
+    def with_base(self, theta: Array, beta: Array) -> Array:
         """Return theta moved onto K theta = beta along the shortest path in the Hessian metric;
         theta itself where that leaves the set."""
-        moved = theta + self.right_inverse(theta) @ (beta - self.problem.base.K @ theta)
+        moved = theta + self.pseudo_inverse(theta) @ (beta - self.problem.base.K @ theta)
         return moved if np.isfinite(self.divergence(moved)) else theta
 
-    def right_inverse(self, theta: Array) -> Array:
+    def pseudo_inverse(self, theta: Array) -> Array:
         """L (p, r) with K L = 1, the shortest in the Hessian metric at theta."""
         K = self.problem.base.K
         spread = _solve(self.derivatives(theta)[1], K.T)

@@ -35,7 +35,7 @@ HALVINGS: Final = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class ModelResult:
     """Iterate: theta (p,), its base parameters, the simulation if there is one, and `error` (M,
     channels), measured minus simulated signal."""
 
@@ -55,8 +55,8 @@ class Model(Protocol):
 
     @property
     def floor(self) -> Array: ...
-    def evaluate(self, theta: Array) -> Candidate: ...
-    def jacobian(self, trial: Candidate) -> Array: ...
+    def evaluate(self, theta: Array) -> ModelResult: ...
+    def jacobian(self, trial: ModelResult) -> Array: ...
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,11 @@ class GaussNewton:
                 )
         raise EstimationError(
             f"The method did not converge in {self.iterations} steps: the last changed beta by "
-            f"{step_size(R, change):.3g} standard deviations; the noise is too large, or the "
+            f"{step_rms(R, change):.3g} standard deviations; the noise is too large, or the "
             "start too far."
         )
 
-    def _estimate(self, trial: Candidate, R: Array, steps: int, halvings: int) -> Estimate:
+    def _estimate(self, trial: ModelResult, R: Array, steps: int, halvings: int) -> Estimate:
         return Estimate(
             trial.beta,
             covariance=covariance(R),
@@ -113,7 +113,7 @@ def _plus(value: Array, correction: Array | None) -> Array:
     return value if correction is None else value + correction
 
 
-def _broyden_update(jacobian: Array, R: Array, trial: Candidate, after: Candidate) -> Array:
+def _broyden_update(jacobian: Array, R: Array, trial: ModelResult, after: ModelResult) -> Array:
     """Broyden's rank-one correction (M, channels, r) of the Jacobian, in the metric of the data: it
     restores fast convergence of an approximate Jacobian."""
     change, r = after.beta - trial.beta, len(trial.beta)
@@ -122,21 +122,21 @@ def _broyden_update(jacobian: Array, R: Array, trial: Candidate, after: Candidat
     return np.asarray(missed[..., None] * (dual / (dual @ change)))
 
 
-def _goal(simulatable: SimulatableSet, trial: Candidate, R: Array) -> tuple[Array, bool]:
+def _goal(simulatable: SimulatableSet, trial: ModelResult, R: Array) -> tuple[Array, bool]:
     """theta (p,) after a full step within the feasible set, and whether the step was feasible."""
     r = len(trial.beta)
     wanted = trial.beta + solve(R)
-    exact = simulatable.project(trial.theta, wanted)
+    exact = simulatable.with_base(trial.theta, wanted)
     if exact is not trial.theta:
         return exact, True
     nearest = simulatable.nearest(wanted, R[:r, :r])
-    miss = step_size(R, simulatable.problem.base.K @ nearest - wanted)
-    return nearest, miss <= REPEATS * step_size(R, wanted)
+    miss = step_rms(R, simulatable.problem.base.K @ nearest - wanted)
+    return nearest, miss <= REPEATS * step_rms(R, wanted)
 
 
 def _better(
-    model: Model, trial: Candidate, goal: Array, tries: int
-) -> tuple[Candidate | None, int]:
+    model: Model, trial: ModelResult, goal: Array, tries: int
+) -> tuple[ModelResult | None, int]:
     """First of the halved steps to `goal` that increases the likelihood, and the halvings."""
     now = _log_likelihood(trial.error, model.floor)
     for times in range(tries):
@@ -179,10 +179,10 @@ def has_converged(
     R: Array, change: Array, beta: Array, share: float = CONVERGED, rounding: float = ROUNDING
 ) -> bool:
     """Return whether a step (r,) is small against the noise, or against rounding."""
-    return step_size(R, change) <= max(share, rounding * step_size(R, beta))
+    return step_rms(R, change) <= max(share, rounding * step_rms(R, beta))
 
 
-def step_size(R: Array, change: Array) -> float:
+def step_rms(R: Array, change: Array) -> float:
     """RMS length of a step (r,) in standard deviations of beta."""
     r = len(change)
     return float(np.linalg.norm(R[:r, :r] @ change) / np.sqrt(max(r, 1)))

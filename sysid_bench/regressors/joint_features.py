@@ -14,7 +14,7 @@ import numpy as np
 from sysid_bench.types import Array, Trajectory
 
 
-class Feature(Protocol):
+class Term(Protocol):
     """Regressor columns of one joint along a whole motion; see the module's docstring."""
 
     @property
@@ -120,7 +120,7 @@ class JointFeatures:
     `indices` are those of each joint in q and v, `ranges` (low, high) its range in training.
     """
 
-    features: tuple[Feature, ...]
+    features: tuple[Term, ...]
     indices: dict[str, tuple[int, int]]
     ranges: dict[str, tuple[float, float]]
 
@@ -148,7 +148,7 @@ class JointFeatures:
 
 
 def features_of(
-    features: Sequence[Feature],
+    features: Sequence[Term],
     joints: Sequence[str],
     indices: Sequence[tuple[int, int]],
     motions: Sequence[Trajectory],

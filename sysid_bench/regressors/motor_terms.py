@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.regressors.friction_features import JointFeatures
+from sysid_bench.regressors.joint_features import JointFeatures
 from sysid_bench.regressors.regression import TERM
 from sysid_bench.types import Array, Trajectory
 

@@ -24,7 +24,7 @@ MASS_BOUND: Final = 50.0
 """kg, of any body; without a bound, masses that are not identifiable would be unbounded."""
 
 
-def lower_bound(terms: Mapping[str, float], bodies: Sequence[Body]) -> float:
+def bound_of(terms: Mapping[str, float], bodies: Sequence[Body]) -> float:
     """Return a lower bound of a linear combination {parameter: coefficient} over feasible robots: 0
     if it cannot be negative, else -inf."""
     rest = dict(terms)
@@ -40,18 +40,16 @@ def _semidefinite(coefficients: Array) -> bool:
     return bool(smallest >= -1e-9 * np.abs(coefficients).max())
 
 
-def infeasible_signs(
-    terms: Mapping[str, float], value: float, bodies: Sequence[Body]
-) -> str | None:
+def check_bound(terms: Mapping[str, float], value: float, bodies: Sequence[Body]) -> str | None:
     """Return the reason if the value of a linear combination is infeasible by itself, else None."""
     if not abs(value) > 0:
         return None
     sign, text = (1.0, "negative") if value < 0 else (-1.0, "positive")
     turned = {name: sign * coefficient for name, coefficient in terms.items()}
-    return f"cannot be {text}" if lower_bound(turned, bodies) == 0.0 else None
+    return f"cannot be {text}" if bound_of(turned, bodies) == 0.0 else None
 
 
-def smallest_feasible_change(
+def distance_to_feasible(
     K: Array, values: Array, parameters: Sequence[str], bodies: Sequence[Body]
 ) -> float:
     """Return the smallest t such that a feasible theta has |K theta - values| <= t (r,).

@@ -86,7 +86,7 @@ def scalar_joints(experiment: Experiment, what: str) -> int:
     return len(raw.rows)
 
 
-def finite_differences(f: Callable[[Array], Array], x: Array, sizes: Array) -> Array:
+def finite_difference(f: Callable[[Array], Array], x: Array, sizes: Array) -> Array:
     """Forward differences (..., k) of f at x (k,); f takes all k + 1 points at once."""
     points = np.concatenate([x[None], x + np.diag(sizes)])
     values = f(points)
