@@ -43,6 +43,7 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     rank = int((values > RANK_TOLERANCE * largest).sum())
     dropped = values[rank:]
     gap = float(values[rank - 1] / dropped[0]) if dropped.any() else np.inf
+    # The rank comes from singular values alone: QR diagonals may miss near-dependence.
     pivots = _left_to_right_pivots(R, rank)
     K = _coefficients(R, pivots)
     near_degenerate = int((dropped > NOISE_FLOOR * largest).sum())
@@ -129,5 +130,6 @@ def _coefficients(R: Array, pivots: Array) -> Array:
     """K (r, p) with R = R[:, pivots] K, the identity on the pivots."""
     Q, T = np.linalg.qr(R[:, pivots])
     K = solve_triangular(T, Q.T @ R)
+    # Exactly, not up to rounding: printed base parameters begin with their pivot.
     K[:, pivots] = np.eye(len(pivots))
     return K

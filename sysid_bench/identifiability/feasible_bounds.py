@@ -61,6 +61,7 @@ def distance_to_feasible(
     index = {name: i for i, name in enumerate(parameters)}
     flat, h = _linear_rows(K, values, _bound_rows(index, bodies))
     blocks = [flat, *(-_semidefinite_rows(body, index, p + 1) for body in bodies)]
+    # Minimise t; the variables of the program are (theta, t).
     solution = clarabel.DefaultSolver(
         sparse.csc_matrix((p + 1, p + 1)),
         np.append(np.zeros(p), 1.0),

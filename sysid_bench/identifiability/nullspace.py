@@ -77,6 +77,7 @@ def _after_joints(joints: tuple[TreeJoint, ...], L: Array, F: Array) -> tuple[Ar
     observed = np.zeros((10, 0))
     for joint in joints:
         if joint.kind == FREE:
+            # A free joint moves in every way: nothing can be transferred across it.
             return np.eye(10), np.eye(6), np.eye(10)
         moved, mixed, L, F = _after_joint(_twists(joint), L, F)
         observed = _span(np.column_stack([observed, moved, mixed]))
@@ -174,6 +175,7 @@ def _closure(basis: Array, generators: list[Array]) -> Array:
 def _span(vectors: Array) -> Array:
     """Orthonormal basis of the columns, which are normalised first."""
     norms = np.linalg.norm(vectors, axis=0)
+    # Unit columns: lengths (m) and products of lengths (m^2) share one tolerance.
     vectors = vectors[:, norms > SMALL] / norms[norms > SMALL]
     if vectors.shape[1] == 0:
         return vectors

@@ -52,6 +52,7 @@ def structural_factor(
     columns = measured_regression(robot, carried, instruments, rows)
     available = instruments.measured
     measured = [available.index(row) for row in (available if rows is None else rows)]
+    # Three times as many rows as columns: random states then excite every direction.
     count = 64 + 3 * len(carried) // len(measured)
     motion = random_states(robot, count, np.random.default_rng(SEED), NARROWEST)
     more = np.zeros((count, len(measured), 0)) if appended is None else appended(motion)

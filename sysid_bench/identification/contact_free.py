@@ -38,6 +38,7 @@ def free_samples(W: Array, f: Array) -> Array:
     N, m, r = W.shape
     if N * m < 4 * r or N < 2 * WINDOWS:
         raise EstimationError(f"{N} samples are too few for contact detection.")
+    # Windows, not samples: contacts last, and a window's mean has little noise.
     window = np.arange(N) * WINDOWS // N
     kept = np.ones(WINDOWS, dtype=bool)
     for _ in range(ROUNDS):

@@ -79,6 +79,7 @@ def _pull_back_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array
     sweep = _Sweep(motion.q.T, motion.v.T, motion.a.T, (gq, gv, ga))
     done, tapes = _forward_sweep(tree, sweep)
     pulled = [np.zeros_like(state) for state in done]
+    # Tips before the base: the state of a parent collects the derivatives of its children.
     for i in reversed(range(len(tree.links))):
         if i in weights:
             pulled[i] += _body_slopes(done[i], weights[i])
@@ -273,6 +274,7 @@ def _free(joint: TreeJoint, X: Array, sweep: _Sweep, tape: list[_Backward]) -> A
     for i in range(3):
         out[4 + 2 * i] = R[i]
         out[9 + 2 * i, i] = 1.0
+    # Behind a free joint nothing depends on the parent's state.
     still = np.zeros_like(X)
     tape.append(lambda bar: still)
     return out
@@ -290,6 +292,7 @@ def _with_dof(X: Array, z: Array, u: Array, tape: list[_Backward]) -> Array:
 def _rotation_about(axis: Array, angle: Array) -> Callable[..., Array]:
     """Map of states into axes rotated by `angle` (n,) about a unit axis; `back` inverts it."""
     cos, sin = np.cos(angle), np.sin(angle)
+    # About a coordinate axis only two components change: half of the work.
     if np.count_nonzero(axis) == 1:
         i = int(np.argmax(np.abs(axis)))
         j, k = (i + 1) % 3, (i + 2) % 3

@@ -59,6 +59,7 @@ class Columns:
         """Indices (k,) of the columns in which each row can be non-zero, as `Block.row` orders
         them."""
         indices: list[list[int]] = [[] for _ in self.rows]
+        # Link columns first, then terms: kernels write the values of a row in this order.
         for columns in self.links:
             for row in self.tree.links[columns.link].dofs:
                 indices[row] += columns.indices.tolist()

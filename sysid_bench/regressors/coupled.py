@@ -110,6 +110,8 @@ class CoupledBlock:
         index[touched] = np.arange(len(touched))
         for d in regression._dependent_rows[i]:
             dof = int(coupling.dependent[d])
+            # Virtual work: a dependent row acts with its rate per unit rate of the independent
+            # joint.
             out[index[regression.tree.touched[dof]]] += self.F[:, d, i] * self.tree.row(dof)
         return out
 

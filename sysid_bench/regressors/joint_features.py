@@ -1,6 +1,6 @@
 """Joint torque terms with memory or shape: hysteresis, smooth Coulomb friction, cable torque.
 
-A feature has `suffixes`, which name its columns "<joint>.<suffix>", and `values(q, v, reach)`, its
+A term has `suffixes`, which name its columns "<joint>.<suffix>", and `values(q, v, reach)`, its
 columns (N, k) along positions and rates (N,) of the joint. `reach` (low, high) is the range of the
 joint in the training motions, so that a column has the same meaning on every motion.
 """
@@ -47,6 +47,7 @@ class Play:
     def values(self, q: Array, v: Array, reach: tuple[float, float]) -> Array:
         """Return the column (N, 1), between -1 and 1."""
         r = max(self.width * (reach[1] - reach[0]), 1e-12)
+        # At the start p trails q by r, as if the joint had moved in its present direction for long.
         dragged, p = np.empty_like(q), float(q[0] - r * np.sign(v[0]))
         for k, position in enumerate(q.tolist()):
             p = min(max(p, position - r), position + r)

@@ -157,6 +157,7 @@ def _runs(touched: list[Array], starts: Array, width: int) -> list[list[tuple[in
         source = np.full(width, -1)
         source[columns] = start + np.arange(len(columns))
         before, after = source[:-1], source[1:]
+        # A run goes on within zeros, or within values that are neighbours in memory as well.
         continues = np.where(after < 0, before < 0, (after == before + 1) & (before >= 0))
         first = np.flatnonzero(np.concatenate([[width > 0], ~continues]))
         length = np.diff([*first, width])

@@ -105,6 +105,7 @@ def _rooted(robot: RobotModel, graph: _Graph, body: int) -> _Rooted:
     direction: dict[int, tuple[int, bool]] = {}
     for edge, backwards in _from_root(graph, first):
         near, far = (edge.child, edge.parent) if backwards else (edge.parent, edge.child)
+        # In reverse the joint lies at the origin of the child node, whose frame is the joint's.
         placement = pose[near] if backwards else pose[near] * edge.placement
         joint[far] = model.addJoint(
             joint[near], _joint_model(robot, edge.j, backwards), placement, f"joint{edge.j}"

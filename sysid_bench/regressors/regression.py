@@ -210,6 +210,7 @@ def _term_names(robot: RobotModel) -> list[str]:
 def _link_columns(link: int, weights: list[tuple[int, Array]]) -> LinkColumns:
     indices = np.array([index for index, _ in weights])
     mix = np.array([weight for _, weight in weights])
+    # Raw columns that no parameter uses are not computed.
     raw = tuple(int(c) for c in np.flatnonzero(mix.any(axis=0)))
     mix = mix[:, raw]
     identity = mix.shape[0] == mix.shape[1] and np.array_equal(mix, np.eye(len(raw)))

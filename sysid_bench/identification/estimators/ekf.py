@@ -42,6 +42,7 @@ def _predicted(model: JointFilter, belief: FilterEstimate, k: int) -> FilterEsti
     sizes = _sizes(belief)
     F = finite_difference(lambda states: model.step(states, k), belief.mean, sizes)
     mean = model.step(belief.mean[None], k)[0]
+    # Process noise of beta is zero: a constant only becomes more certain.
     P = F @ belief.covariance @ F.T + model.process_noise(belief.mean)
     return FilterEstimate(mean, 0.5 * (P + P.T))
 

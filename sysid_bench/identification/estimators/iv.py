@@ -90,6 +90,7 @@ def _solution(Z: Array, W: Array, b: Array, sigma: Array) -> tuple[Array, Array,
     """beta (r,), the QR factor R of the whitened instruments, and Q'W (r, r)."""
     r = W.shape[-1]
     white = (1.0 / sigma)[:, None]
+    # Z' W through Q: the normal equations would square the condition of Z.
     Q, R = np.linalg.qr((Z * white).reshape(-1, r))
     Q_W = Q.T @ (W * white).reshape(-1, r)
     size = np.linalg.norm(Q_W, axis=0)

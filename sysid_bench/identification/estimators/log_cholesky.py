@@ -43,6 +43,7 @@ class LogCholesky:
         feasible, prior = feasible_set_of(problem), required_prior(problem)
         x0 = feasible_point(feasible, prior.theta / feasible.scale, spread_of(feasible, prior))
         chart, base = coordinates(feasible, x0), weighted_coordinates(feasible, problem, x0)
+        # u = inverse (x - origin), whose squares are the excess over least squares.
         inverse = np.linalg.inv(base.T)[: base.rank]
         eta, total = chart.eta0, 0
         share = 1.0 / max(float(np.linalg.norm(inverse @ (x0 - base.origin))), 1.0)

@@ -158,6 +158,7 @@ class _Line:
         r, M = self.W.shape[-1], len(self.W)
         spread = np.tile(self.q_noise**2, len(self.q))
         weighted = csr_array(self.A @ diags_array(spread))
+        # Errors of neighbouring samples are correlated through the differences: C is banded.
         C = weighted @ self.A.T + diags_array(np.tile(sigma**2, M))
         L = _banded_root(C.tocsr(), 3 * self.rows)
         e = self.error - self.A @ self.away
@@ -175,6 +176,7 @@ class _Line:
         explained = (self.A.multiply(self.A) @ spread).reshape(-1, self.rows).mean(axis=0)
         total = (rest**2).mean(axis=0)
         floor = NOISE_FLOOR[1] ** 2 * (self.tau**2).mean(axis=0)
+        # Position noise may explain more than there is, by chance.
         left = np.maximum(total - explained, 0.01 * total)
         return np.asarray(np.sqrt(np.maximum(left, np.maximum(floor, floor.max() * 1e-6))))
 

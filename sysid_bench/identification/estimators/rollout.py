@@ -83,6 +83,7 @@ class _Pieces:
 
     def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (M, n, r) of the predictions, projected off the initial states."""
+        # Variable projection: the initial states are eliminated rather than estimated.
         Q, ahead = self._starts(trial.beta)
         betas = trial.beta + np.diag(self.nudges)
         moved = self._run(betas, np.tile(self.begin, (len(betas), 1, 1)))

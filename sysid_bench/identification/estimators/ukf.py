@@ -45,6 +45,7 @@ class UKF:
         centre, plus, minus = points[0], points[1 : len(root) + 1], points[len(root) + 1 :]
         weight = 0.5 / self.spread**2
         mean = centre + weight * (plus + minus - 2 * centre).sum(axis=0)
+        # Odd and even part of the model along each axis: slope and curvature.
         first = (plus - minus) / (2 * self.spread)
         bend = (plus + minus - 2 * centre) / (2 * self.spread**2)
         P = first.T @ first + 0.5 * bend.T @ bend + model.process_noise(belief.mean)

@@ -95,6 +95,7 @@ def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Lim
     for b, at in enumerate(feasible.indices):
         blocks[10 * b : 10 * b + 10, at] = -triangle
     stacked = sparse.vstack([G, blocks], format="csc")
+    # J >= LEAST 1 rather than J >= 0: the solver's tolerance then stays on the feasible side.
     least = np.tile(-LEAST * _entries(np.eye(4)), nb)
     return _Cones(stacked, np.append(h, least), len(rows), nb)
 
@@ -166,6 +167,7 @@ def nearest(feasible: FeasibleSet, base: BaseMap, beta: Array, start: Array, met
     N = nullspace(feasible, base)
     x = start.copy()
     free = np.setdiff1d(np.arange(len(x)), base.pivots)
+    # The pivots compensate the non-pivot parameters of the start, so that K theta = beta.
     x[base.pivots] = beta / feasible.scale[base.pivots] + N[base.pivots] @ start[free]
     P, q = N.T @ metric @ N, N.T @ (metric @ (x - start))
     n, gap, iterations = _solved(feasible, Limits(), x, N, P, q)
@@ -201,8 +203,10 @@ def _solved(
     Solved for the offset d from the unconstrained minimum y0, y = y0 + d / sqrt(diag(P)): the
     objective is then the cost of the constraints alone, and so is its accuracy.
     """
+    # The cone h - G (origin + T y): the constraints of a robot in the coordinates of its data.
     cones = _cones_of(feasible.parameters, feasible.bodies, limits)
     size = 1 / np.sqrt(np.maximum(np.diag(P), 1.0))
+    # Unit diagonal: coordinates of very different weight would exhaust the solver's accuracy.
     P = P * size * size[:, None]
     free = -size * cho_solve(cho_factor(P), size * q) if q.any() else np.zeros(len(q))
     origin, T = origin + T @ free, T * size

@@ -117,6 +117,7 @@ def _errors(
     sizes = np.zeros(len(folds[0]))
     selected = np.array(columns)
     for fold, gram in zip(folds, grams, strict=True):
+        # Normal equations suffice: the errors that are compared are far above their rounding.
         beta = _solve(gram, selected)
         for i, row in enumerate(fold):
             errors[i] += np.sum((row.test[:, selected] @ beta - row.test[:, -1]) ** 2)
@@ -126,6 +127,7 @@ def _errors(
 
 def _solve(gram: Array, selected: Array) -> Array:
     A, b = gram[np.ix_(selected, selected)], gram[selected, -1]
+    # Unit columns: the ridge then means the same for every unit.
     scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
     A = A / np.outer(scale, scale) + RIDGE * np.eye(len(selected))
     return np.linalg.solve(A, b / scale) / scale

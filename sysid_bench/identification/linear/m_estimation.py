@@ -79,6 +79,7 @@ def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
     A = sum E psi' W_j'W_j / s_j^2, B = sum E psi^2 W_j'W_j / s_j^2, expectations over each row."""
     u = residuals(problem, fit.beta) / fit.scales
     weight = loss.weight(u)
+    # weight * u is psi(u).
     slope, squares = loss.slope(u).mean(axis=0), ((weight * u) ** 2).mean(axis=0)
     r = problem.base.rank
     outer = stacked_factor(problem, (np.sqrt(np.maximum(slope, 0.0)) / fit.scales).tolist())

@@ -79,6 +79,8 @@ class RecursiveEstimator:
                 R = upper_factor([R, np.column_stack([G[k], g[k]])])
                 beta = solve_upper(R)
             if k % self.every == 0 or k == last:
+                # Once released, the estimate stays released, also where forgetting loses
+                # information again.
                 held = held and _informed_directions(R, start) <= m
                 indices.append(k)
                 betas.append(prior if held else beta)
@@ -98,6 +100,7 @@ class RecursiveEstimator:
         r = len(beta)
         root = inverse_of(start)
         _, singular, Vt = np.linalg.svd(R[:r, :r] @ root)
+        # Singular values of R R0^-1 are ratios of prior to present standard deviations.
         shares = singular**-2 / self.forgetting + self.walk**2
         if self.gate:
             shares = np.minimum(shares, 1.0)
@@ -119,6 +122,7 @@ def _innovation(R: Array, G: Array, e: Array) -> float:
     """Normalised innovation squared e' (1 + G P G')^-1 e / m of one sample: G (m, r), e (m,), and
     P = (R'R)^-1 the covariance of beta."""
     r, m = len(R) - 1, len(e)
+    # G P G' = V' V with V = R^-T G': P itself is never formed.
     V = solve_triangular(R[:r, :r], G.T, trans="T", check_finite=False)
     return float(e @ np.linalg.solve(np.eye(m) + V.T @ V, e) / m)
 
@@ -126,6 +130,7 @@ def _innovation(R: Array, G: Array, e: Array) -> float:
 def _factor_of(prior: Array, std: Array) -> Array:
     """[R | z] (r + 1, r + 1) of a prior with standard deviations (r,) or a covariance (r, r)."""
     r = len(prior)
+    # With P = L L', rows L^-1 [1, prior] have unit noise, as measured rows have.
     root = np.diag(std) if std.ndim == 1 else np.linalg.cholesky(std)
     whitened = solve_triangular(root, np.column_stack([np.eye(r), prior]), lower=True)
     return upper_factor([whitened, np.zeros((1, r + 1))])

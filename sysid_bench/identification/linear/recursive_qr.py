@@ -11,6 +11,7 @@ def update(problem: Problem, sigma: Array, forgetting: float) -> Array:
     forgetting^((N - 1 - k) / 2): exponential forgetting of the squares."""
     R = np.zeros((problem.base.rank + 1,) * 2)
     for Y, b in problem.blocks():
+        # R holds square roots of weights: hence half of the exponent.
         R = rank_update(R * forgetting ** (0.5 * len(b)), Y, b, sigma, forgetting)
     return R
 

@@ -56,7 +56,9 @@ class JointFilter:
         n, dt = self.n, self.forward.dt
         q, v, beta = (np.tile(x, (n + 1, 1)) for x in np.split(mean, [n, 2 * n]))
         pushed = np.concatenate([np.zeros((1, n)), np.diag(self.tau_noise)])
+        # Torque noise held over one sample moves v by dt M^-1 w and q by half of dt times that.
         a = self.forward.acceleration(beta, q, v, pushed)
+        # The acceleration is affine in the torque: these are columns of M^-1 times the noise.
         push = (a[1:] - a[0]).T
         gain = np.concatenate([0.5 * dt**2 * push, dt * push, np.zeros((len(mean) - 2 * n, n))])
         return np.asarray(gain @ gain.T)
@@ -69,6 +71,7 @@ class JointFilter:
         mean = belief.mean + gain @ (self.q[k] - belief.mean[:n])
         keep = np.eye(len(mean))
         keep[:, :n] -= gain
+        # Positive semidefinite for any gain; (1 - G H) P loses that to rounding.
         P = keep @ P @ keep.T + (gain * self.q_noise**2) @ gain.T
         return FilterEstimate(mean, 0.5 * (P + P.T))
 
@@ -107,6 +110,7 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     q, tau = raw.q[part], raw.tau[part]
     sizes = [np.sqrt((x**2).mean(axis=0)) for x in (q, tau)]
     least = [
+        # A joint that hardly moves has a floor as well: a tenth of that of the largest.
         np.maximum(share * x, 0.1 * share * x.max())
         for share, x in zip(NOISE_FLOOR, sizes, strict=True)
     ]
@@ -124,6 +128,7 @@ def _begin(experiment: Experiment) -> tuple[Array, Array]:
     K = problem.base.K
     if problem.prior is not None:
         spread = K * problem.prior.std
+        # K std K' is singular where the prior is certain of a combination.
         floor = 1e-12 * np.trace(spread @ spread.T) * np.eye(len(K))
         return K @ problem.prior.theta, spread @ spread.T + floor
     parts = list(problem.blocks())
@@ -133,5 +138,6 @@ def _begin(experiment: Experiment) -> tuple[Array, Array]:
         W / np.where(sigma > 0, sigma, 1.0)[:, None], b / np.where(sigma > 0, sigma, 1.0)
     )
     r = len(K)
+    # Rows have unit RMS: an error of START_ERROR of the torque, in all samples alike.
     inverse = np.linalg.inv(R[:r, :r]) * START_ERROR * np.sqrt(len(b))
     return solve(R), inverse @ inverse.T

@@ -79,6 +79,8 @@ class GaussNewton:
             change = simulatable.problem.base.K @ (goal - trial.theta)
             if has_converged(R, change, trial.beta):
                 return self._estimate(trial, R, steps, halvings)
+            # A step within the noise may fail because the objective is flat: it is halved once at
+            # most.
             tries = 2 if has_converged(R, change, trial.beta, FLAT) else HALVINGS
             better, times = _better(model, trial, goal, tries)
             halvings += times
@@ -117,6 +119,7 @@ def _broyden_update(jacobian: Array, R: Array, trial: ModelResult, after: ModelR
     """Broyden's rank-one correction (M, channels, r) of the Jacobian, in the metric of the data: it
     restores fast convergence of an approximate Jacobian."""
     change, r = after.beta - trial.beta, len(trial.beta)
+    # Secant equation: the corrected Jacobian explains the step just made, and changes least.
     dual = R[:r, :r].T @ (R[:r, :r] @ change)
     missed = trial.error - after.error - jacobian @ change
     return np.asarray(missed[..., None] * (dual / (dual @ change)))
@@ -152,6 +155,7 @@ def _better(
 
 def _log_likelihood(error: Array, floor: Array) -> float:
     """Log-likelihood of white noise of unknown variance per channel, up to a constant."""
+    # The variance is profiled out: its estimate makes the quadratic term a constant.
     return -float(len(error) * np.log(sigmas(error, floor)).sum())
 
 
@@ -169,6 +173,7 @@ def floor_of(signal: Array) -> Array:
 def residual_factor(J: Array, e: Array) -> Array:
     """R (r + 1, r + 1) of [J | e], J (M, channels, r), e (M, channels)."""
     r = J.shape[-1]
+    # Rows of zeros complete a short stack, so that R is always (r + 1, r + 1).
     stack = np.zeros((max(e.size, r + 1), r + 1), order="F")
     stack[: e.size, :r], stack[: e.size, r] = J.reshape(-1, r), e.ravel()
     packed, _, _, _ = lapack.dgeqrf(stack, lwork=64 * (r + 1), overwrite_a=1)
@@ -231,6 +236,7 @@ def samples_of(motion: Trajectory, indices: Array) -> Trajectory:
 
 def indices_of(t: Array, grid: Array) -> Array:
     """Indices of the times t (M,) in a grid (N,) that contains them."""
+    # Half a step earlier: rounding of the times cannot select the next sample.
     return np.asarray(np.searchsorted(grid, t - 0.5 * (grid[1] - grid[0])))
 
 

@@ -50,8 +50,11 @@ class OutputError:
     def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (N, channels, r) of the simulated signal, by r simulations."""
         assert trial.recording is not None
+        # A step of one base parameter moves theta as little as the metric allows: it stays
+        # feasible.
         inverse = self.simulatable.pseudo_inverse(trial.theta)
         W = regressor_of(self.experiment, trial.recording.motion)
+        # Steps of equal effect on the torques: parameters differ by orders of magnitude.
         sizes = np.sqrt((W**2).sum(axis=(0, 1)))
         torque = np.linalg.norm(trial.recording.tau)
         columns = [
