@@ -215,9 +215,9 @@ def test_settings_that_make_no_motion_are_refused_in_words(spec: dict[str, Any])
 @settings(max_examples=40)
 def test_a_fitted_shape_touches_a_limit_and_passes_none(seed: int, nv: int) -> None:
     rng = np.random.default_rng(seed)
-    low, room = rng.normal(size=nv), rng.uniform(0.01, 5.0, size=nv)
+    low, margin = rng.normal(size=nv), rng.uniform(0.01, 5.0, size=nv)
     v, a = rng.uniform(0.1, 5.0, size=(2, nv))
-    brief = DesignProblem((), low, low + room, v, a, np.zeros(nv), 100.0)
+    brief = DesignProblem((), low, low + margin, v, a, np.zeros(nv), 100.0)
     amplitude, w, phase = rng.uniform(0.2, 3.0, size=(3, nv))
 
     def shape(t: Array) -> tuple[Array, Array, Array]:
@@ -233,7 +233,7 @@ def test_a_fitted_shape_touches_a_limit_and_passes_none(seed: int, nv: int) -> N
     x, dx, ddx = shape(np.linspace(0.0, 20.0, 20_001))
     use = np.array(
         [
-            np.ptp(scale * x, axis=0) / room,
+            np.ptp(scale * x, axis=0) / margin,
             np.abs(scale * dx).max(axis=0) / v,
             np.abs(scale * ddx).max(axis=0) / a,
         ]
@@ -241,4 +241,4 @@ def test_a_fitted_shape_touches_a_limit_and_passes_none(seed: int, nv: int) -> N
     assert (use.max(axis=0) <= 1.0).all()
     assert (use.max(axis=0) >= 0.97).all()
     assert (offset + scale * x >= low).all()
-    assert (offset + scale * x <= low + room).all()
+    assert (offset + scale * x <= low + margin).all()

@@ -55,7 +55,7 @@ def silent(argument: Any, emit: Emit) -> None:
     """Owes rows and gives none."""
 
 
-def stranger(argument: Any, emit: Emit) -> None:
+def foreign_error(argument: Any, emit: Emit) -> None:
     """Emits a row that nobody asked for."""
     emit({"id": "nobody", "status": "ok"})
 

@@ -67,7 +67,7 @@ def test_of_nearly_equal_columns_the_one_that_stands_out_is_the_pivot() -> None:
 
 
 @pytest.mark.parametrize("rows", [0, 1, 5])
-def test_nothing_is_told_by_zeros(rows: int) -> None:
+def test_zeros_report_nothing(rows: int) -> None:
     base = base_map(np.zeros((rows, 3)), ("a", "b", "c"))
     assert base.rank == 0
     assert base.K.shape == (0, 3)

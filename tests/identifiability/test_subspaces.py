@@ -105,28 +105,28 @@ def test_a_locked_joint_is_named_before_its_torque_is_trusted(case: str) -> None
     names, rank, lost = DATA[case]
     robot = named_robot("icub")
     cut = cut_at(robot, "l_arm_ft_sensor")
-    told = excitation_of(
+    excitation = excitation_of(
         subtree_regressors(robot, cut, _moving(robot, names)), structural_subspaces(robot, cut)
     )
-    assert (told.rank, told.structural) == (rank, 38)
-    assert told.unpredictable == lost
-    assert told.complete == (not lost)
-    assert bool(told.warning) == bool(lost)
+    assert (excitation.rank, excitation.structural) == (rank, 38)
+    assert excitation.unpredictable == lost
+    assert excitation.complete == (not lost)
+    assert bool(excitation.warning) == bool(lost)
     for name in lost:
-        assert name in told.warning
-        assert told.missing[name] > 0.9
+        assert name in excitation.warning
+        assert excitation.missing[name] > 0.9
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
-    """Two parameter sets that the data cannot tell apart give the same torque of every joint that
+def test_what_the_data_excite_predicts_what_is_not_flagged(seed: int) -> None:
+    """Two parameter sets that the data cannot distinguish give the same torque of every joint that
     is not flagged, in any other motion and for any base; those of flagged ones differ."""
     robot = revolute_tree(seed, 6)
     rng = np.random.default_rng(seed)
     cut = cut_at(robot, robot.body_names[0])
     moved = tuple(rng.choice(robot.rows[6:], 3, replace=False))
     made = subtree_regressors(robot, cut, _moving(robot, moved, seed))
-    told = excitation_of(made, structural_subspaces(robot, cut))
+    excitation = excitation_of(made, structural_subspaces(robot, cut))
     basis, _ = row_space(made.Y_n)
     change = np.array(rng.normal(size=made.Y_n.shape[-1:]))
     change = change - basis @ (basis.T @ change)
@@ -135,7 +135,7 @@ def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
     bases = [robot.body_names[b] for b in cut.bodies]
     errors = np.max([np.abs(other.joint_torque(b) @ change).max(axis=0) for b in bases], axis=0)
     for row, size in zip(other.rows, errors, strict=True):
-        assert (size > 1e-6) == (row in told.unpredictable), row
+        assert (size > 1e-6) == (row in excitation.unpredictable), row
 
 
 def test_apart_and_outside_are_sines() -> None:

@@ -34,8 +34,8 @@ def inertial_base(robot: RobotModel) -> BaseMap:
     return structural_base(robot, robot.inertial_columns)
 
 
-def told_by(nullspace: Array) -> tuple[str, ...]:
-    """The verdict on each parameter, from the changes (p, k) that nothing can tell."""
+def reference_verdicts(nullspace: Array) -> tuple[str, ...]:
+    """The verdict on each parameter, from the changes (p, k) that have no effect."""
     p = len(nullspace)
     unseen = np.linalg.norm(nullspace @ nullspace.T - np.eye(p), axis=1)  # of each unit vector
     moved = np.abs(nullspace).max(axis=1, initial=0.0)
@@ -79,7 +79,7 @@ def test_the_rank_of_the_mjcf_collection_is_the_structural_one(data_folder: Path
 
 
 @pytest.mark.parametrize("file", ["so100.urdf", "so101.urdf"])
-def test_directions_told_by_rounding_are_named_and_make_up_the_difference(file: str) -> None:
+def test_directions_caused_by_rounding_are_named_and_make_up_the_difference(file: str) -> None:
     (path,) = places.example_robot_data().rglob(file)
     robot = load_robot(path)
     base, R = inertial_base(robot), structural_factor(robot, robot.inertial_columns)
@@ -96,7 +96,7 @@ def test_verdicts_of_random_trees_are_those_of_the_nullspace(seed: int) -> None:
     robot = random_robot(seed, bodies=4)
     nullspace = parameter_nullspace(robot.tree)
     base = inertial_base(robot)
-    assert verdicts(base) == told_by(nullspace)
+    assert verdicts(base) == reference_verdicts(nullspace)
     assert subspace_distance(base.K.T, row_space(nullspace).T) < 1e-8
 
 
@@ -110,7 +110,7 @@ def test_verdicts_of_generated_trees_are_those_of_the_nullspace(seed: int) -> No
     nullspace = parameter_nullspace(robot.tree)
     base = inertial_base(robot)
     assert base.rank == len(nullspace) - nullspace.shape[1]
-    assert verdicts(base) == told_by(nullspace)
+    assert verdicts(base) == reference_verdicts(nullspace)
 
 
 @pytest.mark.parametrize("seed", [*ILL, *range(20)])
@@ -142,7 +142,7 @@ def test_the_rank_does_not_hang_on_how_far_a_joint_may_go(tmp_path: Path) -> Non
 @pytest.mark.parametrize("name", ["ur5", "panda", "z1", "solo12"])
 def test_verdicts_of_arms_are_those_of_the_nullspace(name: str) -> None:
     robot = named_robot(name)
-    assert verdicts(inertial_base(robot)) == told_by(parameter_nullspace(robot.tree))
+    assert verdicts(inertial_base(robot)) == reference_verdicts(parameter_nullspace(robot.tree))
 
 
 @given(seed=SEEDS)
@@ -152,7 +152,7 @@ def test_a_verdict_is_what_the_nullspace_of_a_matrix_does_to_a_parameter(seed: i
     W[:, 4] = 2.0 * W[:, 1] - W[:, 0] * (rng.random() > 0.5)
     base = base_map(W, tuple("abcdef"))
     _, values, Vt = np.linalg.svd(W)
-    assert verdicts(base) == told_by(Vt[(values > 1e-9).sum() :].T)
+    assert verdicts(base) == reference_verdicts(Vt[(values > 1e-9).sum() :].T)
 
 
 def test_sums_are_printed_as_papers_do() -> None:
@@ -191,12 +191,12 @@ def test_qr_pivots_span_the_same_space(name: str) -> None:
     assert verdicts(replace(base, K=K, pivots=pivots, row_space=None)) == verdicts(base)
 
 
-def test_other_spaces_are_told_apart() -> None:
+def test_other_spaces_are_distinguished() -> None:
     K = inertial_base(named_robot("ur5")).K
     assert subspace_distance(K.T, K[:-1].T) == pytest.approx(np.pi / 2)
     assert subspace_distance(K[:0].T, K[:0].T) == 0.0
     moved = K.copy()
-    moved[0, 0] += 0.1  # shoulder_link.m, which nothing tells
+    moved[0, 0] += 0.1  # shoulder_link.m, which no torque depends on
     assert subspace_distance(K.T, moved.T) > 1e-3
 
 

@@ -79,12 +79,12 @@ def test_both_kernels_say_the_same(name: str | int, level: str, choose: Choose) 
 def test_both_kernels_and_pinocchio_agree_on_any_tree(choose: Choose, text: str, seed: int) -> None:
     robot = robot_of(text)
     motion = states(robot, 11, seed)
-    witness = pinocchio_regressor(robot, motion).Y
+    reference = pinocchio_regressor(robot, motion).Y
     ours = regression(robot, robot.inertial_columns)
     for kernel in ("numpy", "compiled"):
         if choose(kernel).library is None and kernel == "compiled":
             pytest.skip(selected_kernel().reason)
-        assert relative_gap(ours.dense(motion).Y, witness) <= SAME
+        assert relative_gap(ours.dense(motion).Y, reference) <= SAME
 
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
