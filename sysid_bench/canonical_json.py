@@ -3,8 +3,9 @@
 import hashlib
 import json
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from types import NoneType
+from typing import Any, Final
 
 
 def plain(value: Any) -> Any:
@@ -13,29 +14,49 @@ def plain(value: Any) -> Any:
     NaN and infinities become None, so that no reader takes them for a measurement. Raises TypeError
     for other types.
     """
-    kind = type(value)  # rows hold thousands of numbers: the common types come first
-    if kind is float:
+    if type(value) is float:  # rows hold thousands of floats: they pass no table
         return value if math.isfinite(value) else None
-    if kind is dict:
-        return {key if type(key) is str else str(key): plain(inner) for key, inner in value.items()}
-    if value is None or isinstance(value, (bool, int)):
-        return value
-    if isinstance(value, str):
-        if value.isascii():
-            return value
-        # Half of a surrogate pair, as in undecodable file names, is not valid UTF-8.
-        return value.encode("utf-8", "backslashreplace").decode()
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): plain(inner) for key, inner in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(inner) for inner in value]
-    if hasattr(value, "tolist"):
+    for kind, convert in _CONVERSIONS:
+        if isinstance(value, kind):
+            return convert(value)
+    if hasattr(value, "tolist"):  # arrays and scalars of numpy
         return plain(value.tolist())
     raise TypeError(
         f"{value!r} ({type(value).__name__}) cannot be stored as JSON; use numbers and strings."
     )
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _text(value: str) -> str:
+    """Text in valid UTF-8: undecodable file names hold halves of surrogate pairs, which are not."""
+    return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
+
+
+def _number(value: float) -> float | None:
+    """Number of a subclass of float, such as numpy.float64."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _items(values: Iterable[Any]) -> list[Any]:
+    return [plain(inner) for inner in values]
+
+
+def _mapping(value: Mapping[Any, Any]) -> dict[str, Any]:
+    return {key if type(key) is str else str(key): plain(inner) for key, inner in value.items()}
+
+
+# The first that fits applies, the common types first.
+_CONVERSIONS: Final[tuple[tuple[tuple[type, ...], Callable[[Any], Any]], ...]] = (
+    ((dict,), _mapping),
+    ((bool, int, NoneType), _same),
+    ((str,), _text),
+    ((float,), _number),
+    ((list, tuple), _items),
+    ((Mapping,), _mapping),
+)
 
 
 def canonical(value: Any) -> str:

@@ -184,18 +184,28 @@ def checked_metric(thing: Any) -> Metric:
             f"A metric plug-in is a sysid_bench.types.Metric, or a function that returns one; got "
             f"{type(thing).__name__}."
         )
-    name = thing.name
+    _validate_name(thing.name)
+    if thing.compute is None or thing.level != "cell" or thing.text:
+        raise UsageError(
+            f"The metric {thing.name!r} needs `compute` and level 'cell', and is a number."
+        )
+    _validate_direction(thing)
+    return thing
+
+
+def _validate_name(name: str) -> None:
     if not _NAME.fullmatch(name):
         raise UsageError(f"The metric name {name!r} is not a field name; use a-z, 0-9 and _.")
     if name in METRICS:
         raise UsageError(f"The metric name {name!r} is a field of rows already; choose another.")
-    if thing.compute is None or thing.level != "cell" or thing.text:
-        raise UsageError(f"The metric {name!r} needs `compute` and level 'cell', and is a number.")
-    if thing.better not in ("lower", "higher", None):
+
+
+def _validate_direction(metric: Metric) -> None:
+    name, better = metric.name, metric.better
+    if better not in ("lower", "higher", None):
         raise UsageError(f"The metric {name!r}: better is 'lower', 'higher' or None.")
-    if thing.ranked and thing.better != "lower":
+    if metric.ranked and better != "lower":
         raise UsageError(f"The metric {name!r} is ranked by ratios: better has to be 'lower'.")
-    return thing
 
 
 def metric_record(metric: Metric) -> dict[str, Any]:
@@ -242,8 +252,11 @@ def _value(metric: Metric, cell: MetricInput) -> tuple[float | None, str]:
         return None, f"needs {', '.join(missing)}"
     assert metric.compute is not None
     given: Any = metric.compute(cell)
-    if given is None:
-        return None, ""
+    return (None, "") if given is None else _finite_number(given)
+
+
+def _finite_number(given: Any) -> tuple[float | None, str]:
+    """The number that a metric has returned, or the reason why it is none."""
     # Scalars of numpy and booleans are numbers, too; arrays of one element are a mistake.
     if getattr(given, "ndim", 0) or isinstance(given, (str, bytes)):
         return None, f"returned {type(given).__name__}; a metric is one number or None"

@@ -87,10 +87,10 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "parquet": "sysid_bench.signals.log_readers.parquet:Parquet",
         },
         "term": {
-            "play": "sysid_bench.regressors.friction_features:Play",
-            "playq": "sysid_bench.regressors.friction_features:PositionPlay",
-            "poly": "sysid_bench.regressors.friction_features:Polynomial",
-            "tanh": "sysid_bench.regressors.friction_features:SmoothCoulomb",
+            "play": "sysid_bench.regressors.joint_features:Play",
+            "playq": "sysid_bench.regressors.joint_features:PositionPlay",
+            "poly": "sysid_bench.regressors.joint_features:Polynomial",
+            "tanh": "sysid_bench.regressors.joint_features:SmoothCoulomb",
         },
         "metric": {},  # sysid_bench/metrics.py has the built-in ones
         "plant": {
@@ -164,11 +164,7 @@ def _settings(kind: str, name: str, make: Any, given: Mapping[str, Any]) -> dict
     except (TypeError, ValueError):
         return dict(given)
     free = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
-    units = {}
-    if dataclasses.is_dataclass(make):
-        units = {
-            f.name: f.metadata["unit"] for f in dataclasses.fields(make) if "unit" in f.metadata
-        }
+    units = _units_of(make)
     values = {}
     for key, value in given.items():
         if key not in parameters and not free:
@@ -177,10 +173,22 @@ def _settings(kind: str, name: str, make: Any, given: Mapping[str, Any]) -> dict
             values[key] = quantity(value, units[key]) if key in units else value
         except UsageError as error:
             raise UsageError(f"{kind} {name!r}, {key}: {error}") from error
+    _refuse_missing(f"{kind} {name!r}", parameters, values)
+    return values
+
+
+def _units_of(make: Any) -> dict[str, str]:
+    """Units of the settings that declare one in the metadata of their dataclass field."""
+    fields = dataclasses.fields(make) if dataclasses.is_dataclass(make) else ()
+    return {field.name: field.metadata["unit"] for field in fields if "unit" in field.metadata}
+
+
+def _refuse_missing(
+    plugin: str, parameters: Mapping[str, inspect.Parameter], values: Mapping[str, Any]
+) -> None:
     missing = [key for key, p in parameters.items() if _is_required(p) and key not in values]
     if missing:
-        raise UsageError(f"{kind} {name!r} needs the settings {', '.join(missing)}.")
-    return values
+        raise UsageError(f"{plugin} needs the settings {', '.join(missing)}.")
 
 
 def _is_required(parameter: inspect.Parameter) -> bool:
@@ -204,7 +212,7 @@ def _module(path: str) -> ModuleType:
     try:
         return importlib.import_module(path)
     except ModuleNotFoundError as error:
-        if error.name is not None and (path == error.name or path.startswith(error.name + ".")):
+        if f"{path}.".startswith(f"{error.name}."):
             raise UsageError(f"No module is called {path!r} on the path of this Python.") from error
         raise  # the plug-in's own import: blaming its name would hide the mistake
 

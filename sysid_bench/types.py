@@ -1,9 +1,9 @@
 """Data types that packages exchange: arrays and labels only.
 
-Letters: N samples, nq positions, nv velocities (degrees of freedom), p unknown parameters, r base
-parameters. Units are SI; a degree of freedom is an angle (rad, N m) or a length (m, N). A method
-has access to `Recording`, `Prior`, `Problem` and `Experiment`; `Oracle` and `Truth` are for scoring
-alone (`tests/test_layers.py`).
+Letters: N samples, nq positions, nv velocities (degrees of freedom), p unknowns, r base parameters.
+Units are SI; a degree of freedom is an angle (rad, N m) or a length (m, N). A method has access to
+`Recording`, `Prior`, `Problem` and `Experiment`; `Oracle` and `Truth` are for scoring alone
+(`tests/test_layers.py`).
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -43,7 +43,7 @@ class Trajectory:
         if steps.max() > 1.5 * step:
             return 0
         samples = round(self.period / step)
-        off = abs(self.period / step - samples) * len(self.t)
+        off = abs(self.period / step - samples) * len(self.t)  # phase error, times the period
         return samples if off < 0.5 * samples else 0
 
 
@@ -63,10 +63,8 @@ class Controller:
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Sensor data of one recording: signals, rate, commanded motion, controller. `tau` belongs to
-    `rows`; q, v and a of dependent joints are computed from the independent ones.
-
-    `v` and `a` are None until a filter has derived them from q (or an ideal sensor measured them).
-    """
+    `rows`; q, v and a of dependent joints are computed from the independent ones. `v` and `a` are
+    None until a filter has derived them from q (or an ideal sensor measured them)."""
 
     t: Float[Array, " N"]
     q: Float[Array, "N nq"]
@@ -119,8 +117,7 @@ class Regressor:
 
 @dataclass(frozen=True, eq=False)
 class BaseMap:
-    """Base parameters beta = K theta: the identifiable combinations. `K[:, pivots]` is the
-    identity.
+    """Identifiable combinations beta = K theta, the base parameters; `K[:, pivots]` is 1.
 
     `rank` counts singular values above 1e-5 of the largest (SI columns, random states); `gap` is
     the ratio of the last kept to the first dropped one; `near_degenerate` counts dropped ones above
@@ -151,7 +148,7 @@ class BaseMap:
         return tuple(self.parameters[i] for i in self.pivots)
 
     def embed(self, beta: Float[Array, " r"]) -> Float[Array, " p"]:
-        """theta with beta at the pivots and zero elsewhere: it gives the same torques."""
+        """Return theta with beta at the pivots and zero elsewhere: it gives the same torques."""
         theta = np.zeros(self.K.shape[1])
         theta[self.pivots] = beta
         return theta
@@ -201,8 +198,7 @@ RowBlock = tuple[Float[Array, "n rows r"], Float[Array, "n rows"]]
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Identification problem W beta = b, as R factors per row; `blocks()` iterates over the
-    samples."""
+    """Identification problem W beta = b, as R factors per row; `blocks()` yields all samples."""
 
     parameters: tuple[str, ...]  # p unknowns
     base: BaseMap
@@ -212,18 +208,16 @@ class Problem:
     blocks: Callable[[], Iterator[RowBlock]] = field(repr=False)
     samples: int = 0
     prior: Prior | None = None
-    kinds: tuple[
-        str, ...
-    ] = ()  # of each row, "joint N m", "base N", ...: only equal kinds are compared
+    kinds: tuple[str, ...] = ()  # of rows, "joint N m", "base N": only equal kinds are compared
     torque: Float[Array, " rows"] | None = None  # RMS of each row's total torque; None: that of b
     period: int = 0  # samples per period; 0: not periodic
 
     @cached_property
     def stacked(self) -> tuple[Float[Array, "M r"], Float[Array, " M"]]:
         """(W, b) of all samples in time order; its memory grows with N, so prefer `factors`."""
-        parts = list(self.blocks())
-        W = np.concatenate([block.reshape(-1, self.base.rank) for block, _ in parts])
-        b = np.concatenate([values.ravel() for _, values in parts])
+        Ws, bs = zip(*self.blocks(), strict=True)
+        W = np.concatenate([block.reshape(-1, self.base.rank) for block in Ws])
+        b = np.concatenate([values.ravel() for values in bs])
         W.flags.writeable = b.flags.writeable = False  # shared by all estimators of an experiment
         return W, b
 
@@ -301,7 +295,6 @@ class SimulatingEstimator(Protocol):
 @dataclass(frozen=True)
 class Score:
     """Figures of one estimate; None where a figure does not apply. metrics.py has their records.
-
     Torque errors are held-out and against the exact torque (the Oracle), except `rmse_train`."""
 
     rmse_train: float | None = None
@@ -400,9 +393,8 @@ class Metric:
     @property
     def arrow(self) -> str:
         """The direction of better values as one character; empty where there is none."""
-        return {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}"}.get(
-            self.better or "", ""
-        )
+        arrows = {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}"}
+        return arrows.get(self.better or "", "")
 
 
 ShapeKind = Literal["mesh", "box", "sphere", "cylinder", "capsule", "ellipsoid"]

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 
 from sysid_bench.errors import UsageError
 
@@ -20,7 +21,7 @@ _DIMENSIONS: tuple[dict[str, float], ...] = (
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S.*?)?\s*")
 
 
-def split_quantity(text: str) -> tuple[float, str]:
+def parse_quantity(text: str) -> tuple[float, str]:
     """Return a text as (number, unit as written). Raises UsageError unless finite."""
     match = _QUANTITY.fullmatch(text)
     if match is None or not math.isfinite(float(match[1])):
@@ -41,13 +42,8 @@ def quantity(value: object, unit: str) -> float:
     if not isinstance(value, str):
         first = unit.split("|")[0]
         return _finite(value, _dimension(first)[first], value)
-    number, written = split_quantity(value)
-    for wanted in unit.split("|"):
-        table = _dimension(wanted)
-        if (written or wanted) in table:
-            return _finite(number, table[written or wanted], value)
-    expected = sorted({name for wanted in unit.split("|") for name in _dimension(wanted)})
-    raise UsageError(f"{value!r} has the unit {written!r}; expected one of {', '.join(expected)}.")
+    number, written = parse_quantity(value)
+    return _finite(number, _factor(value, written, unit.split("|")), value)
 
 
 def interval(text: object) -> tuple[float, float]:
@@ -66,6 +62,17 @@ def _dimension(unit: str) -> dict[str, float]:
         if unit in table:
             return table
     raise UsageError(f"{unit!r} is not a known unit.")
+
+
+def _factor(value: str, written: str, units: Sequence[str]) -> float:
+    """Factor to SI of the unit as written, which is of the first dimension among `units` that has
+    it; of the first unit, where `value` has none."""
+    for unit in units:
+        table = _dimension(unit)
+        if (written or unit) in table:
+            return table[written or unit]
+    expected = sorted({name for unit in units for name in _dimension(unit)})
+    raise UsageError(f"{value!r} has the unit {written!r}; expected one of {', '.join(expected)}.")
 
 
 def _finite(number: float, scale: float, written: float | str) -> float:

@@ -48,7 +48,7 @@ def versions() -> dict[str, str | None]:
 
 
 @cache
-def code_and_libraries() -> str:
+def package_hash() -> str:
     """Return 16 hex digits of this package's code and of the versions of its libraries."""
     return digest([source_hash(str(PACKAGE_FOLDER)), versions(), sys.version_info[:2]])[:16]
 

@@ -43,7 +43,7 @@ def test_a_hint_is_a_name_that_exists(name: str, known: list[str]) -> None:
 
 @given(name=st.text(string.ascii_lowercase, min_size=4, max_size=10), known=st.lists(WORDS))
 def test_a_slip_of_one_letter_is_recognised(name: str, known: list[str]) -> None:
-    # Digits keep the strangers apart from the name, so that the slip has one nearest name.
+    # Digits keep the other names far from the name, so that the slip has one nearest name.
     others = [f"{i}{'0' * len(name)}" for i in range(len(known))]
     message = str(unknown_name("robot", name[:-1], [*others, name]))
     assert f"Did you mean {name!r}?" in message

@@ -1,7 +1,7 @@
-"""Who may import whom: the map of the house, its side-by-side rooms and its four walls.
+"""Who may import whom: the map of the packages, packages of one layer and four rules.
 
 Imports are read from the syntax, also inside functions and under TYPE_CHECKING; names in strings
-(importlib, entry points) are ways to be handed a thing, and are left alone.
+(importlib, entry points) are ways to receive an object, and are left alone.
 """
 
 import ast
@@ -17,14 +17,14 @@ PACKAGE = "sysid_bench"
 
 BASE = frozenset(
     {"types", "spatial", "naming", "places", "errors", "units", "c_library"}
-    | {"canonical_json", "versions", "vocabulary", "metrics"}
+    | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
 )
 TOP = frozenset({"__init__", "__main__", "cli", "verbs", "pytest_plugin"})
 BELOW_EVALUATION = frozenset(
     {"models", "tasks", "regressors", "identifiability"}
     | {"excitation", "simulation", "signals", "identification"}
 )
-# room -> the rooms it may import beside itself and the base.
+# package -> the packages it may import besides itself and the base.
 MAP: dict[str, frozenset[str]] = {
     **dict.fromkeys(BASE, frozenset()),
     "models": frozenset(),
@@ -33,11 +33,11 @@ MAP: dict[str, frozenset[str]] = {
     "identifiability": frozenset({"models", "regressors"}),
     "excitation": frozenset({"models", "regressors", "identifiability"}),
     "signals": frozenset({"models", "regressors", "identifiability"}),
-    # Not identifiability: it would let the regressors in by the back door.
+    # Not identifiability: it imports the regressors.
     "simulation": frozenset({"models"}),
     "identification": frozenset({"identifiability"}),
     "evaluation": BELOW_EVALUATION,
-    # What strangers are held to is measured with the metrics of evaluation, never the reverse.
+    # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse.
     "conformance": BELOW_EVALUATION | {"evaluation", "experiments"},
     "experiments": BELOW_EVALUATION | {"evaluation"},
     "harness": BELOW_EVALUATION | {"evaluation", "conformance", "experiments"},
@@ -47,17 +47,17 @@ SIDE_BY_SIDE = (
     frozenset({"excitation", "simulation", "signals", "identification"}),
     frozenset({"harness", "reporting"}),
 )
-# Inside the harness: a folder -> what of the harness it may import beside itself.
+# Inside the harness: a folder -> the folders of the harness it may import besides itself.
 HARNESS: dict[str, frozenset[str]] = {
     "suite": frozenset(),
     "work": frozenset(),
 }
 ENGINES = frozenset({"mujoco", "pinocchio"})
 SECRETS = re.compile(r"\b(Oracle|Truth)\b")
-SECRET_ROOMS = frozenset({"types", "tasks", "models", "simulation", "evaluation", "experiments"})
+SECRET_PACKAGES = frozenset({"types", "tasks", "models", "simulation", "evaluation", "experiments"})
 
 
-def room_of(file: Path, root: Path) -> str:
+def package_of(file: Path, root: Path) -> str:
     """The first word below the package: a folder, or a file without its suffix."""
     return file.relative_to(root).parts[0].removesuffix(".py")
 
@@ -74,44 +74,46 @@ def imports(file: Path, root: Path) -> Iterator[tuple[int, str]]:
             yield from ((node.lineno, ".".join([*parts, alias.name])) for alias in node.names)
 
 
-def rooms_imported(file: Path, root: Path) -> Iterator[tuple[int, str]]:
-    """(line, room) of every import of ours; the package itself counts as the room `__init__`."""
+def packages_imported(file: Path, root: Path) -> Iterator[tuple[int, str]]:
+    """(line, package) of every import of ours; sysid_bench itself counts as `__init__`."""
     for line, module in imports(file, root):
         first, _, rest = module.partition(".")
         if first == PACKAGE:
-            room = rest.partition(".")[0]
-            yield line, room if room in MAP or room in TOP else "__init__"
+            package = rest.partition(".")[0]
+            yield line, package if package in MAP or package in TOP else "__init__"
 
 
 def off_the_map(file: Path, root: Path) -> list[str]:
     """Imports that the map does not grant, and files that it does not know."""
-    room = room_of(file, root)
-    if room in TOP:
+    package = package_of(file, root)
+    if package in TOP:
         return []
-    if room not in MAP:
-        return [
-            f"{file}: {room!r} is no room of the map in {Path(__file__).name}; give it a place."
-        ]
-    granted = MAP[room] | BASE | {room}
+    if package not in MAP:
+        return [f"{file}: {package!r} is not on the map in {Path(__file__).name}; give it a place."]
+    granted = MAP[package] | BASE | {package}
     return [
-        f"{file}:{line} imports {other}; {room} may import {', '.join(sorted(granted - {room}))}."
-        for line, other in rooms_imported(file, root)
+        f"{file}:{line} imports {other}; {package} may import "
+        f"{', '.join(sorted(granted - {package}))}."
+        for line, other in packages_imported(file, root)
         if other not in granted
     ]
 
 
-def across_the_landing(file: Path, root: Path) -> list[str]:
-    """Imports between rooms that stand side by side."""
-    room = room_of(file, root)
-    neighbours = {other for group in SIDE_BY_SIDE if room in group for other in group - {room}}
+def across_one_layer(file: Path, root: Path) -> list[str]:
+    """Imports between packages of one layer."""
+    package = package_of(file, root)
+    neighbours = {
+        other for group in SIDE_BY_SIDE if package in group for other in group - {package}
+    }
     return [
-        f"{file}:{line} imports {other}, which stands beside {room}: they meet one floor up."
-        for line, other in rooms_imported(file, root)
+        f"{file}:{line} imports {other}, which is of the same layer as "
+        f"{package}: they meet in a higher layer."
+        for line, other in packages_imported(file, root)
         if other in neighbours
     ]
 
 
-def up_the_stairs_of_the_harness(file: Path, root: Path) -> list[str]:
+def upwards_in_the_harness(file: Path, root: Path) -> list[str]:
     """Reading a suite, work in processes and one experiment know nothing of plans and runs."""
     place = file.relative_to(root).parts
     if place[0] != "harness" or len(place) < 3:
@@ -127,35 +129,35 @@ def up_the_stairs_of_the_harness(file: Path, root: Path) -> list[str]:
 
 
 def plant_sees_the_tested(file: Path, root: Path) -> list[str]:
-    """Wall 1: what makes the data never sees what is tested on it."""
-    if room_of(file, root) != "simulation":
+    """Rule 1: what makes the data never sees what is tested on it."""
+    if package_of(file, root) != "simulation":
         return []
     return [
         f"{file}:{line} imports {other}: simulation must not know what is tested on its data."
-        for line, other in rooms_imported(file, root)
+        for line, other in packages_imported(file, root)
         if other in ("regressors", "identification")
     ]
 
 
-def witness_knows_us(file: Path, root: Path) -> list[str]:
-    """Wall 2: the reference regressors import no regressor module but each other."""
+def reference_imports_kernels(file: Path, root: Path) -> list[str]:
+    """Rule 2: the reference regressors import no regressor module but each other."""
     place = file.relative_to(root)
     if place.parts[0] != "regressors" or not place.name.startswith("pinocchio"):
         return []
     ours, reference = f"{PACKAGE}.regressors", f"{PACKAGE}.regressors.pinocchio"
     return [
-        f"{file}:{line} imports {module}: the witness must stay independent."
+        f"{file}:{line} imports {module}: the reference must stay independent."
         for line, module in imports(file, root)
         if module.startswith(ours) and not module.startswith(reference)
     ]
 
 
 def method_holds_an_engine(file: Path, root: Path) -> list[str]:
-    """Wall 3: methods get simulators and regressors injected, as functions."""
-    if room_of(file, root) != "identification":
+    """Rule 3: methods get simulators and regressors injected, as functions."""
+    if package_of(file, root) != "identification":
         return []
     engines = [(line, module.partition(".")[0]) for line, module in imports(file, root)]
-    ours = rooms_imported(file, root)
+    ours = packages_imported(file, root)
     return [
         f"{file}:{line} imports {other}: identification takes it as a function instead."
         for line, other in [*engines, *ours]
@@ -164,12 +166,12 @@ def method_holds_an_engine(file: Path, root: Path) -> list[str]:
 
 
 def truth_is_named(file: Path, root: Path) -> list[str]:
-    """Wall 4: the nouns that hold the truth are named only where it is made, told or scored."""
-    if room_of(file, root) in SECRET_ROOMS:
+    """Rule 4: the nouns that hold the truth are named only where it is made, given or scored."""
+    if package_of(file, root) in SECRET_PACKAGES:
         return []
     tree = ast.parse(file.read_text(encoding="utf-8"))
     return [
-        f"{file}:{line} names {name}: only {', '.join(sorted(SECRET_ROOMS))} may."
+        f"{file}:{line} names {name}: only {', '.join(sorted(SECRET_PACKAGES))} may."
         for line, text in identifiers(tree)
         for name in SECRETS.findall(text)
     ]
@@ -191,10 +193,10 @@ def identifiers(tree: ast.AST) -> Iterator[tuple[int, str]]:
 Rule = Callable[[Path, Path], list[str]]
 RULES: tuple[Rule, ...] = (
     off_the_map,
-    across_the_landing,
-    up_the_stairs_of_the_harness,
+    across_one_layer,
+    upwards_in_the_harness,
     plant_sees_the_tested,
-    witness_knows_us,
+    reference_imports_kernels,
     method_holds_an_engine,
     truth_is_named,
 )
@@ -227,21 +229,29 @@ BAD = [
     (off_the_map, "evaluation/crosscheck.py", "from ..harness import plan"),
     (off_the_map, "evaluation/crosscheck.py", "from sysid_bench.conformance import check"),
     (off_the_map, "simulation/inverse.py", "from sysid_bench.identifiability import base"),
-    (off_the_map, "stranger.py", ""),
-    (across_the_landing, "excitation/fourier.py", "from sysid_bench.signals.noise import White"),
-    (across_the_landing, "signals/noise.py", "from ..simulation import inverse"),
-    (across_the_landing, "reporting/html.py", "from sysid_bench import harness"),
-    (across_the_landing, "harness/run.py", "import sysid_bench.reporting.html as html"),
-    (up_the_stairs_of_the_harness, "harness/suite/read.py", "from sysid_bench.harness import run"),
-    (up_the_stairs_of_the_harness, "harness/work/crew.py", "from ..suite.names import Names"),
+    (off_the_map, "unknown.py", ""),
+    (
+        across_one_layer,
+        "excitation/fourier.py",
+        "from sysid_bench.signals.noise import White",
+    ),
+    (across_one_layer, "signals/noise.py", "from ..simulation import inverse"),
+    (across_one_layer, "reporting/html.py", "from sysid_bench import harness"),
+    (across_one_layer, "harness/run.py", "import sysid_bench.reporting.html as html"),
+    (upwards_in_the_harness, "harness/suite/read.py", "from sysid_bench.harness import run"),
+    (upwards_in_the_harness, "harness/work/crew.py", "from ..suite.names import Names"),
     (off_the_map, "experiments/execute.py", "from sysid_bench.harness.plan import Cell"),
     (off_the_map, "models/robot.py", "from sysid_bench.tasks.task import Task"),
     (plant_sees_the_tested, "simulation/inverse.py", "import sysid_bench.regressors.body"),
     (plant_sees_the_tested, "simulation/effects/a.py", "from ...identification import identify"),
-    (witness_knows_us, "regressors/pinocchio.py", "from sysid_bench.regressors.body import Y"),
-    (witness_knows_us, "regressors/pinocchio.py", "from . import body"),
-    (witness_knows_us, "regressors/pinocchio_wrench.py", "from . import wrench"),
-    (witness_knows_us, "regressors/pinocchio.py", "def f():\n    from .body import Y"),
+    (
+        reference_imports_kernels,
+        "regressors/pinocchio.py",
+        "from sysid_bench.regressors.body import Y",
+    ),
+    (reference_imports_kernels, "regressors/pinocchio.py", "from . import body"),
+    (reference_imports_kernels, "regressors/pinocchio_wrench.py", "from . import wrench"),
+    (reference_imports_kernels, "regressors/pinocchio.py", "def f():\n    from .body import Y"),
     (method_holds_an_engine, "identification/estimators/iv.py", "import mujoco.rollout"),
     (method_holds_an_engine, "identification/identify.py", "from pinocchio import rnea"),
     (
@@ -297,10 +307,10 @@ def test_what_is_allowed_is_let_through(name: str, text: str, tmp_path: Path) ->
 
 def test_the_map_grants_nothing_across_a_landing_and_has_no_circle() -> None:
     assert not [r for group in SIDE_BY_SIDE for r in group if MAP[r] & group]
-    reach = {room: set(others) for room, others in MAP.items()}
+    reach = {package: set(others) for package, others in MAP.items()}
     for _ in MAP:
-        reach = {room: seen.union(*(reach[o] for o in seen)) for room, seen in reach.items()}
-    assert not [room for room, seen in reach.items() if room in seen]
+        reach = {package: seen.union(*(reach[o] for o in seen)) for package, seen in reach.items()}
+    assert not [package for package, seen in reach.items() if package in seen]
 
 
 def test_the_nouns_refuse_wrong_shapes_here() -> None:

@@ -1,4 +1,4 @@
-"""Names become objects; the table of built-in names matches the folders; strangers join by name."""
+"""Names become objects; built-in names match the folders; plug-in authors add names."""
 
 import ast
 import math
@@ -31,7 +31,7 @@ CONSTANT = 7
 
 @pytest.fixture
 def plugin(tmp_path: Path) -> str:
-    """A stranger's file, named as a user names it, without the object."""
+    """A file of a plug-in author, named as a user names it, without the object."""
     file = tmp_path / "mine.py"
     file.write_text(PLUGIN)
     return f"file:{file}"
@@ -124,7 +124,7 @@ def test_a_file_may_postpone_its_annotations(tmp_path: Path) -> None:
     assert build("estimator", f"file:{file}:Thing").cut == 1.0
 
 
-def test_a_strangers_entry_point_joins_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_entry_point_joins_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     point = EntryPoint("geodesic", "math:hypot", "sysid_bench.estimators")
 
     def entry_points(*, group: str) -> EntryPoints:

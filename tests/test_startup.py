@@ -19,7 +19,7 @@ try:
 except SystemExit as end:
     assert end.code in (0, None), end.code
 """
-VERBS = {
+COMMANDS = {
     *("crosscheck", "list", "show", "plan", "run", "status", "cell", "table", "report"),
     *("record", "view", "doctor", "excite", "basis", "identify", "init", "check-plugin"),
 }
@@ -58,7 +58,7 @@ def test_help_names_every_verb() -> None:
     done = python(HELP)
     assert done.returncode == 0, done.stderr
     shown = set(re.findall(r"^\s+([a-z-]+)\s", done.stdout + "\n", re.MULTILINE))
-    assert shown >= VERBS, f"not in --help: {sorted(VERBS - shown)}"
+    assert shown >= COMMANDS, f"not in --help: {sorted(COMMANDS - shown)}"
 
 
 def test_the_package_offers_what_python_users_are_promised() -> None:

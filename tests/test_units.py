@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.units import quantity, split_quantity
+from sysid_bench.units import parse_quantity, quantity
 
 # What one of each unit is in SI, written out again: a wrong factor in the package shows here.
 DIMENSIONS: list[dict[str, float]] = [
@@ -23,7 +23,7 @@ DIMENSIONS: list[dict[str, float]] = [
 ]
 SI = {unit: scale for table in DIMENSIONS for unit, scale in table.items()}
 PAIRS = [(u, w) for table in DIMENSIONS for u in table for w in table]
-STRANGERS = [(u, w) for a in DIMENSIONS for b in DIMENSIONS if a is not b for u in a for w in b]
+UNLIKE = [(u, w) for a in DIMENSIONS for b in DIMENSIONS if a is not b for u in a for w in b]
 
 # Far from overflow: a conversion multiplies by 1e9 at most (kHz and MHz, h and us).
 NUMBERS = st.floats(-1e290, 1e290)
@@ -54,10 +54,10 @@ def test_blanks_do_not_matter(x: float, unit: str, before: str, between: str, af
     if unit == "1":
         between += " "  # "5" and "1" would read as 51
     text = f"{before}{x!r}{between}{unit}{after}"
-    assert split_quantity(text) == (x, unit)
+    assert parse_quantity(text) == (x, unit)
 
 
-@given(x=NUMBERS, pair=st.sampled_from(STRANGERS))
+@given(x=NUMBERS, pair=st.sampled_from(UNLIKE))
 def test_another_dimension_is_refused_with_the_units_that_fit(
     x: float, pair: tuple[str, str]
 ) -> None:

@@ -11,7 +11,7 @@ from scipy.linalg import solve_triangular
 from sysid_bench.evaluation.covariance import StandardError
 from sysid_bench.evaluation.plausibility import plausibility_findings
 from sysid_bench.identification.linear.normal_qr import excited_rank, residual_norms, stacked_factor
-from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
 from sysid_bench.types import Array, Estimate, Extent, Problem, Score, Truth
 

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.types import Array
 
 SpectralFunction = Callable[[Array], tuple[float, Array]]

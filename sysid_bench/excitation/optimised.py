@@ -18,7 +18,7 @@ from sysid_bench.excitation.limit_use import Limit, LimitUse, largest_use
 from sysid_bench.excitation.robot_limits import joint_limits, torque_limits
 from sysid_bench.excitation.search import Search
 from sysid_bench.identifiability.base_map import base_map
-from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.types import Array, Trajectory
 
 _DRAWS: Final = 20

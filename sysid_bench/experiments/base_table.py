@@ -14,9 +14,9 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.base_map import base_map
-from sysid_bench.identifiability.sign_bounds import infeasible_signs, smallest_feasible_change
+from sysid_bench.identifiability.feasible_bounds import check_bound, distance_to_feasible
 from sysid_bench.identifiability.structural import structural_factor
-from sysid_bench.identifiability.symbolic_coefficient import lengths_of, symbolic_coefficient
+from sysid_bench.identifiability.symbolic_coefficient import random_values, symbolic_coefficient
 from sysid_bench.identifiability.verdicts import coefficients
 from sysid_bench.models.dh.dh_robot import mjcf_of
 from sysid_bench.models.dh.dh_table import read_table
@@ -73,7 +73,7 @@ def _judged_value(
     """The value of a row and those of its signs that no body can have; None without a value."""
     if not np.isfinite(value):
         return {"value": None, "impossible": None}
-    return {"value": value, "impossible": infeasible_signs(terms, value, bodies)}
+    return {"value": value, "impossible": check_bound(terms, value, bodies)}
 
 
 def _without_value(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -85,7 +85,7 @@ def _smallest_change(base: BaseMap, values: Array, bodies: Sequence[Body]) -> An
     known = np.isfinite(values)
     if not known.any():
         return None
-    return smallest_feasible_change(base.K[known], values[known], base.parameters, bodies)
+    return distance_to_feasible(base.K[known], values[known], base.parameters, bodies)
 
 
 def _rows(robot: RobotModel, base: BaseMap) -> list[dict[str, Any]]:
@@ -145,7 +145,7 @@ def _symbols(robot: RobotModel, base: BaseMap) -> list[dict[str, str]]:
     table = _length_table(robot.manifest)
     if table is None:
         return found
-    sets = lengths_of(read_table(table).symbols)
+    sets = random_values(read_table(table).symbols)
     others = [_with_lengths(robot, table, lengths) for lengths in sets]
     maps = [
         _same_pivots(structural_factor(other, base.parameters), base.pivots) for other in others

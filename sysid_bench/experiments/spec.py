@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import digest
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.units import quantity, split_quantity
+from sysid_bench.units import parse_quantity, quantity
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def _validate_level(key: str, number: float, written: Any) -> None:
 
 
 def _is_share(written: Any) -> bool:
-    return isinstance(written, str) and split_quantity(written)[1] == "%"
+    return isinstance(written, str) and parse_quantity(written)[1] == "%"
 
 
 PRIOR_UNITS: Final = {"com": "mm"}

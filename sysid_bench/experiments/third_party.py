@@ -6,7 +6,7 @@ from typing import Any
 
 from sysid_bench.errors import UsageError
 from sysid_bench.naming import BUILTIN, is_builtin, resolve
-from sysid_bench.regressors.transmission import MOTOR
+from sysid_bench.regressors.motor_terms import MOTOR
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
 from sysid_bench.vocabulary import TERMS

@@ -15,22 +15,13 @@ MOST_NAMES: Final = 4
 """Maximal number of parameters listed for a near-degenerate direction."""
 
 
-def printed_base(base: BaseMap, digits: int = DIGITS) -> tuple[str, ...]:
-    """Return the r base parameters as printed sums, each led by its pivot.
-
-    Pivots are those of `base`: greedy from left to right, unless `rebase` exchanged them.
-    """
-    return tuple(expression(terms, digits) for terms in base_expressions(base))
-
-
 def base_expressions(base: BaseMap) -> tuple[dict[str, float], ...]:
     """Return the coefficients {parameter: value} of each of the r base parameters, beginning with
     its pivot, whose coefficient is 1."""
-    rows = []
-    for pivot, row in zip(base.pivots, coefficients(base), strict=True):
-        others = [int(j) for j in np.flatnonzero(row) if j != pivot]
-        rows.append({base.parameters[j]: float(row[j]) for j in (int(pivot), *others)})
-    return tuple(rows)
+    return tuple(
+        {base.parameters[j]: float(row[j]) for j in dict.fromkeys([pivot, *np.flatnonzero(row)])}
+        for pivot, row in zip(base.pivots, coefficients(base), strict=True)
+    )
 
 
 def expression(terms: Mapping[str, float], digits: int = DIGITS) -> str:
@@ -38,12 +29,12 @@ def expression(terms: Mapping[str, float], digits: int = DIGITS) -> str:
     is not written."""
     parts = []
     for name, value in terms.items():
-        size = f"{abs(value):.{digits}g}"
-        parts += ["-" if value < 0 else "+", *([] if size == "1" else [size]), name]
+        size = f"{abs(value):.{digits}g} ".removeprefix("1 ")
+        parts.append(f"{'-' if value < 0 else '+'} {size}{name}")
     return " ".join(parts).removeprefix("+ ")
 
 
-def near_degenerate(R: Array, base: BaseMap) -> tuple[tuple[float, dict[str, float]], ...]:
+def dropped_expressions(R: Array, base: BaseMap) -> tuple[tuple[float, dict[str, float]], ...]:
     """Return the near-degenerate directions: singular values below the rank tolerance but above
     rounding error.
 

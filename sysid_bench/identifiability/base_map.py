@@ -43,6 +43,7 @@ def base_map(R: Array, parameters: tuple[str, ...]) -> BaseMap:
     rank = int((values > RANK_TOLERANCE * largest).sum())
     dropped = values[rank:]
     gap = float(values[rank - 1] / dropped[0]) if dropped.any() else np.inf
+    # The rank comes from singular values alone: QR diagonals may miss near-dependence.
     pivots = _left_to_right_pivots(R, rank)
     K = _coefficients(R, pivots)
     near_degenerate = int((dropped > NOISE_FLOOR * largest).sum())
@@ -97,12 +98,12 @@ def _left_to_right_pivots(R: Array, rank: int) -> Array:
         tried.append((float(np.linalg.cond(R[:, pivots])), pivots))
         if tried[-1][0] <= CONDITION:
             return pivots
-    fallback = qr_pivots(R, rank)
+    fallback = qr_columns(R, rank)
     tried.append((float(np.linalg.cond(R[:, fallback])), fallback))
     return min(tried, key=lambda item: item[0])[1]
 
 
-def qr_pivots(R: Array, rank: int) -> Array:
+def qr_columns(R: Array, rank: int) -> Array:
     """Return the pivots (rank,) of QR with column pivoting of R (m, p), in ascending order.
 
     Each pivot is the column with the largest residual, wherever it stands (Gautier 1991).
@@ -129,5 +130,6 @@ def _coefficients(R: Array, pivots: Array) -> Array:
     """K (r, p) with R = R[:, pivots] K, the identity on the pivots."""
     Q, T = np.linalg.qr(R[:, pivots])
     K = solve_triangular(T, Q.T @ R)
+    # Exactly, not up to rounding: printed base parameters begin with their pivot.
     K[:, pivots] = np.eye(len(pivots))
     return K

@@ -15,6 +15,7 @@ contains x and is invariant under the generator A. A transfer phi is unobservabl
 functionals A cl(F), b(cl(L), Phi) and b(Phi, Phi) vanish on it, with b(u, w) = u^T I(phi) w.
 """
 
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -39,23 +40,9 @@ def parameter_nullspace(tree: Tree) -> Array:
     The tree is taken without joint couplings; rows are its bodies, ten parameters each. 10 nb - k
     is the rank of the joint torque regressor over all motions.
     """
-    changes: list[Array] = []
-    seen: list[tuple[Array, Array]] = []  # (L, F) of each link
-    body_of = [link.body for link in tree.links]
     count = len(tree.carrier)
-    for link in tree.links:
-        L, F = seen[link.parent] if link.parent >= 0 else (np.zeros((6, 0)), _gravity(tree))
-        X = transport(link.R0, link.p0)
-        observed, L, F = _after_joints(link.joints, _in_frame(L, link.R0, link.p0), X.T @ F)
-        seen.append((L, F))
-        parent = body_of[link.parent] if link.parent >= 0 else None
-        changes += _transfers(count, link.body, parent, X, _null(observed))
-    for body, carrier in enumerate(tree.carrier):
-        if body not in body_of:  # welded: all ten parameters act through the body that carries it
-            parent = body_of[carrier] if carrier >= 0 else None
-            changes += _transfers(count, body, parent, tree.X[body], np.eye(10))
-    stacked = np.column_stack(changes) if changes else np.zeros((10 * count, 0))
-    return np.linalg.qr(stacked)[0]
+    changes = [np.zeros((10 * count, 0)), *_across_joints(tree), *_across_welds(tree)]
+    return np.linalg.qr(np.column_stack(changes))[0]
 
 
 def structural_rank(tree: Tree) -> int:
@@ -64,35 +51,57 @@ def structural_rank(tree: Tree) -> int:
     return int(nullspace.shape[0] - nullspace.shape[1])
 
 
+def _across_joints(tree: Tree) -> Iterator[Array]:
+    """Unobservable transfers (10 nb, t) from each link to its parent."""
+    # The world is at index -1: it does not move, and only gravity acts through it.
+    bodies = [*(link.body for link in tree.links), None]
+    reached = [(np.zeros((6, 0)), _gravity(tree))] * (len(tree.links) + 1)  # (L, F)
+    for i, link in enumerate(tree.links):
+        L, F = reached[link.parent]
+        X = transport(link.R0, link.p0)
+        observed, L, F = _after_joints(link.joints, _in_frame(L, link.R0, link.p0), X.T @ F)
+        reached[i] = L, F
+        yield _transfers(tree, link.body, bodies[link.parent], X, _null(observed))
+
+
+def _across_welds(tree: Tree) -> Iterator[Array]:
+    """Transfers (10 nb, 10) of welded bodies, whose parameters all act through their carrier."""
+    bodies = [*(link.body for link in tree.links), None]
+    for body, carrier in enumerate(tree.carrier):
+        if body not in bodies:
+            yield _transfers(tree, body, bodies[carrier], tree.X[body], np.eye(10))
+
+
 def _after_joints(joints: tuple[TreeJoint, ...], L: Array, F: Array) -> tuple[Array, Array, Array]:
     """(functionals that vanish on unobservable transfers, L, F) behind the joints of one body."""
     observed = np.zeros((10, 0))
     for joint in joints:
         if joint.kind == FREE:
+            # A free joint moves in every way: nothing can be transferred across it.
             return np.eye(10), np.eye(6), np.eye(10)
-        twists = _twists(joint)
-        on_twists, on_functionals = (
-            [_adjoint(w) for w in twists.T],
-            [_functional_rate(w) for w in twists.T],
-        )
-        L, F = _closure(L, on_twists), _closure(F, on_functionals)
-        mixed = _bilinear(np.column_stack([L, twists]), twists)
-        moved = np.column_stack([A @ F for A in on_functionals])
+        moved, mixed, L, F = _after_joint(_twists(joint), L, F)
         observed = _span(np.column_stack([observed, moved, mixed]))
-        L, F = _span(np.column_stack([L, twists])), _span(np.column_stack([F, mixed]))
     return observed, L, F
 
 
-def _transfers(count: int, body: int, parent: int | None, X: Array, phis: Array) -> list[Array]:
-    """Changes (10 nb,) that transfer each column of phi (10, t) from a body to its parent."""
-    changes = []
-    for phi in phis.T:
-        change = np.zeros(10 * count)
-        change[10 * body : 10 * body + 10] = phi
-        if parent is not None:
-            change[10 * parent : 10 * parent + 10] -= X @ phi
-        changes.append(change)
-    return changes
+def _after_joint(twists: Array, L: Array, F: Array) -> tuple[Array, Array, Array, Array]:
+    """Functionals A cl(F) and b(., Phi) of one joint with the twists Phi (6, dofs), and L and F
+    behind it."""
+    rates = [_functional_rate(w) for w in twists.T]
+    L, F = _closure(L, [_adjoint(w) for w in twists.T]), _closure(F, rates)
+    mixed = _bilinear(np.column_stack([L, twists]), twists)
+    moved = np.column_stack([A @ F for A in rates])
+    return moved, mixed, _span(np.column_stack([L, twists])), _span(np.column_stack([F, mixed]))
+
+
+def _transfers(tree: Tree, body: int, parent: int | None, X: Array, phis: Array) -> Array:
+    """Changes (10 nb, t) that transfer each column of phi (10, t) from a body to its parent."""
+    changes = np.zeros((len(tree.carrier), 10, phis.shape[1]))
+    changes[body] = phis
+    if parent is not None:
+        for t, phi in enumerate(phis.T):  # one product per column keeps the rounding of each
+            changes[parent, :, t] -= X @ phi
+    return changes.reshape(10 * len(changes), phis.shape[1])
 
 
 def _gravity(tree: Tree) -> Array:
@@ -166,6 +175,7 @@ def _closure(basis: Array, generators: list[Array]) -> Array:
 def _span(vectors: Array) -> Array:
     """Orthonormal basis of the columns, which are normalised first."""
     norms = np.linalg.norm(vectors, axis=0)
+    # Unit columns: lengths (m) and products of lengths (m^2) share one tolerance.
     vectors = vectors[:, norms > SMALL] / norms[norms > SMALL]
     if vectors.shape[1] == 0:
         return vectors

@@ -9,8 +9,8 @@ from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.models.tree import Tree
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors.nested_sensors import measured_regression
-from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.types import Array, BaseMap, Trajectory
 
 NARROWEST = 1.0
@@ -46,13 +46,14 @@ def structural_factor(
     """Return the R factor (m, p) of the regressor over random states, whose row space is that of
     all motions.
 
-    `beside(motion)` returns k further columns (N, rows, k), which are appended: R (m, p + k).
+    `appended(motion)` returns k further columns (N, rows, k): then R is (m, p + k).
     """
     instruments = instruments_of(robot, cuts)
     carried, X = _carrier_columns(robot, instruments.tree, parameters)
     columns = measured_regression(robot, carried, instruments, rows)
     available = instruments.measured
     measured = [available.index(row) for row in (available if rows is None else rows)]
+    # Three times as many rows as columns: random states then excite every direction.
     count = 64 + 3 * len(carried) // len(measured)
     motion = random_states(robot, count, np.random.default_rng(SEED), NARROWEST)
     more = np.zeros((count, len(measured), 0)) if appended is None else appended(motion)
@@ -73,19 +74,20 @@ def _carrier_columns(
     their number.
     """
     index = {name: j for j, name in enumerate(robot.inertial_columns)}
-    rows: dict[str, dict[int, float]] = {}
+    weights: dict[str, Array] = {}
     for j, name in enumerate(parameters):
-        if name not in index:
-            rows.setdefault(name, {})[j] = 1.0
-            continue
-        body, number = divmod(index[name], 10)
-        link = int(tree.carrier[body])
-        if link >= 0:
-            first = 10 * tree.links[link].body
-            for k in np.flatnonzero(tree.X[body][:, number]):
-                column = robot.inertial_columns[first + int(k)]
-                rows.setdefault(column, {})[j] = float(tree.X[body][k, number])
-    X = np.zeros((len(rows), len(parameters)))
-    for i, weights in enumerate(rows.values()):
-        X[i, list(weights)] = list(weights.values())
-    return tuple(rows), X
+        acting = _on_link(robot, tree, index[name]) if name in index else {name: 1.0}
+        for column, weight in acting.items():
+            weights.setdefault(column, np.zeros(len(parameters)))[j] = weight
+    return tuple(weights), np.array([*weights.values()]).reshape(-1, len(parameters))
+
+
+def _on_link(robot: RobotModel, tree: Tree, index: int) -> dict[str, float]:
+    """Parameters of the carrying link, with their coefficients, that act as one of a body does."""
+    body, number = divmod(index, 10)
+    link = int(tree.carrier[body])
+    if link < 0:  # welded to the world: no joint carries it
+        return {}
+    first, X = 10 * tree.links[link].body, tree.X[body]
+    nonzero = np.flatnonzero(X[:, number]).tolist()
+    return {robot.inertial_columns[first + k]: float(X[k, number]) for k in nonzero}

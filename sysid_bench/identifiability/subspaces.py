@@ -18,7 +18,7 @@ from sysid_bench.identifiability.structural import NARROWEST
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import FloatingSubtree, SensorCut, floating_subtree
-from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors.wrench import SubtreeRegressors, floating_subtree_regressors
 from sysid_bench.types import Array, Trajectory
 
@@ -91,6 +91,7 @@ def _joint_factors(subtree: SubtreeRegressors, Y_n: Array, Y_c: Array) -> list[t
     for i, dof in enumerate(subtree.dofs):
         link = next(k for k, link in enumerate(subtree.tree.links) if dof in link.dofs)
         J = subtree.link_jacobian(link, (dof,))
+        # With the base distal to the joint, its torque balances all that is proximal.
         rows = Y_c[:, i], Y_c[:, i] - (J @ Y_n)[:, 0]
         factors.append((upper_factor([rows[0]]), upper_factor([rows[1]])))
     return factors
@@ -113,6 +114,7 @@ def _floating_states(
     """Random states of an isolated sub-tree with a free base: joints within their limits, but at
     least over `NARROWEST`."""
     states = random_states(robot, count, rng, NARROWEST)
+    # A normalised Gaussian is uniform on the sphere: uniform orientations.
     quaternion = rng.normal(size=(count, 4))
     position = rng.normal(size=(count, 3))
     free = np.hstack([position, quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)])
@@ -149,16 +151,9 @@ def subspace_residual(basis: Array, other: Array) -> float:
     a vector in span(`other`) (p, k) to span(`basis`); both bases are orthonormal."""
     if other.shape[1] == 0:
         return 0.0
+    # The residual has small sines to full accuracy; cosines near one would lose half the digits.
     rest = other - basis @ (basis.T @ other)
     return float(np.linalg.norm(rest, 2))
-
-
-def subspace_gap(left: Array, right: Array) -> float:
-    """Return the sine of the largest principal angle between two subspaces with orthonormal bases
-    (p, r); 1 if their dimensions differ."""
-    if left.shape != right.shape:
-        return 1.0
-    return max(subspace_residual(left, right), subspace_residual(right, left))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ expressions may have equal values by chance.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -16,11 +16,22 @@ from sysid_bench.types import Array
 FACTORS: Final = (1.0, 2.0, 4.0, 0.5, 3.0, 0.25, 8.0)
 """Numerical factors of a monomial that are tried."""
 
+MONOMIALS: Final[dict[str, Callable[..., Array]]] = {
+    "{}": lambda a: a,
+    "{}^2": lambda a: a**2,
+    "1/{}": lambda a: 1 / a,
+    "{} {}": lambda a, b: a * b,
+    "{}/{}": lambda a, b: a / b,
+    "{} {}/{}": lambda a, b, c: a * b / c,
+    "{}^2/{}": lambda a, b: a**2 / b,
+}
+"""Monomials as texts and formulas of lengths, simple ones first."""
+
 TOLERANCE: Final = 1e-7
 """Relative; the error of K at generic lengths is about 1e-10."""
 
 
-def lengths_of(symbols: Mapping[str, float], count: int = 3) -> list[dict[str, float]]:
+def random_values(symbols: Mapping[str, float], count: int = 3) -> list[dict[str, float]]:
     """Return `count` random sets of lengths, each within 15 % of the given one, in which no two
     expressions agree by chance."""
     rng = np.random.default_rng(20170924)
@@ -40,41 +51,45 @@ def symbolic_coefficient(
     sums and differences of two of them.
     """
     target = np.array(values)
-    table = _monomials(lengths)
-    scale = np.abs(target).max()
+    scale = float(np.abs(target).max())
     if scale == 0.0:
         return None
-    for factor in FACTORS:
-        for text, monomial in table:
-            for sign in (1.0, -1.0):
-                if np.abs(sign * factor * monomial - target).max() <= TOLERANCE * scale:
-                    return _signed(sign, _times(factor, text))
-    for (one, first), (other, second) in itertools.combinations(table, 2):
-        for sign, next_sign in itertools.product((1.0, -1.0), repeat=2):
-            if np.abs(sign * first + next_sign * second - target).max() <= TOLERANCE * scale:
-                (s, plus), (t, minus) = sorted(((sign, one), (next_sign, other)), reverse=True)
-                return _signed(s, plus) + (" + " if t > 0 else " - ") + minus
+    table = _monomials(lengths)
+    for terms, x in itertools.chain(_scaled(table), _sums(table)):
+        if np.abs(x - target).max() <= TOLERANCE * scale:
+            return _sum_text(terms)
     return None
 
 
-def _monomials(lengths: Sequence[Mapping[str, float]]) -> list[tuple[str, Array]]:
-    """(text, values (sets,)) of all monomials, simple ones first."""
+Terms = tuple[tuple[float, str], ...]
+"""Sign and text of the monomials of a sum."""
+
+
+def _monomials(lengths: Sequence[Mapping[str, float]]) -> dict[str, Array]:
+    """Values (sets,) of all monomials by their text, simple ones first."""
     x = {name: np.array([one[name] for one in lengths]) for name in lengths[0]}
-    names = list(x)
-    table = [("1", np.ones(len(lengths)))]
-    table += [(a, x[a]) for a in names]
-    table += [(f"{a}^2", x[a] ** 2) for a in names]
-    table += [(f"1/{a}", 1 / x[a]) for a in names]
-    table += [(f"{a} {b}", x[a] * x[b]) for a, b in itertools.combinations(names, 2)]
-    table += [(f"{a}/{b}", x[a] / x[b]) for a, b in itertools.permutations(names, 2)]
-    table += [
-        (f"{a} {b}/{c}", x[a] * x[b] / x[c])
-        for a, b in itertools.combinations(names, 2)
-        for c in names
-        if c not in (a, b)
-    ]
-    table += [(f"{a}^2/{b}", x[a] ** 2 / x[b]) for a, b in itertools.permutations(names, 2)]
-    return table
+    one = np.ones(len(lengths))
+    texts = {tuple(one): "1"}
+    for template, formula in MONOMIALS.items():
+        for names in itertools.permutations(x, template.count("{}")):
+            # "a b" comes first, and "b a" has the same values.
+            values = formula(*(x[name] for name in names))
+            texts.setdefault(tuple(values), template.format(*names))
+    return {text: np.array(values) for values, text in texts.items()}
+
+
+def _scaled(table: Mapping[str, Array]) -> Iterator[tuple[Terms, Array]]:
+    """Monomials with a numerical factor of either sign, the simplest factors first."""
+    for factor, (text, x) in itertools.product(FACTORS, table.items()):
+        for sign in (1.0, -1.0):
+            yield ((sign, _times(factor, text)),), sign * factor * x
+
+
+def _sums(table: Mapping[str, Array]) -> Iterator[tuple[Terms, Array]]:
+    """Sums and differences of two monomials."""
+    for (one, x), (other, y) in itertools.combinations(table.items(), 2):
+        for s, t in itertools.product((1.0, -1.0), repeat=2):
+            yield ((s, one), (t, other)), s * x + t * y
 
 
 def _times(factor: float, text: str) -> str:
@@ -83,5 +98,8 @@ def _times(factor: float, text: str) -> str:
     return f"{factor:g}" if text == "1" else f"{factor:g} {text}"
 
 
-def _signed(sign: float, text: str) -> str:
-    return f"-{text}" if sign < 0 else text
+def _sum_text(terms: Terms) -> str:
+    """Sum as text, a positive term first if there is one."""
+    (sign, first), *others = sorted(terms, reverse=True)
+    rest = "".join(f" {'+' if sign > 0 else '-'} {text}" for sign, text in others)
+    return f"{'-' if sign < 0 else ''}{first}{rest}"

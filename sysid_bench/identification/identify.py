@@ -44,34 +44,36 @@ def _call(estimator: Any, problem: Problem, experiment: Experiment | None) -> An
 def _checked(estimate: Any, problem: Problem) -> Estimate:
     if not isinstance(estimate, Estimate):
         raise EstimationError(f"The method returned {type(estimate).__name__}, not an Estimate.")
+    if estimate.status == "ok":
+        return _checked_numbers(estimate, problem)
     known = get_args(EstimateStatus)
     if estimate.status not in known:
         raise EstimationError(
             f"The method's status is {estimate.status!r}; expected one of {', '.join(known)}."
         )
-    if estimate.status != "ok":
-        return estimate
-    r, theta, beta = problem.base.rank, estimate.theta, estimate.beta
-    covariance = sigma = None
-    if theta is not None:
-        theta = _numbers("theta", theta, (len(problem.parameters),))
-        beta = problem.base.K @ theta
+    return estimate
+
+
+def _checked_numbers(estimate: Estimate, problem: Problem) -> Estimate:
+    r = problem.base.rank
+    theta = _numbers("theta", estimate.theta, (len(problem.parameters),))
+    beta = _numbers("beta", estimate.beta if theta is None else problem.base.K @ theta, (r,))
     if beta is None:
         raise EstimationError("The method returned neither beta nor theta.")
-    beta = _numbers("beta", beta, (r,))
-    if estimate.covariance is not None:
-        covariance = _numbers("covariance", estimate.covariance, (r, r))
-        if (np.diag(covariance) < 0).any():
-            raise EstimationError("The method's covariance has a negative variance.")
-    if estimate.sigma is not None:
-        sigma = _numbers("sigma", estimate.sigma, (len(problem.rows),))
-        if (sigma <= 0).any():
-            raise EstimationError("The method's sigma has a value that is not positive.")
+    covariance = _numbers("covariance", estimate.covariance, (r, r))
+    if covariance is not None and (np.diag(covariance) < 0).any():
+        raise EstimationError("The method's covariance has a negative variance.")
+    sigma = _numbers("sigma", estimate.sigma, (len(problem.rows),))
+    if sigma is not None and (sigma <= 0).any():
+        raise EstimationError("The method's sigma has a value that is not positive.")
     return replace(estimate, theta=theta, beta=beta, covariance=covariance, sigma=sigma)
 
 
-def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Array:
-    """Convert a plug-in's numbers to an array of this shape; raise EstimationError otherwise."""
+def _numbers(name: str, values: Any, shape: tuple[int, ...]) -> Array | None:
+    """Convert a plug-in's numbers, if given, to an array of this shape; raise EstimationError
+    otherwise."""
+    if values is None:
+        return None
     numbers = np.asarray(values)
     if numbers.dtype.kind not in "fiu":
         raise EstimationError(

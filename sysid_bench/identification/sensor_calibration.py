@@ -30,7 +30,7 @@ class Calibration:
         return np.linalg.solve(self.G, (reading - self.offset).T).T
 
 
-def calibrate(reading: Array, known: Array, spread: float = SPREAD) -> Calibration:
+def fit_calibration(reading: Array, known: Array, spread: float = SPREAD) -> Calibration:
     """Estimate the calibration from readings (N, 6) of known wrenches (N, 6), of one load or
     several.
 
@@ -49,6 +49,7 @@ def calibrate(reading: Array, known: Array, spread: float = SPREAD) -> Calibrati
     free = np.linalg.lstsq(scaled, residual, rcond=None)[0]
     sigma = np.sqrt(((residual - scaled @ free) ** 2).mean(axis=0))
     H, z = scaled.T @ scaled, scaled.T @ residual
+    # The offset has no prior.
     information = np.diag([spread**-2] * 6 + [0.0])
     posterior = np.array(
         [np.linalg.solve(H + s**2 * information, z[:, i]) for i, s in enumerate(sigma)]

@@ -10,7 +10,7 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.spatial.inertia import matrix_of_six, phi_of
 from sysid_bench.types import Array
-from sysid_bench.units import split_quantity
+from sysid_bench.units import parse_quantity
 
 _METRES: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _KEYS: Final = ("name", "mass", "com", "inertia")
@@ -122,7 +122,7 @@ def _check_sizes(text: str, sizes: list[float]) -> None:
 
 def _length(word: str, unit: str) -> float:
     """Metres of "50" in the unit of the whole solid, or of "50mm" in the unit written there."""
-    number, written = split_quantity(word)
+    number, written = parse_quantity(word)
     if written and written not in _METRES:
         raise UsageError(
             f"{word!r} has the unit {written!r}; expected one of {', '.join(_METRES)}."

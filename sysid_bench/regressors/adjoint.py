@@ -77,16 +77,9 @@ def _pull_back_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array
     if not weights:  # joint terms alone need no kinematics
         return gq.T, gv.T, ga.T
     sweep = _Sweep(motion.q.T, motion.v.T, motion.a.T, (gq, gv, ga))
-    tapes: list[list[_Backward]] = []
-    done: list[Array] = []
-    ground = np.zeros((3, 3, len(motion)))
-    ground[2] = -tree.gravity[:, None]
-    for link in tree.links:
-        tape: list[_Backward] = []
-        start = ground if link.parent < 0 else done[link.parent]
-        done.append(_forward(link, start, sweep, tape))
-        tapes.append(tape)
+    done, tapes = _forward_sweep(tree, sweep)
     pulled = [np.zeros_like(state) for state in done]
+    # Tips before the base: the state of a parent collects the derivatives of its children.
     for i in reversed(range(len(tree.links))):
         if i in weights:
             pulled[i] += _body_slopes(done[i], weights[i])
@@ -96,6 +89,19 @@ def _pull_back_links(tree: Tree, motion: Trajectory, weights: Mapping[int, Array
         if tree.links[i].parent >= 0:
             pulled[tree.links[i].parent] += bar
     return gq.T, gv.T, ga.T
+
+
+def _forward_sweep(tree: Tree, sweep: "_Sweep") -> tuple[list[Array], list[list["_Backward"]]]:
+    """State of each link, and the tape of adjoints that leads back to that of its parent."""
+    ground = np.zeros((3, 3, sweep.q.shape[1]))
+    ground[2] = -tree.gravity[:, None]
+    done: list[Array] = []
+    tapes: list[list[_Backward]] = []
+    for link in tree.links:
+        tapes.append([])
+        start = ground if link.parent < 0 else done[link.parent]
+        done.append(_forward(link, start, sweep, tapes[-1]))
+    return done, tapes
 
 
 # A state X is one array (3 + 2 k, 3, n) in link axes: w, alpha, d, then z and u of each of the k
@@ -268,6 +274,7 @@ def _free(joint: TreeJoint, X: Array, sweep: _Sweep, tape: list[_Backward]) -> A
     for i in range(3):
         out[4 + 2 * i] = R[i]
         out[9 + 2 * i, i] = 1.0
+    # Behind a free joint nothing depends on the parent's state.
     still = np.zeros_like(X)
     tape.append(lambda bar: still)
     return out
@@ -285,6 +292,7 @@ def _with_dof(X: Array, z: Array, u: Array, tape: list[_Backward]) -> Array:
 def _rotation_about(axis: Array, angle: Array) -> Callable[..., Array]:
     """Map of states into axes rotated by `angle` (n,) about a unit axis; `back` inverts it."""
     cos, sin = np.cos(angle), np.sin(angle)
+    # About a coordinate axis only two components change: half of the work.
     if np.count_nonzero(axis) == 1:
         i = int(np.argmax(np.abs(axis)))
         j, k = (i + 1) % 3, (i + 2) % 3

@@ -5,6 +5,7 @@ a parameter of the link itself the combination is a unit vector; for one of a bo
 link it is a column of the body's parameter transport X (10, 10).
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -58,6 +59,7 @@ class Columns:
         """Indices (k,) of the columns in which each row can be non-zero, as `Block.row` orders
         them."""
         indices: list[list[int]] = [[] for _ in self.rows]
+        # Link columns first, then terms: kernels write the values of a row in this order.
         for columns in self.links:
             for row in self.tree.links[columns.link].dofs:
                 indices[row] += columns.indices.tolist()
@@ -74,3 +76,14 @@ class Columns:
         """
         sizes = [len(row) + 1 for row in self.touched]
         return tuple(int(end - size) for end, size in zip(np.cumsum(sizes), sizes, strict=True))
+
+
+def dense_rows(
+    rows: Iterable[Array], touched: Sequence[Array], shape: tuple[int, int, int]
+) -> Array:
+    """Return Y (n, rows, p) of this shape, whose row i has the values (k, n) of `rows[i]` in the
+    columns `touched[i]` and zeros elsewhere."""
+    Y = np.zeros(shape)
+    for i, (values, indices) in enumerate(zip(rows, touched, strict=True)):
+        Y[:, i, indices] = values.T
+    return Y

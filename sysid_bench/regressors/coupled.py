@@ -13,6 +13,7 @@ import numpy as np
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import Measured
+from sysid_bench.regressors.columns import dense_rows
 from sysid_bench.regressors.regression import Block, Regression, regression
 from sysid_bench.types import Array, Regressor, Trajectory
 
@@ -109,6 +110,8 @@ class CoupledBlock:
         index[touched] = np.arange(len(touched))
         for d in regression._dependent_rows[i]:
             dof = int(coupling.dependent[d])
+            # Virtual work: a dependent row acts with its rate per unit rate of the independent
+            # joint.
             out[index[regression.tree.touched[dof]]] += self.F[:, d, i] * self.tree.row(dof)
         return out
 
@@ -121,10 +124,8 @@ class CoupledBlock:
 
     def dense(self) -> Array:
         """Return Y (n, rows, p) with its zeros."""
-        Y = np.zeros((self.count, len(self.regression.rows), len(self.regression.columns)))
-        for i, touched in enumerate(self.regression.touched):
-            Y[:, i, touched] = self.row(i).T
-        return Y
+        shape = (self.count, len(self.regression.rows), len(self.regression.columns))
+        return dense_rows(map(self.row, range(shape[1])), self.regression.touched, shape)
 
 
 AnyRegression = Regression | CoupledRegression

@@ -37,6 +37,7 @@ def pull_back(regression: AnyRegression, motion: Trajectory, G: Array) -> Slopes
     weights[:, coupling.dependent] += followed
     q, v, a = adjoint.pull_back(tree, motion, weights)
     if not coupling.linear:
+        # F(q) multiplies the dependent rows: its own derivative adds a term; constant F has none.
         Y = tree.dense(motion).Y[:, coupling.dependent]
         by_closure = pull_back_follow(coupling, motion, np.einsum("ndp,nip->ndi", Y, G[:, :moving]))
         q[:, : by_closure.shape[1]] += by_closure

@@ -98,7 +98,7 @@ def entries(w: Array, alpha: Array, d: Array) -> tuple[tuple[tuple[int, Array], 
 '''
 
 
-FORCES = ("m", "h_force[0]", "h_force[1]", "h_force[2]")
+FORCES = ("m", "h_force[0]", "h_force[1]", "h_force[2]", "", "", "", "", "", "")
 MOMENTS = (
     "", "h_moment[0]", "h_moment[1]", "h_moment[2]",
     *(f"I_moment[{c}]" for c in range(6)),
@@ -113,15 +113,19 @@ def c_source() -> str:
     Raises ValueError if an entry is not zero for which kernel.c has no variable.
     """
     A = in_classical_acceleration(body_regressor())
-    lines = []
-    for c in range(10):
-        for names, part in ((MOMENTS, A[:3, c]), (FORCES, A[3:, c])):
-            name = names[c] if c < len(names) else ""
-            if not name and not part.is_zero_matrix:
-                raise ValueError(f"kernel.c has no variable for {part} of {NAMES[c]}.")
-            values = [_VectorPrinter().doprint(value) for value in part] if name else []
-            lines += [f"A->{name}[{i}] = {x};" for i, x in enumerate(values)]
-    return "".join(f"    {line}\n" for line in lines)
+    columns = zip(NAMES, MOMENTS, FORCES, strict=True)
+    return "".join(
+        _c_lines(moment, A[:3, c], name) + _c_lines(force, A[3:, c], name)
+        for c, (name, moment, force) in enumerate(columns)
+    )
+
+
+def _c_lines(variable: str, column: sp.Matrix, name: str) -> str:
+    """Assignments of a column (3,) of the parameter `name`; none to a variable without name."""
+    if not variable and not column.is_zero_matrix:
+        raise ValueError(f"kernel.c has no variable for {column} of {name}.")
+    entries = [_VectorPrinter().doprint(value) for value in column if variable]
+    return "".join(f"    A->{variable}[{i}] = {entry};\n" for i, entry in enumerate(entries))
 
 
 class _VectorPrinter(C99CodePrinter):  # type: ignore[misc]  # SymPy is not typed

@@ -106,6 +106,7 @@ class Library:
     ) -> None:
         """Update each R (k + 1, k + 1) in place to the R factor of [R; Y_i | b_i], b (N, nv), for
         the rows i of the layout."""
+        # An array of pointers: each row's factor lies in memory of its own.
         factors = np.array([part.ctypes.data for part in R], dtype=np.uintp)
         targets = (layout.starts, layout.count + 1, layout.rows)
         self._call("fold", layout, motion, (_contiguous(b), len(R), *targets, factors))

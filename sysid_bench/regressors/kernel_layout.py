@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.models.tree import BALL, FREE, SLIDE, Tree
-from sysid_bench.regressors.columns import Columns, LinkColumns
+from sysid_bench.regressors.columns import Columns, LinkColumns, TermColumn
 from sysid_bench.types import Array
 
 ABOUT, ALONG, ABOUT_X, WORLD_X = 0, 1, 2, 5
@@ -66,11 +66,7 @@ def columns_layout(wanted: Columns, rows: Sequence[int]) -> KernelLayout:
     plan = _Plan(wanted.tree, start)
     for columns in wanted.links:
         plan.add(columns)
-    for term in wanted.terms:
-        if term.row in plan.next:
-            dest = plan.take(term.row, 1)
-            code = TERM_CODES[term.kind]
-            plan.terms.append((code, dest, term.rate, term.qadr, term.reference))
+    plan.add_terms(wanted.terms)
     size = int(ends[-1]) if len(ends) else 0
     starts = ends - count - 1
     touched = [wanted.touched[i] for i in rows]
@@ -94,7 +90,7 @@ class _Plan:
         self.last = np.cumsum([len(link.joints) for link in tree.links]) - 1
         self.motions = _motions(tree)
         self.frame: list[int] = []
-        self.slot: list[list[int]] = []
+        self.slot: list[Array] = []
         self.outputs: list[int] = []
         self.mixed: list[int] = []
         self.first = [0]
@@ -105,19 +101,28 @@ class _Plan:
     def add(self, columns: LinkColumns) -> None:
         """Add the columns of one link, for those of its rows that are wanted."""
         dofs = self.tree.links[columns.link].dofs
-        wide = np.zeros((len(columns.indices), 10))
-        slot = [-1] * 10
+        count = len(columns.indices)
+        slot = np.full(10, -1)
         if columns.mix is None:
-            for index, raw in enumerate(columns.raw):
-                slot[raw] = index
+            slot[list(columns.raw)] = np.arange(count)
+            self.mixed.append(-1)
         else:
+            wide = np.zeros((count, 10))
             wide[:, columns.raw] = columns.mix
+            self.mixed.append(len(self.mixes))
+            self.mixes += wide.ravel().tolist()
         self.slot.append(slot)
-        self.outputs.append(len(wide))
-        self.mixed.append(-1 if columns.mix is None else len(self.mixes))
-        self.mixes += [] if columns.mix is None else wide.ravel().tolist()
-        wanted = [int(dof) for dof in dofs if int(dof) in self.next]
-        self.add_pairs(columns.link, {dof: self.take(dof, len(wide)) for dof in wanted})
+        self.outputs.append(count)
+        wanted = [dof for dof in dofs.tolist() if dof in self.next]
+        self.add_pairs(columns.link, {dof: self.take(dof, count) for dof in wanted})
+
+    def add_terms(self, terms: Sequence[TermColumn]) -> None:
+        """Add the joint terms of the rows that are wanted."""
+        for term in terms:
+            if term.row in self.next:
+                dest = self.take(term.row, 1)
+                code = TERM_CODES[term.kind]
+                self.terms.append((code, dest, term.rate, term.qadr, term.reference))
 
     def take(self, row: int, count: int) -> int:
         """Reserve the next `count` values of a row; return the first."""
@@ -152,6 +157,7 @@ def _runs(touched: list[Array], starts: Array, width: int) -> list[list[tuple[in
         source = np.full(width, -1)
         source[columns] = start + np.arange(len(columns))
         before, after = source[:-1], source[1:]
+        # A run goes on within zeros, or within values that are neighbours in memory as well.
         continues = np.where(after < 0, before < 0, (after == before + 1) & (before >= 0))
         first = np.flatnonzero(np.concatenate([[width > 0], ~continues]))
         length = np.diff([*first, width])
@@ -170,18 +176,14 @@ def _layout(
     pairs = np.array(plan.pairs, dtype=np.int64).reshape(-1, 3).T
     terms = list(zip(*plan.terms, strict=True)) or [()] * 5
     of_plan = [
-        *(_integers(x) for x in (plan.frame, plan.slot, plan.outputs, plan.mixed, plan.first)),
-        *(_integers(x) for x in pairs),
-        np.array(plan.mixes, dtype=float),
-        *(_integers(x) for x in terms[:4]),
-        np.array(terms[4], dtype=float),
+        *_integers(plan.frame, plan.slot, plan.outputs, plan.mixed, plan.first, *pairs),
+        *_floats(plan.mixes),
+        *_integers(*terms[:4]),
+        *_floats(terms[4]),
     ]
-    struct = CPlan(len(plan.frame), len(plan.terms), size, *(x.ctypes.data for x in of_plan))
-    width = sum(length for _, _, length in runs[0]) if runs else 0
-    flat = np.array([run for row in runs for run in row], dtype=np.int64).reshape(-1, 3).T
-    first = _integers(np.cumsum([0, *(len(row) for row in runs)]))
-    of_runs = [first, *(_integers(x) for x in flat)]
-    dofs, starts, count = (_integers(x) for x in rows)
+    struct = _filled(CPlan, of_plan, len(plan.frame), len(plan.terms), size)
+    run_struct, of_runs = _run_struct(runs)
+    dofs, starts, count = _integers(*rows)
     return KernelLayout(
         tree=tree,
         plan=struct,
@@ -190,38 +192,56 @@ def _layout(
         rows=dofs,
         starts=starts,
         count=count,
-        runs=CRuns(len(runs), width, *(x.ctypes.data for x in of_runs)),
+        runs=run_struct,
     )
 
 
+def _run_struct(runs: list[list[tuple[int, int, int]]]) -> tuple[Any, list[Array]]:
+    """Struct of the runs of all rows, one row after the other, and its arrays."""
+    width = sum(length for _, _, length in runs[0]) if runs else 0
+    flat = np.array([run for row in runs for run in row], dtype=np.int64).reshape(-1, 3).T
+    arrays = _integers(np.cumsum([0, *map(len, runs)]), *flat)
+    return _filled(CRuns, arrays, len(runs), width), arrays
+
+
 def _tree(tree: Tree) -> tuple[Any, list[Array]]:
-    """Struct of the joints in tree order, each with a frame of its own: the joints of one body
-    form a chain of frames."""
+    """Struct of the joints in tree order, and its arrays."""
+    names = ("kind", "qadr", "vadr", "axis", "anchor", "q0")
+    kind, qadr, vadr, axis, anchor, q0 = (
+        [getattr(joint, name) for joint in tree.joints] for name in names
+    )
+    before, R0, p0 = _joint_frames(tree)
+    arrays = [
+        *_integers(kind, before, qadr, vadr),
+        *_floats(R0, p0, axis, anchor, q0, tree.gravity),
+    ]
+    return _filled(CTree, arrays, len(tree.joints), tree.nq, tree.nv), arrays
+
+
+def _joint_frames(tree: Tree) -> tuple[list[int], list[Array], list[Array]]:
+    """Frame of each joint: the joint before it (-1: the world) and its pose in that one's frame."""
     before: list[int] = []
     R0: list[Array] = []
     p0: list[Array] = []
-    last: list[int] = []
-    for link in tree.links:
+    last = [-1] * (len(tree.links) + 1)  # last joint of each link; of the world at index -1
+    for i, link in enumerate(tree.links):
         # The first joint starts at the link's pose in its parent, a later one where that one ends.
         more = len(link.joints) - 1
-        before += [last[link.parent] if link.parent >= 0 else -1]
-        before += range(len(before) - 1, len(before) - 1 + more)
+        before += [last[link.parent], *range(len(before), len(before) + more)]
         R0 += [link.R0, *[np.eye(3)] * more]
         p0 += [link.p0, *[np.zeros(3)] * more]
-        last.append(len(before) - 1)
-    joints = tree.joints
-    arrays = [
-        *(_integers(x) for x in ([joint.kind for joint in joints], before)),
-        *(_integers(x) for x in ([j.qadr for j in joints], [j.vadr for j in joints])),
-        *(_floats(x) for x in (R0, p0, [j.axis for j in joints], [j.anchor for j in joints])),
-        *(_floats(x) for x in ([j.q0 for j in joints], tree.gravity)),
-    ]
-    return CTree(len(joints), tree.nq, tree.nv, *(x.ctypes.data for x in arrays)), arrays
+        last[i] = len(before) - 1
+    return before, R0, p0
 
 
-def _integers(values: Any) -> Array:
-    return np.ascontiguousarray(values, dtype=np.int64)
+def _filled(struct: Any, arrays: Sequence[Array], *numbers: int) -> Any:
+    """C struct of numbers and, after them, pointers to arrays."""
+    return struct(*numbers, *(x.ctypes.data for x in arrays))
 
 
-def _floats(values: Any) -> Array:
-    return np.ascontiguousarray(values, dtype=float)
+def _integers(*values: Any) -> list[Array]:
+    return [np.ascontiguousarray(x, dtype=np.int64) for x in values]
+
+
+def _floats(*values: Any) -> list[Array]:
+    return [np.ascontiguousarray(x, dtype=float) for x in values]

@@ -44,6 +44,11 @@ def blocks(motion: Trajectory, size: int = BLOCK) -> Iterator[slice]:
         yield slice(start, min(start + size, len(motion)))
 
 
+def motion_part(motion: Trajectory, part: slice) -> Trajectory:
+    """Return the samples of one block."""
+    return Trajectory(motion.t[part], motion.q[part], motion.v[part], motion.a[part])
+
+
 def link_motions(tree: Tree, q: Array, v: Array, a: Array) -> list[LinkMotion]:
     """Return the motion of every link at n samples; q (nq, n), v and a (nv, n)."""
     n = q.shape[1]

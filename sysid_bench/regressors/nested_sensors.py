@@ -13,7 +13,9 @@ import numpy as np
 
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, SensorCut
+from sysid_bench.regressors.columns import dense_rows
 from sysid_bench.regressors.coupled import AnyRegression, CoupledBlock, torque_regression
+from sysid_bench.regressors.kernel_numpy import motion_part
 from sysid_bench.regressors.regression import Block
 from sysid_bench.regressors.wrench import wrench_transform
 from sysid_bench.types import Array, Trajectory
@@ -67,7 +69,9 @@ class NestedSensorRegressor:
         """Yield Y of consecutive samples, along motions with the coordinates of all sensors."""
         for block in self.regression.blocks(motion):
             X = [
-                wrench_transform(self.instruments, _part(motion, block.samples), self.cut, stop)
+                wrench_transform(
+                    self.instruments, motion_part(motion, block.samples), self.cut, stop
+                )
                 for stop in self.distal
             ]
             yield NestedSensorBlock(self, block, np.concatenate(X, axis=2)[..., self._offset_mask])
@@ -104,10 +108,8 @@ class NestedSensorBlock:
 
     def dense(self) -> Array:
         """Return Y (n, rows, p) with its zeros."""
-        Y = np.zeros((self.count, len(self.regression.rows), len(self.regression.columns)))
-        for i, touched in enumerate(self.regression.touched):
-            Y[:, i, touched] = self.row(i).T
-        return Y
+        shape = (self.count, len(self.regression.rows), len(self.regression.columns))
+        return dense_rows(map(self.row, range(shape[1])), self.regression.touched, shape)
 
 
 MeasuredRegressor = AnyRegression | NestedSensorRegressor
@@ -137,7 +139,3 @@ def measured_regression(
 def _offsets_of(cut: SensorCut) -> tuple[str, ...]:
     """Names of a sensor's six offsets."""
     return tuple(f"{row}.{SUFFIX['offset']}" for row in cut.rows)
-
-
-def _part(motion: Trajectory, samples: slice) -> Trajectory:
-    return Trajectory(motion.t[samples], motion.q[samples], motion.v[samples], motion.a[samples])

@@ -39,6 +39,7 @@ def reduced_regressor(robot: RobotModel, motion: Trajectory, tree: Regressor) ->
     moving, following = coupling.independent, coupling.dependent
     Y = tree.Y[:, moving]
     for k in range(len(motion)):
+        # Loops have redundant rows: least squares takes any consistent number of them.
         F = -np.linalg.lstsq(J[k][:, following], J[k][:, moving], rcond=None)[0]
         Y[k] += np.einsum("ij,ip->jp", F, tree.Y[k, following])
     return Regressor(Y, robot.torque_rows, tree.columns)
@@ -74,6 +75,7 @@ def _loop_rows(robot: RobotModel, data: pin.Data, e: int) -> Array:
             twist = pin.getJointJacobian(
                 pairing.model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             ).copy()
+            # Velocity of the loop's end, not of the joint's origin: v - arm x w.
             twist[:3] -= np.cross(arm, twist[3:].T).T
         ends.append(twist)
     rigid = int(mj.eq_type[e]) == int(mujoco.mjtEq.mjEQ_WELD) and mj.eq_data[e, 10] > 0

@@ -68,26 +68,24 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
     return Regressor(_base_force_to_world(robot, motion, Y), robot.rows, robot.inertial_columns)
 
 
-def _urdf_model(robot: RobotModel) -> _UrdfModel:
+def _refuse_unsupported(robot: RobotModel) -> None:
     if robot.format != "urdf":
         raise UnsupportedError(
             "Pinocchio's MJCF parser ignores options that the model may rely on."
         )
     if robot.payload:
         raise UnsupportedError("The payload is mounted in the compiled model, not in the URDF.")
+
+
+def _urdf_model(robot: RobotModel) -> _UrdfModel:
+    _refuse_unsupported(robot)
     text = ET.fromstring(robot.text)
     _remove_floating_joint(text)
     for joint in text.findall("joint"):
         if joint.get("type") == "planar":
             _split_planar(text, joint, robot)
     bodies, joints = _rename(text)
-    root = [pin.JointModelFreeFlyer()] if robot.floating else []
-    try:
-        model = pin.buildModelFromXML(ET.tostring(text, encoding="unicode"), *root)
-    except (ValueError, RuntimeError) as error:
-        raise UnsupportedError(
-            f"Pinocchio's parser rejects the URDF: {' '.join(str(error).split())}"
-        ) from error
+    model = _parsed(text, [pin.JointModelFreeFlyer()] if robot.floating else [])
     if model.nv != robot.nv:
         raise UnsupportedError(
             f"Pinocchio's parser finds {model.nv} degrees of freedom, MuJoCo {robot.nv}."
@@ -96,14 +94,23 @@ def _urdf_model(robot: RobotModel) -> _UrdfModel:
     return _UrdfModel(model, bodies, joints)
 
 
+def _parsed(text: ET.Element, root: list[pin.JointModel]) -> pin.Model:
+    """Model of a URDF by Pinocchio's parser, with an optional root joint."""
+    try:
+        return pin.buildModelFromXML(ET.tostring(text, encoding="unicode"), *root)
+    except (ValueError, RuntimeError) as error:
+        raise UnsupportedError(
+            f"Pinocchio's parser rejects the URDF: {' '.join(str(error).split())}"
+        ) from error
+
+
 def _remove_floating_joint(text: ET.Element) -> None:
     """Remove a floating joint below the world link: Pinocchio's root joint takes its role."""
     below = [j for j in text.findall("joint") if _end(j, "parent").get("link") == "world"]
     if [joint.get("type") for joint in below] == ["floating"]:
         text.remove(below[0])
-        for link in text.findall("link"):
-            if link.get("name") == "world":
-                text.remove(link)
+        for link in text.findall("link[@name='world']"):
+            text.remove(link)
 
 
 def _split_planar(text: ET.Element, joint: ET.Element, robot: RobotModel) -> None:
@@ -111,8 +118,7 @@ def _split_planar(text: ET.Element, joint: ET.Element, robot: RobotModel) -> Non
     normal of the plane."""
     name, end = str(joint.get("name")), _end(joint, "child")
     child, limit = end.get("link"), {"effort": "0", "velocity": "0"}
-    for element in joint.findall("axis"):
-        joint.remove(element)
+    _remove_all(joint, "axis")
     for k, (part, kind) in enumerate(PLANAR_PARTS.items()):
         last = k == len(PLANAR_PARTS) - 1
         axis = " ".join(repr(float(x)) for x in robot.mj.joint(name + part).axis)
@@ -126,9 +132,13 @@ def _split_planar(text: ET.Element, joint: ET.Element, robot: RobotModel) -> Non
         ET.SubElement(joint, "axis", xyz=axis)
         if not last:
             ET.SubElement(text, "link", name=f"{name}{k} between")
-        for element in joint.findall("limit"):
-            joint.remove(element)
+        _remove_all(joint, "limit")
         ET.SubElement(joint, "limit", limit)
+
+
+def _remove_all(element: ET.Element, tag: str) -> None:
+    for child in element.findall(tag):
+        element.remove(child)
 
 
 def _rename(text: ET.Element) -> tuple[dict[str, str], dict[str, str]]:

@@ -7,6 +7,7 @@ slides and the signs of their torques do not change. The root's pose, twist and 
 from Pinocchio's forward kinematics of the whole robot.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -102,22 +103,30 @@ def _rooted(robot: RobotModel, graph: _Graph, body: int) -> _Rooted:
     joint = {first: model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")}
     pose = {first: graph.pose[body].inverse()}
     direction: dict[int, tuple[int, bool]] = {}
-    open_nodes = [first]
-    while open_nodes:
-        current = open_nodes.pop()
-        for edge in graph.edges:
-            if current not in (edge.parent, edge.child) or edge.j in direction:
-                continue
-            backwards = current == edge.child
-            target = edge.parent if backwards else edge.child
-            placement = pose[current] if backwards else pose[current] * edge.placement
-            joint[target] = model.addJoint(
-                joint[current], _joint_model(robot, edge.j, backwards), placement, f"joint{edge.j}"
-            )
-            pose[target] = edge.placement.inverse() if backwards else pin.SE3.Identity()
-            direction[edge.j] = joint[target], backwards
-            open_nodes.append(target)
+    for edge, backwards in _from_root(graph, first):
+        near, far = (edge.child, edge.parent) if backwards else (edge.parent, edge.child)
+        # In reverse the joint lies at the origin of the child node, whose frame is the joint's.
+        placement = pose[near] if backwards else pose[near] * edge.placement
+        joint[far] = model.addJoint(
+            joint[near], _joint_model(robot, edge.j, backwards), placement, f"joint{edge.j}"
+        )
+        pose[far] = edge.placement.inverse() if backwards else pin.SE3.Identity()
+        direction[edge.j] = joint[far], backwards
     return _Rooted(model, joint, pose, direction)
+
+
+def _from_root(graph: _Graph, root: int) -> Iterator[tuple[_Edge, bool]]:
+    """Edges from a root node to the tips, and whether each is traversed from child to parent."""
+    done: set[int] = set()
+    open_nodes = [root]
+    while open_nodes:
+        node = open_nodes.pop()
+        for edge in graph.edges:
+            if node in (edge.parent, edge.child) and edge.j not in done:
+                backwards = node == edge.child
+                done.add(edge.j)
+                open_nodes.append(edge.parent if backwards else edge.child)
+                yield edge, backwards
 
 
 def _joint_model(robot: RobotModel, j: int, backwards: bool) -> pin.JointModel:

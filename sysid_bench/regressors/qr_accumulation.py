@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from scipy.linalg import lapack
 
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors.kernel_c import layout_of
 from sysid_bench.regressors.nested_sensors import MeasuredRegressor
 from sysid_bench.regressors.regression import Regression
@@ -38,21 +39,18 @@ def accumulate_motions(
     """
     chosen_rows = tuple(range(len(regression.rows)) if rows is None else rows)
     factors = [np.zeros((0, len(regression.touched[i]) + 1)) for i in chosen_rows]
-    widest = max((R.shape[1] for R in factors), default=0)
     samples = 0
-    library = regression.library if isinstance(regression, Regression) else None
     for motion, b in parts:
-        # With fewer samples than columns R is trapezoidal, which the compiled kernel cannot store.
-        if library and isinstance(regression, Regression) and len(motion) >= widest:
-            factors = [_square(R) for R in factors]
-            library.accumulate(layout_of(regression, chosen_rows), motion, b, factors)
-        else:
-            factors = _accumulated(regression, motion, b, chosen_rows, factors)
+        factors = _accumulated(regression, motion, b, chosen_rows, factors)
         samples += len(motion)
     return tuple(
         Factor(regression.rows[i], regression.touched[i], R, samples)
         for i, R in zip(chosen_rows, factors, strict=True)
     )
+
+
+def _widest(factors: list[Array]) -> int:
+    return max((R.shape[1] for R in factors), default=0)
 
 
 def _square(R: Array) -> Array:
@@ -69,6 +67,14 @@ def _accumulated(
     rows: Sequence[int],
     factors: list[Array],
 ) -> list[Array]:
+    """R factors updated by one motion, by the compiled kernel where it can."""
+    # With fewer samples than columns R is trapezoidal, which the compiled kernel cannot store.
+    if isinstance(regression, Regression) and len(motion) >= _widest(factors):
+        library = regression.library
+        if library is not None:
+            factors = [_square(R) for R in factors]
+            library.accumulate(layout_of(regression, rows), motion, b, factors)
+            return factors
     for block in regression.blocks(motion):
         # C order here is Fortran order of the transpose, which LAPACK reads without a copy.
         factors = [
@@ -91,23 +97,6 @@ def _absorb(R: Array, rows: Array) -> Array:
     if info != 0:
         raise np.linalg.LinAlgError(f"LAPACK's dtpqrt rejected argument {-info}.")
     return R
-
-
-def upper_factor(parts: Iterable[Array]) -> Array:
-    """Return the R factor of the vertically stacked matrices (m_i, k)."""
-    stack = np.asfortranarray(np.concatenate(list(parts)))
-    return _r_factor(stack)
-
-
-def _r_factor(stack: Array) -> Array:
-    rows, columns = stack.shape
-    if rows == 0 or columns == 0:
-        return np.zeros((0, columns))
-    # With the default workspace of SciPy's wrapper LAPACK uses its slow, unblocked algorithm.
-    packed, _, _, info = lapack.dgeqrf(stack, lwork=64 * columns, overwrite_a=1)
-    if info != 0:
-        raise np.linalg.LinAlgError(f"LAPACK's dgeqrf rejected argument {-info}.")
-    return np.triu(packed[: min(rows, columns)])
 
 
 def dense_blocks(

@@ -3,7 +3,7 @@
 Each row of Y is stored without its structural zeros: joint i feels only the links behind it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -17,7 +17,7 @@ from sysid_bench.models.sensor import Measured
 from sysid_bench.regressors.columns import Columns, LinkColumns, TermColumn
 from sysid_bench.regressors.kernel_c import Library, layout_of, selected_kernel
 from sysid_bench.regressors.kernel_layout import TERM_CODES
-from sysid_bench.regressors.kernel_numpy import blocks, body_columns, link_motions
+from sysid_bench.regressors.kernel_numpy import blocks, body_columns, link_motions, motion_part
 from sysid_bench.types import Array, Regressor, Trajectory
 
 TermFunction = Callable[[Array, Array, Array], Array]
@@ -52,7 +52,7 @@ class Regression(Columns):
         """Yield Y of consecutive samples, in blocks that fit the cache."""
         library = self.library
         for part in blocks(motion):
-            span = _part(motion, part)
+            span = motion_part(motion, part)
             values = library.rows(layout_of(self), span) if library else self._values(span)
             yield Block(self, part, values)
 
@@ -156,10 +156,6 @@ def _runs(indices: Array, most: int = 16) -> Iterator[slice]:
             yield slice(first, min(first + most, end))
 
 
-def _part(motion: Trajectory, part: slice) -> Trajectory:
-    return Trajectory(motion.t[part], motion.q[part], motion.v[part], motion.a[part])
-
-
 def regression(
     robot: RobotModel, columns: Sequence[str], measured: Measured | None = None
 ) -> Regression:
@@ -174,33 +170,37 @@ def regression(
     weights: dict[int, list[tuple[int, Array]]] = {}
     terms = []
     for index, name in enumerate(columns):
-        if name in inertial:
-            body, parameter = divmod(inertial[name], 10)
-            if tree.carrier[body] >= 0:  # a body welded to the world loads no joint
-                weight = tree.X[body][:, parameter]
-                weights.setdefault(int(tree.carrier[body]), []).append((index, weight))
-        else:
-            row = constants.get(name)  # offset of a wrench component, else a joint term
-            terms.append(
-                _term_column(robot, index, name)
-                if row is None
-                else TermColumn(index, row, "offset", 0, 0.0, row)
-            )
+        if name not in inertial:
+            terms.append(_term_column(robot, index, name, constants))
+            continue
+        body, parameter = divmod(inertial[name], 10)
+        if tree.carrier[body] >= 0:  # a body welded to the world loads no joint
+            weight = tree.X[body][:, parameter]
+            weights.setdefault(int(tree.carrier[body]), []).append((index, weight))
     links = tuple(_link_columns(link, weights[link]) for link in sorted(weights))
     return Regression(tree, rows, tuple(columns), links, tuple(terms))
 
 
-def _term_column(robot: RobotModel, index: int, name: str) -> TermColumn:
-    try:
-        term, dof, other = robot.resolve_term(name)
-    except UsageError as error:
-        raise unknown_name(
-            "parameter", name, [*robot.inertial_columns, *_term_names(robot)]
-        ) from error
+def _term_column(
+    robot: RobotModel, index: int, name: str, constants: Mapping[str, int]
+) -> TermColumn:
+    """Column of a joint term, or of the offset of a wrench component in its row of `constants`."""
+    if name in constants:
+        return TermColumn(index, constants[name], "offset", 0, 0.0, constants[name])
+    term, dof, other = _joint_term(robot, name)
     joint = next(joint for joint in robot.joints if joint.vadr == dof)
     suffix = SUFFIX["viscous" if other is not None else term]
     reference = float(robot.joint_terms.spring_reference[dof]) if term == "spring" else 0.0
     return TermColumn(index, dof, suffix, joint.qadr, reference, dof if other is None else other)
+
+
+def _joint_term(robot: RobotModel, name: str) -> tuple[str, int, int | None]:
+    try:
+        return robot.resolve_term(name)
+    except UsageError as error:
+        raise unknown_name(
+            "parameter", name, [*robot.inertial_columns, *_term_names(robot)]
+        ) from error
 
 
 def _term_names(robot: RobotModel) -> list[str]:
@@ -210,6 +210,7 @@ def _term_names(robot: RobotModel) -> list[str]:
 def _link_columns(link: int, weights: list[tuple[int, Array]]) -> LinkColumns:
     indices = np.array([index for index, _ in weights])
     mix = np.array([weight for _, weight in weights])
+    # Raw columns that no parameter uses are not computed.
     raw = tuple(int(c) for c in np.flatnonzero(mix.any(axis=0)))
     mix = mix[:, raw]
     identity = mix.shape[0] == mix.shape[1] and np.array_equal(mix, np.eye(len(raw)))

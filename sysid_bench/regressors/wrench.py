@@ -73,6 +73,7 @@ class SubtreeRegressors:
     def wrench_transform(self, base: str) -> Array:
         """Return X (N, 6, 6), which transforms a wrench [n; f] at the root to the body `base`."""
         T = self._twists(body_of(self.robot, self.cut, base))
+        # Power is invariant: twists transform by T, wrenches by T^-T.
         return np.linalg.inv(T).transpose(0, 2, 1)
 
     def jacobian(self, base: str) -> Array:
@@ -91,6 +92,8 @@ class SubtreeRegressors:
             for i, dof in enumerate(dofs):
                 if dof in moving:
                     s = _columns(state, [moving.index(dof)])
+                    # T maps twists of the root to twists of the link: T^-1 brings the joint's axis
+                    # to the root.
                     J[part, i] = np.linalg.solve(T, s)[..., 0]
         return J
 

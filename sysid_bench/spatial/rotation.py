@@ -56,7 +56,7 @@ def product(left: Array, right: Array) -> Array:
     return np.stack(parts, axis=-1)
 
 
-def conjugate(quaternion: Array) -> Array:
+def inverse_quaternion(quaternion: Array) -> Array:
     """Return the inverse rotation (..., 4) of a unit quaternion."""
     inverse: Array = quaternion * np.array([1.0, -1.0, -1.0, -1.0])
     return inverse

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
+    dropped_expressions,
     expression,
-    near_degenerate,
 )
 from sysid_bench.identifiability.base_map import base_map, dropped_torque
 from sysid_bench.identifiability.structural import structural_factor
@@ -124,7 +124,7 @@ def basis(
         dropped_torque=dropped_torque(base, posed.truth.theta),
         near_degenerate_directions=[
             {"singular_value": value, "expression": expression(parts, 2), "terms": parts}
-            for value, parts in near_degenerate(R, base)
+            for value, parts in dropped_expressions(R, base)
         ],
         combinations=[
             {"expression": expression(parts), "terms": parts} for parts in base_expressions(base)

@@ -241,5 +241,5 @@ def _imported(module: str) -> Any:
         warnings.simplefilter("ignore")  # a warning that becomes an error crashes SWIG's modules
         try:
             return import_module(module)
-        except Exception as error:  # a broken stranger must not end the run
+        except Exception as error:  # a broken peer must not end the run
             pytest.skip(f"{module.partition('.')[0]} cannot be imported: {error}")

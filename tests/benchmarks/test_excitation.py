@@ -94,12 +94,12 @@ def timed(search: Search, work: Callable[[], None], budget: float) -> list[tuple
     """(CPU seconds, best value) over the course of a search that is stopped at its budget."""
     start, course = time.process_time(), []
 
-    def tell(count: int, value: float) -> None:
+    def record(count: int, value: float) -> None:
         course.append((time.process_time() - start, value))
         if course[-1][0] > budget:
             raise SearchStop
 
-    search.evaluation.progress = tell
+    search.evaluation.progress = record
     with suppress(SearchStop):
         work()
     return course

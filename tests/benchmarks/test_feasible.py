@@ -58,7 +58,7 @@ def problem_of(links: int, branches: int, folder: Path) -> Problem:
 
 
 def by_cvxpy(problem: Problem) -> Callable[[], None]:
-    """The fit of `lmi`, as cvxpy is told it."""
+    """The fit of `lmi`, as it is given to cvxpy."""
     cp = pytest.importorskip("cvxpy", reason="cvxpy, the peer of feasible fits, is not installed")
     of = feasible_set_of(problem)
     rows = weighted_coordinates(of, problem, start_of(of, problem.prior))

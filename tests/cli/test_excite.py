@@ -1,4 +1,4 @@
-"""The verb excite: what it writes is what it tells, and it says what it cannot."""
+"""The command excite: its files agree with its report, and it reports what it cannot do."""
 
 import json
 from pathlib import Path
@@ -26,16 +26,16 @@ def test_the_motion_and_its_figures_are_written(tmp_path: Path) -> None:
     file = tmp_path / "motion.csv"
     done = excite("ur5", *QUICK, "--json", "--seed", "3", "-o", str(file))
     assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    assert set(told) >= PROMISED
-    assert told["violations"] == []
-    assert told["condition"] < told["start_condition"]
-    assert set(told["limits"]) == {"position", "velocity", "acceleration", "torque", "collision"}
-    assert all(used["margin"] >= 0 for used in told["limits"].values())
+    result = json.loads(done.stdout)
+    assert set(result) >= PROMISED
+    assert result["violations"] == []
+    assert result["condition"] < result["start_condition"]
+    assert set(result["limits"]) == {"position", "velocity", "acceleration", "torque", "collision"}
+    assert all(used["margin"] >= 0 for used in result["limits"].values())
     table = pd.read_csv(file)
     assert len(table) == 1000
     np.testing.assert_allclose(np.diff(table["t"]), 0.005, atol=1e-12)
-    for joint in told["joints"]:
+    for joint in result["joints"]:
         slope = np.gradient(table[f"{joint}.q"], table["t"])
         np.testing.assert_allclose(slope[1:-1], table[f"{joint}.v"][1:-1], atol=1e-3)
         assert f"{joint}.tau" in table
@@ -46,10 +46,10 @@ def test_a_can_log_holds_a_frame_per_motor_and_sample(tmp_path: Path) -> None:
     words = ("--export", "can", *MOTORS, "--rate", "100 Hz", "--json", "--clamp", "100 %")
     done = excite("ur5", *QUICK, *words, "-o", str(file))
     assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    assert told["rest"]
-    assert told["family"] == "fourier-polynomial"
-    assert {drive["motor"] for drive in told["export"]} == {"DM10010", "DM8009"}
+    result = json.loads(done.stdout)
+    assert result["rest"]
+    assert result["family"] == "fourier-polynomial"
+    assert {drive["motor"] for drive in result["export"]} == {"DM10010", "DM8009"}
     with can.LogReader(str(file)) as reader:
         frames = list(reader)
     assert len(frames) == 500 * 6

@@ -1,4 +1,4 @@
-"""The verbs basis and identify: fields of the contract, honest numbers, models out."""
+"""The commands basis and identify: fields of the contract, honest numbers, models out."""
 
 import json
 from pathlib import Path
@@ -34,13 +34,13 @@ BODY = {"mass", "com", "inertia", "identifiable", "std"}
 def test_basis_prints_the_fields_of_the_contract(cli: Run) -> None:
     done = cli("basis", "ur5", "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert set(told) >= BASIS
-    assert (told["base_parameters"], told["inertial"]) == (48, 36)
-    assert told["parameters"] == len(told["verdicts"]) == 112
-    assert len(told["combinations"]) == 48
-    assert set(told["combinations"][0]) == {"expression", "terms"}
-    assert set(told["verdicts"].values()) == {"identifiable", "combination", "none"}
+    result = json.loads(done.stdout)
+    assert set(result) >= BASIS
+    assert (result["base_parameters"], result["inertial"]) == (48, 36)
+    assert result["parameters"] == len(result["verdicts"]) == 112
+    assert len(result["combinations"]) == 48
+    assert set(result["combinations"][0]) == {"expression", "terms"}
+    assert set(result["verdicts"].values()) == {"identifiable", "combination", "none"}
 
 
 def test_basis_prints_sums_single_ones_first(cli: Run) -> None:
@@ -53,60 +53,60 @@ def test_basis_prints_sums_single_ones_first(cli: Run) -> None:
 
 @pytest.mark.parametrize("name", NAMED)
 def test_basis_agrees_with_the_base_map(name: str) -> None:
-    told = basis(name, terms=())
+    result = basis(name, terms=())
     robot = named_robot(name)
     columns = [column for body in unknown_bodies(robot) for column in body.columns]
     base = structural_base(robot, tuple(columns))
-    assert told["base_parameters"] == told["inertial"] == base.rank
-    assert [next(iter(entry["terms"])) for entry in told["combinations"]] == list(base.names)
-    assert sorted(told.expressions()) == sorted(
-        entry["expression"] for entry in told["combinations"]
+    assert result["base_parameters"] == result["inertial"] == base.rank
+    assert [next(iter(entry["terms"])) for entry in result["combinations"]] == list(base.names)
+    assert sorted(result.expressions()) == sorted(
+        entry["expression"] for entry in result["combinations"]
     )
-    assert str(base.rank) in told.summary().splitlines()[0]
+    assert str(base.rank) in result.summary().splitlines()[0]
 
 
 @pytest.mark.parametrize(
     ("task", "rank"), [("terminal", 7), ("link", 10), ("payload", 10), ("robot", 36)]
 )
 def test_basis_of_every_task(task: str, rank: int) -> None:
-    told = basis("ur5", task, terms=())
-    assert told["base_parameters"] == rank
-    alone = {entry["expression"] for entry in told["combinations"] if len(entry["terms"]) == 1}
-    assert alone == {name for name, v in told["verdicts"].items() if v == "identifiable"}
+    result = basis("ur5", task, terms=())
+    assert result["base_parameters"] == rank
+    alone = {entry["expression"] for entry in result["combinations"] if len(entry["terms"]) == 1}
+    assert alone == {name for name, v in result["verdicts"].items() if v == "identifiable"}
 
 
 @pytest.mark.parametrize("file", ["so100.urdf", "so101.urdf"])
 def test_near_degenerate_directions_are_named(file: str) -> None:
     (path,) = places.example_robot_data().rglob(file)
-    told = basis(path)
-    assert (told["base_parameters"], told["near_degenerate"]) == (36, 2)
-    directions = told["near_degenerate_directions"]
+    result = basis(path)
+    assert (result["base_parameters"], result["near_degenerate"]) == (36, 2)
+    directions = result["near_degenerate_directions"]
     assert len(directions) == 2
     for entry in directions:
-        assert set(entry["terms"]) <= set(told["verdicts"])
-        assert entry["expression"] in told.summary()
+        assert set(entry["terms"]) <= set(result["verdicts"])
+        assert entry["expression"] in result.summary()
 
 
 def test_identify_prints_the_fields_of_the_contract(cli: Run, tmp_path: Path) -> None:
     words = ("--simulate", "--task", "terminal", "--payload", "box-2kg", "--json-out", "a.json")
     done = cli("identify", "ur5", *words, "--terms", "viscous,coulomb", "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told == json.loads((tmp_path / "a.json").read_text())
-    assert set(told) >= ANSWER
-    assert (told["estimator"], told["rank"], told["parameters"]) == ("min-norm", 9, 12)
-    body = told["bodies"]["wrist_3_link"]
+    result = json.loads(done.stdout)
+    assert result == json.loads((tmp_path / "a.json").read_text())
+    assert set(result) >= ANSWER
+    assert (result["estimator"], result["rank"], result["parameters"]) == ("min-norm", 9, 12)
+    body = result["bodies"]["wrist_3_link"]
     assert set(body) >= BODY
     assert body["mass"] is None
     assert body["identifiable"]["m"] == "none"
     assert tuple(body["parameters"]) == NAMES
-    assert told["rmse_test"] < 1e-9
-    assert "wrist_3_link.m" in told["warnings"][-1]
-    assert told["joints"]["wrist_3_joint"]["viscous"]["value"] == pytest.approx(1.0)
+    assert result["rmse_test"] < 1e-9
+    assert "wrist_3_link.m" in result["warnings"][-1]
+    assert result["joints"]["wrist_3_joint"]["viscous"]["value"] == pytest.approx(1.0)
 
 
 def test_what_is_asked_wrongly_is_one_sentence(cli: Run) -> None:
-    for words, told in (
+    for words, result in (
         (("identify", "ur5"), "--simulate"),
         (("identify", "ur5", "--simulate", "--task", "termnal"), "'terminal'"),
         (("identify", "ur5", "--simulate", "--noise", "tua=1 %"), "'tau'"),
@@ -117,7 +117,7 @@ def test_what_is_asked_wrongly_is_one_sentence(cli: Run) -> None:
     ):
         done = cli(*words)
         assert done.returncode == 2, words
-        assert told in one_sentence(done)
+        assert result in one_sentence(done)
 
 
 def test_refused_values_leave_no_file(cli: Run, tmp_path: Path) -> None:
@@ -134,9 +134,9 @@ def test_a_link_is_written_with_its_load_and_moves_as_the_loaded_robot(
     name: str, payload: str, tmp_path: Path
 ) -> None:
     target = tmp_path / "new.urdf"
-    told = identify(name, "link", payload, model_out=target)
-    assert told["rank"] == 10
-    (body,) = told["bodies"].values()
+    result = identify(name, "link", payload, model_out=target)
+    assert result["rank"] == 10
+    (body,) = result["bodies"].values()
     loaded = named_robot(name, payload)
     again = load_robot(target)
     link = int(loaded.tree.carrier[loaded.tool_body])
@@ -169,9 +169,9 @@ def test_a_body_that_moves_freely_is_written_whole_with_its_friction(tmp_path: P
         '<mujoco><worldbody><body name="base"><freejoint/><inertial pos=".1 0 0" mass="3" '
         'diaginertia=".1 .2 .25"/></body></worldbody></mujoco>'
     )
-    told = identify(source, "robot", "none", terms=(), model_out=target)
-    assert told["rank"] == told["parameters"] == 10
-    assert told["feasible"]
+    result = identify(source, "robot", "none", terms=(), model_out=target)
+    assert result["rank"] == result["parameters"] == 10
+    assert result["feasible"]
     np.testing.assert_allclose(load_robot(target).phi, load_robot(source).phi, atol=1e-9)
 
 
@@ -185,20 +185,20 @@ def test_noise_has_a_spread_and_its_seed_a_draw() -> None:
     assert body["mass"] != different["mass"]
     truth = named_robot("ur5", "box-2kg")
     link = int(truth.tree.carrier[truth.tool_body])
-    for told in (body, different):
-        error = abs(told["mass"] - truth.tree.link_parameters(truth.phi)[link][0])
-        assert 0 < error < 5 * told["std"]["m"]
+    for result in (body, different):
+        error = abs(result["mass"] - truth.tree.link_parameters(truth.phi)[link][0])
+        assert 0 < error < 5 * result["std"]["m"]
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda"])
-def test_least_squares_says_nothing_about_what_it_cannot_tell(name: str) -> None:
-    told = identify(name, "robot", terms=("viscous",))
-    for body in told["bodies"].values():
+def test_least_squares_says_nothing_about_what_it_cannot_identify(name: str) -> None:
+    result = identify(name, "robot", terms=("viscous",))
+    for body in result["bodies"].values():
         for key, verdict in body["identifiable"].items():
             known = verdict == "identifiable"
             assert (body["parameters"][key] is not None) == known
             assert (body["std"][key] is not None) == known
-    assert told["feasible"] is None
+    assert result["feasible"] is None
 
 
 def test_targets_are_refused_before_anything_runs(tmp_path: Path) -> None:
@@ -222,10 +222,10 @@ def test_a_payload_may_be_a_table(cli: Run) -> None:
         "--json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["payload"]["mass"] == pytest.approx(1.2, abs=1e-9)
-    assert told["torque_error"] < 1e-9
-    assert "root.wz" in told["rows"]
+    result = json.loads(done.stdout)
+    assert result["payload"]["mass"] == pytest.approx(1.2, abs=1e-9)
+    assert result["torque_error"] < 1e-9
+    assert "root.wz" in result["rows"]
 
 
 @pytest.mark.parametrize("task", ["payload", "link"])
@@ -238,13 +238,13 @@ def test_terms_that_a_task_takes_as_known_are_refused(task: str, terms: tuple[st
 
 
 @pytest.mark.parametrize(("name", "task"), [("ur5", "robot"), ("z1", "terminal"), ("z1", "link")])
-def test_the_terms_that_were_estimated_are_told(name: str, task: str) -> None:
-    told = identify(name, task)
+def test_the_terms_that_were_estimated_are_reported(name: str, task: str) -> None:
+    result = identify(name, task)
     own = named_robot(name).manifest.terms if task == "robot" else ()
-    assert tuple(told["terms"]) == own
-    for terms in told["joints"].values():
+    assert tuple(result["terms"]) == own
+    for terms in result["joints"].values():
         assert tuple(terms) == own
-    assert bool(told["joints"]) == bool(own)
+    assert bool(result["joints"]) == bool(own)
 
 
 def test_a_joint_term_that_is_no_single_number_is_not_printed_as_one(tmp_path: Path) -> None:
@@ -255,9 +255,9 @@ def test_a_joint_term_that_is_no_single_number_is_not_printed_as_one(tmp_path: P
         '<geom size=".1"/><body name="b" pos="1 0 0"><joint name="j2" axis="0 1 0" damping="2"/>'
         '<geom size=".1"/></body></body></worldbody></mujoco>'
     )
-    told = identify(file, terms=("armature", "viscous"), estimator="min-norm")
-    lines = told.summary()
-    assert told["joints"]["j1"]["armature"]["identifiable"] == "combination"
+    result = identify(file, terms=("armature", "viscous"), estimator="min-norm")
+    lines = result.summary()
+    assert result["joints"]["j1"]["armature"]["identifiable"] == "combination"
     assert "j1: armature not identifiable, viscous " in lines
     assert "j2: armature not identifiable, viscous 2" in lines
 
@@ -289,8 +289,8 @@ def test_an_answer_never_replaces_its_model(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["random:3", "random:12"])
 def test_a_random_robot_is_written_from_its_own_text(name: str, tmp_path: Path) -> None:
     target = tmp_path / "new.xml"
-    told = identify(name, "link", model_out=target)
-    assert told["rank"] == 10
+    result = identify(name, "link", model_out=target)
+    assert result["rank"] == 10
     robot, again = load_robot(name), load_robot(target)
     np.testing.assert_allclose(
         again.tree.link_parameters(again.phi),
@@ -315,7 +315,7 @@ def test_words_of_options() -> None:
 def test_completed_bodies_are_written_with_the_torques_that_were_identified(
     name: str, distance: str, tmp_path: Path
 ) -> None:
-    """Nobody can tell all masses from torques: completed ones leave every torque as it was."""
+    """No torques identify all masses: completed ones leave every torque as it was."""
     out = tmp_path / "out.urdf"
     answer = identify(name, terms=(), model_out=out, complete=distance)
     assert answer["completed"] == distance
@@ -330,7 +330,7 @@ def test_completed_bodies_are_written_with_the_torques_that_were_identified(
 
 
 def test_what_noise_has_made_impossible_is_moved_as_little_as_it_takes() -> None:
-    """Least squares alone would not exist; what does is told, and what it costs."""
+    """Least squares alone would not exist; what does is reported, and what it costs."""
     plain, whole = (
         identify("z1", noise={"tau": "20 %"}, complete=distance) for distance in (None, "entropic")
     )
@@ -343,12 +343,14 @@ def test_what_noise_has_made_impossible_is_moved_as_little_as_it_takes() -> None
 @pytest.mark.parametrize(
     ("estimator", "kind"), [("ols", "residuals"), ("huber", "textbook"), ("bounded", None)]
 )
-def test_deviations_are_told_with_where_they_come_from(estimator: str, kind: str | None) -> None:
-    told = identify("scara", estimator=estimator, noise={"tau": "1 %"})
-    assert told["std_from"] == kind
-    stds = [entry["std"] for entry in told["base"]]
-    stds += [term["std"] for joint in told["joints"].values() for term in joint.values()]
+def test_deviations_are_reported_with_where_they_come_from(
+    estimator: str, kind: str | None
+) -> None:
+    result = identify("scara", estimator=estimator, noise={"tau": "1 %"})
+    assert result["std_from"] == kind
+    stds = [entry["std"] for entry in result["base"]]
+    stds += [term["std"] for joint in result["joints"].values() for term in joint.values()]
     assert all(std is None or std > 0 for std in stds)
-    assert all((entry["std"] is None) == (kind is None) for entry in told["base"])
-    lines = told.summary()
+    assert all((entry["std"] is None) == (kind is None) for entry in result["base"])
+    lines = result.summary()
     assert ("±" in lines) == (kind is not None)

@@ -1,4 +1,4 @@
-"""The verb identify on recordings: what a robot logged gives its parameters back, no others."""
+"""The command identify on recordings: what a robot logged gives its parameters back, no others."""
 
 import json
 from collections.abc import Iterator
@@ -41,18 +41,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_recording_gives_the_parameters_back(folder: Path) -> None:
-    told = identify("ur5", log=[folder / "run.toml"], test=[folder / "other.toml"], **CLEAN)
-    assert set(told) >= ANSWER
-    assert told["torque_error"] < 2e-3  # a from v by differences at 200 Hz
+    result = identify("ur5", log=[folder / "run.toml"], test=[folder / "other.toml"], **CLEAN)
+    assert set(result) >= ANSWER
+    assert result["torque_error"] < 2e-3  # a from v by differences at 200 Hz
     robot = named_robot("ur5")
-    found = {f"{b}.{k}": v for b, body in told["bodies"].items()
+    found = {f"{b}.{k}": v for b, body in result["bodies"].items()
              for k, v in body["parameters"].items() if v is not None}  # fmt: skip
     truth = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
     assert len(found) > 10
     for name, value in found.items():
         assert value == pytest.approx(truth[name], abs=1e-3), name
-    assert told["warnings"][-1].startswith("73 of") or "not identifiable" in told["warnings"][-1]
-    lines = told.summary().splitlines()
+    assert (
+        result["warnings"][-1].startswith("73 of") or "not identifiable" in result["warnings"][-1]
+    )
+    lines = result.summary().splitlines()
     assert any("wrist_3_joint" in line and "%" in line for line in lines)
 
 
@@ -63,11 +65,11 @@ def test_joints_that_no_log_lists_are_locked(folder: Path, tmp_path: Path) -> No
 
     part = load_robot(replace(manifest, locked=held))
     path = write(tmp_path, recorded(part, 3), locked=held)
-    told = identify("ur5", log=[path], test=[path], **CLEAN)
-    assert set(told["rows"]) == set(whole.rows) - set(held)
-    assert told["locked"] == held
-    assert told["rmse_test"] < 1e-2 * max(t["rms"] for t in told["training"].values())
-    assert "repeats the training motion" in " ".join(told["warnings"])
+    result = identify("ur5", log=[path], test=[path], **CLEAN)
+    assert set(result["rows"]) == set(whole.rows) - set(held)
+    assert result["locked"] == held
+    assert result["rmse_test"] < 1e-2 * max(t["rms"] for t in result["training"].values())
+    assert "repeats the training motion" in " ".join(result["warnings"])
     wrong = write(tmp_path, recorded(part, 3), name="wrong", locked={"elbow_joint": 0.1})
     with pytest.raises(UsageError, match="shoulder_pan_joint"):
         identify("ur5", log=[wrong])
@@ -82,13 +84,13 @@ def test_a_known_payload_is_taken_off_an_unknown_one_is_found(folder: Path) -> N
     run, other, loaded = (folder / f"{name}.toml" for name in ("run", "other", "loaded"))
     known = identify("ur5", log=[run, loaded], test=[other, loaded], **CLEAN)
     assert known["torque_error"] < 2e-3
-    told = identify("ur5", log=[run, loaded], test=[other], task="payload", **CLEAN)
-    payload = told["payload"]
+    result = identify("ur5", log=[run, loaded], test=[other], task="payload", **CLEAN)
+    payload = result["payload"]
     truth = PAYLOADS["box-2kg"]
     loaded_robot = named_robot("ur5", "box-2kg")
     assert payload["mass"] == pytest.approx(truth.mass, rel=5e-3)
     assert payload["com"] == pytest.approx(list(truth.com), abs=2e-3)
-    assert len(told["bodies"]) == len(loaded_robot.body_names)
+    assert len(result["bodies"]) == len(loaded_robot.body_names)
     with pytest.raises(UsageError, match="with and without"):
         identify("ur5", log=[run], task="payload")
     with pytest.raises(UnsupportedError, match="'robot' and 'payload'"):
@@ -120,16 +122,16 @@ def test_the_command_prints_the_contract(cli: Run, folder: Path, tmp_path: Path)
     words = ("--log", str(folder / "run.toml"), "--test", str(folder / "other.toml"))
     done = cli("identify", "ur5", *words, "--json-out", "a.json", "--json", "--terms", "viscous")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told == json.loads((tmp_path / "a.json").read_text())
-    assert set(told) >= ANSWER
-    assert told["terms"] == ["viscous"]
-    assert told["signals"]["derivatives"] == "from v"
-    assert {log["use"] for log in told["logs"]} == {"train", "test"}
-    assert set(told["tests"]) == {"other"}
-    told = CliRunner().invoke(main, ["identify", "ur5", *words])
-    assert told.exit_code == 0, told.stderr
-    assert "elbow_joint" in told.stdout
+    result = json.loads(done.stdout)
+    assert result == json.loads((tmp_path / "a.json").read_text())
+    assert set(result) >= ANSWER
+    assert result["terms"] == ["viscous"]
+    assert result["signals"]["derivatives"] == "from v"
+    assert {log["use"] for log in result["logs"]} == {"train", "test"}
+    assert set(result["tests"]) == {"other"}
+    result = CliRunner().invoke(main, ["identify", "ur5", *words])
+    assert result.exit_code == 0, result.stderr
+    assert "elbow_joint" in result.stdout
 
 
 def lies(folder: Path, tmp_path: Path) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -148,11 +150,11 @@ def lies(folder: Path, tmp_path: Path) -> Iterator[tuple[tuple[str, ...], str]]:
 
 
 def test_what_is_asked_wrongly_is_one_sentence(folder: Path, tmp_path: Path) -> None:
-    for words, told in lies(folder, tmp_path):
+    for words, result in lies(folder, tmp_path):
         done = CliRunner().invoke(main, ["identify", "ur5", *words])
         assert done.exit_code == 2, words
         assert done.stderr.startswith("sysid-bench: "), words
-        assert told in done.stderr, words
+        assert result in done.stderr, words
     accepted = ["identify", "ur5", "--log", str(tmp_path / "wrong.toml"), "--accept", "rate"]
     assert CliRunner().invoke(main, accepted).exit_code == 0
 
@@ -173,10 +175,10 @@ def test_terms_of_single_joints(folder: Path) -> None:
         "wrist_1_joint.fv.wrist_2_joint",
         "wrist_3_joint.offset",
     )
-    told = identify("ur5", log=[folder / "run.toml"], test=[], terms=terms, **CLEAN)
-    assert set(told["joints"]) == set(named_robot("ur5").rows)
-    assert set(told["joints"]["elbow_joint"]) == {"viscous", "coulomb", "spring"}
-    values: dict[str, Any] = told["joints"]["wrist_1_joint"]
+    result = identify("ur5", log=[folder / "run.toml"], test=[], terms=terms, **CLEAN)
+    assert set(result["joints"]) == set(named_robot("ur5").rows)
+    assert set(result["joints"]["elbow_joint"]) == {"viscous", "coulomb", "spring"}
+    values: dict[str, Any] = result["joints"]["wrist_1_joint"]
     assert set(values) == {"viscous", "coulomb", "viscous_coupling.wrist_2_joint"}
     assert abs(values["viscous_coupling.wrist_2_joint"]["value"]) < 0.02
 
@@ -197,20 +199,20 @@ def test_real_arms_within_what_was_measured(data_folder: Path, tmp_path: Path) -
             + "".join(f"{s} = {{ columns = {names[s]} }}\n" for s in names)
         )
         paths.append(path)
-    told = identify(
+    result = identify(
         "ur10", log=paths[:1], test=paths[1:], terms=("viscous", "coulomb", "offset", "armature")
     )
-    errors = [100 * joint["relative"] for joint in told["tests"]["test"].values()]
+    errors = [100 * joint["relative"] for joint in result["tests"]["test"].values()]
     np.testing.assert_allclose(errors, [17.6, 7.1, 6.0, 16.3, 15.0, 29.6], atol=1.2)
-    assert told["rank"] == 58
+    assert result["rank"] == 58
 
 
 def test_a_load_of_known_shape_has_a_mass_with_an_interval(folder: Path, tmp_path: Path) -> None:
     logs = [folder / "run.toml", folder / "loaded.toml"]
-    told = identify("ur5", log=logs, task="payload", position_given=True, **CLEAN)["payload"]
-    assert told["mass"] == pytest.approx(2.0, rel=1e-3)
-    assert told["interval"][0] <= told["mass"] <= told["interval"][1]
-    assert len(told["parts"]) == 5
+    result = identify("ur5", log=logs, task="payload", position_given=True, **CLEAN)["payload"]
+    assert result["mass"] == pytest.approx(2.0, rel=1e-3)
+    assert result["interval"][0] <= result["mass"] <= result["interval"][1]
+    assert len(result["parts"]) == 5
     rng = np.random.default_rng(0)
     noisy = []
     for k, load in enumerate(("none", "box-2kg")):
@@ -218,15 +220,15 @@ def test_a_load_of_known_shape_has_a_mass_with_an_interval(folder: Path, tmp_pat
         tau = log.tau + 0.3 * log.tau.std(axis=0) * rng.normal(size=log.tau.shape)
         more: dict[str, Any] = {} if k == 0 else {"payload": {"use": load}}
         noisy.append(write(tmp_path, replace(log, tau=tau), name=f"noisy{k}", **more))
-    told = identify("ur5", log=noisy, task="payload", position_given=True, **CLEAN)["payload"]
-    assert told["interval"][0] < 2.0 < told["interval"][1]
-    assert 0.002 < told["std"] < 0.5
+    result = identify("ur5", log=noisy, task="payload", position_given=True, **CLEAN)["payload"]
+    assert result["interval"][0] < 2.0 < result["interval"][1]
+    assert 0.002 < result["std"] < 0.5
     with pytest.raises(UsageError, match="payload"):
         identify("ur5", log=logs, position_given=True)
 
 
 def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
-    from sysid_bench.regressors.friction_features import Play
+    from sysid_bench.regressors.joint_features import Play
 
     logs = []
     for seed in (0, 1):
@@ -238,12 +240,12 @@ def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
     terms = ("viscous", "coulomb")
     more: dict[str, Any] = {**CLEAN, "terms": terms, "log": logs[:1], "test": logs[1:]}
     plain = identify("ur5", **more)
-    told = identify("ur5", choose=("offset", "play"), figure=tmp_path / "a.svg", **more)
-    added = [step["parameter"] for step in told["selection"]["added"]]
+    result = identify("ur5", choose=("offset", "play"), figure=tmp_path / "a.svg", **more)
+    added = [step["parameter"] for step in result["selection"]["added"]]
     assert added
     assert {name.partition(".")[0] for name in added} == {"elbow_joint"}
     assert added[0].startswith("elbow_joint.play")
-    errors = [a["tests"]["log1"]["elbow_joint"]["relative"] for a in (told, plain)]
+    errors = [a["tests"]["log1"]["elbow_joint"]["relative"] for a in (result, plain)]
     assert errors[0] < 0.5 * errors[1]
     picture = (tmp_path / "a.svg").read_bytes()
     assert b"<svg" in picture
@@ -253,7 +255,7 @@ def test_hysteresis_is_found_where_it_is(tmp_path: Path) -> None:
 
 def test_inertia_of_motors_that_move_joints_together_is_found(tmp_path: Path) -> None:
     """tau_motor = G' tau + Ia a_motor, with friction in the motors: the joints' own terms cannot
-    tell, those of the motors can."""
+    identify, those of the motors can."""
     G = np.eye(6)
     G[4:6, 4:6] = [[0.5, 0.5], [-1.0, 1.0]]
     logs = []
@@ -268,14 +270,14 @@ def test_inertia_of_motors_that_move_joints_together_is_found(tmp_path: Path) ->
         logs.append(write(tmp_path, motors, name=f"log{seed}", transmission=G.tolist()))
     terms = ("viscous", "coulomb", "offset")
     plain = identify("ur5", log=logs[:1], test=logs[1:], terms=terms, **CLEAN)
-    told = identify("ur5", log=logs[:1], test=logs[1:], terms=terms,
+    result = identify("ur5", log=logs[:1], test=logs[1:], terms=terms,
                          choose=("motor.armature", "motor.coulomb"), **CLEAN)  # fmt: skip
     for motor in ("motor5", "motor6"):
-        assert told["joints"][motor]["armature"]["value"] == pytest.approx(0.05, rel=0.1)
-        assert told["joints"][motor]["coulomb"]["value"] == pytest.approx(0.7, rel=0.05)
-    assert set(told["joints"]) - set(plain["joints"]) == {"motor5", "motor6"}
+        assert result["joints"][motor]["armature"]["value"] == pytest.approx(0.05, rel=0.1)
+        assert result["joints"][motor]["coulomb"]["value"] == pytest.approx(0.7, rel=0.05)
+    assert set(result["joints"]) - set(plain["joints"]) == {"motor5", "motor6"}
     for joint in ("wrist_2_joint", "wrist_3_joint"):
-        errors = [answer["tests"]["log1"][joint]["relative"] for answer in (told, plain)]
+        errors = [answer["tests"]["log1"][joint]["relative"] for answer in (result, plain)]
         assert errors[0] < 0.1 * errors[1]
     own = (*terms, "motor.coulomb", "motor.armature")
     fixed = identify("ur5", log=logs[:1], terms=own, **CLEAN)
@@ -311,7 +313,7 @@ def arm(data_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
     """Descriptions of the recordings of a patient side manipulator."""
     folder = tmp_path_factory.mktemp("psm")
     paths = {}
-    load = "payload = { mass = 0.05, com = [-0.024, 0, -0.335] }"  # its mass is not told
+    load = "payload = { mass = 0.05, com = [-0.024, 0, -0.335] }"  # its mass is not given
     for name, more in (
         ("psm_train", ""), ("psm_payload_none_2019", ""), ("psm_payload_105g_insertion", load)
     ):  # fmt: skip
@@ -333,9 +335,9 @@ def test_an_arm_months_later(arm: dict[str, Path]) -> None:
     driven = identify("dvrk_psm", choose=joints + motors, **more)
     errors = [
         np.array(
-            [100 * joint["relative"] for joint in told["tests"]["psm_payload_none_2019"].values()]
+            [100 * joint["relative"] for joint in result["tests"]["psm_payload_none_2019"].values()]
         )
-        for told in (plain, chosen, driven)
+        for result in (plain, chosen, driven)
     ]
     np.testing.assert_allclose(errors[0], [2.6, 15.7, 14.1, 23.5, 49.9, 51.8], atol=0.5)
     assert (errors[1] < errors[0]).all()
@@ -347,11 +349,11 @@ def test_an_arm_months_later(arm: dict[str, Path]) -> None:
 @pytest.mark.data
 def test_a_hundred_grams_on_a_real_arm(arm: dict[str, Path]) -> None:
     logs = [arm["psm_payload_none_2019"], arm["psm_payload_105g_insertion"]]
-    told = identify("dvrk_psm", log=logs, task="payload", position_given=True, filter="average 41")[
-        "payload"
-    ]
-    assert told["interval"][0] < 0.105 < told["interval"][1]
-    assert told["mass"] == pytest.approx(0.105, rel=0.05)
+    result = identify(
+        "dvrk_psm", log=logs, task="payload", position_given=True, filter="average 41"
+    )["payload"]
+    assert result["interval"][0] < 0.105 < result["interval"][1]
+    assert result["mass"] == pytest.approx(0.105, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -364,7 +366,7 @@ def test_a_hundred_grams_on_a_real_arm(arm: dict[str, Path]) -> None:
         (6, "1 s", 2, "residuals"),
     ],
 )
-def test_a_log_that_repeats_tells_its_deviations_by_its_periods(
+def test_a_log_that_repeats_gives_its_deviations_by_its_periods(
     tmp_path: Path, cycles: int, period: str | None, logs: int, kind: str
 ) -> None:
     once = recorded(named_robot("ur5"), 0, period=1.0)
@@ -375,9 +377,9 @@ def test_a_log_that_repeats_tells_its_deviations_by_its_periods(
         t = np.arange(len(q)) * (once.t[1] - once.t[0])
         noisy = Recorded(once.joints, t, q, v, tau + 0.1 * rng.normal(size=tau.shape))
         paths.append(write(tmp_path, noisy, name=f"run{place}", period=period))
-    told = identify("ur5", log=paths, **{**CLEAN, "estimator": "wls"})
-    assert told["std_from"] == kind
-    assert all(entry["std"] > 0 for entry in told["base"])
+    result = identify("ur5", log=paths, **{**CLEAN, "estimator": "wls"})
+    assert result["std_from"] == kind
+    assert all(entry["std"] > 0 for entry in result["base"])
 
 
 def test_a_period_is_a_time(tmp_path: Path) -> None:

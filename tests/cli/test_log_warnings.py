@@ -1,4 +1,4 @@
-"""Torques that cannot be a robot's are told, and those of a robot pass."""
+"""Torques that cannot be a robot's are reported, and those of a robot pass."""
 
 import pytest
 
@@ -25,7 +25,7 @@ def test_a_sound_answer_raises_no_doubt() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "joint", "word"),
+    ("result", "joint", "word"),
     [
         ({"rms": 0.0, "relative": None}, friction(1.0, 1.0), "zero throughout"),
         ({"rms": 1.0, "relative": 1.2}, friction(1.0, 1.0), "120 %"),
@@ -33,9 +33,9 @@ def test_a_sound_answer_raises_no_doubt() -> None:
         (SOUND, friction(-1.0, -2.0, None), "wrong sign"),
     ],
 )
-def test_what_cannot_be_is_told(told: dict, joint: dict, word: str) -> None:  # type: ignore[type-arg]
+def test_what_cannot_be_is_reported(result: dict, joint: dict, word: str) -> None:  # type: ignore[type-arg]
     (said,) = log_warnings(
-        {"elbow": told, "wrist": SOUND}, {"elbow": joint, "wrist": friction(1, 1)}
+        {"elbow": result, "wrist": SOUND}, {"elbow": joint, "wrist": friction(1, 1)}
     )
     assert "elbow" in said
     assert "wrist" not in said

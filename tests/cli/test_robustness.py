@@ -102,10 +102,10 @@ def test_nan_in_a_manifest_is_one_sentence(cli: Run, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(small_suite(robots=("arm",)))
     done = cli("run", "s.toml", "--robots", "mine")
     assert done.returncode == 2
-    told = one_sentence(done)
-    assert "limits.all.v" in told
-    assert "gravity" in told
-    assert "finite" in told
+    result = one_sentence(done)
+    assert "limits.all.v" in result
+    assert "gravity" in result
+    assert "finite" in result
 
 
 def test_a_run_remembers_the_folder_of_its_robots(cli: Run, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The verbs basis and identify behind a force/torque sensor, and its recording."""
+"""The commands basis and identify behind a force/torque sensor, and its recording."""
 
 import json
 from pathlib import Path
@@ -19,18 +19,18 @@ from .conftest import Run, one_sentence
 NOISE = {"force": "0.15 N", "moment": "0.008 N m"}
 
 
-def test_basis_tells_what_a_sensor_tells(cli: Run) -> None:
+def test_basis_reports_what_a_sensor_identifies(cli: Run) -> None:
     done = cli("basis", "icub", "--task", "wrench", "--sensor", "l_arm_ft_sensor", "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert (told["base_parameters"], told["parameters"]) == (38, 90)
-    assert told["rows"][0] == "l_arm_ft_sensor.nx"
+    result = json.loads(done.stdout)
+    assert (result["base_parameters"], result["parameters"]) == (38, 90)
+    assert result["rows"][0] == "l_arm_ft_sensor.nx"
 
 
 def test_a_random_robot_is_cut_anywhere() -> None:
-    told = basis("random:3", "wrench", terms=("offset",), free_base=None, sensor="b2")
-    assert told["base_parameters"] == told["inertial"] + 6
-    assert told.summary()
+    result = basis("random:3", "wrench", terms=("offset",), free_base=None, sensor="b2")
+    assert result["base_parameters"] == result["inertial"] + 6
+    assert result.summary()
 
 
 def test_a_wrong_sensor_is_one_sentence(cli: Run) -> None:
@@ -46,30 +46,32 @@ def test_identify_refuses_what_it_would_ignore(cli: Run) -> None:
 
 
 def test_identify_compares_parameters_and_names_what_is_missing() -> None:
-    told = identify("icub", task="wrench", sensor="l_arm", noise=NOISE)
-    sensor = told["sensor"]
+    result = identify("icub", task="wrench", sensor="l_arm", noise=NOISE)
+    sensor = result["sensor"]
     assert (sensor["structural_rank"], sensor["excited_rank"]) == (38, 38)
     assert sensor["unpredictable"] == []
     true, cad, found = (sensor["estimation"][k] for k in ("true", "CAD", "identified"))
     assert found["force"] < 1.02 * true["force"]
     assert found["torque"] < 1.1 * true["torque"]
     assert found["torque_alone"] < 0.1 * cad["torque_alone"]
-    assert "sensor l_arm" in told.summary()
+    assert "sensor l_arm" in result.summary()
     assert identify("icub", task="wrench", sensor="l_leg")["sensor"]["estimation"] is None
 
 
 def test_a_payload_comes_as_mass_centre_and_inertia() -> None:
-    told = identify("panda", task="wrench-payload", payload="box-2kg", sensor="wrist", noise=NOISE)
-    assert told["payload"]["mass"] == pytest.approx(2.0, abs=0.01)
-    assert told["estimator"] == "wls"
-    assert "sensor" not in told
+    result = identify(
+        "panda", task="wrench-payload", payload="box-2kg", sensor="wrist", noise=NOISE
+    )
+    assert result["payload"]["mass"] == pytest.approx(2.0, abs=0.01)
+    assert result["estimator"] == "wls"
+    assert "sensor" not in result
 
 
 def test_a_robot_held_before_the_sensor_says_what_it_cannot_know() -> None:
-    """A sensor between the world and a robot on its bench: the data tell less than flight would."""
-    told = identify("z1", task="wrench", sensor="base_static_joint")
-    assert told["sensor"]["excited_rank"] < told["sensor"]["structural_rank"]
-    assert any("unpredictable" in w or "no torque" in w for w in told["warnings"])
+    """Between the world and a robot on its bench a sensor excites less than in flight."""
+    result = identify("z1", task="wrench", sensor="base_static_joint")
+    assert result["sensor"]["excited_rank"] < result["sensor"]["structural_rank"]
+    assert any("unpredictable" in w or "no torque" in w for w in result["warnings"])
 
 
 def test_unknown_noise_lists_the_kinds() -> None:
@@ -105,29 +107,29 @@ def test_a_recording_shows_torques_and_convergence_on_line() -> None:
 def test_whole_bodies_are_completed_behind_a_sensor(
     robot: str, task: str, sensor: str, payload: str, estimator: str
 ) -> None:
-    told = identify(
+    result = identify(
         robot, task, payload, ("offset",), estimator, NOISE, sensor=sensor, complete="entropic"
     )
-    for name, body in told["bodies"].items():
+    for name, body in result["bodies"].items():
         phi = np.array(list(body["parameters"].values()))
         assert smallest_eigenvalue(phi[None])[0] > -1e-12, name
-    assert told["feasible"]
-    assert told["torque_error"] < 0.05
+    assert result["feasible"]
+    assert result["torque_error"] < 0.05
 
 
 def test_a_model_with_its_sub_tree_identified_is_written_back(tmp_path: Path) -> None:
     """Every body behind the sensor is one of the unknowns, welded ones too; those before it keep
     their numbers, and the sensor's constants belong to no model."""
     file = tmp_path / "icub.urdf"
-    told = identify(
+    result = identify(
         "icub", "wrench", terms=("offset",), noise=NOISE, sensor="l_arm", complete="entropic",
         model_out=file,
     )  # fmt: skip
     old, new = load_robot("icub"), load_robot(str(file))
     for name in old.body_names:
         before, after = (r.phi[r.body_names.index(name)] for r in (old, new))
-        if name in told["bodies"]:
-            wanted = list(told["bodies"][name]["parameters"].values())
+        if name in result["bodies"]:
+            wanted = list(result["bodies"][name]["parameters"].values())
             np.testing.assert_allclose(after, wanted, rtol=1e-6, atol=1e-9)
         else:
             np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-9)
@@ -140,16 +142,16 @@ def test_a_payload_behind_a_sensor_is_in_no_model(tmp_path: Path) -> None:
 
 
 def test_a_sub_tree_without_joints_or_mass_has_no_torques_to_tell() -> None:
-    told = identify("ur5", "wrench", sensor="tool0", noise=NOISE)
-    assert "true: touch" in told.summary()
+    result = identify("ur5", "wrench", sensor="tool0", noise=NOISE)
+    assert "true: touch" in result.summary()
 
 
 def test_contacts_are_found_or_declared_by_words(cli: Run) -> None:
-    told = identify(
+    result = identify(
         "z1", "wrench", sensor="link02", noise=NOISE | {"touch": "5 N"}, contacts="detect"
     )
-    assert told["left_out"] == pytest.approx(1 / 3, abs=0.05)
-    assert "left out as contacts" in told.summary()
+    assert result["left_out"] == pytest.approx(1 / 3, abs=0.05)
+    assert "left out as contacts" in result.summary()
     for wrong, word in (
         ("detec", "10 s to 25 s"),
         ("5 s to 4 s", "ends before it begins"),

@@ -1,4 +1,4 @@
-"""Each verb, with its output and exit code as the contract has them."""
+"""Each command, with its output and exit code as the contract has them."""
 
 import csv
 import io
@@ -84,10 +84,10 @@ def test_plan_counts_and_refuses_with_lines(cli: Run, tmp_path: Path) -> None:
     )
     done = cli("plan", "bad.toml")
     assert done.returncode == 2
-    told = one_sentence(done)
-    assert "bad.toml:" in told
-    assert "'payloads'" in told
-    assert "'ols'" in told
+    result = one_sentence(done)
+    assert "bad.toml:" in result
+    assert "'payloads'" in result
+    assert "'ols'" in result
 
 
 def test_a_run_from_the_first_command_to_the_report(cli: Run, tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_a_suite_measures_coverage_and_efficiency(cli: Run, tmp_path: Path) -> N
     done = cli("run", "covered.toml", "-o", "out", "-j", "1")
     assert done.returncode == 0, done.stderr
     lines = (cli("table", "out", name, "--format", "csv") for name in ("coverage", "efficiency"))
-    coverage, efficiency = (list(csv.DictReader(io.StringIO(told.stdout))) for told in lines)
+    coverage, efficiency = (list(csv.DictReader(io.StringIO(result.stdout))) for result in lines)
     found = {(line["estimator"], line["std_from"]): line for line in coverage}
     kinds = [("wls", kind) for kind in ("periods", "residuals", "textbook")]
     assert set(found) == {*kinds, ("ar-gls", "textbook")}

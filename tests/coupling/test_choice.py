@@ -122,7 +122,7 @@ def test_joints_that_follow_keep_their_limits() -> None:
     assert 0.2 < angle.max() <= 0.3
 
 
-def test_limits_against_the_coupling_bind_nothing_and_are_told() -> None:
+def test_limits_against_the_coupling_bind_nothing_and_are_reported() -> None:
     bodies = hinge("a", "0 0 0", more='range="0 0.5"') + hinge("b", "0 0 1", more='range="0 0.5"')
     robot = robot_of(mjcf(bodies, '<joint joint1="a" joint2="b" polycoef="0 -1 0 0 0"/>'))
     assert robot.coupling is not None
@@ -163,8 +163,8 @@ def test_what_couples_nothing_is_left_out() -> None:
     )
     robot = robot_of(mjcf(mocap + PAIR, held))
     assert robot.coupling is None
-    (told,) = (text for text in robot.repairs if "left out" in text)
-    assert "mocap" in told
+    (reported,) = (text for text in robot.repairs if "left out" in text)
+    assert "mocap" in reported
     with pytest.raises(ModelError, match=r"fix all joints.*couplings = false"):
         robot_of(mjcf(PAIR, '<joint joint1="a"/><joint joint1="b"/>'))
 
@@ -226,12 +226,12 @@ def test_mimics_of_mimics_follow_the_first() -> None:
 
 
 @pytest.mark.parametrize("target", ["nobody", "j2"])
-def test_a_mimic_of_nothing_moves_on_its_own_and_is_told(target: str) -> None:
+def test_a_mimic_of_nothing_moves_on_its_own_and_is_reported(target: str) -> None:
     robot = robot_of(urdf("", f'<mimic joint="{target}"/>'))
     assert robot.coupling is None
-    (told,) = (text for text in robot.repairs if "mimic" in text)
-    assert "'j2' treated as independent" in told
-    assert f"{target!r}" in told
+    (reported,) = (text for text in robot.repairs if "mimic" in text)
+    assert "'j2' treated as independent" in reported
+    assert f"{target!r}" in reported
 
 
 def test_a_mimic_with_a_broken_number_is_refused() -> None:

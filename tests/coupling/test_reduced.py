@@ -1,4 +1,4 @@
-"""Reduced regressors and torques: three witnesses, folding, tasks, closed loop."""
+"""Reduced regressors and torques: three references, folding, tasks, closed loop."""
 
 from dataclasses import replace
 

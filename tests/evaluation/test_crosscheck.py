@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation import crosscheck as room
+from sysid_bench.evaluation import crosscheck as module
 from sysid_bench.evaluation.crosscheck import CLOSURE, GAP, CrossCheck, crosscheck
 from sysid_bench.regressors import kernel_numpy as kernel
 from sysid_bench.regressors.kernel_c import SelectedKernel
@@ -75,21 +75,21 @@ def test_a_tampered_body_regressor_is_caught(
     assert not check.ok(1e-10)
 
 
-def test_a_witness_that_says_something_else_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reference_that_says_something_else_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = robot_of("ur5")
-    honest = vars(room)["pinocchio_regressor"]
+    honest = vars(module)["pinocchio_regressor"]
 
     def permuted(robot: Any, motion: Any) -> Any:
         made = honest(robot, motion)
         return replace(made, Y=made.Y[:, ::-1])
 
-    monkeypatch.setattr(room, "pinocchio_regressor", permuted)
+    monkeypatch.setattr(module, "pinocchio_regressor", permuted)
     assert not crosscheck(robot, samples=5).ok()
 
 
 def test_a_plant_that_moves_otherwise_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = vars(room)["inverse_torque"]
-    monkeypatch.setattr(room, "inverse_torque", lambda r, m: honest(r, m) * (1 + 1e-9))
+    honest = vars(module)["inverse_torque"]
+    monkeypatch.setattr(module, "inverse_torque", lambda r, m: honest(r, m) * (1 + 1e-9))
     check = crosscheck(robot_of("ur5"), samples=5)
     assert check.gap <= GAP
     assert not check.closure <= CLOSURE

@@ -1,4 +1,4 @@
-"""Bodies that are such as somebody would build, told from those that are not."""
+"""Plausible bodies, distinguished from implausible ones."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -71,7 +71,7 @@ def test_the_score_says_what_is_feasible_and_what_is_plausible() -> None:
 
 
 def test_a_feasible_fit_without_a_prior_may_be_implausible() -> None:
-    """The reason to tell the two apart."""
+    """The reason to distinguish the two."""
     found = set()
     for robot in ("ur5", "z1", "panda"):
         made = ready(robot=robot, noise={"tau_relative": 0.3})

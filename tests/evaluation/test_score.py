@@ -114,16 +114,16 @@ def test_errors_are_what_they_say(place: tuple[str, str, str]) -> None:
 
 
 @pytest.mark.parametrize("place", PLACES, ids=str)
-def test_every_motion_and_every_joint_is_told_apart(place: tuple[str, str, str]) -> None:
+def test_every_motion_and_every_joint_is_distinguished(place: tuple[str, str, str]) -> None:
     made = noisy(*place)
     figures, beta = scored(made)
     assert list(figures.torque_error_by_motion) == ["ptp", "fourier-other", "ptp-2"]
-    for name, told in figures.torque_error_by_motion.items():
+    for name, reported in figures.torque_error_by_motion.items():
         Y, b = dense(made.held_out[name])
         size = torques_of([made.held_out[name]])
         large = judged(size, made.problem)
         expected = rms((rms(Y @ beta - b, axis=0) / np.where(size > 0, size, 1.0))[large])
-        assert told == pytest.approx(expected, rel=1e-7)
+        assert reported == pytest.approx(expected, rel=1e-7)
     Y, b = dense(made.problem)
     Yh, bh = rows_of(list(made.held_out.values()))
     size = torques_of(list(made.held_out.values()))
@@ -187,9 +187,9 @@ def test_the_true_parameters_make_every_error_zero(place: tuple[str, str, str]) 
     made = noisy(*place)
     figures, _ = scored(made, Estimate(made.problem.base.K @ made.source.truth.theta))
     assert figures.beta_error == figures.parameter_error == 0.0
-    for told in (figures.torque_error, *figures.torque_error_by_motion.values()):
-        assert told is not None
-        assert told < 1e-12
+    for reported in (figures.torque_error, *figures.torque_error_by_motion.values()):
+        assert reported is not None
+        assert reported < 1e-12
     assert figures.rmse_train is not None
     assert figures.rmse_train > 1e-4  # the training torque is as measured, with its noise
 
@@ -299,6 +299,8 @@ def test_exact_payloads_are_exact(name: str) -> None:
             assert figures.beta_error <= 1e-8
             assert figures.torque_error is not None
             assert figures.torque_error <= 1e-9
-            told = [joint["relative"] for joint in figures.joints if joint["relative"] is not None]
-            assert max(told) <= 1e-9
+            reported = [
+                joint["relative"] for joint in figures.joints if joint["relative"] is not None
+            ]
+            assert max(reported) <= 1e-9
     assert load_robot(name).payload_body is None

@@ -125,7 +125,7 @@ def test_a_spread_of_exact_data_is_nothing() -> None:
         (0, ["residuals", "textbook"]),
     ],
 )
-def test_periods_are_told_first_where_there_are_enough(period: int, kinds: list[str]) -> None:
+def test_periods_are_reported_first_where_there_are_enough(period: int, kinds: list[str]) -> None:
     W = regressor()
     problem = replace(
         problem_of(W, W @ TRUTH + noise("slow", np.random.default_rng(1))), period=period
@@ -143,9 +143,9 @@ def test_deviations_have_the_units_of_torque_over_those_of_columns(method: OLS |
     plain, scaled = (
         replace(problem_of(w, t), period=PERIOD) for w, t in ((W, tau), (W * factor, 7.0 * tau))
     )
-    told, other = (standard_errors(one, method.solve(one)) for one in (plain, scaled))
-    for kind in told:
-        np.testing.assert_allclose(other[kind].std, 7.0 * told[kind].std / factor, rtol=1e-6)
+    reported, other = (standard_errors(one, method.solve(one)) for one in (plain, scaled))
+    for kind in reported:
+        np.testing.assert_allclose(other[kind].std, 7.0 * reported[kind].std / factor, rtol=1e-6)
 
 
 def test_windows_are_bartlett_weights() -> None:
@@ -215,22 +215,22 @@ def test_factors_give_the_bound_of_the_rows() -> None:
 def test_weighted_least_squares_reaches_the_bound_and_plain_does_not() -> None:
     errors, bound = errors_of(WLS(), 400), bound_of_white()
     for figure in WITH_BOUND.values():
-        told, low, high = figure(errors, bound)
-        assert low < told < high
+        reported, low, high = figure(errors, bound)
+        assert low < reported < high
         assert low < 1.0 < high
     _, _, high = WITH_BOUND["efficiency"](errors_of(OLS(), 400), bound)
     assert high < 0.9
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0, 3.0])
-def test_bias_is_told_apart_from_scatter(share: float) -> None:
+def test_bias_is_distinguished_from_scatter(share: float) -> None:
     bound = bound_of_white()
     straight = errors_of(WLS(), 400)
     errors = straight + share * bound
     spread, bound_ratio = WITH_BOUND["spread"], WITH_BOUND["bound_ratio"]
     np.testing.assert_allclose(spread(errors, bound), spread(straight, bound))
-    told, low, high = mean_error(errors)
-    assert low <= told <= high
+    reported, low, high = mean_error(errors)
+    assert low <= reported <= high
     assert low <= share <= high + 0.05
     assert high - low < 0.3
     assert bound_ratio(errors, bound)[0] == pytest.approx(np.hypot(1, share), rel=0.05)

@@ -35,30 +35,30 @@ def robot_called(name: str) -> RobotModel:
 
 
 def briefed(
-    robot: RobotModel, terms: tuple[str, ...] = (), room: float = 1.1
+    robot: RobotModel, terms: tuple[str, ...] = (), margin: float = 1.1
 ) -> tuple[DesignProblem, Trajectory]:
     """A brief in which torques are limited, and all that followers do: to what a random motion
-    does, times `room`; and that motion."""
+    does, times `margin`; and that motion."""
     base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
-    told = replace(
+    given = replace(
         design_problem(robot, 100.0),
         regress=information_model(robot, base.names),
         torque=torque_model(robot),
         scene=partial(collision_model, robot),
     )
     made = Optimised(**QUICK)  # type: ignore[arg-type]
-    space = made.space(told)
+    space = made.space(given)
     motion = space.motion(space.random(np.random.default_rng(9), 0.9), space.curves.grid())
-    assert told.torque is not None
-    assert told.coupling is not None
-    after = told.coupling.dependent
-    q = motion.q[:, told.coupling.qadr[after]]
+    assert given.torque is not None
+    assert given.coupling is not None
+    after = given.coupling.dependent
+    q = motion.q[:, given.coupling.qadr[after]]
     bounds = [q.min(axis=0) - 0.1, q.max(axis=0) + 0.1]
-    bounds += [room * np.abs(x[:, after]).max(axis=0) + 1e-3 for x in (motion.v, motion.a)]
+    bounds += [margin * np.abs(x[:, after]).max(axis=0) + 1e-3 for x in (motion.v, motion.a)]
     narrow = replace(
-        told,
-        tau=room * np.abs(told.torque.of(motion)).max(axis=0) + 1e-3,
-        coupling=replace(told.coupling, bounds=np.array(bounds)),
+        given,
+        tau=margin * np.abs(given.torque.of(motion)).max(axis=0) + 1e-3,
+        coupling=replace(given.coupling, bounds=np.array(bounds)),
     )
     return narrow, motion
 
@@ -66,13 +66,13 @@ def briefed(
 @pytest.mark.parametrize("name", [*KINDS, *SHIPPED])
 def test_slopes_pass_through_the_joints_that_follow(name: str) -> None:
     robot = robot_called(name)
-    told, _ = briefed(robot, ("viscous", "coulomb", "spring", "armature"))
+    given, _ = briefed(robot, ("viscous", "coulomb", "spring", "armature"))
     made = Optimised({"D": 1.0, "cond": 0.3}, **QUICK)  # type: ignore[arg-type]
-    space, rng = made.space(told), np.random.default_rng(1)
+    space, rng = made.space(given), np.random.default_rng(1)
     draws = [space.random(rng, 0.8) for _ in range(8)]
-    assert told.regress is not None
-    asked = excited_parameters(space, told.regress, draws).smooth
-    limits = made.limits(told)
+    assert given.regress is not None
+    asked = excited_parameters(space, given.regress, draws).smooth
+    limits = made.limits(given)
     assert {"follower position", "follower acceleration", "torque"} <= {x.kind for x in limits}
     evaluation = DesignEvaluation(
         space, asked, design_criterion(made.objective, asked, space, draws), limits
@@ -98,36 +98,36 @@ def test_slopes_pass_through_the_joints_that_follow(name: str) -> None:
 @pytest.mark.parametrize("name", [*KINDS, "dvrk_psm"])
 def test_a_design_closes_and_keeps_the_limits_of_all_joints(name: str) -> None:
     robot = robot_called(name)
-    told, known = briefed(robot, room=1.5)
+    given, known = briefed(robot, margin=1.5)
     made = Optimised("D", harmonics=2, period=5.0, iterations=8)
-    design = made.solve(told, np.random.default_rng(0))
-    space = made.space(told)
-    assert told.regress is not None
-    asked = excited_parameters(space, told.regress, made.draws(space, np.random.default_rng(0)))
+    design = made.solve(given, np.random.default_rng(0))
+    space = made.space(given)
+    assert given.regress is not None
+    asked = excited_parameters(space, given.regress, made.draws(space, np.random.default_rng(0)))
     best = space.motion(design.C, space.curves.grid())
     assert design_figures(asked, best)["log_det"] > design_figures(asked, known)["log_det"]
-    assert all(used.use <= 1.0 for used in made.report(design.C, told).values())
-    fine = made.motion(design.C, told.at(500.0))
-    assert told.coupling is not None
+    assert all(used.use <= 1.0 for used in made.report(design.C, given).values())
+    fine = made.motion(design.C, given.at(500.0))
+    assert given.coupling is not None
     closed = robot.completed(fine)
     for ours, theirs in ((fine.q, closed.q), (fine.v, closed.v), (fine.a, closed.a)):
         np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
-    after = told.coupling.dependent
-    low, high, v, a = told.coupling.bounds
-    q = fine.q[:, told.coupling.qadr[after]]
+    after = given.coupling.dependent
+    low, high, v, a = given.coupling.bounds
+    q = fine.q[:, given.coupling.qadr[after]]
     assert (q >= low).all()
     assert (q <= high).all()
     assert (np.abs(fine.v[:, after]) <= v).all()
     assert (np.abs(fine.a[:, after]) <= a).all()
-    oracle, _ = Inverse().run(plant_of(robot, []), fine, np.zeros((len(fine), told.nv)))
+    oracle, _ = Inverse().run(plant_of(robot, []), fine, np.zeros((len(fine), given.nv)))
     # What MuJoCo says it takes, on the joints that move, is what the limits looked at.
-    assert (np.abs(oracle.tau) <= told.tau).all()
+    assert (np.abs(oracle.tau) <= given.tau).all()
 
 
 def test_a_joint_that_follows_is_not_designed() -> None:
-    told, _ = briefed(mechanism("geared-pair", 7))
+    given, _ = briefed(mechanism("geared-pair", 7))
     with pytest.raises(UsageError, match="'driven' follows drive"):
-        Optimised(joints=("driven",)).space(told)
+        Optimised(joints=("driven",)).space(given)
 
 
 @pytest.mark.parametrize(("name", "sensor"), [("ur5", "wrist_1_link"), ("dvrk_psm", "link3")])
@@ -135,17 +135,17 @@ def test_a_design_is_for_what_a_sensor_sees_too(name: str, sensor: str) -> None:
     robot = named_robot(name)
     asked = task_of(robot, "wrench", (), sensor)
     base = structural_base(robot, asked.parameters, asked.rows, asked.cuts)
-    told = replace(
+    given = replace(
         design_problem(robot, 100.0),
         regress=information_model(robot, base.names, asked.rows, asked.cuts),
     )
     made = Optimised("D", harmonics=2, period=5.0, iterations=10)
-    space, rng = made.space(told), np.random.default_rng(1)
+    space, rng = made.space(given), np.random.default_rng(1)
     draws = [space.random(rng, 0.8) for _ in range(3)]
-    assert told.regress is not None
-    seen = excited_parameters(space, told.regress, draws).smooth
+    assert given.regress is not None
+    seen = excited_parameters(space, given.regress, draws).smooth
     evaluation = DesignEvaluation(
-        space, seen, design_criterion("D", seen, space, draws), made.limits(told)
+        space, seen, design_criterion("D", seen, space, draws), made.limits(given)
     )
     C, step = draws[0], 1e-6
     slope = evaluation.gradient(C)
@@ -155,5 +155,5 @@ def test_a_design_is_for_what_a_sensor_sees_too(name: str, sensor: str) -> None:
         down[i, j] -= step
         difference = (evaluation.objective(up) - evaluation.objective(down)) / (2 * step)
         assert abs(slope[i, j] - difference) <= 1e-5 * np.abs(slope).max() + 1e-6
-    design = made.solve(told, np.random.default_rng(0))
+    design = made.solve(given, np.random.default_rng(0))
     assert design.value < design.start

@@ -65,7 +65,7 @@ def test_the_slope_is_the_difference(weights: dict[str, float], known: int, seed
 
 @given(seed=st.integers(0, 999), name=st.sampled_from(["D", "A", "E", "predict"]))
 @settings(max_examples=30)
-def test_more_rows_never_tell_less(seed: int, name: str) -> None:
+def test_more_rows_never_excite_less(seed: int, name: str) -> None:
     asked, W = criterion({name: 1.0}, seed, 0), rows_of(seed)
     more = np.concatenate([W, rows_of(seed + 1)])
     assert asked.value(more) <= asked.value(W)

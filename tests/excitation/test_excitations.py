@@ -13,7 +13,7 @@ from sysid_bench.excitation.fourier import series
 from sysid_bench.excitation.scale_to_limits import dense_grid, scale_to_limits
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import build, known
-from sysid_bench.spatial.rotation import conjugate, product
+from sysid_bench.spatial.rotation import inverse_quaternion, product
 from sysid_bench.types import Array, Trajectory
 from tests.experiments.experiment_world import OWN, SHIPPED, motion_of, robot_of
 
@@ -71,7 +71,7 @@ def test_motions_stay_inside_all_limits_between_the_samples_too(name: str, use: 
                 assert np.abs(fine.q[:, at] - robot.mj.qpos0[at]).max() <= FLOATING_REACH[0]
         for at4, _ in turns(robot):
             start = robot.mj.qpos0[at4]
-            turned = product(np.tile(conjugate(start), (len(fine), 1)), fine.q[:, at4])
+            turned = product(np.tile(inverse_quaternion(start), (len(fine), 1)), fine.q[:, at4])
             assert angle_of(turned).max() <= np.sqrt(3) * FLOATING_REACH[1]
 
 
@@ -82,7 +82,7 @@ def rates_by_differences(robot: RobotModel, motion: Trajectory) -> Array:
     for at, dof in lengths(robot):
         v[:, dof] = (motion.q[2:, at] - motion.q[:-2, at]) / two_steps
     for at4, dofs in turns(robot):
-        half = product(conjugate(motion.q[:-2, at4]), motion.q[2:, at4])
+        half = product(inverse_quaternion(motion.q[:-2, at4]), motion.q[2:, at4])
         half = half * np.sign(half[:, :1])
         # log of the turn between the neighbours, in the body's axes half way: exact to order two
         v[:, dofs] = 2 * half[:, 1:] / two_steps[:, None]
@@ -215,9 +215,9 @@ def test_settings_that_make_no_motion_are_refused_in_words(spec: dict[str, Any])
 @settings(max_examples=40)
 def test_a_fitted_shape_touches_a_limit_and_passes_none(seed: int, nv: int) -> None:
     rng = np.random.default_rng(seed)
-    low, room = rng.normal(size=nv), rng.uniform(0.01, 5.0, size=nv)
+    low, margin = rng.normal(size=nv), rng.uniform(0.01, 5.0, size=nv)
     v, a = rng.uniform(0.1, 5.0, size=(2, nv))
-    brief = DesignProblem((), low, low + room, v, a, np.zeros(nv), 100.0)
+    brief = DesignProblem((), low, low + margin, v, a, np.zeros(nv), 100.0)
     amplitude, w, phase = rng.uniform(0.2, 3.0, size=(3, nv))
 
     def shape(t: Array) -> tuple[Array, Array, Array]:
@@ -233,7 +233,7 @@ def test_a_fitted_shape_touches_a_limit_and_passes_none(seed: int, nv: int) -> N
     x, dx, ddx = shape(np.linspace(0.0, 20.0, 20_001))
     use = np.array(
         [
-            np.ptp(scale * x, axis=0) / room,
+            np.ptp(scale * x, axis=0) / margin,
             np.abs(scale * dx).max(axis=0) / v,
             np.abs(scale * ddx).max(axis=0) / a,
         ]
@@ -241,4 +241,4 @@ def test_a_fitted_shape_touches_a_limit_and_passes_none(seed: int, nv: int) -> N
     assert (use.max(axis=0) <= 1.0).all()
     assert (use.max(axis=0) >= 0.97).all()
     assert (offset + scale * x >= low).all()
-    assert (offset + scale * x <= low + room).all()
+    assert (offset + scale * x <= low + margin).all()

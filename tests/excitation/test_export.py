@@ -57,9 +57,14 @@ def read_frame(drive: DamiaoDrive, data: Array) -> dict[str, Array]:
 def test_every_frame_says_what_was_commanded_within_a_quantum(
     seed: int, name: str, size: float
 ) -> None:
-    told = {"motor": name, "kp": 37.0, "kd": 1.3, **(OWN_LIMITS if name in SECRET else {})}
+    design_problem = {
+        "motor": name,
+        "kp": 37.0,
+        "kd": 1.3,
+        **(OWN_LIMITS if name in SECRET else {}),
+    }
     asked = commands(seed, size=size)
-    drives = damiao_drives(asked.joints, {"all": told})
+    drives = damiao_drives(asked.joints, {"all": design_problem})
     inside, _ = limit_commands(asked, drives, most=1.0)
     text = log_text(inside, drives)
     frames = [bytes.fromhex(line.split("#")[1]) for line in text.splitlines()]
@@ -178,12 +183,12 @@ def test_csv_and_the_table_read_back() -> None:
 
 def test_the_ros_message_holds_every_sample() -> None:
     asked = commands(4)
-    told = json.loads(json_text(asked))
-    assert told["joint_names"] == list(asked.joints)
-    for k, point in enumerate(told["points"]):
+    design_problem = json.loads(json_text(asked))
+    assert design_problem["joint_names"] == list(asked.joints)
+    for k, point in enumerate(design_problem["points"]):
         since = point["time_from_start"]
         assert since["sec"] + 1e-9 * since["nanosec"] == pytest.approx(asked.t[k], abs=1e-9)
         np.testing.assert_array_equal(point["effort"], asked.tau[k])
     lines = yaml_text(asked).splitlines()
-    assert [json.loads(line[2:]) for line in lines[3:]] == told["points"]
+    assert [json.loads(line[2:]) for line in lines[3:]] == design_problem["points"]
     assert lines[2] == "points:"

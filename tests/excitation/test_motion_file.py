@@ -1,4 +1,4 @@
-"""Motions from files: what was written comes back, at any rate; what is no motion is told."""
+"""Motions from files: what was written comes back, at any rate; others are refused."""
 
 from pathlib import Path
 from typing import Any
@@ -79,9 +79,9 @@ BAD: dict[str, tuple[str | None, dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_is_no_motion_of_this_robot_is_told(tmp_path: Path, case: str) -> None:
+def test_what_is_no_motion_of_this_robot_is_reported(tmp_path: Path, case: str) -> None:
     robot = robot_of(OWN[0])
-    text, settings, told = BAD[case]
+    text, settings, given = BAD[case]
     file = tmp_path / "bad.csv"
     if text is not None:
         names = [joint.name for joint in robot.joints]
@@ -92,7 +92,7 @@ def test_what_is_no_motion_of_this_robot_is_told(tmp_path: Path, case: str) -> N
             for line in text.splitlines()
         ]
         file.write_text("\n".join(wide))
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=given):
         MotionFile(str(file), **settings).design(design_problem(robot, 100.0), RNG)
 
 

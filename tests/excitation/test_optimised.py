@@ -71,14 +71,14 @@ def test_a_smooth_maximum_lies_above_and_near() -> None:
 def test_slopes_of_a_search_are_its_differences(family: str, objective: object, seed: int) -> None:
     """Criterion and limits alike, by the coefficients."""
     robot = robot_of(random_robot(seed, TREES))
-    told = replace(brief(robot, terms=("viscous", "coulomb")), tau=np.full(robot.nv, 30.0))
+    given = replace(brief(robot, terms=("viscous", "coulomb")), tau=np.full(robot.nv, 30.0))
     made = Optimised(objective=objective, family=family, **QUICK)  # type: ignore[arg-type]
-    space, rng = made.space(told), np.random.default_rng(seed)
+    space, rng = made.space(given), np.random.default_rng(seed)
     draws = [space.random(rng, 0.5) for _ in range(8)]
-    assert told.regress is not None
-    asked = excited_parameters(space, told.regress, draws).smooth
+    assert given.regress is not None
+    asked = excited_parameters(space, given.regress, draws).smooth
     criterion = design_criterion(objective, asked, space, draws)  # type: ignore[arg-type]
-    evaluation = DesignEvaluation(space, asked, criterion, made.limits(told))
+    evaluation = DesignEvaluation(space, asked, criterion, made.limits(given))
     C, step = draws[0], 1e-6
     slope = evaluation.gradient(C)
     _, limits = evaluation.smooth_limits(C, 60.0)
@@ -99,45 +99,45 @@ def test_slopes_of_a_search_are_its_differences(family: str, objective: object, 
 @pytest.mark.parametrize("name", ["ur5", "xarm7"])
 def test_a_design_beats_random_motions_and_keeps_every_limit(name: str) -> None:
     robot = named_robot(name, "box-2kg")
-    told = brief(robot)
-    tau = np.abs(torque_model(robot).of(_random(told))).max(axis=0) * 2.5
-    told = replace(told, tau=tau)
+    given = brief(robot)
+    tau = np.abs(torque_model(robot).of(_random(given))).max(axis=0) * 2.5
+    given = replace(given, tau=tau)
     made = Optimised("D", harmonics=2, period=5.0, iterations=15, clearance=0.01)
-    design = made.solve(told, np.random.default_rng(0))
+    design = made.solve(given, np.random.default_rng(0))
     assert design.value < design.start - 0.3  # per parameter: exp(0.15) in every standard deviation
-    fine = made.motion(design.C, told.at(2000.0))
+    fine = made.motion(design.C, given.at(2000.0))
     assert (np.abs(fine.v) <= robot.limits.v).all()
     assert (np.abs(fine.a) <= robot.limits.a).all()
     assert (np.abs(torque_model(robot).of(fine)) <= tau).all()
     scalar = [joint.qadr for joint in robot.joints]
     assert (fine.q[:, scalar] >= robot.limits.q_low).all()
     assert (fine.q[:, scalar] <= robot.limits.q_high).all()
-    used = made.report(design.C, told)
+    used = made.report(design.C, given)
     assert set(used) == {"position", "velocity", "acceleration", "torque", "collision"}
     assert all(one.use <= 1.0 and one.margin >= 0.0 for one in used.values())
     assert used["collision"].value >= 0.01
 
 
-def _random(told: DesignProblem) -> Trajectory:
-    space = Optimised(**QUICK).space(told)  # type: ignore[arg-type]
+def _random(given: DesignProblem) -> Trajectory:
+    space = Optimised(**QUICK).space(given)  # type: ignore[arg-type]
     return space.motion(space.random(np.random.default_rng(9), 0.7), np.linspace(0, 5, 50))
 
 
 def test_a_design_is_its_seed_whatever_the_rate() -> None:
-    told = brief(named_robot("ur5"))
+    given = brief(named_robot("ur5"))
     made = Optimised(**QUICK)  # type: ignore[arg-type]
-    one = made.design(told, np.random.default_rng(3))
-    same = made.design(told.at(500.0), np.random.default_rng(3))
-    other = made.design(told, np.random.default_rng(4))
+    one = made.design(given, np.random.default_rng(3))
+    same = made.design(given.at(500.0), np.random.default_rng(3))
+    other = made.design(given, np.random.default_rng(4))
     np.testing.assert_array_equal(one.q, same.q[::5])
     assert np.abs(one.q - other.q).max() > 0.1
 
 
 def test_joints_that_are_not_named_hold_still() -> None:
     robot = named_robot("ur5")
-    told = brief(robot)
+    given = brief(robot)
     made = Optimised(joints=("elbow_joint", "wrist_1_joint"), **QUICK)  # type: ignore[arg-type]
-    motion = made.design(told, np.random.default_rng(0))
+    motion = made.design(given, np.random.default_rng(0))
     moving = [robot.rows.index(name) for name in made.joints]
     held = [i for i in range(robot.nv) if i not in moving]
     assert (motion.v[:, held] == 0).all()
@@ -146,37 +146,37 @@ def test_joints_that_are_not_named_hold_still() -> None:
 
 def test_boxes_hold_a_named_body() -> None:
     robot = named_robot("ur5")
-    told = brief(robot)
+    given = brief(robot)
     body = robot.body_names[robot.tool_body]
     box = {body: [[-2, 2], [-2, 2], [0.1, 2]]}
     made = Optimised(boxes=box, **QUICK)  # type: ignore[arg-type]
-    design = made.solve(told, np.random.default_rng(0))
+    design = made.solve(given, np.random.default_rng(0))
     scene = collision_model(robot)
-    motion = made.motion(design.C, told)
+    motion = made.motion(design.C, given)
     place = [robot.body_names.index(body) + 1]
     assert min(scene.positions(q, place)[0][0, 2] for q in motion.q) >= 0.1
 
 
 def test_what_was_recorded_changes_what_to_run_next() -> None:
-    told = brief(named_robot("ur5"))
+    given = brief(named_robot("ur5"))
     made = Optimised(objective="D", **QUICK)  # type: ignore[arg-type]
-    first = made.design(told, np.random.default_rng(0))
-    after = made.solve(told, np.random.default_rng(0), known=[first])
-    assert np.abs(after.C - made.solve(told, np.random.default_rng(0)).C).max() > 1e-3
+    first = made.design(given, np.random.default_rng(0))
+    after = made.solve(given, np.random.default_rng(0), known=[first])
+    assert np.abs(after.C - made.solve(given, np.random.default_rng(0)).C).max() > 1e-3
 
 
 def test_an_interrupt_leaves_the_best_feasible_so_far() -> None:
-    told = brief(named_robot("ur5"))
+    given = brief(named_robot("ur5"))
     made = Optimised(objective="D", harmonics=2, period=5.0, iterations=200)
 
     def stop(count: int, value: float) -> None:
         if count >= 25:
             raise KeyboardInterrupt
 
-    design = made.solve(told, np.random.default_rng(0), progress=stop)
+    design = made.solve(given, np.random.default_rng(0), progress=stop)
     assert design.interrupted
     assert design.evaluations <= 26
-    assert max(used.use for used in made.report(design.C, told).values()) <= 1.0
+    assert max(used.use for used in made.report(design.C, given).values()) <= 1.0
 
 
 @pytest.mark.parametrize(
@@ -197,12 +197,12 @@ def test_settings_that_make_no_design_are_refused(bad: dict[str, object]) -> Non
 
 def test_what_cannot_be_designed_is_said() -> None:
     robot = named_robot("ur5")
-    told = brief(robot)
+    given = brief(robot)
     with pytest.raises(UsageError, match="needs a regressor"):
         Optimised(**QUICK).design(design_problem(robot, 100.0), np.random.default_rng(0))  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="elbow_joint"):
-        Optimised(joints=("elbo_joint",)).design(told, np.random.default_rng(0))
-    weak = replace(told, tau=np.full(robot.nv, 1e-3))
+        Optimised(joints=("elbo_joint",)).design(given, np.random.default_rng(0))
+    weak = replace(given, tau=np.full(robot.nv, 1e-3))
     with pytest.raises(UnsupportedError, match="torque"):
         Optimised(harmonics=1, period=2.0, iterations=1).design(weak, np.random.default_rng(0))
 
@@ -210,9 +210,9 @@ def test_what_cannot_be_designed_is_said() -> None:
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_start_outside_of_its_bounds_is_brought_inside(seed: int) -> None:
     """Short curves that rest at their ends may begin beyond what one coefficient may be."""
-    told = brief(named_robot("panda"))
+    given = brief(named_robot("panda"))
     made = Optimised("cond", family="fourier-polynomial", iterations=3, clearance=0.01)
-    assert np.isfinite(made.solve(told, np.random.default_rng(seed)).value)
+    assert np.isfinite(made.solve(given, np.random.default_rng(seed)).value)
 
 
 @pytest.mark.parametrize(("name", "height"), [("ur10", 0.1), ("ur5", 0.05), ("ur3", 0.1)])

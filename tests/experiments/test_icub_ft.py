@@ -12,7 +12,7 @@ from sysid_bench.evaluation.wrench_estimation import (
     wrench_errors,
 )
 from sysid_bench.identifiability.subspaces import structural_subspaces
-from sysid_bench.identification.linear.online_estimation import RecursiveEstimator, batch_estimate
+from sysid_bench.identification.linear.online_estimation import RecursiveEstimator
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
@@ -23,6 +23,7 @@ from sysid_bench.tasks.prior import PriorSpread, prior_of
 from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, Prior, Recording, Trajectory
 from tests.experiments.icub_arm import BASE, REST, SIGMA, arm, motion, noisy, touched, training
+from tests.identification.batch_solution import batch_estimate
 
 DRAWS = 30
 

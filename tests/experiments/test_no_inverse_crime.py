@@ -186,7 +186,7 @@ def test_the_walk_finds_what_is_there() -> None:
     assert any(np.allclose(a[1:, 0], spec_masses) for a in numbers(robot.spec)[:1])
 
 
-def test_told_the_truth_a_method_has_it() -> None:
+def test_given_the_truth_a_method_has_it() -> None:
     made = ready(robot="ur5", prior="truth")
     found = [holds(a, made.source.truth.theta) for t in reachable(made.problem) for a in numbers(t)]
     assert any(found)

@@ -16,7 +16,7 @@ from sysid_bench.types import Estimate, Score
 from tests.experiments.experiment_world import CLOSED_LOOP, ready
 
 ARMS = ("ur5", "scara", "z1", "random:7")
-TOLD = {"mass": 0.2, "com": 0.015, "inertia": 0.3}
+PRIOR = {"mass": 0.2, "com": 0.015, "inertia": 0.3}
 PLAIN = {"filter": "none", "derivatives": "exact"}
 
 
@@ -26,7 +26,7 @@ def made(
 ) -> Prepared[SimulatedSource]:
     """A payload experiment with recordings in this order; with errors in the known arm."""
     return ready(
-        robot=robot, payload="box-2kg", task="payload", prior=TOLD | {"known": known},
+        robot=robot, payload="box-2kg", task="payload", prior=PRIOR | {"known": known},
         signals=PLAIN | {"runs": runs}, noise=noise,
     )  # fmt: skip
 
@@ -86,7 +86,7 @@ def test_a_loop_that_moves_the_bare_arm_otherwise_is_corrected_by_what_is_known(
     errors = []
     for known in (0.0, 0.1):
         at = ready(
-            robot=robot, payload="box-2kg", task="payload", prior=TOLD | {"known": known},
+            robot=robot, payload="box-2kg", task="payload", prior=PRIOR | {"known": known},
             signals=PLAIN | {"runs": "AB"}, simulation=CLOSED_LOOP,
         )  # fmt: skip
         errors.append((error(at, answer(at, Difference())), error(at, answer(at, WLS()))))

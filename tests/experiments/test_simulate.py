@@ -97,7 +97,7 @@ def test_without_a_controller_there_is_nothing_to_simulate() -> None:
         made.experiment.simulate(made.source.truth.theta)
 
 
-def test_parameters_that_no_motion_tells_apart_simulate_the_same() -> None:
+def test_parameters_that_no_motion_distinguishes_simulate_the_same() -> None:
     """Base parameters are all that matters: a null direction of K moves no joint."""
     made = ready(robot=RICH, simulation=CLOSED_LOOP)
     K, theta = made.problem.base.K, made.source.truth.theta

@@ -58,7 +58,7 @@ def ranks(robot: RobotModel) -> tuple[int, int, int, int]:
 
 
 @pytest.mark.parametrize("name", REVOLUTE)
-def test_a_revolute_last_joint_tells_seven_and_never_the_mass(name: str) -> None:
+def test_a_revolute_last_joint_identifies_seven_and_never_the_mass(name: str) -> None:
     robot = arm(name)
     assert ranks(robot) == (7, 9, 10, 10)
     task, base = base_of(robot, "terminal", FRICTION)
@@ -75,14 +75,14 @@ def test_a_revolute_last_joint_tells_seven_and_never_the_mass(name: str) -> None
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", SLIDES)
-def test_a_slide_tells_the_mass_and_its_moments(name: str, data_folder: Path) -> None:
+def test_a_slide_identifies_the_mass_and_its_moments(name: str, data_folder: Path) -> None:
     robot = load_robot(data_folder / "robots" / f"{name}.xml", LOAD)
     assert ranks(robot) == (4, 6, 10, 10)
     _, base = base_of(robot, "terminal")
     assert verdicts(base) == ("identifiable",) * 4 + ("none",) * 6
 
 
-def test_a_scara_tells_three_and_four() -> None:
+def test_a_scara_identifies_three_and_four() -> None:
     for robot in (robot_of_text(SCARA, LOAD), arm("scara")):
         assert ranks(robot) == (3, 5, 4, 4)
 

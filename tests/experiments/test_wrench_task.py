@@ -40,7 +40,7 @@ WHITE = {"force": 0.15, "moment": 0.008}
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_mujocos_sensor_feels_what_the_regressor_tells(seed: int) -> None:
+def test_mujocos_sensor_feels_what_the_regressor_predicts(seed: int) -> None:
     """Also with an external wrench, which X (Y_n phi - f) finds again at the body it acts on."""
     robot = robot_of(random_robot(seed)) if seed % 2 else rich_robot(seed)
     motion, rng = states(robot, 5, seed), np.random.default_rng(seed)
@@ -92,7 +92,7 @@ WRISTED = [name for name in NAMED if "wrist" in {s.name for s in find_manifest(n
 
 
 @pytest.mark.parametrize("name", WRISTED)
-def test_a_wrist_tells_all_ten_numbers_of_a_payload(name: str) -> None:
+def test_a_wrist_identifies_all_ten_numbers_of_a_payload(name: str) -> None:
     robot = named_robot(name, "box-2kg")
     task = task_of(robot, "wrench-payload", ("offset",), "wrist", lambda n: np.arange(6.0 * n))
     base = structural_base(robot, task.parameters, task.rows, task.cuts)

@@ -121,5 +121,5 @@ def test_the_published_values_are_of_no_physical_arm(
 
 def test_without_zeroed_parameters_the_counts_are_those_of_all_links() -> None:
     for name, inertial, rest in (("dvrk_psm", 16, 20), ("dvrk_mtm", 46, 22)):
-        told = basis(name)
-        assert (told["base_parameters"], told["inertial"]) == (inertial + rest, inertial)
+        result = basis(name)
+        assert (result["base_parameters"], result["inertial"]) == (inertial + rest, inertial)

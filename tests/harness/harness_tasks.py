@@ -87,7 +87,7 @@ def silent(argument: Any, channel: JobChannel) -> None:
     """Owes rows and gives none."""
 
 
-def stranger(argument: Any, channel: JobChannel) -> None:
+def foreign_error(argument: Any, channel: JobChannel) -> None:
     """Emits a row that nobody asked for."""
     channel.emit({"id": "nobody", "status": "ok"})
 

@@ -160,7 +160,7 @@ def test_excluded_cells_are_counted() -> None:
     ]
 
 
-def test_duplicates_are_run_once_and_told() -> None:
+def test_duplicates_are_run_once_and_reported() -> None:
     plan = plan_of(small('[defaults]\nrate = ["1 kHz", 1000]'))
     assert len(plan.cells) == 1
     assert any("specified twice" in note for note in plan.notes)
@@ -177,7 +177,7 @@ SWEEPS = small(
 
 
 @pytest.mark.parametrize("text", [FULL, SWEEPS], ids=["full", "sweeps"])
-def test_labels_tell_all_values_apart(text: str) -> None:
+def test_labels_distinguish_all_values(text: str) -> None:
     plan = plan_of(text)
     heads = [(*(cell.labels[axis] for axis in LABELS), cell.spec.repeat) for cell in plan.cells]
     assert len(set(heads)) == len(heads)
@@ -243,13 +243,13 @@ def test_a_robot_goes_by_its_label_its_source_and_its_file(robot: str, count: in
     assert len(plan_of(BASED).select(f'robot == "{robot}"')) == count
 
 
-def test_texts_that_no_cell_has_are_told_with_their_nearest() -> None:
+def test_texts_that_no_cell_has_are_reported_with_their_nearest() -> None:
     plan = plan_of(BASED)
-    (told,) = plan.missing_values('robot in ["ur6", "leg"] and task == "robot" and repeat == 0')
-    assert "robot == 'ur6'" in told
-    assert "ur5" in told
-    (told,) = plan.missing_values('not "zzzz" == estimator')
-    assert "estimator == 'zzzz'; there is ols." in told
+    (reported,) = plan.missing_values('robot in ["ur6", "leg"] and task == "robot" and repeat == 0')
+    assert "robot == 'ur6'" in reported
+    assert "ur5" in reported
+    (reported,) = plan.missing_values('not "zzzz" == estimator')
+    assert "estimator == 'zzzz'; there is ols." in reported
     assert plan.missing_values('rate == "1 kHz" or robot != "nothing"') == []
 
 

@@ -193,7 +193,7 @@ def test_events_begin_with_the_plan_and_its_cost(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "reported"),
     [
         ({"rerun": "fail"}, "Did you mean 'failed'"),
         ({"limit": 0}, "limit is 0"),
@@ -202,8 +202,8 @@ def test_events_begin_with_the_plan_and_its_cost(tmp_path: Path) -> None:
         ({"select": "robt == 'x'"}, "'robot'"),
     ],
 )
-def test_wrong_words_run_nothing(tmp_path: Path, settings: dict[str, Any], told: str) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_wrong_words_run_nothing(tmp_path: Path, settings: dict[str, Any], reported: str) -> None:
+    with pytest.raises(UsageError, match=reported):
         go(read(FULL), tmp_path / "run", **settings)
     assert not list((tmp_path).glob("run/cells/*"))
 
@@ -249,9 +249,9 @@ def test_kill_dash_nine_at_any_moment_then_the_same_command(tmp_path: Path) -> N
         before = len(read_rows(tmp_path / "run" / "cells").rows)
     assert before > 0
     with start(suite, tmp_path / "run", log) as runner:
-        told = Counter(runner.stdout.read().split() if runner.stdout else [])
+        reported = Counter(runner.stdout.read().split() if runner.stdout else [])
         assert runner.wait() == 0
-    assert told["row"] == 56 - before  # the last runner did the rest, and nothing else
+    assert reported["row"] == 56 - before  # the last runner did the rest, and nothing else
     cells = pd.read_parquet(tmp_path / "run" / "cells.parquet")
     assert len(cells) == 56
     assert set(cells["status"]) == {"ok"}

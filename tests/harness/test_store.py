@@ -27,7 +27,7 @@ def make(folder: Path, text: str = FULL) -> RunFolder:
     return RunFolder.create(folder, suite, expand(suite, NAMES), {"python": "3"})
 
 
-def test_a_run_folder_tells_what_it_was_made_of(tmp_path: Path) -> None:
+def test_a_run_folder_records_what_it_was_made_of(tmp_path: Path) -> None:
     make(tmp_path / "run")
     run = RunFolder.open(tmp_path / "run")
     assert run.suite == read(FULL)
@@ -205,7 +205,7 @@ def test_verdicts_by_parameter_lose_no_cell() -> None:
     assert data_frames([failed]).by_parameter["status"].tolist() == ["failed"]
 
 
-def test_coverage_has_a_line_for_every_way_to_tell_it_and_loses_no_cell() -> None:
+def test_coverage_has_a_line_for_every_way_to_report_it_and_loses_no_cell() -> None:
     def cell(number: int, estimator: str, status: str = "ok", **coverage: float) -> dict[str, Any]:
         made: dict[str, Any] = {"id": f"{number}", "estimator": estimator, "status": status}
         return {**made, "coverage": coverage} if coverage else made

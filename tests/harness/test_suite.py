@@ -70,7 +70,7 @@ def test_lists_are_sweeps_but_for_keys_that_are_lists() -> None:
     assert read(small("[defaults]\nterms = []")).defaults.terms == ((),)
 
 
-# (what is written, what is written instead, a word of the key, a word of what is told)
+# (what is written, what is written instead, a word of the key, a word of the message)
 MISTAKES = [
     ("repeats = 3", 'repeats = "3"', "run.repeats", "'3'"),
     ('mass = "20 %"', 'mas = "20 %"', "defaults.prior.mas", "Did you mean 'mass'"),
@@ -107,9 +107,11 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("right", "wrong", "key", "told"), MISTAKES, ids=[m[2] for m in MISTAKES])
-def test_a_mistake_is_told_with_its_line_and_what_there_is(
-    right: str, wrong: str, key: str, told: str
+@pytest.mark.parametrize(
+    ("right", "wrong", "key", "reported"), MISTAKES, ids=[m[2] for m in MISTAKES]
+)
+def test_a_mistake_is_reported_with_its_line_and_what_there_is(
+    right: str, wrong: str, key: str, reported: str
 ) -> None:
     assert right in FULL
     at = (
@@ -128,20 +130,20 @@ def test_a_mistake_is_told_with_its_line_and_what_there_is(
     place, _, rest = lines[0].partition(": ")
     assert place == f"suite.toml:{at}" or key.startswith("estimator")
     assert rest.startswith(f"{key}: ")
-    assert told in rest
+    assert reported in rest
 
 
-def test_all_mistakes_are_told_at_once() -> None:
+def test_all_mistakes_are_reported_at_once() -> None:
     text = FULL
     single = [mistake for mistake in MISTAKES if FULL.count(mistake[0]) == 1]
     for right, wrong, _, _ in single:
         text = text.replace(right, wrong, 1)
     with pytest.raises(UsageError) as caught:
         read(text)
-    told = str(caught.value)
+    reported = str(caught.value)
     for _, _, key, word in single:
-        assert any(f": {key}: " in line and word in line for line in told.splitlines()), key
-    numbers = [int(line.split(":")[1]) for line in told.splitlines()]
+        assert any(f": {key}: " in line and word in line for line in reported.splitlines()), key
+    numbers = [int(line.split(":")[1]) for line in reported.splitlines()]
     assert numbers == sorted(numbers)
 
 
@@ -220,7 +222,7 @@ def test_settings_reach_everything_and_nothing_else() -> None:
     assert parse_suite(FULL, names=NAMES, overrides={"seed": "7"}).seed == 7
 
 
-def test_words_are_those_of_the_other_rooms() -> None:
+def test_words_are_those_of_the_other_packages() -> None:
     from sysid_bench.evaluation.repeat_statistic import WITH_BOUND
     from sysid_bench.metrics import METRICS
     from sysid_bench.models.manifest import TERMS
@@ -254,7 +256,7 @@ def test_any_text_is_read_or_refused(text: str) -> None:
         ("rank", "joint", False),
     ],
 )
-def test_verdicts_are_told_by_parameter(metric: str, column: str, good: bool) -> None:
+def test_verdicts_are_reported_by_parameter(metric: str, column: str, good: bool) -> None:
     text = small() + (
         f'[[table]]\nname = "t"\ncolumns = ["{column}"]\ncells = {{ metric = "{metric}" }}\n'
     )

@@ -28,7 +28,7 @@ def test_names_of_the_manifest_fixed_joints_and_bodies_are_places(sensor: str) -
     assert read('"ur5"', sensor) == sensor
 
 
-def test_an_unknown_place_is_told_with_its_line_and_the_nearest_name() -> None:
+def test_an_unknown_place_is_reported_with_its_line_and_the_nearest_name() -> None:
     with pytest.raises(UsageError, match=r"suite.toml:7: robot\[0\].sensor: .* 'wirst'.*'wrist'"):
         read('["ur5", "z1"]', "wirst")
     with pytest.raises(UsageError, match=r"'l_wrst_1'\. Did you mean 'l_wrist_1'"):
@@ -37,7 +37,7 @@ def test_an_unknown_place_is_told_with_its_line_and_the_nearest_name() -> None:
         read('"z1"', "joint3")
 
 
-def test_a_robot_that_is_not_there_is_told_once() -> None:
+def test_a_robot_that_is_not_there_is_reported_once() -> None:
     with pytest.raises(UsageError) as caught:
         read('"ur55"', "wrist")
     assert len(str(caught.value).splitlines()) == 1
@@ -56,7 +56,7 @@ def test_contacts_are_found_or_declared(contacts: str) -> None:
     assert "contacts" in expand(made).cells[0].labels["signals"]
 
 
-def test_a_period_that_is_none_is_told() -> None:
+def test_a_period_that_is_none_is_reported() -> None:
     with pytest.raises(UsageError, match=r"signals.contacts: A period is a text like"):
         parse_suite(changed('signals = { contacts = "often" }'))
 

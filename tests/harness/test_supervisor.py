@@ -59,7 +59,7 @@ def test_two_hundred_tasks_three_of_them_bad(tmp_path: Path) -> None:
     assert len({row["pid"] for row in stored.rows.values() if row["status"] == "ok"}) <= 4
 
 
-def test_an_exception_is_told_in_one_line_with_its_traceback(tmp_path: Path) -> None:
+def test_an_exception_is_reported_in_one_line_with_its_traceback(tmp_path: Path) -> None:
     row = only(tmp_path, "raise")
     assert (row["status"], row["reason"]) == ("failed", "ValueError: no numbers")
     assert "in perform" in row["traceback"]
@@ -87,7 +87,7 @@ def test_every_kind_of_end_has_its_row(tmp_path: Path, do: str, status: str, rea
     ("call", "status", "reason"),
     [
         ("harness_tasks:silent", "failed", "ended without a row"),
-        ("harness_tasks:stranger", "failed", "'nobody'; the cells of this job are 0.0"),
+        ("harness_tasks:foreign_error", "failed", "'nobody'; the cells of this job are 0.0"),
         ("harness_tasks:absent", "failed", "AttributeError"),
         ("harness_no_module:act", "failed", "ModuleNotFoundError"),
         ("harness_hangs_at_import:act", "timeout", "limit of 1 s"),
@@ -211,14 +211,14 @@ def test_fail_fast_stops_at_the_first_failure(tmp_path: Path) -> None:
     assert Counter(row["status"] for row in stored.rows.values()) == {"ok": 1, "failed": 1}
 
 
-def test_events_tell_every_row_and_every_task(tmp_path: Path) -> None:
+def test_events_report_every_row_and_every_task(tmp_path: Path) -> None:
     events: list[tuple[str, Mapping[str, Any]]] = []
     tasks = [task(n, "raise" if n == 3 else "", cells=2) for n in range(6)]
     _, stored = run(tmp_path, tasks, on_event=lambda kind, data: events.append((kind, data)))
     kinds = Counter(kind for kind, _ in events)
     assert kinds == {"start": 6, "row": 12, "task": 6}
-    told = {data["id"]: data["status"] for kind, data in events if kind == "row"}
-    assert told == {name: row["status"] for name, row in stored.rows.items()}
+    reported = {data["id"]: data["status"] for kind, data in events if kind == "row"}
+    assert reported == {name: row["status"] for name, row in stored.rows.items()}
 
 
 def test_an_argument_larger_than_a_pipe_does_not_hold_the_supervisor(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors.regression import regression
 from sysid_bench.types import Array, BaseMap
 from tests.robots import named_robot, random_robot, relative_gap, states
@@ -67,7 +67,7 @@ def test_of_nearly_equal_columns_the_one_that_stands_out_is_the_pivot() -> None:
 
 
 @pytest.mark.parametrize("rows", [0, 1, 5])
-def test_nothing_is_told_by_zeros(rows: int) -> None:
+def test_zeros_report_nothing(rows: int) -> None:
     base = base_map(np.zeros((rows, 3)), ("a", "b", "c"))
     assert base.rank == 0
     assert base.K.shape == (0, 3)

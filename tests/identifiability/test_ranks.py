@@ -60,7 +60,7 @@ def test_a_payload_adds_no_base_parameter() -> None:
 
 
 @pytest.mark.parametrize("file", ["so100.urdf", "so101.urdf"])
-def test_axes_tilted_by_rounding_are_told_as_near_degenerate(file: str) -> None:
+def test_axes_tilted_by_rounding_are_reported_as_near_degenerate(file: str) -> None:
     """Two axes are parallel but for truncated decimals; unit columns would hide that."""
     (path,) = places.example_robot_data().rglob(file)
     base = inertial_base(load_robot(path))
@@ -80,7 +80,7 @@ def test_a_scara_has_eight() -> None:
     assert base.gap > 1e10
 
 
-def test_a_slide_tells_one_parameter_and_a_vertical_hinge_one() -> None:
+def test_a_slide_identifies_one_parameter_and_a_vertical_hinge_one() -> None:
     for joint, rank in (('type="slide" axis="0 0 1"', 1), ('axis="0 0 1"', 1), ('axis="1 0 0"', 3)):
         robot = robot_of(
             f"""<mujoco><worldbody><body><joint {joint}/>
@@ -89,7 +89,7 @@ def test_a_slide_tells_one_parameter_and_a_vertical_hinge_one() -> None:
         assert inertial_base(robot).rank == rank
 
 
-def test_a_ball_tells_all_but_the_mass_and_a_free_body_tells_all() -> None:
+def test_a_ball_identifies_all_but_the_mass_and_a_free_body_all() -> None:
     for joint, rank in (('<joint type="ball"/>', 9), ("<freejoint/>", 10)):
         robot = robot_of(
             f"""<mujoco><worldbody><body>{joint}

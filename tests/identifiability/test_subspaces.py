@@ -11,7 +11,6 @@ from sysid_bench.identifiability.subspaces import (
     excitation_of,
     row_space,
     structural_subspaces,
-    subspace_gap,
     subspace_residual,
 )
 from sysid_bench.models.random.random_tree import random_robot
@@ -37,7 +36,9 @@ CUTS = {
 def assert_lemma_and_proposition(found: Subspaces) -> None:
     """Lemma 1: I_Yn is the same for every base. Proposition 1: I_Yc is a subspace of I_Yn."""
     for wrench in found.wrenches.values():
-        assert subspace_gap(found.wrench, wrench) < ANGLE
+        assert found.wrench.shape == wrench.shape
+        assert subspace_residual(found.wrench, wrench) < ANGLE
+        assert subspace_residual(wrench, found.wrench) < ANGLE
     for torque in found.torques.values():
         assert subspace_residual(found.wrench, torque) < ANGLE
 
@@ -104,28 +105,28 @@ def test_a_locked_joint_is_named_before_its_torque_is_trusted(case: str) -> None
     names, rank, lost = DATA[case]
     robot = named_robot("icub")
     cut = cut_at(robot, "l_arm_ft_sensor")
-    told = excitation_of(
+    excitation = excitation_of(
         subtree_regressors(robot, cut, _moving(robot, names)), structural_subspaces(robot, cut)
     )
-    assert (told.rank, told.structural) == (rank, 38)
-    assert told.unpredictable == lost
-    assert told.complete == (not lost)
-    assert bool(told.warning) == bool(lost)
+    assert (excitation.rank, excitation.structural) == (rank, 38)
+    assert excitation.unpredictable == lost
+    assert excitation.complete == (not lost)
+    assert bool(excitation.warning) == bool(lost)
     for name in lost:
-        assert name in told.warning
-        assert told.missing[name] > 0.9
+        assert name in excitation.warning
+        assert excitation.missing[name] > 0.9
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
-    """Two parameter sets that the data cannot tell apart give the same torque of every joint that
+def test_what_the_data_excite_predicts_what_is_not_flagged(seed: int) -> None:
+    """Two parameter sets that the data cannot distinguish give the same torque of every joint that
     is not flagged, in any other motion and for any base; those of flagged ones differ."""
     robot = revolute_tree(seed, 6)
     rng = np.random.default_rng(seed)
     cut = cut_at(robot, robot.body_names[0])
     moved = tuple(rng.choice(robot.rows[6:], 3, replace=False))
     made = subtree_regressors(robot, cut, _moving(robot, moved, seed))
-    told = excitation_of(made, structural_subspaces(robot, cut))
+    excitation = excitation_of(made, structural_subspaces(robot, cut))
     basis, _ = row_space(made.Y_n)
     change = np.array(rng.normal(size=made.Y_n.shape[-1:]))
     change = change - basis @ (basis.T @ change)
@@ -134,16 +135,16 @@ def test_what_the_data_tell_foretells_what_is_not_flagged(seed: int) -> None:
     bases = [robot.body_names[b] for b in cut.bodies]
     errors = np.max([np.abs(other.joint_torque(b) @ change).max(axis=0) for b in bases], axis=0)
     for row, size in zip(other.rows, errors, strict=True):
-        assert (size > 1e-6) == (row in told.unpredictable), row
+        assert (size > 1e-6) == (row in excitation.unpredictable), row
 
 
 def test_apart_and_outside_are_sines() -> None:
     x, y, z = np.eye(3)[:, :, None]
     tilted = np.cos(0.1) * x + np.sin(0.1) * y
     assert subspace_residual(x, tilted) == pytest.approx(np.sin(0.1))
-    assert subspace_gap(x, tilted) == pytest.approx(np.sin(0.1))
-    assert subspace_gap(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
-    assert subspace_gap(x, np.hstack([x, y])) == 1.0
+    assert subspace_residual(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
+    assert subspace_residual(x, np.hstack([x, y])) == pytest.approx(1.0)
+    assert subspace_residual(np.hstack([x, y]), x) == pytest.approx(0.0, abs=1e-15)
     assert subspace_residual(np.hstack([x, y]), tilted) == pytest.approx(0.0, abs=1e-15)
 
 

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from sysid_bench.identifiability.sign_bounds import (
-    infeasible_signs,
-    lower_bound,
-    smallest_feasible_change,
+from sysid_bench.identifiability.feasible_bounds import (
+    bound_of,
+    check_bound,
+    distance_to_feasible,
 )
-from sysid_bench.identifiability.symbolic_coefficient import lengths_of, symbolic_coefficient
+from sysid_bench.identifiability.symbolic_coefficient import random_values, symbolic_coefficient
 from sysid_bench.spatial.inertia import NAMES, pseudo_inertia
 from sysid_bench.types import Array, Body
 
 LENGTHS = {"a2": 0.279, "a2p": 0.1, "a3": 0.365, "d4": 0.151}
-SETS = lengths_of(LENGTHS)
+SETS = random_values(LENGTHS)
 BODY = Body("b", tuple(f"b.{name}" for name in NAMES))
 
 
@@ -56,21 +56,21 @@ def test_a_sum_that_cannot_be_negative_never_is(seed: int) -> None:
     coefficients = np.einsum("ij,kij->k", Q, basis)
     terms = dict(zip(BODY.columns, coefficients.tolist(), strict=True))
     possible = np.linalg.eigvalsh(Q)[0] >= -1e-9 * np.abs(Q).max()
-    assert lower_bound(terms, [BODY]) == (0.0 if possible else -np.inf)
+    assert bound_of(terms, [BODY]) == (0.0 if possible else -np.inf)
     lowest = min(float(coefficients @ _body(rng)) for _ in range(200))
     if possible:
         assert lowest >= -1e-9
-        assert infeasible_signs(terms, -1.0, [BODY]) is not None
+        assert check_bound(terms, -1.0, [BODY]) is not None
     else:
-        assert infeasible_signs(terms, -1.0, [BODY]) is None
+        assert check_bound(terms, -1.0, [BODY]) is None
 
 
 def test_joint_terms_that_give_energy_away_are_impossible() -> None:
-    assert infeasible_signs({"j.fv": 1.0}, -0.1, [BODY]) == "cannot be negative"
-    assert infeasible_signs({"j.fv": -1.0}, 0.1, [BODY]) == "cannot be positive"
-    assert infeasible_signs({"j.offset": 1.0}, -0.1, [BODY]) is None
-    assert infeasible_signs({"j.fv.k": 1.0}, -0.1, [BODY]) is None
-    assert infeasible_signs({"b.m": 1.0, "j.k": -1.0}, -0.1, [BODY]) is None
+    assert check_bound({"j.fv": 1.0}, -0.1, [BODY]) == "cannot be negative"
+    assert check_bound({"j.fv": -1.0}, 0.1, [BODY]) == "cannot be positive"
+    assert check_bound({"j.offset": 1.0}, -0.1, [BODY]) is None
+    assert check_bound({"j.fv.k": 1.0}, -0.1, [BODY]) is None
+    assert check_bound({"b.m": 1.0, "j.k": -1.0}, -0.1, [BODY]) is None
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -78,10 +78,10 @@ def test_values_of_a_body_need_no_change_and_others_their_distance(seed: int) ->
     rng = np.random.default_rng(seed)
     K = np.eye(10)
     phi = _body(rng)
-    assert smallest_feasible_change(K, phi, BODY.columns, [BODY]) < 1e-6
+    assert distance_to_feasible(K, phi, BODY.columns, [BODY]) < 1e-6
     wrong = phi.copy()
     wrong[0] = -1.0  # a mass: at least 1 away from any, and the rest has to follow
-    assert smallest_feasible_change(K, wrong, BODY.columns, [BODY]) >= 1.0 - 1e-6
+    assert distance_to_feasible(K, wrong, BODY.columns, [BODY]) >= 1.0 - 1e-6
 
 
 def _body(rng: np.random.Generator) -> Array:

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import EstimationError, UsageError
-from sysid_bench.identification.contact_detection import free_samples
-from sysid_bench.identification.linear.online_estimation import RecursiveEstimator, batch_estimate
-from sysid_bench.identification.sensor_calibration import calibrate
+from sysid_bench.identification.contact_free import free_samples
+from sysid_bench.identification.linear.online_estimation import RecursiveEstimator
+from sysid_bench.identification.sensor_calibration import fit_calibration
+from tests.identification.batch_solution import batch_estimate
 
 SIZE = np.repeat([1.0, 10.0], 3)
 
@@ -22,7 +23,7 @@ def test_rich_wrenches_determine_the_whole_matrix(seed: int) -> None:
     G, offset = _sensor(rng)
     known = SIZE * rng.normal(size=(2000, 6))
     reading = known @ G.T + offset + 0.001 * SIZE * rng.normal(size=known.shape)
-    found = calibrate(reading, known)
+    found = fit_calibration(reading, known)
     assert np.abs((found.G - G) / SIZE[:, None] * SIZE).max() < 2e-4
     fresh = SIZE * rng.normal(size=(100, 6))
     error = (found.apply(fresh @ G.T + offset) - fresh) / SIZE
@@ -37,7 +38,7 @@ def test_unexcited_entries_of_the_matrix_stay_ideal(seed: int) -> None:
     basis = np.linalg.qr(rng.normal(size=(6, 3)))[0]
     known = SIZE * (rng.normal(size=(3000, 3)) @ basis.T)
     reading = known @ G.T + offset + 0.001 * SIZE * rng.normal(size=known.shape)
-    found = calibrate(reading, known)
+    found = fit_calibration(reading, known)
     inside = (found.apply(reading) - known) / SIZE
     assert np.sqrt((inside**2).mean()) < 2e-3
     other = SIZE * rng.normal(size=(500, 6))
@@ -48,9 +49,9 @@ def test_unexcited_entries_of_the_matrix_stay_ideal(seed: int) -> None:
 
 def test_zero_or_too_few_wrenches_are_refused() -> None:
     with pytest.raises(EstimationError, match="with a load that weighs"):
-        calibrate(np.ones((100, 6)), np.zeros((100, 6)))
+        fit_calibration(np.ones((100, 6)), np.zeros((100, 6)))
     with pytest.raises(EstimationError, match="10 samples"):
-        calibrate(np.ones((10, 6)), np.ones((10, 6)))
+        fit_calibration(np.ones((10, 6)), np.ones((10, 6)))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -188,7 +188,7 @@ def test_log_cholesky_coordinates_and_their_derivatives() -> None:
         made.x(eta + d) - made.x(eta - d), 2 * made.jacobian(eta) @ d, atol=1e-12
     )
     change = pull @ (made.jacobian(eta + d) - made.jacobian(eta - d))
-    np.testing.assert_allclose(change, 2 * made.curvature(eta, pull) @ d, atol=1e-9)
+    np.testing.assert_allclose(change, 2 * made.newton_term(eta, pull) @ d, atol=1e-9)
 
 
 @pytest.mark.parametrize("distance", DISTANCES)

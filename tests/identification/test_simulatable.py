@@ -27,11 +27,11 @@ def exists(problem: Problem, theta: Array) -> bool:
     return bool((smallest_eigenvalue(phi) > 0).all()) and all(x > 0 for x in terms)
 
 
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("given", [True, False])
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_a_feasible_beta_is_reproduced(robot: str, told: bool) -> None:
+def test_a_feasible_beta_is_reproduced(robot: str, given: bool) -> None:
     made = ready_once(robot)
-    problem = made.problem if told else replace(made.problem, prior=None)
+    problem = made.problem if given else replace(made.problem, prior=None)
     K, prior = problem.base.K, made.problem.prior
     assert prior is not None
     beta = K @ (
@@ -67,23 +67,26 @@ def test_an_infeasible_beta_is_projected(robot: str) -> None:
     beta = K @ truth
     step = np.random.default_rng(1).normal(size=len(beta))
     wild = beta + 0.5 * np.linalg.norm(R @ beta) / np.linalg.norm(R @ step) * step
-    room = simulatable_set(problem)
-    found = np.linalg.norm(R @ (K @ room.nearest(wild, R) - wild))
-    for other in (room.centre, simulatable_set(replace(problem, prior=None)).centre, truth):
+    simulatable = simulatable_set(problem)
+    found = np.linalg.norm(R @ (K @ simulatable.nearest(wild, R) - wild))
+    for other in (simulatable.centre, simulatable_set(replace(problem, prior=None)).centre, truth):
         assert found <= np.linalg.norm(R @ (K @ other - wild)) * (1 + 1e-4)
 
 
 def test_the_right_inverse_changes_beta_alone() -> None:
     problem = ready_once(RICH).problem
-    room = simulatable_set(problem)
-    lift = room.right_inverse(room.centre)
+    simulatable = simulatable_set(problem)
+    lift = simulatable.pseudo_inverse(simulatable.centre)
     K = problem.base.K
     rounding = 1e-11 * (np.abs(K) @ np.abs(lift)).max()
     np.testing.assert_allclose(K @ lift, np.eye(problem.base.rank), atol=rounding)
     for direction in lift.T:
         for sign in (1, -1):
-            end = room.centre + sign * room.step_limit(room.centre, direction) * direction
-            assert np.isfinite(room.divergence(end))
+            end = (
+                simulatable.centre
+                + sign * simulatable.step_limit(simulatable.centre, direction) * direction
+            )
+            assert np.isfinite(simulatable.divergence(end))
 
 
 def test_derivatives_of_the_divergence() -> None:

@@ -178,7 +178,7 @@ def respecified(robot: RobotModel, phi: Array) -> mujoco.MjSpec:
     return spec
 
 
-def test_a_witness_that_cannot_serve_says_so() -> None:
+def test_a_reference_that_cannot_serve_says_so() -> None:
     tree = random_robot(0)
     with pytest.raises(UnsupportedError, match="MJCF"):
         urdf_regressor(tree, states(tree, 2))

@@ -128,12 +128,12 @@ def test_a_damaged_file_is_one_sentence(seed: int, tmp_path: Path) -> None:
     start = time.process_time()
     [verdict] = crosscheck(damaged(seed, folder), samples=2)
     assert time.process_time() - start < QUICK
-    told = verdict["reason"]
+    reported = verdict["reason"]
     assert not verdict["ok"]
-    assert len(told) > 20
-    assert told.startswith(("robot.", "MuJoCo cannot"))
-    assert not re.search(r"\n|Traceback|Error\(", told)
-    assert SECRET not in told
+    assert len(reported) > 20
+    assert reported.startswith(("robot.", "MuJoCo cannot"))
+    assert not re.search(r"\n|Traceback|Error\(", reported)
+    assert SECRET not in reported
 
 
 def test_undamaged_the_same_texts_are_robots(tmp_path: Path) -> None:

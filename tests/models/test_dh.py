@@ -162,18 +162,20 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("rows", "told"), WRONG, ids=[told for _, told in WRONG])
-def test_wrong_tables_are_one_sentence(rows: str, told: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("rows", "reported"), WRONG, ids=[reported for _, reported in WRONG])
+def test_wrong_tables_are_one_sentence(rows: str, reported: str, tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text(HEAD + rows)
     with pytest.raises(SysidBenchError) as error:
         mjcf_of(read_table(path))
-    assert told in str(error.value)
+    assert reported in str(error.value)
 
 
 def test_expressions() -> None:
-    told = read_expression("-2*(a + 0.5)*q1 + q2/4 - a**2", {"a": 0.5}, frozenset({"q1", "q2"}), "")
-    assert (told.constant, dict(told.coefficients)) == (-0.25, {"q1": -2.0, "q2": 0.25})
+    reported = read_expression(
+        "-2*(a + 0.5)*q1 + q2/4 - a**2", {"a": 0.5}, frozenset({"q1", "q2"}), ""
+    )
+    assert (reported.constant, dict(reported.coefficients)) == (-0.25, {"q1": -2.0, "q2": 0.25})
 
 
 @pytest.mark.parametrize(
@@ -184,7 +186,7 @@ def test_closed_loops_follow_the_couplings_of_the_paper(
     name: str, base: tuple[float, float, float], massless: tuple[str, ...], tmp_path: Path
 ) -> None:
     """Fontanelli et al. (2017), eq. (3), and the constant couplings of the other arm, out of closed
-    kinematic chains; the same base parameters are told."""
+    kinematic chains; the same base parameters are reported."""
     constant = load_robot(name)
     assert constant.manifest.manifest_file is not None
     table = constant.manifest.manifest_file.parent / "dh_loop.csv"

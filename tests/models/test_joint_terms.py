@@ -1,4 +1,4 @@
-"""Joint terms are MuJoCo's own passive forces, and what is none is left out and told."""
+"""Joint terms are MuJoCo's own passive forces, and others are left out and reported."""
 
 import re
 from pathlib import Path
@@ -115,9 +115,9 @@ LEFT_OUT = {
 
 
 @pytest.mark.parametrize("words", LEFT_OUT)
-def test_what_is_no_joint_term_is_left_out_and_told(words: str) -> None:
+def test_what_is_no_joint_term_is_left_out_and_reported(words: str) -> None:
     robot = robot_of(LEFT_OUT[words])
-    assert any(re.search(f"{re.escape(words)}.*left out", told) for told in robot.repairs)
+    assert any(re.search(f"{re.escape(words)}.*left out", reported) for reported in robot.repairs)
     ours, theirs = passive(robot, robot.spec.copy().compile())
     np.testing.assert_allclose(ours, theirs, atol=1e-12)
 

@@ -66,13 +66,13 @@ def test_limits_of_every_urdf(file: str) -> None:
 @pytest.mark.parametrize("name", NAMED)
 def test_the_manifest_has_the_first_word(name: str) -> None:
     robot = named_robot(name)
-    told = robot.manifest.limits
+    declared = robot.manifest.limits
     for joint in robot.joints:
         if joint.kind not in ("hinge", "slide"):
             continue
         for key in ("v", "a", "tau"):
-            own = getattr(told.get(joint.name, Limits()), key)
-            wanted = own if own is not None else getattr(told.get("all", Limits()), key)
+            own = getattr(declared.get(joint.name, Limits()), key)
+            wanted = own if own is not None else getattr(declared.get("all", Limits()), key)
             if wanted is not None:
                 assert getattr(robot.limits, key)[joint.vadr] == wanted
 

@@ -124,7 +124,7 @@ def test_numbers_that_are_none_are_refused_in_mjcf(element: str, attribute: str)
         robot_of(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
 
 
-def test_a_nan_that_mujoco_takes_for_a_default_is_told() -> None:
+def test_a_nan_that_mujoco_takes_for_a_default_is_reported() -> None:
     robot = robot_of(
         """<mujoco><worldbody><body><joint/><inertial pos="nan 0 0" mass="1" diaginertia="1 1 1"/>
         </body></worldbody></mujoco>"""
@@ -133,7 +133,7 @@ def test_a_nan_that_mujoco_takes_for_a_default_is_told() -> None:
     assert any("NaN" in words for words in robot.repairs)
 
 
-def test_a_mass_matrix_that_is_singular_at_the_reference_is_told_and_no_error() -> None:
+def test_a_mass_matrix_that_is_singular_at_the_reference_is_reported_and_no_error() -> None:
     """z-x-z hinges on one body: sound, but two axes fall together at zero."""
     hinges = "".join(f'<joint axis="{axis}"/>' for axis in ("0 0 1", "1 0 0", "0 0 1"))
     robot = robot_of(f"<mujoco><worldbody><body>{hinges}{INERTIAL}</body></worldbody></mujoco>")
@@ -141,7 +141,7 @@ def test_a_mass_matrix_that_is_singular_at_the_reference_is_told_and_no_error() 
     assert any("singular" in words for words in robot.repairs)
 
 
-def test_what_plays_no_role_is_dropped_and_what_was_mesh_is_told() -> None:
+def test_what_plays_no_role_is_dropped_and_what_was_mesh_is_reported() -> None:
     text = f"""<mujoco><asset><mesh name="m" file="absent.stl"/><material name="red"/></asset>
     <default><geom material="red"/></default>
     <worldbody><body name="a"><joint name="j"/>{INERTIAL}<geom type="mesh" mesh="m"/>

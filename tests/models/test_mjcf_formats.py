@@ -218,9 +218,9 @@ def test_a_missing_mesh_names_the_body_and_what_to_do() -> None:
     with pytest.raises(ModelError, match=r"arm: .*parts/corner\.stl.*<inertial>.*folder"):
         robot_of(MESHED)
     both = MESHED.replace('mesh="part"/>', 'mesh="part"/><geom size=".1"/>')
-    (told,) = robot_of(both).repairs
-    assert told.startswith("arm: inertia came from meshes")
-    assert "<inertial>" in told
+    (reported,) = robot_of(both).repairs
+    assert reported.startswith("arm: inertia came from meshes")
+    assert "<inertial>" in reported
 
 
 def test_a_mesh_that_is_none_is_refused(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_a_kind_and_a_seed_are_one_mechanism(kind: str) -> None:
     assert len({random_mechanism(kind, seed) for seed in MANY}) == len(MANY)
 
 
-def test_a_wrong_kind_or_seed_of_mechanism_is_told() -> None:
+def test_a_wrong_kind_or_seed_of_mechanism_is_reported() -> None:
     with pytest.raises(UsageError, match=r"'fourbar'.*Did you mean 'four-bar'.*slider-crank"):
         find_manifest("random:fourbar:7")
     with pytest.raises(UsageError, match="'random:four-bar:7'"):

@@ -112,8 +112,8 @@ def test_a_term_is_asked_or_known_and_never_both(terms: tuple[str, ...]) -> None
     asked = {f"{joint}.{SUFFIX[term]}" for term in terms for joint in robot.rows}
     assert asked <= set(task.parameters)
     for term, known in task.known_terms.items():
-        told = 0.0 if term in terms else getattr(robot.joint_terms, term)
-        np.testing.assert_array_equal(known, np.broadcast_to(told, known.shape))
+        reported = 0.0 if term in terms else getattr(robot.joint_terms, term)
+        np.testing.assert_array_equal(known, np.broadcast_to(reported, known.shape))
     values = dict(zip(task.parameters, task.truth.theta, strict=True))
     for term in terms:
         for joint, value in zip(robot.rows, getattr(robot.joint_terms, term), strict=True):
@@ -153,18 +153,18 @@ def test_priors_can_exist_and_are_not_the_truth(loaded: RobotModel, seed: int) -
         places = {name: i for i, name in enumerate(task.parameters)}
         for body in task.bodies:
             at = [places[column] for column in body.columns]
-            truth, told = task.truth.theta[at], prior.theta[at]
-            assert smallest_eigenvalue(told) >= -1e-12 * max(np.abs(told).max(), 1e-12)
+            truth, reported = task.truth.theta[at], prior.theta[at]
+            assert smallest_eigenvalue(reported) >= -1e-12 * max(np.abs(reported).max(), 1e-12)
             if truth[0] > 0:
-                assert (told != truth).any()
-                assert told[0] > 0
+                assert (reported != truth).any()
+                assert reported[0] > 0
                 assert (prior.std[at][[0, 1, 2, 3]] > 0).all()
             else:
-                np.testing.assert_array_equal(told, truth)
+                np.testing.assert_array_equal(reported, truth)
         terms = [i for name, i in places.items() if name.split(".")[-1] in SUFFIX.values()]
-        truth, told = task.truth.theta[terms], prior.theta[terms]
-        np.testing.assert_array_equal(np.sign(told), np.sign(truth))
-        assert (told[truth != 0] != truth[truth != 0]).all()
+        truth, reported = task.truth.theta[terms], prior.theta[terms]
+        np.testing.assert_array_equal(np.sign(reported), np.sign(truth))
+        assert (reported[truth != 0] != truth[truth != 0]).all()
 
 
 def test_priors_spread_as_they_are_declared() -> None:
@@ -180,7 +180,7 @@ def test_priors_spread_as_they_are_declared() -> None:
     np.testing.assert_allclose(centres.mean(axis=0), 0, atol=0.001)
 
 
-def test_the_truth_is_told_where_it_is_asked_for() -> None:
+def test_the_truth_is_reported_where_it_is_asked_for() -> None:
     task = task_of(named_robot("ur5"), "robot", TERMS)
     prior = prior_of(task, None, np.random.default_rng(0))
     np.testing.assert_array_equal(prior.theta, task.truth.theta)

@@ -1,5 +1,5 @@
-"""Canonical URDF: what is broken is refused in one sentence, what is repaired is told, and what is
-good stays as it was written."""
+"""Canonical URDF: what is broken is refused in one sentence, what is repaired is reported, and
+what is good stays as it was written."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -174,7 +174,7 @@ IMPOSSIBLE = ["1 0 0 1 0 5", "-1 0 0 1 0 1", "1 2 0 1 0 1", "1 0 0 1 0 0", "0 0 
 
 
 @pytest.mark.parametrize("inertia", IMPOSSIBLE)
-def test_an_impossible_inertia_is_made_possible_and_told(inertia: str) -> None:
+def test_an_impossible_inertia_is_made_possible_and_reported(inertia: str) -> None:
     text = robot(link("a"), link("b", inertia=inertia), joint("j", "a", "b"))
     urdf = canonical_urdf(text, "r.urdf")
     (words,) = urdf.repairs
@@ -183,8 +183,8 @@ def test_an_impossible_inertia_is_made_possible_and_told(inertia: str) -> None:
     assert moments[0] > 0
     assert moments[0] + moments[1] >= moments[2]
     change = np.abs(body_inertia(urdf.text, "b") - body_inertia(text, "b")).max()
-    told = float(words.split("largest relative change ")[1].rstrip(")"))
-    assert told == pytest.approx(change / np.abs(body_inertia(text, "b")).max(), rel=0.05)
+    reported = float(words.split("largest relative change ")[1].rstrip(")"))
+    assert reported == pytest.approx(change / np.abs(body_inertia(text, "b")).max(), rel=0.05)
     robot_of(urdf.text)
 
 
@@ -230,7 +230,7 @@ def test_a_microrobot_keeps_its_inertias() -> None:
     np.testing.assert_allclose(mended[[4, 7, 9]], [2e-11, 3e-11, 5e-11], rtol=2e-3)
 
 
-def test_a_point_mass_is_given_an_inertia_and_told() -> None:
+def test_a_point_mass_is_given_an_inertia_and_reported() -> None:
     text = robot(link("a"), link("b", mass="3", inertia="0 0 0 0 0 0"), joint("j", "a", "b"))
     urdf = canonical_urdf(text, "r.urdf")
     (words,) = urdf.repairs
@@ -240,7 +240,7 @@ def test_a_point_mass_is_given_an_inertia_and_told() -> None:
 
 
 @pytest.mark.parametrize("empty", ['<link name="b"/>', link("b", mass="0", inertia="0 0 0 0 0 0")])
-def test_a_moving_link_without_mass_is_given_some_and_told(empty: str) -> None:
+def test_a_moving_link_without_mass_is_given_some_and_reported(empty: str) -> None:
     urdf = canonical_urdf(robot(link("a"), empty, joint("j", "a", "b")), "r.urdf")
     (words,) = urdf.repairs
     assert "massless moving link 'b'" in words

@@ -102,7 +102,7 @@ def test_a_free_base_takes_no_joint_away(name: str) -> None:
     fixed, robot = robot_of(text), robot_of(text, free_base=True)
     assert (fixed.nv, robot.nv) == (moving, 6 + moving)
     assert set(fixed.rows) < set(robot.rows)
-    assert [told for told in robot.repairs if "massless" in told or "world" in told]
+    assert [reported for reported in robot.repairs if "massless" in reported or "world" in reported]
     agrees(robot)
 
 
@@ -113,7 +113,7 @@ def test_a_massless_mjcf_root_may_float() -> None:
         f'<mujoco><worldbody><body name="r">{body}</body></worldbody></mujoco>', free_base=True
     )
     assert robot.nv == 7
-    assert any("massless root body 'r'" in told for told in robot.repairs)
+    assert any("massless root body 'r'" in reported for reported in robot.repairs)
     agrees(robot)
 
 
@@ -146,22 +146,22 @@ DOUBTFUL = {
 
 
 @pytest.mark.parametrize("name", DOUBTFUL)
-def test_what_looks_like_another_unit_is_told_and_kept(name: str) -> None:
+def test_what_looks_like_another_unit_is_reported_and_kept(name: str) -> None:
     assert robot_of(arm()).repairs == ()
     text, words = DOUBTFUL[name]
-    (told,) = robot_of(text).repairs
-    assert re.search(words, told)
+    (reported,) = robot_of(text).repairs
+    assert re.search(words, reported)
 
 
-def test_options_of_the_mujoco_extension_are_told() -> None:
+def test_options_of_the_mujoco_extension_are_reported() -> None:
     extension = '<mujoco><compiler meshdir="x" boundmass="5"/><option gravity="0 0 0"/></mujoco>'
-    (told,) = robot_of(arm().replace("<link", f"{extension}<link", 1)).repairs
-    assert told == "left out of the <mujoco> extension: compiler boundmass, option gravity"
+    (reported,) = robot_of(arm().replace("<link", f"{extension}<link", 1)).repairs
+    assert reported == "left out of the <mujoco> extension: compiler boundmass, option gravity"
 
 
-def test_an_inertia_without_mass_is_told() -> None:
-    (told,) = robot_of(arm(tip=INERTIAL.replace('value="1"', 'value="0"'))).repairs
-    assert "its inertia left out" in told
+def test_an_inertia_without_mass_is_reported() -> None:
+    (reported,) = robot_of(arm(tip=INERTIAL.replace('value="1"', 'value="0"'))).repairs
+    assert "its inertia left out" in reported
 
 
 REFUSED = {
@@ -199,12 +199,12 @@ def test_what_cannot_be_is_one_sentence(name: str) -> None:
     assert "\n" not in str(refusal.value)
 
 
-def test_repairs_are_told_and_change_nothing_else() -> None:
+def test_repairs_are_reported_and_change_nothing_else() -> None:
     whole, mended = robot_of(arm()), robot_of(WHOLE["impossible"][0])
-    (told,) = mended.repairs
-    assert "'tip'" in told
+    (reported,) = mended.repairs
+    assert "'tip'" in reported
     np.testing.assert_array_equal(mended.phi[:2], whole.phi[:2])
-    (told,) = robot_of(arm(inside=LIMIT.replace('"-1"', '"2"'))).repairs
-    assert "reversed" in told
-    (told,) = [t for t in robot_of(arm("prismatic", "")).repairs if "no limits" in t]
-    assert "'j'" in told
+    (reported,) = robot_of(arm(inside=LIMIT.replace('"-1"', '"2"'))).repairs
+    assert "reversed" in reported
+    (reported,) = [t for t in robot_of(arm("prismatic", "")).repairs if "no limits" in t]
+    assert "'j'" in reported

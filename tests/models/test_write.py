@@ -182,10 +182,12 @@ def test_points_rods_and_laminae_are_written(
     mjcf: Path, mass: float, com: tuple[float, ...], six: tuple[float, ...]
 ) -> None:
     after = reread(mjcf, updated_mjcf(mjcf, {"tip": (mass, com, six)}))
-    told = mass_com_inertia(after.phi[after.body_names.index("tip")])
-    assert told[0] == mass
-    np.testing.assert_allclose(told[1], com, atol=1e-15)
-    np.testing.assert_allclose(told[2][(0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)], six, atol=1e-13)
+    read_back = mass_com_inertia(after.phi[after.body_names.index("tip")])
+    assert read_back[0] == mass
+    np.testing.assert_allclose(read_back[1], com, atol=1e-15)
+    np.testing.assert_allclose(
+        read_back[2][(0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)], six, atol=1e-13
+    )
 
 
 def test_joint_terms_have_the_units_of_the_file(mjcf: Path) -> None:
@@ -228,11 +230,11 @@ def test_every_kind_of_link_is_written(urdf: Path, name: str) -> None:
 
 
 def test_what_was_not_identified_is_named_and_not_written(mjcf: Path, urdf: Path) -> None:
-    told = {"tip.m": "none", "tip.hx": "identifiable", "tip.Ixx": "combination"}
+    read_back = {"tip.m": "none", "tip.hx": "identifiable", "tip.Ixx": "combination"}
     for write, path in ((updated_mjcf, mjcf), (updated_urdf, urdf)):
         before = path.read_bytes()
         with pytest.raises(ModelError, match=r"2 of 3 parameters .*: tip\.m, tip\.Ixx\. Use"):
-            write(path, {load_robot(path).body_names[0]: PHI}, verdicts=told)
+            write(path, {load_robot(path).body_names[0]: PHI}, verdicts=read_back)
         assert path.read_bytes() == before
 
 
@@ -249,7 +251,7 @@ def test_what_cannot_exist_is_named_and_not_written(mjcf: Path, urdf: Path) -> N
 
 
 def test_wrong_words_are_usage(mjcf: Path) -> None:
-    for bodies, joints, told in (
+    for bodies, joints, read_back in (
         ({"tipp": PHI}, {}, "Did you mean 'tip'"),
         ({}, {"joint1": {"damping": 1.0}}, "Did you mean 'joint"),
         ({}, {"j1": {"dampin": 1.0}}, "Did you mean 'damping'"),
@@ -258,7 +260,7 @@ def test_wrong_words_are_usage(mjcf: Path) -> None:
         ({"tip": (1.0, "x", 2)}, {}, "cannot have"),
         ({}, {"j1": {"damping": np.inf}}, "must be finite"),
     ):
-        with pytest.raises(UsageError, match=told):
+        with pytest.raises(UsageError, match=read_back):
             updated_mjcf(mjcf, bodies, joints)
 
 

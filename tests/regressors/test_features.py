@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.naming import build, known
-from sysid_bench.regressors.friction_features import Play, Polynomial, SmoothCoulomb, features_of
+from sysid_bench.regressors.joint_features import Play, Polynomial, SmoothCoulomb, features_of
 from tests.robots import named_robot, states
 
 T = np.linspace(0, 10, 2000)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.naming import build
-from sysid_bench.regressors.friction_features import features_of
-from sysid_bench.regressors.transmission import MotorColumns, motor_names
+from sysid_bench.regressors.joint_features import features_of
+from sysid_bench.regressors.motor_terms import MotorColumns, motor_names
 from sysid_bench.types import Trajectory
 
 

@@ -87,7 +87,7 @@ def test_profiles_rise_from_the_share_of_wins() -> None:
     assert shares[0].sum() >= 1.0  # somebody is best in every case
 
 
-def test_a_method_named_beforehand_needs_fewer_robots_to_be_told_from() -> None:
+def test_a_method_named_beforehand_needs_fewer_robots_to_be_reported_from() -> None:
     [ranking] = ranked(fabricate(robots=8), against="poor")
     best = ranking.methods.index("good")
     assert ranking.p_against[best] < ranking.p[best, ranking.methods.index("poor")]
@@ -97,7 +97,7 @@ def test_a_method_named_beforehand_needs_fewer_robots_to_be_told_from() -> None:
         ranked(fabricate(robots=2), against="gud")
 
 
-def test_cases_that_some_method_never_saw_are_left_out_and_told() -> None:
+def test_cases_that_some_method_never_saw_are_left_out_and_reported() -> None:
     cells = fabricate()
     lost = (cells["estimator"] == "poor") & (cells["robot"] == "r0")
     [ranking] = ranked(cells[~lost])

@@ -170,8 +170,8 @@ def test_columns_that_differ_in_the_estimator_alone_are_printed_alike() -> None:
         for n, e, v in [("x", "a", 0.02), ("x", "b", 2e-5), ("y", "a", 0.02), ("y", "b", 0.03)]
     ]
     table = table_of(pd.DataFrame(rows), ["robot"], ["noise", "estimator"])
-    told = [table.notations[column].scientific for column in table.columns]
-    assert told == [True, True, False, False]
+    reported = [table.notations[column].scientific for column in table.columns]
+    assert reported == [True, True, False, False]
 
 
 def test_rows_and_columns_stand_in_the_order_of_the_cells(cells: pd.DataFrame) -> None:
@@ -246,17 +246,19 @@ def numbers(entry: Any) -> list[float]:
 
 
 def test_words_stand_as_they_are_and_what_differs_is_counted(cells: pd.DataFrame) -> None:
-    told = cells.assign(verdict=["none" if n % 2 else "identifiable" for n in range(len(cells))])
-    told.loc[told["robot"] == "ur5", "verdict"] = "combination"
+    reported = cells.assign(
+        verdict=["none" if n % 2 else "identifiable" for n in range(len(cells))]
+    )
+    reported.loc[reported["robot"] == "ur5", "verdict"] = "combination"
     wanted = {"metric": "verdict"}
-    table = make_table(told, {"rows": ["robot"], "columns": ["payload"], "cells": wanted})
+    table = make_table(reported, {"rows": ["robot"], "columns": ["payload"], "cells": wanted})
     for (row, _), entry in table.entries.items():
         assert entry.value is None
         assert entry.n + entry.n_failed + entry.missing == 12
         if row == ("ur5",):
             assert entry.word == "combination"
         elif entry.n:
-            own = told[(told["robot"] == row[0]) & (told["status"] == "ok")]
+            own = reported[(reported["robot"] == row[0]) & (reported["status"] == "ok")]
             assert set(own["verdict"]) == {word.split()[0] for word in entry.word.split(", ")}
     lost = table.entry(("anymal_c",), ("box-2kg",))
     assert lost is not None
@@ -280,8 +282,13 @@ def repeated(
             cells.append({**cell, "repeat": repeat, "status": "failed" if lost else "ok"})
             for place, bound in enumerate((1e-3, 5.0, 100.0)):
                 error = scale * bound * (offset + rng.normal())
-                told = {"body": "link", "name": f"p{place}", "base_error": error, "bound": bound}
-                parameters += [] if lost else [{"id": cell["id"], **told}]
+                reported = {
+                    "body": "link",
+                    "name": f"p{place}",
+                    "base_error": error,
+                    "bound": bound,
+                }
+                parameters += [] if lost else [{"id": cell["id"], **reported}]
     return pd.DataFrame(cells), pd.DataFrame(parameters)
 
 
@@ -301,7 +308,7 @@ def figures(metric: str, frames: tuple[pd.DataFrame, pd.DataFrame]) -> dict[str,
         ("bound_ratio", 1.0, np.sqrt(5)),
     ],
 )
-def test_repeats_tell_bias_from_scatter(metric: str, fair: float, off: float) -> None:
+def test_repeats_separate_bias_from_scatter(metric: str, fair: float, off: float) -> None:
     found = figures(metric, repeated(300))
     for estimator, true in (("fair", fair), ("off", off)):
         entry = found[estimator]
@@ -311,7 +318,7 @@ def test_repeats_tell_bias_from_scatter(metric: str, fair: float, off: float) ->
         assert entry.low <= entry.value <= entry.high
 
 
-def test_lost_repeats_are_counted_and_the_rest_is_told() -> None:
+def test_lost_repeats_are_counted_and_the_rest_is_reported() -> None:
     found = figures("spread", repeated(60, failed=25))
     assert found["fair"].n == 35
     assert found["fair"].failures == {"failed": 25}
@@ -336,11 +343,11 @@ def test_figures_of_repeats_need_repeats_a_bound_and_noise(metric: str) -> None:
 
 
 def test_verdicts_with_gaps_are_numbers(cells: pd.DataFrame) -> None:
-    """Some methods tell no whole bodies: the column of the others is true, false or nothing."""
+    """Some methods estimate no whole bodies: the column of the others is true, false or nothing."""
     verdicts = [True, False, None] * len(cells)
-    told = cells.assign(feasible=pd.Series(verdicts[: len(cells)], dtype=object).to_numpy())
+    reported = cells.assign(feasible=pd.Series(verdicts[: len(cells)], dtype=object).to_numpy())
     spec = {"name": "f", "rows": ["status"], "cells": {"metric": "feasible", "stat": "mean"}}
-    table = make_table(told, spec)
+    table = make_table(reported, spec)
     values = [entry.value for entry in table.entries.values() if entry.value is not None]
     assert values
     assert all(0 <= value <= 1 for value in values)

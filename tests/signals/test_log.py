@@ -180,12 +180,12 @@ def test_stamps_against_a_declared_rate(
 def test_a_velocity_in_other_units_or_of_another_joint_is_refused(
     robot: RobotModel, log: Recorded, tmp_path: Path
 ) -> None:
-    told = {
+    reported = {
         "degrees": (log.v * 180 / np.pi, "rate"),
         "one": (log.v * np.array([1, 1, 57.3]), "velocity"),
         "sign": (log.v * np.array([1, 1, -1]), "velocity"),
     }
-    for name, (v, finding) in told.items():
+    for name, (v, finding) in reported.items():
         got = read(robot, write(tmp_path, replace(log, v=v), name=name))
         assert finding in refused(got, ("units",)), name
         assert "'tip'" in refused(got) or name == "degrees"
@@ -193,8 +193,8 @@ def test_a_velocity_in_other_units_or_of_another_joint_is_refused(
 
 def test_exchanged_columns_are_refused(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
     swapped = replace(log, v=log.v[:, [1, 0, 2]])
-    told = refused(read(robot, write(tmp_path, swapped)))
-    assert f"{log.joints[0]!r} moves as v of joint {log.joints[1]!r}" in told
+    reported = refused(read(robot, write(tmp_path, swapped)))
+    assert f"{log.joints[0]!r} moves as v of joint {log.joints[1]!r}" in reported
 
 
 def test_positions_in_other_units_are_refused(
@@ -208,7 +208,7 @@ def test_positions_in_other_units_are_refused(
         assert "--accept units" in refused(got)
 
 
-def test_a_limit_is_told_and_passes(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
+def test_a_limit_is_reported_and_passes(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:
     q = log.q + np.array([0.0, 0.2, 0.0])
     got = read(robot, write(tmp_path, replace(log, q=q)))
     assert found(got) == {"limits": int((q[:, 1] > 0.3).sum())}
@@ -264,7 +264,7 @@ def test_stamps_that_jitter_repeat_or_run_backwards(
         read(robot, write(tmp_path, backwards, name="backwards", time=1, rate=None))
 
 
-def test_a_line_that_broke_off_is_told_a_wrong_one_refused(
+def test_a_line_that_broke_off_is_reported_a_wrong_one_refused(
     robot: RobotModel, log: Recorded, tmp_path: Path
 ) -> None:
     path = write(tmp_path, log)
@@ -312,14 +312,14 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("changed", "told"), WRONG, ids=[told for _, told in WRONG])
+@pytest.mark.parametrize(("changed", "reported"), WRONG, ids=[reported for _, reported in WRONG])
 def test_what_cannot_be_is_said_in_a_sentence(
-    changed: dict[str, Any], told: str, robot: RobotModel, log: Recorded, tmp_path: Path
+    changed: dict[str, Any], reported: str, robot: RobotModel, log: Recorded, tmp_path: Path
 ) -> None:
     with pytest.raises(UsageError) as error:
         read(robot, write(tmp_path, log, **changed))
-    assert told in str(error.value)
-    assert "run." in str(error.value) or told == "nowhere.csv"
+    assert reported in str(error.value)
+    assert "run." in str(error.value) or reported == "nowhere.csv"
 
 
 def test_damaged_files_are_one_sentence(robot: RobotModel, log: Recorded, tmp_path: Path) -> None:

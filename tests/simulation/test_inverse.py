@@ -57,8 +57,8 @@ def test_two_engines_and_the_stated_terms_give_the_torque(name: str, payload: st
     motion = motion_of(robot)
     tau = torque(plant_of(robot), motion)
     terms = stated_terms(robot, motion)
-    for witness in (inverse_torque(robot.without_coupling, motion), by_pinocchio(robot, motion)):
-        wanted = robot.reduced(motion.q, witness + terms)
+    for reference in (inverse_torque(robot.without_coupling, motion), by_pinocchio(robot, motion)):
+        wanted = robot.reduced(motion.q, reference + terms)
         assert np.abs(tau - wanted).max() <= 1e-11 * np.abs(tau).max()
 
 
@@ -85,7 +85,7 @@ def test_long_motions_are_the_same_in_chunks() -> None:
 
 
 class Law:
-    """A stranger's effect: the same law for every robot."""
+    """The effect of a plug-in author: the same law for every robot."""
 
     def __init__(self, law: object) -> None:
         self.law = law

@@ -54,7 +54,7 @@ def test_the_compiled_loop_is_the_loop(robot, monkeypatch: pytest.MonkeyPatch) -
     assert np.abs(quick.tau - simulated(plant_of(robot)).tau).max() > 1e-4 * np.abs(quick.tau).max()
 
 
-def test_a_law_of_a_stranger_runs_in_python() -> None:
+def test_a_law_of_a_plug_in_runs_in_python() -> None:
     robot = named_robot("ur5")
     seen: list[int] = []
 

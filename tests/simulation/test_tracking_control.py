@@ -22,7 +22,7 @@ FOURIER = {"use": "fourier", "period": "2 s", "cycles": 1}
 
 
 class Law:
-    """A stranger's effect: the same law for every robot."""
+    """The effect of a plug-in author: the same law for every robot."""
 
     def __init__(self, law: object) -> None:
         self.law = law
@@ -272,7 +272,7 @@ def test_declared_gains_are_the_controller(kp: Any, kd: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("gains", "told"),
+    ("gains", "reported"),
     [
         ({"kp": 1.0}, "both kp and kd"),
         ({"kp": [1.0, -1.0, 1.0], "kd": 1.0}, "positive"),
@@ -280,6 +280,6 @@ def test_declared_gains_are_the_controller(kp: Any, kd: Any) -> None:
         ({"kp": [1.0, 1.0], "kd": 1.0}, "3 motors"),
     ],
 )
-def test_gains_that_are_no_controller_are_refused(gains: dict[str, Any], told: str) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_gains_that_are_no_controller_are_refused(gains: dict[str, Any], reported: str) -> None:
+    with pytest.raises(UsageError, match=reported):
         TrackingControl(rate=RATE, **gains).controller(plant_of(robot_of(RICH)))

@@ -10,8 +10,8 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.naming import build
-from sysid_bench.regressors.friction_features import JointFeatures, features_of
-from sysid_bench.regressors.transmission import MOTOR, MotorColumns, motor_names
+from sysid_bench.regressors.joint_features import JointFeatures, features_of
+from sysid_bench.regressors.motor_terms import MOTOR, MotorColumns, motor_names
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.types import Array, Trajectory
 

@@ -10,8 +10,8 @@ import numpy as np
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors.coupled import AnyRegression, CoupledBlock, torque_regression
-from sysid_bench.regressors.qr_accumulation import upper_factor
 from sysid_bench.regressors.regression import Block
 from sysid_bench.signals.time_folds import time_folds
 from sysid_bench.types import Array, BaseMap, Factor, Problem, RowBlock, Trajectory

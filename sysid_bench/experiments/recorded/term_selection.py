@@ -11,7 +11,7 @@ from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
 from sysid_bench.identification.linear.normal_qr import spread
 from sysid_bench.models.manifest import is_term
-from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.signals.time_folds import time_folds
 from sysid_bench.types import Array, Factor
 

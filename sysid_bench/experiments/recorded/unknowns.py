@@ -20,7 +20,7 @@ from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import known
-from sysid_bench.regressors.qr_accumulation import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.tasks.task import TaskDefinition, find_task, unknown_bodies
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
 

@@ -20,7 +20,7 @@ from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.types import Array, Trajectory
-from sysid_bench.versions import code_and_libraries
+from sysid_bench.versions import package_hash
 
 _DESIGNS: dict[str, Array] = {}
 
@@ -35,9 +35,7 @@ def design_motion(
     if not hasattr(plugin, "solve"):
         motion = plugin.design(problem, rng)
         return motion
-    key = design_key(
-        [code_and_libraries(), canonical(excitation), seed, loaded.robot.text, problem]
-    )
+    key = design_key([package_hash(), canonical(excitation), seed, loaded.robot.text, problem])
     if key not in _DESIGNS:
         stored = _read_design(key)
         _DESIGNS[key] = (

@@ -13,9 +13,9 @@ from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_signals
 from sysid_bench.experiments.simulated.record import SampledRecording, SimulatedRobot, record
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.identification.contact_detection import free_samples
+from sysid_bench.identification.contact_free import free_samples
 from sysid_bench.identification.linear.online_estimation import rows_of
-from sysid_bench.identification.sensor_calibration import Calibration, calibrate
+from sysid_bench.identification.sensor_calibration import Calibration, fit_calibration
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.sensor import cut_at, instruments_of
@@ -70,7 +70,7 @@ def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task)
         assert recording.wrench is not None
         readings.append(recording.wrench[:, :6])
         known.append(model[:, robot.nv : robot.nv + 6])
-    return calibrate(np.concatenate(readings), np.concatenate(known))
+    return fit_calibration(np.concatenate(readings), np.concatenate(known))
 
 
 def _calibrated(recording: Recording, calibration: Calibration) -> Recording:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.units import quantity, split_quantity
+from sysid_bench.units import parse_quantity, quantity
 
 _WORDS: Final = {"true": True, "false": False, "none": None}
 _ORDER: Final[Mapping[type[ast.cmpop], Callable[[Any, Any], bool]]] = {
@@ -220,7 +220,7 @@ def _number(value: Any) -> float | None:
             return float(value)
         if not isinstance(value, str):
             return None
-        number, unit = split_quantity(value)
+        number, unit = parse_quantity(value)
         return quantity(value, unit) if unit else number
     except (UsageError, OverflowError):
         return None

@@ -67,6 +67,7 @@ class ARGLS:
 
 def _whitening_filter(noise: Array, order: int) -> Array:
     """Filter [1, a_1, ..., a_order] that whitens a series (N,), by the Yule-Walker equations."""
+    # Biased autocorrelations (divided by N, not N - k): the model is always stable.
     lags = np.array([noise[k:] @ noise[: len(noise) - k] for k in range(order + 1)])
     if order == 0 or lags[0] == 0.0:
         return np.concatenate([[1.0], np.zeros(order)])
@@ -81,6 +82,7 @@ def _whitened(problem: Problem, residual: Array, taps: Array) -> Iterator[tuple[
         Y, rest = np.concatenate([past[0], Y]), np.concatenate([past[1], rest])
         if len(Y) > order:
             yield _filtered(Y, taps[..., None]), _filtered(rest, taps)
+        # -order as start would keep everything for order 0.
         past = Y[len(Y) - min(order, len(Y)) :], rest[len(Y) - min(order, len(Y)) :]
 
 

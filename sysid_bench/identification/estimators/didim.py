@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    Candidate,
     GaussNewton,
+    ModelResult,
     floor_of,
     regressor_of,
     rows_of,
@@ -54,13 +54,13 @@ class _TorqueError:
         """Rounding error of the torques (rows,)."""
         return np.asarray(floor_of(self.measured))
 
-    def evaluate(self, theta: Array) -> Candidate:
+    def evaluate(self, theta: Array) -> ModelResult:
         """Simulate the closed loop with theta (p,)."""
         simulated = self.experiment.simulate(theta)
         error = self.measured - rows_of(self.experiment, simulated.tau)
-        return Candidate(theta, self.experiment.problem.base.K @ theta, error, simulated)
+        return ModelResult(theta, self.experiment.problem.base.K @ theta, error, simulated)
 
-    def jacobian(self, trial: Candidate) -> Array:
+    def jacobian(self, trial: ModelResult) -> Array:
         """Regressor W (N, rows, r) along the simulated motion."""
         assert trial.recording is not None
         return regressor_of(self.experiment, trial.recording.motion)

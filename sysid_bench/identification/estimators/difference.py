@@ -31,16 +31,14 @@ class Difference:
     def fit(self, experiment: Experiment) -> Estimate:
         """Return beta and its covariance; raises UnsupportedError without a recording of each kind,
         EstimationError where the motion does not excite every direction."""
-        loaded = [run.recording for run in experiment.runs if run.loaded]
-        bare = [run.recording for run in experiment.runs if not run.loaded]
+        loaded, bare = _recordings(experiment, True), _recordings(experiment, False)
         if not loaded or not bare:
             raise UnsupportedError(
                 "The method needs the same motion without the payload: set "
                 'signals = { runs = "AB" }, or "ABBA", and the task "payload".'
             )
-        W = _mean([regressor_of(experiment, one.motion) for one in loaded])
-        b = _mean([_left(experiment, one) for one in loaded])
-        b = b - _mean([_left(experiment, one) for one in bare])
+        W = np.mean([regressor_of(experiment, one.motion) for one in loaded], axis=0)
+        b = _mean_torque(experiment, loaded) - _mean_torque(experiment, bare)
         sigma = np.ones(b.shape[1])
         for _ in range(2):
             R = residual_factor(W / sigma[:, None], b / sigma)
@@ -49,10 +47,11 @@ class Difference:
         return Estimate(beta, covariance=covariance(R))
 
 
-def _left(experiment: Experiment, recording: Recording) -> Array:
-    """Measured torque (N, rows) minus that of the known parameters."""
-    return np.asarray(rows_of(experiment, recording.tau) - experiment.known(recording.motion))
+def _recordings(experiment: Experiment, loaded: bool) -> list[Recording]:
+    return [run.recording for run in experiment.runs if run.loaded == loaded]
 
 
-def _mean(arrays: list[Array]) -> Array:
-    return np.asarray(np.mean(arrays, axis=0))
+def _mean_torque(experiment: Experiment, recordings: list[Recording]) -> Array:
+    """Measured torque (N, rows) minus that of the known parameters, mean over recordings."""
+    parts = [rows_of(experiment, one.tau) - experiment.known(one.motion) for one in recordings]
+    return np.asarray(np.mean(parts, axis=0))

@@ -6,11 +6,11 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.identification.simulation_based.filters import (
-    FilterState,
+    FilterEstimate,
     JointFilter,
     joint_filter,
 )
-from sysid_bench.identification.simulation_based.forward_dynamics import finite_differences
+from sysid_bench.identification.simulation_based.forward_model import finite_difference
 from sysid_bench.types import Array, Estimate, Experiment
 
 
@@ -38,15 +38,16 @@ class EKF:
         return model.result(belief, start)
 
 
-def _predicted(model: JointFilter, belief: FilterState, k: int) -> FilterState:
+def _predicted(model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
     sizes = _sizes(belief)
-    F = finite_differences(lambda states: model.step(states, k), belief.mean, sizes)
+    F = finite_difference(lambda states: model.step(states, k), belief.mean, sizes)
     mean = model.step(belief.mean[None], k)[0]
+    # Process noise of beta is zero: a constant only becomes more certain.
     P = F @ belief.covariance @ F.T + model.process_noise(belief.mean)
-    return FilterState(mean, 0.5 * (P + P.T))
+    return FilterEstimate(mean, 0.5 * (P + P.T))
 
 
-def _sizes(belief: FilterState) -> Array:
+def _sizes(belief: FilterEstimate) -> Array:
     """Finite-difference steps (k,): a hundredth of the standard deviations, above rounding."""
     return np.asarray(
         np.maximum(1e-2 * np.sqrt(np.diag(belief.covariance)), 1e-7 * np.abs(belief.mean) + 1e-9)

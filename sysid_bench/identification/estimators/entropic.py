@@ -44,6 +44,6 @@ class Entropic:
         stats = {
             "iterations": float(iterations),
             "decrement": decrement,
-            "roundness": float(feasible.regularity(x).min(initial=0.25)),
+            "roundness": float(feasible.relative_eigenvalues(x).min(initial=0.25)),
         }
         return Estimate(theta=feasible.scale * x, stats=stats)

@@ -39,6 +39,7 @@ class Essential:
                 break
             fewer = np.delete(kept, worst)
             smaller = _without(full, fewer)
+            # The last diagonal entry of R is the norm of the residual.
             added = (smaller[-1, -1] ** 2 - full[-1, -1] ** 2) / (r - len(fewer))
             if added > fdtri(r - len(fewer), freedom, 1.0 - self.level):
                 break

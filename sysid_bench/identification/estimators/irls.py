@@ -40,6 +40,7 @@ class IRLS:
         motion does not excite every direction or the iteration does not converge."""
         beta, weighted, _ = weighted_fit(problem)
         R = weighted[:-1, :-1]
+        # Joints that no parameter acts on have no residual to whiten.
         felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
         farthest, share = _within(self.cut, int(felt.sum()))
         whiten = np.diag(1 / row_scales(problem, residuals(problem, beta))[felt])

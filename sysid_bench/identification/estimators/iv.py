@@ -17,7 +17,7 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     samples_of,
     sigmas,
     simulatable_start,
-    step_size,
+    step_rms,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Recording, Trajectory
 
@@ -64,13 +64,13 @@ class IV:
                 return Estimate(
                     beta, covariance=inverse @ inverse.T, stats={"iterations": float(count)}
                 )
-            if step_size(R, moved) > SHRINKS * before:
+            if step_rms(R, moved) > SHRINKS * before:
                 share *= 0.5
-            before = step_size(R, moved)
+            before = step_rms(R, moved)
             theta, simulated = _towards(theta + share * (goal - theta), theta, experiment)
         raise EstimationError(
             f"The method did not converge in {self.iterations} iterations: the last changed the "
-            f"base parameters by {step_size(R, moved):.3g} standard deviations; the noise is "
+            f"base parameters by {step_rms(R, moved):.3g} standard deviations; the noise is "
             "too large."
         )
 
@@ -90,6 +90,7 @@ def _solution(Z: Array, W: Array, b: Array, sigma: Array) -> tuple[Array, Array,
     """beta (r,), the QR factor R of the whitened instruments, and Q'W (r, r)."""
     r = W.shape[-1]
     white = (1.0 / sigma)[:, None]
+    # Z' W through Q: the normal equations would square the condition of Z.
     Q, R = np.linalg.qr((Z * white).reshape(-1, r))
     Q_W = Q.T @ (W * white).reshape(-1, r)
     size = np.linalg.norm(Q_W, axis=0)
@@ -102,7 +103,7 @@ def _solution(Z: Array, W: Array, b: Array, sigma: Array) -> tuple[Array, Array,
 
 
 def _goal(simulatable: SimulatableSet, theta: Array, beta: Array, R: Array) -> Array:
-    exact = simulatable.project(theta, beta)
+    exact = simulatable.with_base(theta, beta)
     return exact if exact is not theta else simulatable.nearest(beta, R)
 
 

@@ -12,8 +12,9 @@ from sysid_bench.identification.linear.normal_qr import (
     solve_upper,
     stacked_factor,
 )
-from sysid_bench.identification.linear.recursive_qr import rank_update, upper_factor
+from sysid_bench.identification.linear.recursive_qr import rank_update
 from sysid_bench.identification.linear.weights import row_sigmas
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.types import Array, Estimate, Problem
 
 
@@ -52,7 +53,7 @@ class Kalman:
         """Square root S (r, r) of the covariance S S' of one step of the walk."""
         steps = max(problem.samples / self.hold, 1.0)
         spread = problem.base.K * required_prior(problem).std
-        return np.asarray(np.asarray(upper_factor(spread.T).T) * self.drift / np.sqrt(steps))
+        return np.asarray(np.asarray(upper_factor([spread.T]).T) * self.drift / np.sqrt(steps))
 
 
 def _walked(R: Array, walk: Array) -> Array:
@@ -62,4 +63,4 @@ def _walked(R: Array, walk: Array) -> Array:
     known = np.vstack(
         [np.hstack([np.eye(r), np.zeros((r, r + 1))]), np.hstack([-R[:, :r] @ walk, R])]
     )
-    return upper_factor(known)[r:, r:]
+    return upper_factor([known])[r:, r:]

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates, damped_newton
+from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates, newton_fit
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.required_prior import (
     feasible_point,
@@ -43,11 +43,12 @@ class LogCholesky:
         feasible, prior = feasible_set_of(problem), required_prior(problem)
         x0 = feasible_point(feasible, prior.theta / feasible.scale, spread_of(feasible, prior))
         chart, base = coordinates(feasible, x0), weighted_coordinates(feasible, problem, x0)
+        # u = inverse (x - origin), whose squares are the excess over least squares.
         inverse = np.linalg.inv(base.T)[: base.rank]
         eta, total = chart.eta0, 0
         share = 1.0 / max(float(np.linalg.norm(inverse @ (x0 - base.origin))), 1.0)
         while True:
-            eta, count, decrement = damped_newton(
+            eta, count, decrement = newton_fit(
                 share * inverse, base.origin, chart, eta, self.weight, self.iterations
             )
             total += count
@@ -57,6 +58,6 @@ class LogCholesky:
         stats = {
             "iterations": float(total),
             "decrement": decrement,
-            "roundness": float(feasible.regularity(chart.x(eta)).min(initial=0.25)),
+            "roundness": float(feasible.relative_eigenvalues(chart.x(eta)).min(initial=0.25)),
         }
         return Estimate(theta=feasible.scale * chart.x(eta), stats=stats)

@@ -10,14 +10,14 @@ from scipy.sparse import bsr_array, csr_array, diags_array, eye_array, kron
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.linear.white_noise import white_noise
-from sysid_bench.identification.simulation_based.forward_dynamics import scalar_joints
+from sysid_bench.identification.simulation_based.forward_model import scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
     covariance,
     has_converged,
     regressor_of,
     residual_factor,
     rows_of,
-    step_size,
+    step_rms,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Trajectory
 
@@ -56,7 +56,7 @@ class ML:
         for count in range(1, self.iterations + 1):
             line = data.line(beta, q)
             R, step, q_new, rest = line.solved(sigma)
-            size = step_size(R, step)
+            size = step_rms(R, step)
             if has_converged(R, step, beta):
                 return Estimate(
                     beta + step, covariance=covariance(R), stats={"iterations": float(count)}
@@ -103,22 +103,22 @@ class _Data:
         W = regressor_of(experiment, motion)[inner]
         model = W @ beta + experiment.known(motion)[inner]
         tau = rows_of(experiment, experiment.raw.tau)
-        exact = experiment.raw.v is not None
-        A = None
-        for which, D in enumerate((None, *self.rates)):
-            if exact and D is not None:
-                break
-            blocks = [self._slope(beta, motion, which, j)[inner] for j in range(q.shape[1])]
-            count, n = len(q) - 2, q.shape[1]
-            B = bsr_array((np.stack(blocks, axis=-1), np.arange(count), np.arange(count + 1)))
-            pick = eye_array(len(q), format="csr")[inner] if D is None else D[inner]
-            part = csr_array(B @ kron(pick, eye_array(n), format="csr"))
-            A = part if A is None else A + part
-        assert A is not None
+        exact = experiment.raw.v is not None  # then v and a do not follow from q
+        A = self._torque_slope(beta, motion, 0, eye_array(len(q), format="csr")[inner])
+        for which, D in enumerate(() if exact else self.rates, 1):
+            A = A + self._torque_slope(beta, motion, which, D[inner])
         at_least = NOISE_FLOOR[0] * np.sqrt((self.q**2).mean(axis=0)).max()
         noise = np.maximum(white_noise(self.q), at_least)
         error, away = (tau[inner] - model).ravel(), (self.q - q).ravel()
         return _Line(W, error, A, away, noise, q=q, tau=tau)
+
+    def _torque_slope(self, beta: Array, motion: Trajectory, which: int, D: csr_array) -> csr_array:
+        """Share (M rows, N n) of d tau / d q through q, v or a (`which` 0, 1, 2), which is D q."""
+        count, n = D.shape[0], motion.q.shape[1]
+        blocks = [self._slope(beta, motion, which, j)[1:-1] for j in range(n)]
+        # Block-diagonal: a sample's torque depends on the same sample of q, v and a.
+        B = bsr_array((np.stack(blocks, axis=-1), np.arange(count), np.arange(count + 1)))
+        return csr_array(B @ kron(D, eye_array(n), format="csr"))
 
     def _slope(self, beta: Array, motion: Trajectory, which: int, j: int) -> Array:
         """Derivative (N, rows) of the torque by q, v or a (`which` 0, 1, 2) of joint j."""
@@ -158,6 +158,7 @@ class _Line:
         r, M = self.W.shape[-1], len(self.W)
         spread = np.tile(self.q_noise**2, len(self.q))
         weighted = csr_array(self.A @ diags_array(spread))
+        # Errors of neighbouring samples are correlated through the differences: C is banded.
         C = weighted @ self.A.T + diags_array(np.tile(sigma**2, M))
         L = _banded_root(C.tocsr(), 3 * self.rows)
         e = self.error - self.A @ self.away
@@ -175,6 +176,7 @@ class _Line:
         explained = (self.A.multiply(self.A) @ spread).reshape(-1, self.rows).mean(axis=0)
         total = (rest**2).mean(axis=0)
         floor = NOISE_FLOOR[1] ** 2 * (self.tau**2).mean(axis=0)
+        # Position noise may explain more than there is, by chance.
         left = np.maximum(total - explained, 0.01 * total)
         return np.asarray(np.sqrt(np.maximum(left, np.maximum(floor, floor.max() * 1e-6))))
 

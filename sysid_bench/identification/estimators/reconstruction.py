@@ -30,5 +30,5 @@ class Reconstruction:
         assert fit.beta is not None
         feasible = feasible_set_of(problem)
         theta = complete(feasible, problem.base, fit.beta, prior, self.distance)
-        roundness = float(feasible.regularity(theta / feasible.scale).min(initial=0.25))
+        roundness = float(feasible.relative_eigenvalues(theta / feasible.scale).min(initial=0.25))
         return replace(fit, theta=theta, stats={"roundness": roundness})

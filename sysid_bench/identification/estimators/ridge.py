@@ -39,6 +39,7 @@ class Ridge:
         weight = self.weight
         if weight is None:
             check_excited(stacked_factor(problem))
+            # projected / values are the least-squares coefficients D beta in the singular basis.
             weight = problem.base.rank / max(float(np.sum((projected / values) ** 2)), 1e-300)
         gains = values / (values**2 + weight)
         root = Vt.T * gains / norms[:, None]

@@ -9,10 +9,10 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet, simulatable_set
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
-from sysid_bench.identification.simulation_based.forward_dynamics import ForwardModel, scalar_joints
+from sysid_bench.identification.simulation_based.forward_model import ForwardModel, scalar_joints
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    Candidate,
     GaussNewton,
+    ModelResult,
     floor_of,
 )
 from sysid_bench.identification.simulation_based.output_error import TORQUE_CHANGE
@@ -75,14 +75,15 @@ class _Pieces:
             TORQUE_CHANGE * np.linalg.norm(R[:, -1]) / np.linalg.norm(R[:, :-1], axis=0)
         )
 
-    def evaluate(self, theta: Array) -> Candidate:
+    def evaluate(self, theta: Array) -> ModelResult:
         """Prediction errors, projected off the initial states."""
         beta = self.experiment.problem.base.K @ theta
         Q, ahead = self._starts(beta)
-        return Candidate(theta, beta, self._unexplained(Q, self.q - ahead))
+        return ModelResult(theta, beta, self._unexplained(Q, self.q - ahead))
 
-    def jacobian(self, trial: Candidate) -> Array:
+    def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (M, n, r) of the predictions, projected off the initial states."""
+        # Variable projection: the initial states are eliminated rather than estimated.
         Q, ahead = self._starts(trial.beta)
         betas = trial.beta + np.diag(self.nudges)
         moved = self._run(betas, np.tile(self.begin, (len(betas), 1, 1)))

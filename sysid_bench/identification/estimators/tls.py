@@ -38,6 +38,7 @@ class TLS:
                 "squares has no solution; filter the signals, or record a richer motion."
             )
         scale = norms[-1] / norms[:-1]
+        # (W'W - s^2 1)^-1 W'b: noise of variance s^2 has increased every squared singular value.
         beta = Vt.T @ (values / reduced * (U.T @ unit[:, -1]))
         root = Vt.T / np.sqrt(reduced) * smallest * np.sqrt((1 + beta @ beta) / self._rows(problem))
         root = scale[:, None] * root

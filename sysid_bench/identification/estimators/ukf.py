@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.simulation_based.filters import (
-    FilterState,
+    FilterEstimate,
     JointFilter,
     joint_filter,
 )
@@ -37,7 +37,7 @@ class UKF:
             belief = model.measured(self._predicted(model, belief, k), k + 1)
         return model.result(belief, start)
 
-    def _predicted(self, model: JointFilter, belief: FilterState, k: int) -> FilterState:
+    def _predicted(self, model: JointFilter, belief: FilterEstimate, k: int) -> FilterEstimate:
         root = self.spread * _root(belief.covariance).T
         points = model.step(
             belief.mean + np.concatenate([root * 0, root, -root])[len(root) - 1 :], k
@@ -45,10 +45,11 @@ class UKF:
         centre, plus, minus = points[0], points[1 : len(root) + 1], points[len(root) + 1 :]
         weight = 0.5 / self.spread**2
         mean = centre + weight * (plus + minus - 2 * centre).sum(axis=0)
+        # Odd and even part of the model along each axis: slope and curvature.
         first = (plus - minus) / (2 * self.spread)
         bend = (plus + minus - 2 * centre) / (2 * self.spread**2)
         P = first.T @ first + 0.5 * bend.T @ bend + model.process_noise(belief.mean)
-        return FilterState(mean, 0.5 * (P + P.T))
+        return FilterEstimate(mean, 0.5 * (P + P.T))
 
 
 def _root(P: Array) -> Array:

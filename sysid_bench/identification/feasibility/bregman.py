@@ -57,6 +57,7 @@ class Divergence:
             roots = np.linalg.cholesky(self.feasible.pseudo_inertias(x))
         except np.linalg.LinAlgError:
             return np.inf
+        # log det J = 2 sum log diag of the Cholesky factor: no overflow of the determinant.
         logs = 2 * np.log(np.einsum("bii->bi", roots)).sum() + np.log(terms).sum()
         away = x[self.free] - self.x0[self.free]
         return float(self.linear @ x - logs + 0.5 * self.pull @ away**2)
@@ -85,6 +86,7 @@ def divergence(feasible: FeasibleSet, x0: Array, std: Array) -> Divergence:
     free, linear = np.flatnonzero(signed), np.zeros(len(x0))
     inverse = np.linalg.inv(feasible.pseudo_inertias(x0))
     linear[feasible.indices] = np.einsum("bij,kji->bk", inverse, BASIS)
+    # d log det J0 at J0 is tr(J0^-1 dJ): the divergence has a zero gradient at the prior.
     linear[feasible.nonnegative] = 1 / x0[feasible.nonnegative]
     return Divergence(feasible, x0, free, 1 / np.maximum(std[free], 1e-6) ** 2, linear)
 
@@ -191,6 +193,8 @@ class _Iterate:
     def solve(self) -> Callable[[Array], Array]:
         """Newton's matrix, factored: the map of a gradient (m,) to a direction."""
         d, feasible, T = self.d, self.d.feasible, self.coordinates.T
+        # Nesterov-Todd scaling: S with S J S = Z takes the place of J^-1 in the Hessian of -log
+        # det.
         curved = np.empty_like(T)  # Hessian by x, block diagonal, times T
         places, blocks = feasible.indices.ravel(), _metric_blocks(self.scaling)
         curved[places] = (blocks @ T[feasible.indices]).reshape(-1, T.shape[1])
@@ -198,6 +202,7 @@ class _Iterate:
         curved[d.free] = self.weight * d.pull[:, None] * T[d.free]
         hessian = T.T @ curved
         inner = np.arange(self.coordinates.rank)
+        # |u|^2 / 2 of the data: the coordinates make its Hessian the identity.
         hessian[inner, inner] += 1.0
         return _factored(hessian)
 
@@ -233,6 +238,7 @@ class _Iterate:
             self.d.feasible.pseudo_inertias(x), self.Z + share * step.Z,
             x[self.d.feasible.nonnegative], self.z + share * step.z,
         ) / self.mu  # fmt: skip
+        # The more of the gap the trial step closes, the smaller the next target.
         target = self.mu * min(max(left, 0.0), 1.0) ** 3
         return self.direction(target) if target > self.weight else step
 
@@ -256,6 +262,7 @@ def _start(
 def _step_limit(roots: Array, direction: Array, terms: Array, more: Array) -> float:
     """Step length at which the change `direction` (nb, 4, 4), or `more` (k,), reaches the boundary,
     for bodies with the inverse Cholesky factors `roots` and the joint terms `terms` (k,)."""
+    # J + t D > 0 iff 1 + t L^-1 D L^-T > 0: the smallest eigenvalue gives the largest t.
     turned = roots @ direction @ roots.swapaxes(1, 2)
     most = max(
         -float(np.linalg.eigvalsh(turned).min(initial=0.0)),

@@ -49,7 +49,7 @@ class Coordinates:
         out[feasible.indices[:, :, None], feasible.indices[:, None, :]] = products.swapaxes(1, 2)
         return out
 
-    def curvature(self, eta: Array, pull: Array) -> Array:
+    def newton_term(self, eta: Array, pull: Array) -> Array:
         """sum_i pull_i d2x_i / deta2 (p, p) for a gradient `pull` (p,) with respect to x."""
         feasible, out = self.feasible, np.zeros((len(eta), len(eta)))
         out[feasible.nonnegative, feasible.nonnegative] = pull[feasible.nonnegative] * np.exp(
@@ -62,6 +62,7 @@ class Coordinates:
         products = (C[:, None] @ dU).reshape(len(U), 10, 16)
         block = products @ dU.reshape(len(U), 10, 16).swapaxes(1, 2)
         single = np.einsum("bkij,bij->bk", dU, C @ U)
+        # exp(a) scales all of U, so that d2U / (da deta) = dU / deta.
         block[:, 0, :] += single
         block[:, 1:, 0] += single[:, 1:]
         for k in (1, 2, 3):  # exponentials on the diagonal are their own derivatives
@@ -74,6 +75,7 @@ def coordinates(feasible: FeasibleSet, x0: Array) -> Coordinates:
     """Return the coordinates and eta of a strictly feasible x0 (p,)."""
     eta = x0.copy()
     eta[feasible.nonnegative] = np.log(x0[feasible.nonnegative])
+    # J = U U' with upper U: the lower Cholesky factor with rows and columns in reverse.
     products = feasible.pseudo_inertias(x0)[:, ::-1, ::-1]
     U = np.linalg.cholesky(products)[:, ::-1, ::-1]
     last = U[:, 3, 3]
@@ -85,7 +87,7 @@ def coordinates(feasible: FeasibleSet, x0: Array) -> Coordinates:
     return Coordinates(feasible, eta)
 
 
-def damped_newton(
+def newton_fit(
     rows: Array,
     origin: Array,
     chart: Coordinates,
@@ -143,9 +145,10 @@ class _Objective:
         """The first step, of growing damping, that reduces the objective."""
         u, J = self.rows @ (self.chart.x(eta) - self.origin), self.rows @ self.chart.jacobian(eta)
         gradient = J.T @ u + self.weight * (eta - self.chart.eta0)
+        # Without the curvature of x the matrix is positive definite: its diagonal sets the scale.
         hessian = J.T @ J + self.weight * np.eye(len(eta))
         size = 1 / np.sqrt(np.diag(hessian))
-        exact = hessian + self.chart.curvature(eta, self.rows.T @ u)
+        exact = hessian + self.chart.newton_term(eta, self.rows.T @ u)
         while damping <= 1e12:
             solve = _solver(exact, size, damping)
             if solve is not None:

@@ -39,6 +39,7 @@ def complete(
     x0 = feasible_point(feasible, prior.theta / feasible.scale, std)
     near = divergence(feasible, x0, std)
     metric = np.diag(1 / std**2) if distance == "euclidean" else near.metric
+    # The nearest point in a fixed metric also starts the entropic fit, which needs a feasible one.
     found = nearest(feasible, base, beta, x0, metric)
     if distance != "entropic":
         return np.asarray(feasible.scale * found.x)
@@ -74,13 +75,14 @@ def _moved(estimate: Estimate, problem: Problem) -> Estimate:
 
 
 def _exists(feasible: FeasibleSet, theta: Array) -> bool:
-    return bool(feasible.regularity(theta / feasible.scale).min(initial=0.25) > 0)
+    return bool(feasible.relative_eigenvalues(theta / feasible.scale).min(initial=0.25) > 0)
 
 
 def _entropic(near: Divergence, start: Array, N: Array) -> Array:
     """Minimum of the divergence over start + N n, from a feasible start."""
     x = start.copy()
     terms = near.feasible.nonnegative
+    # The solver may leave terms on the boundary, where their logarithm is infinite.
     x[terms] = np.maximum(x[terms], TINY)
     found, _, _ = newton(near, BaseCoordinates(x, N, 0), 1.0, np.zeros(N.shape[1]))
     return found

@@ -1,6 +1,7 @@
 """Feasible fits under linear matrix inequalities (LMIs): a quadratic objective on the R factor
 over the feasible set, solved by Clarabel."""
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -80,11 +81,7 @@ def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Lim
     """Constraints of a robot, cached."""
     feasible = feasible_set(parameters, bodies)
     p, nb = len(parameters), len(bodies)
-    rows: list[
-        tuple[Array, Array, float]
-    ] = []  # indices, coefficients, bound: coefficients x <= bound
-    for i in feasible.nonnegative:
-        rows.append((np.array([i]), np.array([-1.0]), 0.0))
+    rows: list[_Bound] = [(np.array([i]), np.array([-1.0]), 0.0) for i in feasible.nonnegative]
     for at in feasible.indices:
         rows += _body_rows(at, limits)
     G = sparse.lil_matrix((len(rows), p))
@@ -98,27 +95,36 @@ def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Lim
     for b, at in enumerate(feasible.indices):
         blocks[10 * b : 10 * b + 10, at] = -triangle
     stacked = sparse.vstack([G, blocks], format="csc")
+    # J >= LEAST 1 rather than J >= 0: the solver's tolerance then stays on the feasible side.
     least = np.tile(-LEAST * _entries(np.eye(4)), nb)
     return _Cones(stacked, np.append(h, least), len(rows), nb)
 
 
-def _body_rows(at: Array, limits: Limits) -> list[tuple[Array, Array, float]]:
+_Bound = tuple[Array, Array, float]
+"""Indices (k,) in x, coefficients (k,) and bound of an inequality: coefficients . x <= bound."""
+
+
+def _body_rows(at: Array, limits: Limits) -> list[_Bound]:
+    """Bounds of a body with the parameters x[at]; with an LMI, J > 0 implies those of moments."""
     least, most = limits.mass
-    rows = []
-    if limits.margin is None:
-        moments = at[[4, 7, 9]]
-        rows += [(moments[[k]], np.array([-1.0]), 0.0) for k in range(3)]
-        rows += [(moments, np.roll([1.0, -1.0, -1.0], k), 0.0) for k in range(3)]
+    rows = _moment_rows(at[[4, 7, 9]]) if limits.margin is None else []
     if limits.margin is None or least > 0:
         rows.append((at[[0]], np.array([-1.0]), -least))
     if most < np.inf:
         rows.append((at[[0]], np.array([1.0]), most))
-    if limits.com < np.inf:
-        reach = limits.com / LENGTH
-        rows += [
-            (at[[0, k]], np.array([-reach, sign]), 0.0) for k in (1, 2, 3) for sign in (1.0, -1.0)
-        ]
-    return rows
+    return rows + (_com_rows(at, limits.com / LENGTH) if limits.com < np.inf else [])
+
+
+def _moment_rows(moments: Array) -> list[_Bound]:
+    """Non-negative Ixx, Iyy, Izz, and the triangle inequality Ixx <= Iyy + Izz of each."""
+    rows: list[_Bound] = [(moments[[k]], np.array([-1.0]), 0.0) for k in range(3)]
+    return rows + [(moments, np.roll([1.0, -1.0, -1.0], k), 0.0) for k in range(3)]
+
+
+def _com_rows(at: Array, reach: float) -> list[_Bound]:
+    """|h_k| <= reach m: linear in x, where a bound on the centre of mass h / m is not."""
+    signs = itertools.product((1, 2, 3), (1.0, -1.0))
+    return [(at[[0, k]], np.array([-reach, sign]), 0.0) for k, sign in signs]
 
 
 def _triangle(margin: float) -> Array:
@@ -161,6 +167,7 @@ def nearest(feasible: FeasibleSet, base: BaseMap, beta: Array, start: Array, met
     N = nullspace(feasible, base)
     x = start.copy()
     free = np.setdiff1d(np.arange(len(x)), base.pivots)
+    # The pivots compensate the non-pivot parameters of the start, so that K theta = beta.
     x[base.pivots] = beta / feasible.scale[base.pivots] + N[base.pivots] @ start[free]
     P, q = N.T @ metric @ N, N.T @ (metric @ (x - start))
     n, gap, iterations = _solved(feasible, Limits(), x, N, P, q)
@@ -172,7 +179,7 @@ def estimate_of(feasible: FeasibleSet, fit: Fit) -> Estimate:
     stats = {
         "duality_gap": fit.gap,
         "iterations": float(fit.iterations),
-        "roundness": float(feasible.regularity(fit.x).min(initial=0.25)),
+        "roundness": float(feasible.relative_eigenvalues(fit.x).min(initial=0.25)),
         "excess": fit.excess,
     }
     return Estimate(theta=feasible.scale * fit.x, stats=stats)
@@ -196,8 +203,10 @@ def _solved(
     Solved for the offset d from the unconstrained minimum y0, y = y0 + d / sqrt(diag(P)): the
     objective is then the cost of the constraints alone, and so is its accuracy.
     """
+    # The cone h - G (origin + T y): the constraints of a robot in the coordinates of its data.
     cones = _cones_of(feasible.parameters, feasible.bodies, limits)
     size = 1 / np.sqrt(np.maximum(np.diag(P), 1.0))
+    # Unit diagonal: coordinates of very different weight would exhaust the solver's accuracy.
     P = P * size * size[:, None]
     free = -size * cho_solve(cho_factor(P), size * q) if q.any() else np.zeros(len(q))
     origin, T = origin + T @ free, T * size

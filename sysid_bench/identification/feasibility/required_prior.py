@@ -31,6 +31,7 @@ def start_of(feasible: FeasibleSet, prior: Prior | None) -> Array:
         return np.asarray(prior.theta / feasible.scale)
     x = np.zeros(len(feasible.parameters))
     x[feasible.indices[:, [0]]] = 1.0
+    # I = 2/5 m r^2 of a solid sphere.
     x[feasible.indices[:, [4, 7, 9]]] = 0.4
     return x
 
@@ -41,6 +42,7 @@ def feasible_point(feasible: FeasibleSet, x: Array, std: Array) -> Array:
     out, J = x.copy(), feasible.pseudo_inertias(x)
     smallest = np.linalg.eigvalsh(J)[:, 0]
     trace = np.maximum(np.trace(J, axis1=1, axis2=2), LIGHTEST)
+    # Adding a multiple of 1 to J shifts its eigenvalues and keeps its axes.
     lift = np.maximum(ROUND * trace - smallest, 0.0)
     # x of J = 1: mass, and equal second moments along all axes.
     unit = np.linalg.lstsq(BASIS.reshape(10, 16).T, np.eye(4).ravel(), rcond=None)[0]

@@ -111,6 +111,7 @@ class SimulatableSet:
             raise EstimationError("The base parameters are not finite and cannot be simulated.")
         if size == 0.0:
             return self.centre
+        # Relative residuals: the weights of the divergence do not depend on units or samples.
         A, b = R @ K / size, R @ beta / size
         theta = self.centre
         for weight in WEIGHTS:
@@ -120,15 +121,15 @@ class SimulatableSet:
                 if weight == WEIGHTS[0]:
                     raise
                 break  # the limit of rounding
-        return self.project(theta, beta)
+        return self.with_base(theta, beta)
 
-    def project(self, theta: Array, beta: Array) -> Array:
+    def with_base(self, theta: Array, beta: Array) -> Array:
         """Return theta moved onto K theta = beta along the shortest path in the Hessian metric;
         theta itself where that leaves the set."""
-        moved = theta + self.right_inverse(theta) @ (beta - self.problem.base.K @ theta)
+        moved = theta + self.pseudo_inverse(theta) @ (beta - self.problem.base.K @ theta)
         return moved if np.isfinite(self.divergence(moved)) else theta
 
-    def right_inverse(self, theta: Array) -> Array:
+    def pseudo_inverse(self, theta: Array) -> Array:
         """L (p, r) with K L = 1, the shortest in the Hessian metric at theta."""
         K = self.problem.base.K
         spread = _solve(self.derivatives(theta)[1], K.T)
@@ -156,6 +157,7 @@ class SimulatableSet:
             if expected <= 1e-3 * weight:  # small against the curvature of the divergence
                 break
             length = 1.0
+            # Armijo's rule; the cost is infinite outside the set, so that steps end inside.
             while length > 1e-6 and cost(theta + length * step) > now - 0.1 * length * expected:
                 length *= 0.5
             if length <= 1e-6:
@@ -177,6 +179,7 @@ def _first_centre(problem: Problem) -> Array:
     mass, radius = FIRST_CENTRE
     centre = np.array([float(name.endswith(NOT_NEGATIVE)) for name in problem.parameters])
     index = {name: i for i, name in enumerate(problem.parameters)}
+    # Second moments m r^2 along every axis: I = 2 m r^2 about each.
     moment = 2 * mass * radius**2
     for body in problem.bodies:
         centre[[index[column] for column in body.columns]] = [
@@ -213,6 +216,7 @@ def _positive_definite(J: Array) -> bool:
     diagonal = np.diagonal(J, axis1=1, axis2=2)
     if not (diagonal > 0).all():
         return False
+    # With a unit diagonal the border does not depend on the size of a body.
     scale = 1.0 / np.sqrt(diagonal)
     try:
         factor = np.linalg.cholesky(scale[:, :, None] * J * scale[:, None, :])

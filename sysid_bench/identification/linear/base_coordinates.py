@@ -55,11 +55,13 @@ def base_coordinates(
     parameters are those of `start` (p,); unexcited directions are weakly drawn to the start."""
     r, p = base.rank, len(start)
     if excited_rank(R[:r, :r]) < r:
+        # A weak row per base parameter makes R regular; excited directions hardly feel it.
         pull = np.sqrt(WEAK) / np.linalg.norm(base.K * feasible.scale, axis=1)
         rows = np.column_stack([np.diag(pull), pull * (base.K @ (feasible.scale * start))])
         R = np.asarray(qr(np.vstack([R, rows]), mode="r")[0])[: r + 1]
     scale = feasible.scale[base.pivots]
     T, origin = np.zeros((p, p)), start.copy()
+    # u = R (beta - beta_ls): unit u adds one to the squares, whatever the direction.
     T[base.pivots, :r] = inverse_of(R) / scale[:, None]
     T[:, r:] = nullspace(feasible, base)
     free = np.setdiff1d(np.arange(p), base.pivots)

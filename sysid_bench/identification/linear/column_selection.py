@@ -52,26 +52,46 @@ def select_columns(
     grams = [_gram(fold, weights) for fold in folds]
     current = list(start)
     errors = _errors(folds, grams, current)
-    before = float(np.sqrt(np.mean(errors**2)))
+    before = _rms(errors)
     steps: list[tuple[int, float]] = []
     left = list(candidates)
     while left:
-        trials = []
-        for rows, column in left:
-            trial = [*current, column]
-            trial_errors = _errors(folds, grams, trial)
-            total = float(np.sqrt(np.mean(trial_errors**2)))
-            gain = float(np.max(1.0 - trial_errors[list(rows)] / errors[list(rows)]))
-            trials.append((gain, total, column, trial, trial_errors))
-        base = float(np.sqrt(np.mean(errors**2)))
-        good = [t for t in trials if t[0] >= GAIN and t[1] < base]
+        trials = [
+            _Trial(rows, column, errors, _errors(folds, grams, [*current, column]))
+            for rows, column in left
+        ]
+        good = [trial for trial in trials if trial.improves]
         if not good:
             break
-        _, total, column, current, errors = max(good, key=lambda t: t[0])
-        steps.append((column, total))
-        left = [(rows, c) for rows, c in left if c != column]
-    after = float(np.sqrt(np.mean(errors**2)))
-    return ColumnSelection(tuple(sorted(current)), tuple(steps), before, after)
+        best = max(good, key=lambda trial: trial.gain)
+        current, errors = [*current, best.column], best.after
+        steps.append((best.column, _rms(errors)))
+        left = [(rows, column) for rows, column in left if column != best.column]
+    return ColumnSelection(tuple(sorted(current)), tuple(steps), before, _rms(errors))
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Errors (rows,) before and after adding one column, which acts on some `rows`."""
+
+    rows: Sequence[int]
+    column: int
+    before: Array
+    after: Array
+
+    @property
+    def gain(self) -> float:
+        """Largest relative reduction of the error of a row that the column acts on."""
+        rows = list(self.rows)
+        return float(np.max(1.0 - self.after[rows] / self.before[rows]))
+
+    @property
+    def improves(self) -> bool:
+        return self.gain >= GAIN and _rms(self.after) < _rms(self.before)
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def _weights(folds: Sequence[Sequence[FoldRow]]) -> Array:
@@ -97,6 +117,7 @@ def _errors(
     sizes = np.zeros(len(folds[0]))
     selected = np.array(columns)
     for fold, gram in zip(folds, grams, strict=True):
+        # Normal equations suffice: the errors that are compared are far above their rounding.
         beta = _solve(gram, selected)
         for i, row in enumerate(fold):
             errors[i] += np.sum((row.test[:, selected] @ beta - row.test[:, -1]) ** 2)
@@ -106,6 +127,7 @@ def _errors(
 
 def _solve(gram: Array, selected: Array) -> Array:
     A, b = gram[np.ix_(selected, selected)], gram[selected, -1]
+    # Unit columns: the ridge then means the same for every unit.
     scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
     A = A / np.outer(scale, scale) + RIDGE * np.eye(len(selected))
     return np.linalg.solve(A, b / scale) / scale

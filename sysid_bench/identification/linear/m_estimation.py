@@ -4,7 +4,7 @@ Each row has its own scale, the median absolute residual over 0.6745 (MAD): the 
 for Gaussian noise, insensitive to outliers (Holland and Welsch 1977).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,7 +19,7 @@ from sysid_bench.identification.linear.residuals import (
     step,
 )
 from sysid_bench.identification.linear.weights import with_floor
-from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.types import Array, Estimate, Problem, RowBlock
 
 MAD_OF_GAUSSIAN: Final = 0.6745
 """Median of |x| of the standard normal distribution."""
@@ -58,11 +58,7 @@ def m_estimate(
             scales = row_scales(problem, residual)
         R = stacked_factor(problem, (1.0 / scales).tolist())[:-1, :-1]
         roots = np.sqrt(loss.weight(residual / scales)) / scales
-        weighted = (
-            (Y * root[..., None], rest * root)
-            for Y, rest, root in sample_blocks(problem, residual, roots)
-        )
-        change, _ = step(R, weighted)
+        change, _ = step(R, _scaled_blocks(problem, residual, roots))
         beta = beta + change
         if iteration > hold_after and has_converged(R, change, beta):
             return Fit(beta, scales, iteration)
@@ -72,11 +68,18 @@ def m_estimate(
     )
 
 
+def _scaled_blocks(problem: Problem, residual: Array, roots: Array) -> Iterator[RowBlock]:
+    """Blocks of the regressor and the residuals, samples and rows times `roots` (N, rows)."""
+    for Y, rest, root in sample_blocks(problem, residual, roots):
+        yield Y * root[..., None], rest * root
+
+
 def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
     """Return the estimate with the covariance A^-1 B A^-1 of Huber (1981, section 7.6):
     A = sum E psi' W_j'W_j / s_j^2, B = sum E psi^2 W_j'W_j / s_j^2, expectations over each row."""
     u = residuals(problem, fit.beta) / fit.scales
     weight = loss.weight(u)
+    # weight * u is psi(u).
     slope, squares = loss.slope(u).mean(axis=0), ((weight * u) ** 2).mean(axis=0)
     r = problem.base.rank
     outer = stacked_factor(problem, (np.sqrt(np.maximum(slope, 0.0)) / fit.scales).tolist())

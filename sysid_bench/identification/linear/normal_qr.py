@@ -21,6 +21,7 @@ def stacked_factor(problem: Problem, weights: Sequence[float] | None = None) -> 
     parts = [
         scale * spread(factor, r) for factor, scale in zip(problem.factors, scales, strict=True)
     ]
+    # The zeros make R square where the factors have fewer rows than columns.
     stack = np.asfortranarray(np.concatenate([*parts, np.zeros((r + 1, r + 1))]))
     packed, _, _, _ = lapack.dgeqrf(stack, lwork=64 * (r + 1), overwrite_a=1)
     return np.triu(packed[: r + 1])
@@ -68,6 +69,7 @@ def excited_rank(R: Array) -> int:
     norms = np.linalg.norm(R, axis=0)
     if not norms.any():
         return 0
+    # Unit columns: kg and kg m^2 differ by orders of magnitude without being dependent.
     values = np.linalg.svd(R / np.where(norms > 0, norms, 1.0), compute_uv=False)
     return int((values > EXCITED * values[0]).sum())
 

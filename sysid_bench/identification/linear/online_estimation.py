@@ -12,14 +12,14 @@ from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.identification.linear.normal_qr import inverse_of, solve_upper
-from sysid_bench.identification.linear.recursive_qr import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.types import Array, Problem
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterTrack:
     """Estimates over time: `beta` and its standard deviations `std` (K, r) after the samples
-    `places` (K,), the last sample included; which samples are `used` (N,), and the normalised
+    `indices` (K,), the last sample included; which samples are `used` (N,), and the normalised
     innovation squared `gap` (N,) of each sample, per row."""
 
     indices: Array
@@ -72,15 +72,15 @@ class RecursiveEstimator:
         indices, betas, stds, last = [], [], [], len(f) - 1
         held, R, beta = self.gate and r > m, start, prior
         for k in range(len(f)):
-            if self.walk > 0 or self.forgetting < 1:
-                R = self._aged(R, start, beta)
+            R = self._aged(R, start, beta)
             gap[k] = _innovation(R, G[k], g[k] - G[k] @ beta)
-            if self.reject is not None and k >= self.settled and not gap[k] <= self.reject:
-                used[k] = False
+            used[k] = used[k] and not self._rejects(k, gap[k])
             if used[k]:
-                R = upper_factor(np.vstack([R, np.column_stack([G[k], g[k]])]))
+                R = upper_factor([R, np.column_stack([G[k], g[k]])])
                 beta = solve_upper(R)
             if k % self.every == 0 or k == last:
+                # Once released, the estimate stays released, also where forgetting loses
+                # information again.
                 held = held and _informed_directions(R, start) <= m
                 indices.append(k)
                 betas.append(prior if held else beta)
@@ -95,16 +95,21 @@ class RecursiveEstimator:
     def _aged(self, R: Array, start: Array, beta: Array) -> Array:
         """[R | z] before the next sample. In the basis where it and the prior are both diagonal,
         the variances relative to the prior grow, with the gate to at most one."""
+        if self.walk == 0 and self.forgetting == 1:
+            return R
         r = len(beta)
         root = inverse_of(start)
         _, singular, Vt = np.linalg.svd(R[:r, :r] @ root)
+        # Singular values of R R0^-1 are ratios of prior to present standard deviations.
         shares = singular**-2 / self.forgetting + self.walk**2
         if self.gate:
             shares = np.minimum(shares, 1.0)
         older = (Vt / np.sqrt(shares)[:, None]) @ start[:r, :r]
-        return upper_factor(
-            np.vstack([np.column_stack([older, older @ beta]), np.zeros((1, r + 1))])
-        )
+        return upper_factor([np.column_stack([older, older @ beta]), np.zeros((1, r + 1))])
+
+    def _rejects(self, k: int, innovation: float) -> bool:
+        """True for a sample k that looks like a contact; NaN does, too."""
+        return self.reject is not None and k >= self.settled and not innovation <= self.reject
 
     def _check(self) -> None:
         if not 0 < self.forgetting <= 1:
@@ -117,6 +122,7 @@ def _innovation(R: Array, G: Array, e: Array) -> float:
     """Normalised innovation squared e' (1 + G P G')^-1 e / m of one sample: G (m, r), e (m,), and
     P = (R'R)^-1 the covariance of beta."""
     r, m = len(R) - 1, len(e)
+    # G P G' = V' V with V = R^-T G': P itself is never formed.
     V = solve_triangular(R[:r, :r], G.T, trans="T", check_finite=False)
     return float(e @ np.linalg.solve(np.eye(m) + V.T @ V, e) / m)
 
@@ -124,9 +130,10 @@ def _innovation(R: Array, G: Array, e: Array) -> float:
 def _factor_of(prior: Array, std: Array) -> Array:
     """[R | z] (r + 1, r + 1) of a prior with standard deviations (r,) or a covariance (r, r)."""
     r = len(prior)
+    # With P = L L', rows L^-1 [1, prior] have unit noise, as measured rows have.
     root = np.diag(std) if std.ndim == 1 else np.linalg.cholesky(std)
     whitened = solve_triangular(root, np.column_stack([np.eye(r), prior]), lower=True)
-    return upper_factor(np.vstack([whitened, np.zeros((1, r + 1))]))
+    return upper_factor([whitened, np.zeros((1, r + 1))])
 
 
 def _informed_directions(R: Array, start: Array) -> int:
@@ -140,15 +147,3 @@ def rows_of(problem: Problem) -> tuple[Array, Array]:
     """W (N, m, r) and f (N, m) of a problem, all samples."""
     parts = list(problem.blocks())
     return np.concatenate([W for W, _ in parts]), np.concatenate([f for _, f in parts])
-
-
-def batch_estimate(
-    W: Array, f: Array, sigma: Array, prior: Array, std: Array, free: Array | None = None
-) -> Array:
-    """Return beta (r,) of the recursion without forgetting, as one least-squares solution."""
-    keep = slice(None) if free is None else np.asarray(free, dtype=bool)
-    G, g = (W / sigma[:, None])[keep], (f / sigma)[keep]
-    root = np.diag(1.0 / std) if std.ndim == 1 else np.linalg.inv(np.linalg.cholesky(std))
-    stack = np.vstack([G.reshape(-1, G.shape[-1]), root])
-    values = np.concatenate([g.ravel(), root @ prior])
-    return np.asarray(np.linalg.lstsq(stack, values, rcond=None)[0])

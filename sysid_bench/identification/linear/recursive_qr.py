@@ -1,8 +1,8 @@
 """Square-root updates of [R | z] with forgetting, for recursive estimators."""
 
 import numpy as np
-from scipy.linalg import lapack
 
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.types import Array, Problem
 
 
@@ -11,6 +11,7 @@ def update(problem: Problem, sigma: Array, forgetting: float) -> Array:
     forgetting^((N - 1 - k) / 2): exponential forgetting of the squares."""
     R = np.zeros((problem.base.rank + 1,) * 2)
     for Y, b in problem.blocks():
+        # R holds square roots of weights: hence half of the exponent.
         R = rank_update(R * forgetting ** (0.5 * len(b)), Y, b, sigma, forgetting)
     return R
 
@@ -19,11 +20,4 @@ def rank_update(R: Array, Y: Array, b: Array, sigma: Array, forgetting: float = 
     """R (r + 1, r + 1) updated by the rows (n, rows, r) and torques (n, rows) of one block."""
     root = forgetting ** (0.5 * np.arange(len(b) - 1, -1, -1))[:, None] / sigma
     rows = np.concatenate([Y * root[..., None], (b * root)[..., None]], axis=-1)
-    return upper_factor(np.concatenate([R, rows.reshape(-1, len(R))]))
-
-
-def upper_factor(stack: Array) -> Array:
-    """Triangular QR factor (k, k) of a matrix (m, k), m >= k."""
-    k = stack.shape[1]
-    packed, _, _, _ = lapack.dgeqrf(np.asfortranarray(stack), lwork=64 * k, overwrite_a=1)
-    return np.triu(packed[:k])
+    return upper_factor([R, rows.reshape(-1, len(R))])

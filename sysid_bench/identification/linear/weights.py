@@ -48,6 +48,7 @@ def _own_sigma(factor: Factor) -> float:
         return 0.0
     norms = np.linalg.norm(R[:, :k], axis=0)
     norms = np.where(norms > 0, norms, 1.0)
+    # Below the triangle of [W | b], the last column of R holds the residual alone.
     rank, rest = k, R[k:, k]
     if np.abs(np.diag(R)[:k] / norms).min(initial=1.0) <= EXCITED:
         # With linearly dependent columns, rows of R within the triangle are residual as well.
@@ -65,6 +66,7 @@ def fit_sigmas(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
     """
     r = problem.base.rank
     rows = [spread(factor, r)[:, :r].T for factor in problem.factors]
+    # tr(H_jj) = |W_j R^-1|^2 / sigma_j^2; R_j stands for W_j, whose Q does not matter.
     shares = [solve_triangular(R[:r, :r], part, trans="T") for part in rows]
     leverage = np.array([np.linalg.norm(share) ** 2 for share in shares]) / sigma**2
     samples = np.array([factor.samples for factor in problem.factors])

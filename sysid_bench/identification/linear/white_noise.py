@@ -16,5 +16,6 @@ def white_noise(x: Array) -> Array:
     MAD of the sixth differences over their gain sqrt(C(12, 6)); a motion well below the sampling
     rate does not contribute.
     """
+    # The squared coefficients C(6, k)^2 of the difference sum to C(12, 6).
     gain = np.sqrt(comb(2 * ORDER, ORDER))
     return np.asarray(np.median(np.abs(np.diff(x, ORDER, axis=0)), axis=0) / (0.6745 * gain))

@@ -7,8 +7,8 @@ import numpy as np
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import solve, stacked_factor
 from sysid_bench.identification.linear.white_noise import white_noise
-from sysid_bench.identification.simulation_based.forward_dynamics import ForwardModel, scalar_joints
-from sysid_bench.identification.simulation_based.gauss_newton import residual_factor, step_size
+from sysid_bench.identification.simulation_based.forward_model import ForwardModel, scalar_joints
+from sysid_bench.identification.simulation_based.gauss_newton import residual_factor, step_rms
 from sysid_bench.types import Array, Estimate, Experiment
 
 START_ERROR = 0.1
@@ -20,7 +20,7 @@ count as noise, or the filter diverges."""
 
 
 @dataclass(frozen=True, eq=False)
-class FilterState:
+class FilterEstimate:
     """Mean (k,) and covariance (k, k) of the state [q v beta]."""
 
     mean: Array
@@ -56,12 +56,14 @@ class JointFilter:
         n, dt = self.n, self.forward.dt
         q, v, beta = (np.tile(x, (n + 1, 1)) for x in np.split(mean, [n, 2 * n]))
         pushed = np.concatenate([np.zeros((1, n)), np.diag(self.tau_noise)])
+        # Torque noise held over one sample moves v by dt M^-1 w and q by half of dt times that.
         a = self.forward.acceleration(beta, q, v, pushed)
+        # The acceleration is affine in the torque: these are columns of M^-1 times the noise.
         push = (a[1:] - a[0]).T
         gain = np.concatenate([0.5 * dt**2 * push, dt * push, np.zeros((len(mean) - 2 * n, n))])
         return np.asarray(gain @ gain.T)
 
-    def measured(self, belief: FilterState, k: int) -> FilterState:
+    def measured(self, belief: FilterEstimate, k: int) -> FilterEstimate:
         """Measurement update with the positions of sample k (Joseph form)."""
         n, P = self.n, belief.covariance
         S = P[:n, :n] + np.diag(self.q_noise**2)
@@ -69,10 +71,11 @@ class JointFilter:
         mean = belief.mean + gain @ (self.q[k] - belief.mean[:n])
         keep = np.eye(len(mean))
         keep[:, :n] -= gain
+        # Positive semidefinite for any gain; (1 - G H) P loses that to rounding.
         P = keep @ P @ keep.T + (gain * self.q_noise**2) @ gain.T
-        return FilterState(mean, 0.5 * (P + P.T))
+        return FilterEstimate(mean, 0.5 * (P + P.T))
 
-    def start(self) -> FilterState:
+    def start(self) -> FilterEstimate:
         """State of the first sample, with beta of the prior, else of least squares."""
         n, recording = self.n, self.experiment.recording
         beta, covariance = _begin(self.experiment)
@@ -83,16 +86,16 @@ class JointFilter:
         P = np.zeros((2 * n + len(beta),) * 2)
         P[: 2 * n, : 2 * n] = np.diag(spread**2)
         P[2 * n :, 2 * n :] = covariance
-        return FilterState(np.concatenate([self.q[0], v, beta]), P)
+        return FilterEstimate(np.concatenate([self.q[0], v, beta]), P)
 
-    def result(self, belief: FilterState, start: FilterState) -> Estimate:
+    def result(self, belief: FilterEstimate, start: FilterEstimate) -> Estimate:
         """Estimate of the last state;
         raises EstimationError where it diverged or kept its start."""
         beta, first = belief.mean[2 * self.n :], start.mean[2 * self.n :]
         if not np.isfinite(belief.mean).all() or np.array_equal(beta, first):
             raise EstimationError("The filter's state is not finite, or it has not left its start.")
         R = stacked_factor(self.experiment.problem)
-        if step_size(R, beta - first) > 100 * step_size(R, first):
+        if step_rms(R, beta - first) > 100 * step_rms(R, first):
             raise EstimationError("The filter diverges from its start: the noise is too large.")
         part = slice(2 * self.n, None)
         return Estimate(beta, covariance=belief.covariance[part, part])
@@ -107,6 +110,7 @@ def joint_filter(experiment: Experiment, what: str, substeps: int) -> JointFilte
     q, tau = raw.q[part], raw.tau[part]
     sizes = [np.sqrt((x**2).mean(axis=0)) for x in (q, tau)]
     least = [
+        # A joint that hardly moves has a floor as well: a tenth of that of the largest.
         np.maximum(share * x, 0.1 * share * x.max())
         for share, x in zip(NOISE_FLOOR, sizes, strict=True)
     ]
@@ -124,6 +128,7 @@ def _begin(experiment: Experiment) -> tuple[Array, Array]:
     K = problem.base.K
     if problem.prior is not None:
         spread = K * problem.prior.std
+        # K std K' is singular where the prior is certain of a combination.
         floor = 1e-12 * np.trace(spread @ spread.T) * np.eye(len(K))
         return K @ problem.prior.theta, spread @ spread.T + floor
     parts = list(problem.blocks())
@@ -133,5 +138,6 @@ def _begin(experiment: Experiment) -> tuple[Array, Array]:
         W / np.where(sigma > 0, sigma, 1.0)[:, None], b / np.where(sigma > 0, sigma, 1.0)
     )
     r = len(K)
+    # Rows have unit RMS: an error of START_ERROR of the torque, in all samples alike.
     inverse = np.linalg.inv(R[:r, :r]) * START_ERROR * np.sqrt(len(b))
     return solve(R), inverse @ inverse.T

@@ -35,7 +35,7 @@ HALVINGS: Final = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class ModelResult:
     """Iterate: theta (p,), its base parameters, the simulation if there is one, and `error` (M,
     channels), measured minus simulated signal."""
 
@@ -55,8 +55,8 @@ class Model(Protocol):
 
     @property
     def floor(self) -> Array: ...
-    def evaluate(self, theta: Array) -> Candidate: ...
-    def jacobian(self, trial: Candidate) -> Array: ...
+    def evaluate(self, theta: Array) -> ModelResult: ...
+    def jacobian(self, trial: ModelResult) -> Array: ...
 
 
 @dataclass(frozen=True)
@@ -73,21 +73,20 @@ class GaussNewton:
         steps = halvings = 0
         for _ in range(self.iterations):
             sigma = sigmas(trial.error, model.floor)
-            jacobian = (
-                model.jacobian(trial) if correction is None else model.jacobian(trial) + correction
-            )
+            jacobian = _plus(model.jacobian(trial), correction)
             R = residual_factor(jacobian / sigma[:, None], trial.error / sigma)
             goal, inside = _goal(simulatable, trial, R)
             change = simulatable.problem.base.K @ (goal - trial.theta)
             if has_converged(R, change, trial.beta):
                 return self._estimate(trial, R, steps, halvings)
+            # A step within the noise may fail because the objective is flat: it is halved once at
+            # most.
             tries = 2 if has_converged(R, change, trial.beta, FLAT) else HALVINGS
             better, times = _better(model, trial, goal, tries)
             halvings += times
             if better is not None:
                 if model.approximates:
-                    more = _broyden_update(jacobian, R, trial, better)
-                    correction = more if correction is None else correction + more
+                    correction = _plus(_broyden_update(jacobian, R, trial, better), correction)
                 trial, steps = better, steps + 1
             elif correction is not None:  # restart from the analytical Jacobian
                 correction = None
@@ -100,11 +99,11 @@ class GaussNewton:
                 )
         raise EstimationError(
             f"The method did not converge in {self.iterations} steps: the last changed beta by "
-            f"{step_size(R, change):.3g} standard deviations; the noise is too large, or the "
+            f"{step_rms(R, change):.3g} standard deviations; the noise is too large, or the "
             "start too far."
         )
 
-    def _estimate(self, trial: Candidate, R: Array, steps: int, halvings: int) -> Estimate:
+    def _estimate(self, trial: ModelResult, R: Array, steps: int, halvings: int) -> Estimate:
         return Estimate(
             trial.beta,
             covariance=covariance(R),
@@ -112,30 +111,35 @@ class GaussNewton:
         )
 
 
-def _broyden_update(jacobian: Array, R: Array, trial: Candidate, after: Candidate) -> Array:
+def _plus(value: Array, correction: Array | None) -> Array:
+    return value if correction is None else value + correction
+
+
+def _broyden_update(jacobian: Array, R: Array, trial: ModelResult, after: ModelResult) -> Array:
     """Broyden's rank-one correction (M, channels, r) of the Jacobian, in the metric of the data: it
     restores fast convergence of an approximate Jacobian."""
     change, r = after.beta - trial.beta, len(trial.beta)
+    # Secant equation: the corrected Jacobian explains the step just made, and changes least.
     dual = R[:r, :r].T @ (R[:r, :r] @ change)
     missed = trial.error - after.error - jacobian @ change
     return np.asarray(missed[..., None] * (dual / (dual @ change)))
 
 
-def _goal(simulatable: SimulatableSet, trial: Candidate, R: Array) -> tuple[Array, bool]:
+def _goal(simulatable: SimulatableSet, trial: ModelResult, R: Array) -> tuple[Array, bool]:
     """theta (p,) after a full step within the feasible set, and whether the step was feasible."""
     r = len(trial.beta)
     wanted = trial.beta + solve(R)
-    exact = simulatable.project(trial.theta, wanted)
+    exact = simulatable.with_base(trial.theta, wanted)
     if exact is not trial.theta:
         return exact, True
     nearest = simulatable.nearest(wanted, R[:r, :r])
-    miss = step_size(R, simulatable.problem.base.K @ nearest - wanted)
-    return nearest, miss <= REPEATS * step_size(R, wanted)
+    miss = step_rms(R, simulatable.problem.base.K @ nearest - wanted)
+    return nearest, miss <= REPEATS * step_rms(R, wanted)
 
 
 def _better(
-    model: Model, trial: Candidate, goal: Array, tries: int
-) -> tuple[Candidate | None, int]:
+    model: Model, trial: ModelResult, goal: Array, tries: int
+) -> tuple[ModelResult | None, int]:
     """First of the halved steps to `goal` that increases the likelihood, and the halvings."""
     now = _log_likelihood(trial.error, model.floor)
     for times in range(tries):
@@ -151,6 +155,7 @@ def _better(
 
 def _log_likelihood(error: Array, floor: Array) -> float:
     """Log-likelihood of white noise of unknown variance per channel, up to a constant."""
+    # The variance is profiled out: its estimate makes the quadratic term a constant.
     return -float(len(error) * np.log(sigmas(error, floor)).sum())
 
 
@@ -168,6 +173,7 @@ def floor_of(signal: Array) -> Array:
 def residual_factor(J: Array, e: Array) -> Array:
     """R (r + 1, r + 1) of [J | e], J (M, channels, r), e (M, channels)."""
     r = J.shape[-1]
+    # Rows of zeros complete a short stack, so that R is always (r + 1, r + 1).
     stack = np.zeros((max(e.size, r + 1), r + 1), order="F")
     stack[: e.size, :r], stack[: e.size, r] = J.reshape(-1, r), e.ravel()
     packed, _, _, _ = lapack.dgeqrf(stack, lwork=64 * (r + 1), overwrite_a=1)
@@ -178,10 +184,10 @@ def has_converged(
     R: Array, change: Array, beta: Array, share: float = CONVERGED, rounding: float = ROUNDING
 ) -> bool:
     """Return whether a step (r,) is small against the noise, or against rounding."""
-    return step_size(R, change) <= max(share, rounding * step_size(R, beta))
+    return step_rms(R, change) <= max(share, rounding * step_rms(R, beta))
 
 
-def step_size(R: Array, change: Array) -> float:
+def step_rms(R: Array, change: Array) -> float:
     """RMS length of a step (r,) in standard deviations of beta."""
     r = len(change)
     return float(np.linalg.norm(R[:r, :r] @ change) / np.sqrt(max(r, 1)))
@@ -230,6 +236,7 @@ def samples_of(motion: Trajectory, indices: Array) -> Trajectory:
 
 def indices_of(t: Array, grid: Array) -> Array:
     """Indices of the times t (M,) in a grid (N,) that contains them."""
+    # Half a step earlier: rounding of the times cannot select the next sample.
     return np.asarray(np.searchsorted(grid, t - 0.5 * (grid[1] - grid[0])))
 
 

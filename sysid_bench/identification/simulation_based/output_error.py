@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_bench.identification.feasibility.simulatable import SimulatableSet
 from sysid_bench.identification.simulation_based.gauss_newton import (
-    Candidate,
+    ModelResult,
     floor_of,
     regressor_of,
 )
@@ -41,17 +41,20 @@ class OutputError:
         """Rounding error of the signal (channels,)."""
         return np.asarray(floor_of(self.measured))
 
-    def evaluate(self, theta: Array) -> Candidate:
+    def evaluate(self, theta: Array) -> ModelResult:
         """Simulate the closed loop with theta (p,)."""
         simulated = self.experiment.simulate(theta)
         error = self.measured - self.signal(self.experiment, simulated)
-        return Candidate(theta, self.simulatable.problem.base.K @ theta, error, simulated)
+        return ModelResult(theta, self.simulatable.problem.base.K @ theta, error, simulated)
 
-    def jacobian(self, trial: Candidate) -> Array:
+    def jacobian(self, trial: ModelResult) -> Array:
         """Derivative (N, channels, r) of the simulated signal, by r simulations."""
         assert trial.recording is not None
-        inverse = self.simulatable.right_inverse(trial.theta)
+        # A step of one base parameter moves theta as little as the metric allows: it stays
+        # feasible.
+        inverse = self.simulatable.pseudo_inverse(trial.theta)
         W = regressor_of(self.experiment, trial.recording.motion)
+        # Steps of equal effect on the torques: parameters differ by orders of magnitude.
         sizes = np.sqrt((W**2).sum(axis=(0, 1)))
         torque = np.linalg.norm(trial.recording.tau)
         columns = [
@@ -60,7 +63,7 @@ class OutputError:
         ]
         return np.stack(columns, axis=-1)
 
-    def _difference(self, trial: Candidate, direction: Array, size: float) -> Array:
+    def _difference(self, trial: ModelResult, direction: Array, size: float) -> Array:
         """Derivative (N, channels) along a direction (p,), with a step inside the feasible set."""
         size = min(size, self.simulatable.step_limit(trial.theta, direction))
         other = self.evaluate(trial.theta + size * direction)

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.regressors.friction_features import JointFeatures
+from sysid_bench.regressors.joint_features import JointFeatures
 from sysid_bench.regressors.regression import TERM
 from sysid_bench.types import Array, Trajectory
 
@@ -78,6 +78,7 @@ class MotorColumns:
                 value = TERM[suffix](motors.q[:, k], motors.v[:, k], motors.a[:, k])
             else:
                 value = self.features.of_joint(motor, motors, [name])[:, 0]
+            # tau = G^-T tau_motor: row i takes the share (G^-1)_ki of motor k.
             columns.append(self.inverse[k, i] * value)
         return np.stack(columns, axis=1)
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.recursive_qr import upper_factor
+from sysid_bench.qr_factor import upper_factor
 from sysid_bench.types import Array
 
 WINDOWS: Final = 100
@@ -38,6 +38,7 @@ def free_samples(W: Array, f: Array) -> Array:
     N, m, r = W.shape
     if N * m < 4 * r or N < 2 * WINDOWS:
         raise EstimationError(f"{N} samples are too few for contact detection.")
+    # Windows, not samples: contacts last, and a window's mean has little noise.
     window = np.arange(N) * WINDOWS // N
     kept = np.ones(WINDOWS, dtype=bool)
     for _ in range(ROUNDS):
@@ -60,7 +61,7 @@ def _sizes(W: Array, f: Array, kept: Array, window: Array) -> Array:
     beta, sigma = _fitted(W, f, keep)
     squares = ((f - W @ beta) / sigma) ** 2
     G = W / sigma[:, None]
-    R = upper_factor(G[keep].reshape(-1, W.shape[-1]))
+    R = upper_factor([G[keep].reshape(-1, W.shape[-1])])
     leverage = (np.linalg.solve(R.T, G.reshape(-1, len(R)).T) ** 2).sum(axis=0)
     unknown = np.where(keep, 0.0, leverage.reshape(f.shape).mean(axis=1))
     return _by_window(squares.mean(axis=1), window) / (1.0 + _by_window(unknown, window))

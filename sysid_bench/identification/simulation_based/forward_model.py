@@ -36,6 +36,7 @@ class ForwardModel:
             two = tau + (k + 1) / self.substeps * (after - tau)
             a = self.acceleration(beta, q, v, one)
             b = self.acceleration(beta, q + h * v + 0.5 * h * h * a, v + h * a, two)
+            # q integrates the linear interpolation of the acceleration exactly.
             q = q + h * v + h * h / 6 * (2 * a + b)
             v = v + 0.5 * h * (a + b)
         if not (np.abs(q) < FAR).all() or not (np.abs(v) < FAR).all():
@@ -52,6 +53,7 @@ class ForwardModel:
             np.repeat(v, n + 1, axis=0),
             np.tile(unit, (S, 1)),
         )
+        # Inverse dynamics at a = 0 is the bias; unit accelerations add the columns of M.
         needed = self.torque(np.repeat(beta, n + 1, axis=0), motion).reshape(S, n + 1, n)
         bias, M = needed[:, 0], (needed[:, 1:] - needed[:, :1]).transpose(0, 2, 1)
         try:
@@ -86,7 +88,7 @@ def scalar_joints(experiment: Experiment, what: str) -> int:
     return len(raw.rows)
 
 
-def finite_differences(f: Callable[[Array], Array], x: Array, sizes: Array) -> Array:
+def finite_difference(f: Callable[[Array], Array], x: Array, sizes: Array) -> Array:
     """Forward differences (..., k) of f at x (k,); f takes all k + 1 points at once."""
     points = np.concatenate([x[None], x + np.diag(sizes)])
     values = f(points)

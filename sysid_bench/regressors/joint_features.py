@@ -1,6 +1,6 @@
 """Joint torque terms with memory or shape: hysteresis, smooth Coulomb friction, cable torque.
 
-A feature has `suffixes`, which name its columns "<joint>.<suffix>", and `values(q, v, reach)`, its
+A term has `suffixes`, which name its columns "<joint>.<suffix>", and `values(q, v, reach)`, its
 columns (N, k) along positions and rates (N,) of the joint. `reach` (low, high) is the range of the
 joint in the training motions, so that a column has the same meaning on every motion.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from sysid_bench.types import Array, Trajectory
 
 
-class Feature(Protocol):
+class Term(Protocol):
     """Regressor columns of one joint along a whole motion; see the module's docstring."""
 
     @property
@@ -47,6 +47,7 @@ class Play:
     def values(self, q: Array, v: Array, reach: tuple[float, float]) -> Array:
         """Return the column (N, 1), between -1 and 1."""
         r = max(self.width * (reach[1] - reach[0]), 1e-12)
+        # At the start p trails q by r, as if the joint had moved in its present direction for long.
         dragged, p = np.empty_like(q), float(q[0] - r * np.sign(v[0]))
         for k, position in enumerate(q.tolist()):
             p = min(max(p, position - r), position + r)
@@ -120,7 +121,7 @@ class JointFeatures:
     `indices` are those of each joint in q and v, `ranges` (low, high) its range in training.
     """
 
-    features: tuple[Feature, ...]
+    features: tuple[Term, ...]
     indices: dict[str, tuple[int, int]]
     ranges: dict[str, tuple[float, float]]
 
@@ -148,7 +149,7 @@ class JointFeatures:
 
 
 def features_of(
-    features: Sequence[Feature],
+    features: Sequence[Term],
     joints: Sequence[str],
     indices: Sequence[tuple[int, int]],
     motions: Sequence[Trajectory],
