@@ -7,7 +7,7 @@ from pathlib import Path
 from sysid_bench.errors import UsageError, unknown_name
 
 
-def shipped(kind: str) -> Path:
+def installed_folder(kind: str) -> Path:
     """Return the folder `robots` or `suites` of this installation (checkout or wheel)."""
     package = Path(__file__).resolve().parent
     for folder in (package / kind, package.parent / kind):
@@ -19,7 +19,7 @@ def shipped(kind: str) -> Path:
 def robot_folders(extra: Path | None = None) -> list[Path]:
     """Return folders with <name>/robot.toml by precedence: --robots, ./robots, installed."""
     folders = [] if extra is None else [extra]
-    folders += [Path("robots"), shipped("robots")]
+    folders += [Path("robots"), installed_folder("robots")]
     return [folder for folder in folders if folder.is_dir()]
 
 
@@ -32,10 +32,10 @@ def robots(extra: Path | None = None) -> dict[str, Path]:
     return found
 
 
-def suites() -> dict[str, Path]:
+def suite_files() -> dict[str, Path]:
     """Return the file of every suite that has a name, ./suites before the installed ones."""
     found: dict[str, Path] = {}
-    for folder in (Path("suites"), shipped("suites")):
+    for folder in (Path("suites"), installed_folder("suites")):
         for file in sorted(folder.glob("*.toml")):
             found.setdefault(file.stem, file)
     return found
@@ -47,15 +47,17 @@ def suite(name: str) -> Path:
     if path.suffix == ".toml" or path.parent != Path("."):
         if path.is_file():
             return path
-        raise UsageError(f"There is no suite file {name!r}; named suites: {', '.join(suites())}.")
-    table = suites()
+        raise UsageError(
+            f"There is no suite file {name!r}; named suites: {', '.join(suite_files())}."
+        )
+    table = suite_files()
     if name not in table:
         raise unknown_name("suite", name, table, "Or give the path of a TOML file.")
     return table[name]
 
 
 @cache
-def example_robot_data() -> Path:
+def robot_data_folder() -> Path:
     """Return the folder `robots` of the package example-robot-data, without importing it."""
     try:
         listed = files("example-robot-data") or []

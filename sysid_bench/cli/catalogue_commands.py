@@ -5,14 +5,14 @@ from pathlib import Path
 import click
 
 import sysid_bench
-from sysid_bench.cli.common import (
+from sysid_bench.cli.options import (
     FAILED,
     OK,
     json_option,
     print_json,
     print_result,
+    report_errors,
     robots_option,
-    run_command,
 )
 
 
@@ -24,7 +24,7 @@ from sysid_bench.cli.common import (
 )
 @robots_option
 @json_option
-@run_command
+@report_errors
 def list_(kind: str, robots_dir: Path | None, as_json: bool) -> int:
     """List the names of a kind."""
     entries = sysid_bench.list_(kind, robots_dir)
@@ -41,7 +41,7 @@ def list_(kind: str, robots_dir: Path | None, as_json: bool) -> int:
 @click.argument("name")
 @robots_option
 @json_option
-@run_command
+@report_errors
 def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
     """Show one robot, payload, plug-in or suite."""
     print_result(sysid_bench.show(name, robots_dir), as_json)
@@ -59,7 +59,7 @@ def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
 )
 @robots_option
 @json_option
-@run_command
+@report_errors
 def check_plugin(name: str, kind: str, robots_dir: Path | None, as_json: bool) -> int:
     """Check a plug-in against the laws of its kind.
 
@@ -72,7 +72,7 @@ def check_plugin(name: str, kind: str, robots_dir: Path | None, as_json: bool) -
 
 @click.command()
 @json_option
-@run_command
+@report_errors
 def doctor(as_json: bool) -> int:
     """Check this machine."""
     result = sysid_bench.doctor()

@@ -68,7 +68,7 @@ def _packages() -> _Check:
 
 def _example_robots() -> _Check:
     try:
-        return _Check("example-robot-data", True, str(places.example_robot_data()))
+        return _Check("example-robot-data", True, str(places.robot_data_folder()))
     except SysidBenchError as error:
         return _Check("example-robot-data", False, str(error))
 

@@ -14,12 +14,13 @@ def open_run(folder: str | Path) -> RunFolder:
 def find_cell(run_folder: RunFolder, identifier: str) -> str:
     """Return the id that begins with `identifier`; raise UsageError for none or several."""
     ids = [cell.id for cell in run_folder.plan.cells]
-    found = [i for i in ids if i.startswith(identifier)] if identifier else []
-    if len(found) != 1:
-        count = f"{len(found)} cell ids begin" if found else "No cell id begins"
-        shown = f": {', '.join(found[:8])}" if found else ""
-        raise UsageError(
-            f"{count} with {identifier!r}{shown}; the run has {len(ids)} cells, listed "
-            "in its plan.jsonl."
-        )
-    return found[0]
+    found = [i for i in ids if identifier and i.startswith(identifier)]
+    if len(found) == 1:
+        return found[0]
+    begins, shown = "No cell id begins", ""
+    if found:
+        begins, shown = f"{len(found)} cell ids begin", f": {', '.join(found[:8])}"
+    raise UsageError(
+        f"{begins} with {identifier!r}{shown}; the run has {len(ids)} cells, listed "
+        "in its plan.jsonl."
+    )

@@ -2,13 +2,17 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from html import escape
 from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
+from sysid_bench.errors import NEAR
 
 OMIT_NONE: Final = {"omit None": True}
 """Metadata of a field that is absent from the mapping and the JSON while it is None."""
+
+_CONTAINERS: Final = (Mapping, list, tuple)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,7 +43,11 @@ class Result(Mapping[str, Any]):
             object.__setattr__(self, entry.name, plain(getattr(self, entry.name)))
 
     def __getitem__(self, key: str) -> Any:
-        return self._fields()[key]
+        values = self._fields()
+        if key in values:
+            return values[key]
+        near = get_close_matches(str(key), values, n=1, cutoff=NEAR)
+        raise KeyError(f"{key}; did you mean {near[0]!r}?" if near else key)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._fields())
@@ -74,12 +82,12 @@ def estimate_text(value: float | None, std: float | None, absent: str = "-") -> 
 
 
 def _inline(value: Any) -> str:
-    """One line: containers of more than three entries by their size."""
-    if isinstance(value, (Mapping, list, tuple)) and (len(value) > 3 or _nested(value)):
+    """One line: containers of more than three entries, or of containers, by their size."""
+    if isinstance(value, _CONTAINERS) and (len(value) > 3 or _nested(value)):
         return f"<{len(value)} {'entry' if len(value) == 1 else 'entries'}>"
     return f"{value:.4g}" if isinstance(value, float) else repr(value)
 
 
 def _nested(value: Any) -> bool:
     inner = value.values() if isinstance(value, Mapping) else value
-    return any(isinstance(entry, (Mapping, list, tuple)) for entry in inner)
+    return any(isinstance(entry, _CONTAINERS) for entry in inner)

@@ -11,10 +11,10 @@ def check_term_names(terms: Sequence[str] | None) -> None:
     """Raise UsageError with the nearest name for an unknown joint term, and for a single text."""
     if isinstance(terms, str):
         raise UsageError(f"terms is a sequence of names, as [{terms!r}]; got the text {terms!r}.")
-    for term in terms or ():
-        if not is_term(term):
-            advice = f"{TERM_ADVICE} Separate several by commas, or: none."
-            raise unknown_name("joint term", term, TERMS, advice)
+    unknown = next((term for term in terms or () if not is_term(term)), None)
+    if unknown is not None:
+        advice = f"{TERM_ADVICE} Separate several by commas, or: none."
+        raise unknown_name("joint term", unknown, TERMS, advice)
 
 
 def check_terms(task: str, terms: Sequence[str] | None) -> None:
