@@ -18,9 +18,8 @@ def installed_folder(kind: str) -> Path:
 
 def robot_folders(extra: Path | None = None) -> list[Path]:
     """Return folders with <name>/robot.toml by precedence: --robots, ./robots, installed."""
-    folders = [] if extra is None else [extra]
-    folders += [Path("robots"), installed_folder("robots")]
-    return [folder for folder in folders if folder.is_dir()]
+    folders = (extra, Path("robots"), installed_folder("robots"))
+    return [folder for folder in folders if folder is not None and folder.is_dir()]
 
 
 def robots(extra: Path | None = None) -> dict[str, Path]:
@@ -63,9 +62,8 @@ def robot_data_folder() -> Path:
         listed = files("example-robot-data") or []
     except PackageNotFoundError as error:
         raise UsageError("The package example-robot-data is absent: pip install it.") from error
-    for file in listed:
-        if file.name.endswith(".urdf") and "robots" in file.parts:
-            path = Path(str(file.locate())).resolve()
-            depth = len(file.parts) - file.parts.index("robots") - 2
-            return path.parents[depth]
-    raise UsageError("The package example-robot-data holds no URDF; install it again.")
+    urdf = next((f for f in listed if f.name.endswith(".urdf") and "robots" in f.parts), None)
+    if urdf is None:
+        raise UsageError("The package example-robot-data holds no URDF; install it again.")
+    depth = len(urdf.parts) - urdf.parts.index("robots") - 2
+    return Path(str(urdf.locate())).resolve().parents[depth]

@@ -209,13 +209,8 @@ def identify(
     robots_dir: Path | None,
 ) -> int:
     """Identify one robot: excite and simulate it, or read recordings; estimate; export."""
-    if model is None:
-        raise UsageError(
-            "Which robot? Name it or its model file, then its data: sysid-bench identify ur5 "
-            "--log run.toml --test other.toml, or: sysid-bench identify ur5 --simulate."
-        )
     result = sysid_bench.identify(
-        model,
+        _given(model),
         task=unknowns.task,
         payload=parse_payload(unknowns.payload),
         terms=parse_terms(unknowns.terms),
@@ -242,3 +237,13 @@ def identify(
     )
     print_result(result, output.as_json)
     return OK
+
+
+def _given(model: str | None) -> str:
+    """Robot to identify; raise UsageError with an example where none is given."""
+    if model is None:
+        raise UsageError(
+            "Which robot? Name it or its model file, then its data: sysid-bench identify ur5 "
+            "--log run.toml --test other.toml, or: sysid-bench identify ur5 --simulate."
+        )
+    return model

@@ -42,13 +42,14 @@ def lines(answer: Mapping[str, Any]) -> list[str]:
     rows = answer["rows"]
     if all(row["value"] is None for row in rows):
         return [row["expression"] for row in rows]
-    printed = [_line(row) for row in rows]
-    change = answer["smallest_change"] or 0.0
-    if change > ROUNDING:
-        printed.append(
-            f"No physical robot has these values: some have to change by {change:.3g} or more."
-        )
-    return printed
+    return [_line(row) for row in rows] + _change_lines(answer["smallest_change"] or 0.0)
+
+
+def _change_lines(change: float) -> list[str]:
+    """Remark on values that no physical robot has."""
+    if change <= ROUNDING:
+        return []
+    return [f"No physical robot has these values: some have to change by {change:.3g} or more."]
 
 
 def _line(row: Mapping[str, Any]) -> str:

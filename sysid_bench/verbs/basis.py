@@ -1,6 +1,6 @@
 """Base parameters of a task: number, combinations, and identifiability of each parameter."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,7 +19,7 @@ from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.tasks.task import named_task
 from sysid_bench.types import Array, BaseMap, Body
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.task_terms import check_terms
+from sysid_bench.verbs.task_terms import check_terms, terms_of
 
 LOAD: Final = "point-1kg"
 """Payload mounted for payload tasks. Identifiability depends on its position in the tree alone."""
@@ -73,17 +73,14 @@ class BasisResult(Result):
         if self.near_degenerate:
             share = self.dropped_torque
             lines.append(f"  these carry {share:.1e} of the torque, which no estimate predicts")
-        by_verdict = {verdict: self._names(verdict) for verdict in _WORDS}
-        lines += [
-            f"  {len(names)} {_WORDS[verdict]}: {_first(names)}"
-            for verdict, names in by_verdict.items()
-            if names
-        ]
-        return "\n".join(lines)
+        return "\n".join([*lines, *self._verdict_lines()])
 
-    def _names(self, verdict: str) -> list[str]:
-        """Parameters with a verdict."""
-        return [name for name, value in self.verdicts.items() if value == verdict]
+    def _verdict_lines(self) -> Iterator[str]:
+        """First parameters of each verdict that occurs."""
+        for verdict, words in _WORDS.items():
+            names = [name for name, value in self.verdicts.items() if value == verdict]
+            if names:
+                yield f"  {len(names)} {words}: {_first(names)}"
 
 
 def _first(names: list[str]) -> str:
@@ -110,7 +107,7 @@ def basis(
     definition = named_task(task)
     load = PAYLOADS[LOAD if definition.identifies_payload else "none"]
     robot = load_robot(source, load, free_base, robots_dir)
-    chosen = definition.default_terms(robot) if terms is None else tuple(terms)
+    chosen = terms_of(definition, robot, terms)
     posed = definition.unknowns(robot, chosen, sensor, None)
     R = structural_factor(robot, posed.parameters, posed.rows, posed.cuts)
     base = base_map(R, posed.parameters)

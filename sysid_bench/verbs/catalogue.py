@@ -55,16 +55,25 @@ def show(name: str, robots_dir: Path | None = None) -> ShowResult:
 
     Raises UsageError with the nearest name of any kind.
     """
-    path = "/" in name or name.endswith((".urdf", ".xml"))
-    if path or is_model(name) or name in places.robots(robots_dir):
+    if _is_robot(name, robots_dir):
         return ShowResult("robot", _robot(name, robots_dir))
-    names = {kind: {entry["name"] for entry in list_(kind, robots_dir)} for kind in _LISTS}
-    for kind, make in _SHOWS.items():
-        if name in names[kind]:
-            return ShowResult(kind.removesuffix("s"), make(name))
+    names = {kind: _names(kind, robots_dir) for kind in _LISTS}
+    kind = next((kind for kind in _SHOWS if name in names[kind]), None)
+    if kind is not None:
+        return ShowResult(kind.removesuffix("s"), _SHOWS[kind](name))
     if _plural(name) in _LISTS:
         return ShowResult("kind", _titles(_plural(name), robots_dir))
     raise unknown_name("name", name, set().union(*names.values()))
+
+
+def _is_robot(name: str, robots_dir: Path | None) -> bool:
+    """Test for the file or the name of a robot, which need not exist where it is a path."""
+    path = "/" in name or name.endswith((".urdf", ".xml"))
+    return path or is_model(name) or name in places.robots(robots_dir)
+
+
+def _names(kind: str, robots_dir: Path | None) -> set[str]:
+    return {entry["name"] for entry in list_(kind, robots_dir)}
 
 
 def _plural(kind: str) -> str:

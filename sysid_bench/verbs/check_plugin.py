@@ -1,10 +1,11 @@
 """Check of a plug-in against the laws of its kind."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sysid_bench.conformance.findings import Finding
 from sysid_bench.conformance.plugin import KITS, check_estimator, check_plugin_of
 from sysid_bench.naming import build
 from sysid_bench.verbs.result import Result
@@ -38,15 +39,19 @@ def check_plugin(
     settings. `kind`: estimator, excitation, plant, simulation or metric. Raises UsageError for an
     unknown name or kind."""
     plugin = build(kind, name) if kind in KITS else None
-    if kind == "estimator":
-        findings = check_estimator(plugin, robots_dir)
-    else:
-        findings = check_plugin_of(kind, plugin)
-    broken = [f for f in findings if not f.passed]
+    findings = _findings(kind, plugin, robots_dir)
+    broken = [{"law": f.law, "world": f.case, "said": f.message} for f in findings if not f.passed]
     return CheckPluginResult(
         estimator=name if isinstance(name, str) else name["use"],
         ok=not broken,
         checks=len(findings),
         bias=getattr(plugin, "bias", ""),
-        broken=[{"law": f.law, "world": f.case, "said": f.message} for f in broken],
+        broken=broken,
     )
+
+
+def _findings(kind: str, plugin: Any, robots_dir: Path | None) -> Sequence[Finding]:
+    """Results of all checks of a kind; those of estimators run on the robots of a folder too."""
+    if kind == "estimator":
+        return check_estimator(plugin, robots_dir)
+    return check_plugin_of(kind, plugin)

@@ -76,8 +76,10 @@ def _example_robots() -> _Check:
 def _robots() -> _Check:
     robots = list_("robots")
     broken = [robot["name"] for robot in robots if robot["title"].startswith("cannot be read")]
-    detail = f"{len(robots)} robots" + (f"; cannot be read: {', '.join(broken)}" if broken else "")
-    return _Check("robots", not broken and bool(robots), detail)
+    detail = f"{len(robots)} robots"
+    if broken:
+        detail += f"; cannot be read: {', '.join(broken)}"
+    return _Check("robots", bool(robots) and not broken, detail)
 
 
 def _viewer() -> _Check:

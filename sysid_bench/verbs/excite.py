@@ -13,13 +13,13 @@ from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import InformationModel, information_model, torque_model
 from sysid_bench.excitation.limit_use import LimitUse
-from sysid_bench.excitation.optimised import Optimised, design_figures, excited_parameters
+from sysid_bench.excitation.optimised import Design, Optimised, design_figures, excited_parameters
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.tasks.task import named_task
-from sysid_bench.types import Array, BaseMap
+from sysid_bench.types import Array, BaseMap, Trajectory
 from sysid_bench.verbs.identify_request import check_seed
 from sysid_bench.verbs.motion_export import (
     RESTING,
@@ -30,8 +30,8 @@ from sysid_bench.verbs.motion_export import (
     read_motion,
     write_motion,
 )
-from sysid_bench.verbs.result import OMIT_NONE, Result
-from sysid_bench.verbs.task_terms import check_term_names
+from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
+from sysid_bench.verbs.task_terms import check_term_names, terms_of
 
 OnValue = Callable[[int, float], None]
 """Listener of a search: evaluations so far, best value of the objective."""
@@ -180,6 +180,18 @@ def excite(
     if request.out is not None:
         commands = joint_commands(question.robot, motion, question.joints)
         exported = write_motion(Path(request.out), kind, commands, drives, request.clamp)
+    return _result(request, question, design, motion, exported, time.perf_counter() - start)
+
+
+def _result(
+    request: ExciteRequest,
+    question: _Question,
+    design: Design,
+    motion: Trajectory,
+    exported: MotionExport,
+    seconds: float,
+) -> ExciteResult:
+    method, problem = question.method, question.problem
     return ExciteResult(
         robot=question.robot.name,
         task=request.task,
@@ -198,9 +210,9 @@ def excite(
         rest=bool(np.abs(motion.v[[0, -1]]).max() < RESTING_SPEED),
         geometry=_geometry(problem, method),
         warnings=exported.warnings,
-        file=None if request.out is None else str(request.out),
+        file=file_text(request.out),
         export=exported.drives,
-        seconds=time.perf_counter() - start,
+        seconds=seconds,
     )
 
 
@@ -221,7 +233,7 @@ def _question(request: ExciteRequest, kind: str) -> _Question:
     payload = parse_payload(request.payload)
     robot = load_robot(request.robot, payload, robots_dir=request.robots_dir)
     definition = named_task(request.task)
-    terms = definition.default_terms(robot) if request.terms is None else tuple(request.terms)
+    terms = terms_of(definition, robot, request.terms)
     posed = definition.unknowns(robot, terms, request.sensor, None)
     base = structural_base(robot, posed.parameters, posed.rows, posed.cuts)
     information = information_model(robot, base.names, posed.rows, posed.cuts)
@@ -292,7 +304,13 @@ def _geometry(problem: DesignProblem, method: Optimised) -> dict[str, Any]:
     note = "the robot's files hold none that can be read: collisions were not checked"
     if scene.shapes:
         note = f"{scene.shapes} kept apart by {method.clearance or 0.0:g} m or more"
-    pairs = ", ".join(" and ".join(pair) for pair in scene.ignored)
-    if pairs:
-        note += f"; not checked, in contact in the reference configuration: {pairs}"
-    return {"shapes": scene.shapes, "ignored": [list(p) for p in scene.ignored], "note": note}
+    ignored = [list(pair) for pair in scene.ignored]
+    return {"shapes": scene.shapes, "ignored": ignored, "note": note + _ignored_text(ignored)}
+
+
+def _ignored_text(ignored: Sequence[Sequence[str]]) -> str:
+    """Pairs that touch before the robot moves, as the links at a joint do."""
+    if not ignored:
+        return ""
+    pairs = ", ".join(" and ".join(pair) for pair in ignored)
+    return f"; not checked, in contact in the reference configuration: {pairs}"

@@ -17,10 +17,7 @@ def find_cell(run_folder: RunFolder, identifier: str) -> str:
     found = [i for i in ids if identifier and i.startswith(identifier)]
     if len(found) == 1:
         return found[0]
-    begins, shown = "No cell id begins", ""
+    matches = f"No cell id begins with {identifier!r}"
     if found:
-        begins, shown = f"{len(found)} cell ids begin", f": {', '.join(found[:8])}"
-    raise UsageError(
-        f"{begins} with {identifier!r}{shown}; the run has {len(ids)} cells, listed "
-        "in its plan.jsonl."
-    )
+        matches = f"{len(found)} cell ids begin with {identifier!r}: {', '.join(found[:8])}"
+    raise UsageError(f"{matches}; the run has {len(ids)} cells, listed in its plan.jsonl.")

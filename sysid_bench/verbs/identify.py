@@ -84,10 +84,9 @@ def _check_source(simulate: bool | None, logs: tuple[Path, ...]) -> None:
 
 def _refuse(options: Mapping[str, Any], reason: str) -> None:
     """Raise UsageError for options of the other source of data."""
-    given = [name for name, value in options.items() if value and value != "none"]
+    given = [f"--{name}" for name, value in options.items() if value and value != "none"]
     if given:
-        names = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        raise UsageError(f"{names}: {reason}")
+        raise UsageError(f"{', '.join(given).replace('_', '-')}: {reason}")
 
 
 def _stored(result: IdentifyResult, file: PathLike | None) -> IdentifyResult:

@@ -39,7 +39,7 @@ from sysid_bench.verbs.estimate_fields import (
 from sysid_bench.verbs.identify_request import IdentifyRequest
 from sysid_bench.verbs.identify_result import IdentifyResult, base_lines, std_lines
 from sysid_bench.verbs.log_warnings import log_warnings
-from sysid_bench.verbs.result import OMIT_NONE, value_text
+from sysid_bench.verbs.result import OMIT_NONE, file_text, value_text
 from sysid_bench.verbs.task_terms import check_term_names
 from sysid_bench.verbs.write_model import check_files, write_model
 
@@ -239,15 +239,12 @@ def _result(
         **figures,
         **errors,
         **fields,
-        logs=[
-            *(_segment(log, "train") for log in source.training),
-            *(_segment(log, "test") for log in source.tests.values()),
-        ],
+        logs=_segments(source),
         payload=_payload(request, posed, beta, fields["bodies"]),
         feasible=eigenvalues(estimate, problem).get("feasible"),
         warnings=_warnings(posed, estimate, errors, fields["joints"]),
-        figure=None if request.figure is None else str(request.figure),
-        model_out=None if request.model_out is None else str(request.model_out),
+        figure=file_text(request.figure),
+        model_out=file_text(request.model_out),
     )
 
 
@@ -391,6 +388,11 @@ def _labels(tests: Sequence[Path]) -> list[str]:
 
 def _mean(values: Sequence[float]) -> float | None:
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
+
+
+def _segments(source: RecordedSource) -> list[dict[str, Any]]:
+    training = [_segment(log, "train") for log in source.training]
+    return training + [_segment(log, "test") for log in source.tests.values()]
 
 
 def _segment(processed: ProcessedLog, use: str) -> dict[str, Any]:

@@ -60,9 +60,12 @@ class IdentifyResult(Result):
 def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Mass and parameters of each body that are identifiable on their own, then the other bodies'
     names."""
-    keys = {name: parameters_with(body, "identifiable") for name, body in bodies.items()}
-    lines = [line for name in bodies if keys[name] for line in _body(name, bodies[name])]
-    others = [name for name in bodies if not keys[name]]
+    lines, others = [], []
+    for name, body in bodies.items():
+        if parameters_with(body, "identifiable"):
+            lines += _body(name, body)
+        else:
+            others.append(name)
     if others:
         lines.append(f"  nothing is identifiable on its own: {first_names(others, SHOWN)}")
     return lines

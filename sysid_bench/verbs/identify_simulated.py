@@ -32,7 +32,7 @@ from sysid_bench.verbs.identify_result import (
     joint_line,
     std_lines,
 )
-from sysid_bench.verbs.result import OMIT_NONE, value_text
+from sysid_bench.verbs.result import OMIT_NONE, file_text, value_text
 from sysid_bench.verbs.task_terms import check_terms
 from sysid_bench.verbs.write_model import check_files, write_model
 
@@ -139,20 +139,20 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     if estimate.status != "ok":
         hint = "".join(f" {warning}" for warning in _sensor_warnings(sensor))
         raise EstimationError(f"{name} on {robot.robot.name}: {estimate.reason}{hint}")
+    whole = request.complete is not None
     if request.complete is not None:
         estimate = completed_estimate(estimate, ready.problem, request.complete)
     if sensor is not None:
-        sensor = sensor | {"estimation": estimation_fields(ready, estimate)}
+        sensor |= {"estimation": estimation_fields(ready, estimate)}
     result = _result(request, robot, ready, estimate, sensor)
     if request.model_out is not None:
-        whole = request.complete is not None
         write_model(robot.robot, request.task, estimate, ready.problem, request.model_out, whole)
     return result
 
 
 def _checked_robot(request: SimulatedRequest, spec: ExperimentSpec) -> LoadedRobot:
     """Load the robot; raise before anything runs for files or a model that cannot be used."""
-    folder = None if request.robots_dir is None else str(request.robots_dir)
+    folder = file_text(request.robots_dir)
     robot = loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
     check_files(robot.robot, request.task, request.model_out, request.json_out)
     if not robot.check.ok():
@@ -197,7 +197,7 @@ def _result(
             *_sensor_warnings(sensor),
         ],
         sensor=sensor,
-        model_out=None if request.model_out is None else str(request.model_out),
+        model_out=file_text(request.model_out),
     )
 
 

@@ -90,14 +90,19 @@ def init_robot(
     if source.resolve() != files.table.resolve():
         shutil.copyfile(source, files.table)
     files.manifest.write_text(_manifest(robot_name, conventions, links), encoding="utf-8")
+    return _result(robot_name, files, _mass_warnings(links, massless))
+
+
+def _result(name: str, files: _Files, warnings: list[str]) -> InitRobotResult:
+    """Load the written robot, and report its joints."""
     robot = load_robot(files.manifest)
     return InitRobotResult(
-        robot=robot_name,
+        robot=name,
         folder=str(files.manifest.parent),
         files=[str(file) for file in files],
         joints=list(robot.torque_rows),
         following=[row for row in robot.rows if row not in robot.torque_rows],
-        warnings=_mass_warnings(links, massless),
+        warnings=warnings,
     )
 
 
@@ -126,7 +131,8 @@ def _new_files(folder: Path, name: str) -> _Files:
 
 def _mass_warnings(links: Sequence[DhRow], massless: Sequence[str]) -> list[str]:
     """Warn about links whose mass the table leaves out."""
-    invented = [f"link{row.link}" for row in links if row.mass is None and row.link not in massless]
+    without = [row.link for row in links if row.mass is None]
+    invented = [f"link{link}" for link in without if link not in massless]
     return [f"masses made up: {', '.join(invented)}"] if invented else []
 
 

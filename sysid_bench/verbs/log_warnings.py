@@ -25,11 +25,16 @@ def log_warnings(
     """Return sentences for torques that are zero, that no model explains, or that push with the
     motion; `training` and `joints` as in the result of `identify` on logs."""
     doubts = {
-        SILENT: [name for name, error in training.items() if not error["rms"]],
+        SILENT: _silent(training),
         FOREIGN: _unexplained(training),
         PUSHING: [name for name, terms in joints.items() if _pushes(terms)],
     }
     return [warning.format(", ".join(names)) for warning, names in doubts.items() if names]
+
+
+def _silent(training: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Joints without any torque, as those of an empty column."""
+    return [name for name, error in training.items() if not error["rms"]]
 
 
 def _unexplained(training: Mapping[str, Mapping[str, Any]]) -> list[str]:

@@ -44,12 +44,16 @@ def check_export(export: str | None, out: str | Path | None) -> str:
     kind = export or "csv"
     if kind not in EXPORTS:
         raise unknown_name("export", kind, EXPORTS)
-    if out is None and export is not None:
+    if out is not None:
+        _check_folder(Path(out).parent)
+    elif export is not None:
         raise UsageError("Where does the export go? Give a file: -o FILE.")
-    folder = Path(out or "").parent
+    return kind
+
+
+def _check_folder(folder: Path) -> None:
     if not folder.is_dir():
         raise UsageError(f"There is no folder {str(folder)!r} to write the motion to.")
-    return kind
 
 
 def joint_drives(

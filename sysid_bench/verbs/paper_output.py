@@ -1,7 +1,7 @@
 """Tables and figures of a suite's [[paper]] entries, from the data that cells stored."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,17 +73,19 @@ def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":
 def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
     """The first cell with an ok row that an entry selects."""
     rows = run.rows().rows
-    found = [cell for cell in run.plan.cells if _selects(entry, rows.get(cell.id, {}), cell)]
+    found = _selected(run, entry.select)
     if not found:
         raise UsageError(f"[[paper]] {entry.name!r}: no cell meets {entry.select!r}.")
-    return next((cell for cell in found if rows.get(cell.id, {}).get("status") == "ok"), None)
+    ok = (cell for cell in found if rows.get(cell.id, {}).get("status") == "ok")
+    return next(ok, None)
 
 
-def _selects(entry: "Paper", row: Mapping[str, Any], cell: "Cell") -> bool:
-    """Test whether an entry selects a cell, with its row as far as there is one."""
-    if entry.select is None:
-        return True
-    return Expression.parse(entry.select).matches({**row, **fields(cell)})
+def _selected(run: "RunFolder", condition: str | None) -> "Sequence[Cell]":
+    """Cells that meet a condition on their fields and, where there is one, on their row."""
+    if condition is None:
+        return run.plan.cells
+    rows, wanted = run.rows().rows, Expression.parse(condition)
+    return [c for c in run.plan.cells if wanted.matches({**rows.get(c.id, {}), **fields(c)})]
 
 
 def _file(run: "RunFolder", entry: "Paper", cell: "Cell", kind: str) -> Path:
@@ -123,8 +125,11 @@ def _notes(cell: "Cell", data: Mapping[str, Any]) -> Iterator[str]:
         yield f"Besides: {', '.join(extra)}."
     change = data["smallest_change"] or 0.0
     if change > ROUNDING:
-        zero = f"With {', '.join(data['zero'])} taken for zero, no" if data["zero"] else "No"
-        yield f"{zero} robot has them: some have to change by {change:.3g} or more."
+        yield f"{_no(data['zero'])} robot has them: some have to change by {change:.3g} or more."
+
+
+def _no(zero: Sequence[str]) -> str:
+    return f"With {', '.join(zero)} taken for zero, no" if zero else "No"
 
 
 def _model(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> Listing:

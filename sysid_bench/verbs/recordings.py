@@ -66,8 +66,7 @@ def record_selected(
     newest = _newest_row(run_folder)
     written = []
     for cell in with_data[:MOST]:
-        path = _path(run_folder, cell)
-        if path.is_file() and path.stat().st_mtime > newest:
+        if _written_at(_path(run_folder, cell)) > newest:
             continue
         # The row states why; a missing recording does not fail a run.
         with suppress(SysidBenchError):
@@ -75,10 +74,14 @@ def record_selected(
     return written
 
 
+def _written_at(file: Path) -> float:
+    """Time (s since the epoch) when a file was last written; -1 for an absent one."""
+    return file.stat().st_mtime if file.is_file() else -1.0
+
+
 def _newest_row(run_folder: RunFolder) -> float:
     """Time (s since the epoch) when a row was last written; 0 without rows."""
-    files = (run_folder.path / "cells").glob("*.jsonl")
-    return max((file.stat().st_mtime for file in files), default=0.0)
+    return max(map(_written_at, (run_folder.path / "cells").glob("*.jsonl")), default=0.0)
 
 
 def view(folder: str | Path, identifier: str, web: bool = False) -> subprocess.Popen[bytes]:
@@ -117,10 +120,9 @@ def _worst(run_folder: RunFolder, metric: str, count: int, per: str | None) -> I
     if metric not in rows:
         return
     measured = rows[rows[metric].notna()].sort_values(metric, ascending=False, kind="stable")
-    groups = (
-        [measured] if per is None else [group for _, group in measured.groupby(per, sort=False)]
-    )
-    for group in groups:
+    # Cells of one group stand together, in the order in which the groups first occur.
+    groups = [("", measured)] if per is None else measured.groupby(per, sort=False)
+    for _, group in groups:
         yield from group["id"].head(count)
 
 

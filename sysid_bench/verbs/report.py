@@ -86,14 +86,18 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
     origin = _origin(run_folder)
-    tables = {made.name: made for made in _tables(run_folder)}
+    tables = _by_name(_tables(run_folder))
     if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
         return text_of(_listing(run_folder, name), form, origin)
     if name not in tables:  # rankings resample thousands of times: made only where one is named
-        tables |= {made.name: made for made in _ranking_tables(_rankings(run_folder))}
+        tables |= _by_name(_ranking_tables(_rankings(run_folder)))
     if name not in tables:
         raise unknown_name("table", name, tables)
     return _text(tables[name], form, origin)
+
+
+def _by_name(tables: Iterable[Table]) -> dict[str, Table]:
+    return {made.name: made for made in tables}
 
 
 def _listing(run_folder: "RunFolder", name: str) -> Listing:

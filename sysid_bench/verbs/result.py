@@ -1,9 +1,10 @@
 """Base of the results that commands return: frozen records that also read as mappings."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from html import escape
+from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
@@ -46,8 +47,7 @@ class Result(Mapping[str, Any]):
         values = self._fields()
         if key in values:
             return values[key]
-        near = get_close_matches(str(key), values, n=1, cutoff=NEAR)
-        raise KeyError(f"{key}; did you mean {near[0]!r}?" if near else key)
+        raise KeyError(_with_hint(str(key), values))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._fields())
@@ -71,6 +71,11 @@ class Result(Mapping[str, Any]):
         )
 
 
+def file_text(file: str | Path | None) -> str | None:
+    """Name of a file as text; None for None."""
+    return None if file is None else str(file)
+
+
 def value_text(value: float | None, absent: str = "-") -> str:
     """Four significant digits; `absent` for None."""
     return absent if value is None else f"{value:.4g}"
@@ -79,6 +84,12 @@ def value_text(value: float | None, absent: str = "-") -> str:
 def estimate_text(value: float | None, std: float | None, absent: str = "-") -> str:
     """Value and one standard deviation, as far as they are known."""
     return value_text(value, absent) + ("" if value is None or std is None else f" ± {std:.2g}")
+
+
+def _with_hint(key: str, known: Iterable[str]) -> str:
+    """Unknown key with the nearest one."""
+    near = get_close_matches(key, list(known), n=1, cutoff=NEAR)
+    return f"{key}; did you mean {near[0]!r}?" if near else key
 
 
 def _inline(value: Any) -> str:

@@ -80,7 +80,7 @@ class RunResult(Result):
         if not self.counts:
             notes = " ".join(self.notes)
             return f"No cell was selected; see 'sysid-bench plan'. {notes}".rstrip()
-        counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())
+        counts = _counts_text(self.counts)
         lines = [
             *printed_tables(folder),
             counts + (f", {self.open} open" if self.open else ""),
@@ -91,6 +91,10 @@ class RunResult(Result):
 
     def _fields(self) -> dict[str, Any]:
         return super()._fields() | {"folder": str(self.folder.path)}
+
+
+def _counts_text(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {status}" for status, count in counts.items())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,7 +109,7 @@ class StatusResult(Result):
 
     def summary(self) -> str:
         """Counts, then one line for each reason."""
-        counts = ", ".join(f"{n} {status}" for status, n in self.statuses.items()) or "no rows"
+        counts = _counts_text(self.statuses) or "no rows"
         lines = [f"{self.cells} cells: {counts}, {self.open} open"]
         lines += [f"  {r['cells']} {r['status']}: {r['reason']}" for r in self.reasons]
         return "\n".join(lines)
@@ -121,16 +125,18 @@ class CellResult(Result):
     def summary(self) -> str:
         """One line per field, then the traceback of a failure."""
         tables = ("joints", "parameters_table", "traceback")
-        lines = [
-            f"{key:<22} {value if isinstance(value, str) else json.dumps(value)}"
-            for key, value in self.items()
-            if key not in tables
-        ]
+        fields = {key: value for key, value in self.items() if key not in tables}
+        lines = [f"{key:<22} {_json_text(value)}" for key, value in fields.items()]
         traceback = self.row.get("traceback")
         return "\n".join([*lines, f"\n{traceback}"] if traceback else lines)
 
     def _fields(self) -> dict[str, Any]:
         return {**self.row, "command": self.command}
+
+
+def _json_text(value: Any) -> str:
+    """JSON of a field; a string without quotes."""
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def plan(

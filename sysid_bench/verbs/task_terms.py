@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
-from sysid_bench.tasks.task import named_task, tasks_with_terms
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.tasks.task import TaskDefinition, named_task, tasks_with_terms
 
 
 def check_term_names(terms: Sequence[str] | None) -> None:
@@ -25,3 +26,10 @@ def check_terms(task: str, terms: Sequence[str] | None) -> None:
             f"{', '.join(terms)} cannot be identified with the task {task!r}, which takes joint "
             f"terms as known; leave --terms out, or use the task {' or '.join(tasks_with_terms())}."
         )
+
+
+def terms_of(
+    definition: TaskDefinition, robot: RobotModel, terms: Sequence[str] | None
+) -> tuple[str, ...]:
+    """Return the joint terms to identify: the given ones, or those of the task for None."""
+    return definition.default_terms(robot) if terms is None else tuple(terms)

@@ -2,7 +2,7 @@
 
 import contextlib
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -82,10 +82,7 @@ def write_model(
     seen = ("identifiable",) * len(problem.parameters) if whole else verdicts(problem.base)
     verdict_of = dict(zip(problem.parameters, seen, strict=True))
     definition = named_task(task)
-    bodies = {
-        body.name: np.array([theta.pop(column) for column in body.columns])
-        for body in problem.bodies
-    }
+    bodies = {body.name: _pop(theta, body.columns) for body in problem.bodies}
     if definition.lumps_welded_bodies:
         bodies = {name: phi - _welded(robot, name) for name, phi in bodies.items()}
     # What remains behind a sensor are its constants (offsets, gains), which no model file holds.
@@ -93,6 +90,11 @@ def write_model(
     write = updated_urdf if robot.format == "urdf" else updated_mjcf
     with _source(robot) as source:
         target.write_bytes(write(source, bodies, joints, verdict_of).encode())
+
+
+def _pop(theta: dict[str, float], columns: Sequence[str]) -> Array:
+    """Remove the parameters (10,) of a body from theta."""
+    return np.array([theta.pop(column) for column in columns])
 
 
 def _joint_terms(theta: Mapping[str, float]) -> dict[str, dict[str, float]]:
