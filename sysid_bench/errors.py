@@ -55,23 +55,24 @@ def unknown_name(kind: str, name: str, known: Iterable[str], advice: str = "") -
     from difflib import get_close_matches  # 1.5 ms that --help would wait for
 
     names = sorted(set(known))
-    near = get_close_matches(name, names, n=SHOWN, cutoff=NEAR)
+    near = get_close_matches(name, names, n=1, cutoff=NEAR)
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    listed = _listed(kind, names, near)
+    # Beside a near name others help to choose; without one their order would be noise.
+    nearest = get_close_matches(name, names, n=SHOWN, cutoff=0.0) if near else []
+    listed = _listed(kind, names, nearest)
     return UsageError(
         f"No {kind} is called {name!r}.{hint} {listed}{' ' + advice if advice else ''}"
     )
 
 
-def _listed(kind: str, names: Sequence[str], near: Sequence[str]) -> str:
+def _listed(kind: str, names: Sequence[str], nearest: Sequence[str]) -> str:
     if not names:
         return f"There is no {kind} at all."
     if len(names) <= SHOWN:
         return f"There are: {', '.join(names)}."
-    if near:
-        return f"The nearest of {len(names)}: {', '.join(near)}."
-    listing = LISTINGS.get(kind, "")
-    return f"There are {first_names(names, SHOWN)}{listing}."
+    if nearest:
+        return f"The nearest of {len(names)}: {', '.join(nearest)}."
+    return f"There are {first_names(names, SHOWN)}{LISTINGS.get(kind, '')}."
 
 
 def first_names(names: Iterable[str], count: int = 3) -> str:

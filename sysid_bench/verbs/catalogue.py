@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import BaseModel
+
 from sysid_bench import naming, places
 from sysid_bench.errors import SysidBenchError, unknown_name
 from sysid_bench.metrics import METRICS
@@ -100,15 +102,18 @@ def _robot(name: str, robots_dir: Path | None) -> Entry:
         "free_base": manifest.free_base,
         "gravity": manifest.gravity,
         "terms": list(manifest.terms),
-        "limits": {
-            j: limits.model_dump(exclude_none=True) for j, limits in manifest.limits.items()
-        },
-        "joints": {j: terms.model_dump(exclude_none=True) for j, terms in manifest.joints.items()},
+        "limits": _given(manifest.limits),
+        "joints": _given(manifest.joints),
         "couplings": manifest.couplings,
         "coupling": {"independent": list(manifest.independent)},
         "sensors": [sensor.model_dump() for sensor in manifest.sensors],
         "licence": manifest.licence,
     }
+
+
+def _given(by_joint: Mapping[str, BaseModel]) -> Entry:
+    """Keys of each joint that the manifest gives."""
+    return {joint: table.model_dump(exclude_none=True) for joint, table in by_joint.items()}
 
 
 def _robots(robots_dir: Path | None) -> list[Entry]:

@@ -44,12 +44,11 @@ class CrosscheckResult(Result):
         """Lines of what was measured; none for a model that could not be used."""
         if self.nv is None:
             return []
-        weak = f" ({self.near_degenerate} near-degenerate)" if self.near_degenerate else ""
         return [
             f"{self.robot}: {'agrees' if self.ok else 'DIFFERS'}  gap {self.gap:.1e}  "
             f"closure {self.closure:.1e}  {self._native_text()}",
             f"  {self.nv} degrees of freedom, {self.bodies} bodies, "
-            f"{self.base_parameters} base parameters{weak}",
+            f"{self.base_parameters} base parameters{self._weak_text()}",
             *self._coupling_lines(),
             *(f"  {_kind(repair)}: {repair}" for repair in self.repairs),
         ]
@@ -57,6 +56,9 @@ class CrosscheckResult(Result):
     def summary(self) -> str:
         """Measured values, and the reason of a failure."""
         return "\n".join(self.figures() + ([f"{self.robot}: {self.reason}"] if self.reason else []))
+
+    def _weak_text(self) -> str:
+        return f" ({self.near_degenerate} near-degenerate)" if self.near_degenerate else ""
 
     def _native_text(self) -> str:
         """Gap against Pinocchio's own parser, or the reason why there is none."""

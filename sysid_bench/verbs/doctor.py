@@ -56,14 +56,18 @@ def doctor() -> DoctorResult:
 
 
 def _packages() -> _Check:
-    absent = []
-    for package in PACKAGES:
-        try:
-            import_module(package)
-        except ImportError as error:
-            absent.append(f"{package} ({error})")
+    absent = [reason for package in PACKAGES if (reason := _import_failure(package))]
     detail = f"absent: {', '.join(absent)}" if absent else "all import"
     return _Check("packages", not absent, detail)
+
+
+def _import_failure(package: str) -> str:
+    """Name and error of a package that does not import; "" for one that does."""
+    try:
+        import_module(package)
+    except ImportError as error:
+        return f"{package} ({error})"
+    return ""
 
 
 def _example_robots() -> _Check:

@@ -118,12 +118,9 @@ def _joint_and_term(name: str) -> tuple[str, str]:
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
     """Warn about parameters that are not identifiable on their own, combinations first."""
-    by_verdict: dict[str, list[str]] = {"identifiable": [], "combination": [], "none": []}
-    for name, verdict in zip(problem.parameters, verdicts(problem.base), strict=True):
-        by_verdict[verdict].append(name)
     # Parameters without effect, as those of a fixed base, come last.
-    without_effect = by_verdict["none"]
-    names = [*by_verdict["combination"], *without_effect]
+    without_effect = _names(problem, "none")
+    names = [*_names(problem, "combination"), *without_effect]
     if not names:
         return []
     effect = f" ({len(without_effect)} have no effect)" if without_effect else ""
@@ -133,6 +130,12 @@ def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
         f"{effect}: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}"
         f"{'' if estimate.theta is None else choice}"
     ]
+
+
+def _names(problem: Problem, verdict: str) -> list[str]:
+    """Parameters with a verdict."""
+    verdicts_of = zip(problem.parameters, verdicts(problem.base), strict=True)
+    return [name for name, found in verdicts_of if found == verdict]
 
 
 def _base_std(errors: Errors, rank: int) -> Array:

@@ -1,7 +1,7 @@
 """Design of the most informative motion within a robot's limits, as a file for its controller."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -127,12 +127,16 @@ class ExciteResult(Result):
         if not self.violations:
             lines.append("  no limit is violated on a grid ten times finer than that of the search")
         lines.append(f"  shapes: {self.geometry['note']}")
+        return "\n".join([*lines, *self._closing_lines()])
+
+    def _closing_lines(self) -> Iterator[str]:
+        """Interruption, warnings and the file."""
         if self.interrupted:
-            lines.append("  interrupted: this is the best feasible motion so far")
-        lines += [f"  warning: {warning}" for warning in self.warnings]
+            yield "  interrupted: this is the best feasible motion so far"
+        for warning in self.warnings:
+            yield f"  warning: {warning}"
         if self.file:
-            lines.append(f"  file: {self.file}")
-        return "\n".join(lines)
+            yield f"  file: {self.file}"
 
 
 def _limit_line(kind: str, used: Mapping[str, Any]) -> str:

@@ -17,7 +17,11 @@ def find_cell(run_folder: RunFolder, identifier: str) -> str:
     found = [i for i in ids if identifier and i.startswith(identifier)]
     if len(found) == 1:
         return found[0]
-    matches = f"No cell id begins with {identifier!r}"
-    if found:
-        matches = f"{len(found)} cell ids begin with {identifier!r}: {', '.join(found[:8])}"
+    matches = _matches_text(identifier, found)
     raise UsageError(f"{matches}; the run has {len(ids)} cells, listed in its plan.jsonl.")
+
+
+def _matches_text(identifier: str, found: list[str]) -> str:
+    if not found:
+        return f"No cell id begins with {identifier!r}"
+    return f"{len(found)} cell ids begin with {identifier!r}: {', '.join(found[:8])}"

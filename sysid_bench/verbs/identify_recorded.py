@@ -157,9 +157,7 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     training, tests = _descriptions(request)
     method = build("estimator", _estimator(request))
     manifest = find_manifest(request.model, request.robots_dir)
-    if request.model_out is not None or request.json_out is not None:
-        robot = load_robot(manifest)
-        check_files(robot, request.task, request.model_out, request.json_out)
+    _check_targets(request, manifest)
     posed = prepare_logs(manifest, training, tests, _options(request))
     estimate = estimate_parameters(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
@@ -171,6 +169,13 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
         robot = posed.source.training[0].robot
         write_model(robot, request.task, estimate, posed.problem, request.model_out)
     return result
+
+
+def _check_targets(request: RecordedRequest, manifest: Manifest) -> None:
+    """Raise UsageError, before anything runs, for files that cannot be written."""
+    if request.model_out is not None or request.json_out is not None:
+        robot = load_robot(manifest)
+        check_files(robot, request.task, request.model_out, request.json_out)
 
 
 def _descriptions(

@@ -136,9 +136,7 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     ready = prepare_simulated(spec, robot)
     estimate = estimate_parameters(method, ready.problem, ready.experiment)
     sensor = excitation_fields(ready) if ready.source.task.definition.identifies_sub_tree else None
-    if estimate.status != "ok":
-        hint = "".join(f" {warning}" for warning in _sensor_warnings(sensor))
-        raise EstimationError(f"{name} on {robot.robot.name}: {estimate.reason}{hint}")
+    _check_status(estimate, f"{name} on {robot.robot.name}", _sensor_warnings(sensor))
     whole = request.complete is not None
     if request.complete is not None:
         estimate = completed_estimate(estimate, ready.problem, request.complete)
@@ -158,6 +156,12 @@ def _checked_robot(request: SimulatedRequest, spec: ExperimentSpec) -> LoadedRob
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
     return robot
+
+
+def _check_status(estimate: Estimate, what: str, warnings: Sequence[str]) -> None:
+    """Raise EstimationError with the reason of a failure, and what may have caused it."""
+    if estimate.status != "ok":
+        raise EstimationError(" ".join([f"{what}: {estimate.reason}", *warnings]))
 
 
 def _sensor_warnings(sensor: Mapping[str, Any] | None) -> list[str]:
@@ -205,12 +209,15 @@ def _estimator(request: SimulatedRequest) -> str:
     return request.estimator or named_task(request.task).default_estimator
 
 
+def _signals(noise: Mapping[str, float], contacts: Sequence[str] | str | None) -> dict[str, Any]:
+    """Signal processing that suits the noise, with the samples left out for contacts."""
+    signals: dict[str, Any] = dict(ENCODERS if {"q", "quantum"} & set(noise) else IDEAL)
+    return signals if contacts is None else signals | {"contacts": contacts}
+
+
 def _spec(request: SimulatedRequest) -> ExperimentSpec:
     """Experiment as a suite with nothing but defaults would have it."""
     noise = normal_noise(request.noise or {})
-    signals: dict[str, Any] = dict(ENCODERS if {"q", "quantum"} & set(noise) else IDEAL)
-    if request.contacts is not None:
-        signals["contacts"] = request.contacts
     return ExperimentSpec(
         seed=request.seed,
         robot=request.model,
@@ -224,7 +231,7 @@ def _spec(request: SimulatedRequest) -> ExperimentSpec:
         simulation={"use": "inverse"},
         rate=200.0,
         noise=noise,
-        signals=signals,
+        signals=_signals(noise, request.contacts),
         repeat=0,
         sensor=request.sensor,
         free_base=request.free_base,

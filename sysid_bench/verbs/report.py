@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from sysid_bench.harness.data_frames import Frames
     from sysid_bench.harness.store import RunFolder
+    from sysid_bench.harness.suite.model import Suite
 
 DEFAULT_TABLE: Final[Mapping[str, Any]] = {
     "name": "main",
@@ -213,7 +214,10 @@ def _put(path: Path, text: str) -> None:
 
 def _origin(run_folder: "RunFolder") -> Origin:
     cells = sorted(cell.id for cell in run_folder.plan.cells)
-    suite = run_folder.suite
+    return Origin(run_folder.path.name, digest(cells)[:12], _command(run_folder.suite))
+
+
+def _command(suite: "Suite") -> str:
+    """Command that makes the run: of the suite's [origin], or with its name."""
     typed = suite.origin.command if suite.origin else None
-    command = typed or f"sysid-bench run {shlex.quote(suite.name)}"
-    return Origin(run_folder.path.name, digest(cells)[:12], command)
+    return typed or f"sysid-bench run {shlex.quote(suite.name)}"

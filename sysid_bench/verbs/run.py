@@ -197,10 +197,15 @@ def run(
         robots_dir=robots_dir,
         overrides=overrides,
     )
+    _write_reports(outcome, record, robots_dir)
+    return _run_result(outcome)
+
+
+def _write_reports(outcome: Outcome, record: str | None, robots_dir: Path | None) -> None:
+    """Write recordings and report of a run that has rows and was not interrupted."""
     if outcome.counts and outcome.exit_code != INTERRUPTED:
         record_selected(outcome.folder, record, robots_dir)
         report(outcome.folder.path)
-    return _run_result(outcome)
 
 
 def _run_result(outcome: Outcome) -> RunResult:
