@@ -9,6 +9,9 @@ SHOWN: Final = 8
 NEAR: Final = 0.5
 """Least similarity (difflib: 2 x common letters / all letters) of a name that is suggested."""
 
+RESEMBLING: Final = 0.4
+"""Least similarity of the best name with which the nearest names are listed."""
+
 _KINDS: Final = (
     *("robot", "payload", "task", "excitation", "estimator", "simulation", "plant", "metric"),
     *("log-reader", "suite"),
@@ -57,8 +60,9 @@ def unknown_name(kind: str, name: str, known: Iterable[str], advice: str = "") -
     names = sorted(set(known))
     near = get_close_matches(name, names, n=1, cutoff=NEAR)
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    # Beside a near name others help to choose; without one their order would be noise.
-    nearest = get_close_matches(name, names, n=SHOWN, cutoff=0.0) if near else []
+    # Where no name resembles it, their order by similarity is noise.
+    resembling = get_close_matches(name, names, n=1, cutoff=RESEMBLING)
+    nearest = get_close_matches(name, names, n=SHOWN, cutoff=0.0) if resembling else []
     listed = _listed(kind, names, nearest)
     return UsageError(
         f"No {kind} is called {name!r}.{hint} {listed}{' ' + advice if advice else ''}"

@@ -7,7 +7,7 @@ import click
 import sysid_bench
 from sysid_bench.cli.options import (
     OK,
-    OptionValues,
+    OptionsRecord,
     free_base_option,
     group_options,
     json_option,
@@ -28,13 +28,13 @@ from sysid_bench.cli.values import (
 from sysid_bench.errors import UsageError
 
 
-class _Source(OptionValues):
+class _Source(OptionsRecord):
     simulate: bool
     logs: tuple[Path, ...]
     tests: tuple[Path, ...]
 
 
-class _LogOptions(OptionValues):
+class _LogOptions(OptionsRecord):
     candidates: str | None
     position_given: bool
     figure: Path | None
@@ -44,7 +44,7 @@ class _LogOptions(OptionValues):
     moving: float
 
 
-class _Unknowns(OptionValues):
+class _Unknowns(OptionsRecord):
     task: str
     sensor: str | None
     payload: str
@@ -52,7 +52,7 @@ class _Unknowns(OptionValues):
     free_base: bool | None
 
 
-class _Method(OptionValues):
+class _Method(OptionsRecord):
     estimator: str | None
     noise: str | None
     contacts: str | None
@@ -60,7 +60,7 @@ class _Method(OptionValues):
     seed: int
 
 
-class _Output(OptionValues):
+class _Output(OptionsRecord):
     model_out: Path | None
     json_out: Path | None
     as_json: bool

@@ -7,7 +7,7 @@ import click
 import sysid_bench
 from sysid_bench.cli.options import (
     OK,
-    OptionValues,
+    OptionsRecord,
     group_options,
     json_option,
     print_result,
@@ -16,7 +16,7 @@ from sysid_bench.cli.options import (
 from sysid_bench.cli.values import parse_names
 
 
-class _Conventions(OptionValues):
+class _Conventions(OptionsRecord):
     modified: bool
     frames: str
     base: str

@@ -10,7 +10,7 @@ from sysid_bench.cli.options import (
     FAILED,
     INTERRUPTED,
     OK,
-    OptionValues,
+    OptionsRecord,
     group_options,
     json_option,
     print_result,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sysid_bench import ExciteResult
 
 
-class _Settings(OptionValues):
+class _Settings(OptionsRecord):
     """Settings of the excitation `optimised`, as typed."""
 
     period: str | None
@@ -48,19 +48,19 @@ class _Settings(OptionValues):
     starts: int | None
 
 
-class _Unknowns(OptionValues):
+class _Unknowns(OptionsRecord):
     task: str
     sensor: str | None
     payload: str
     terms: str | None
 
 
-class _Bounds(OptionValues):
+class _Bounds(OptionsRecord):
     limits: tuple[str, ...]
     boxes: tuple[str, ...]
 
 
-class _Output(OptionValues):
+class _Output(OptionsRecord):
     export: str | None
     motors: str | None
     clamp: str

@@ -71,7 +71,7 @@ terms_option = click.option(
 )
 
 
-class OptionValues:
+class OptionsRecord:
     """Values of a group of options, as attributes.
 
     A plain class: --help would wait 5 ms for as many named tuples, 40 ms for dataclasses.
@@ -82,7 +82,7 @@ class OptionValues:
 
 
 def group_options(
-    name: str, record: type[OptionValues], options: Sequence[Callable[[Command], Command]]
+    name: str, record: type[OptionsRecord], options: Sequence[Callable[[Command], Command]]
 ) -> Callable[[Command], Command]:
     """Decorator that passes the values of several options as one record, the argument `name`."""
     fields = tuple(record.__annotations__)

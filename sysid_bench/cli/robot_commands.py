@@ -9,7 +9,7 @@ import sysid_bench
 from sysid_bench.cli.options import (
     FAILED,
     OK,
-    OptionValues,
+    OptionsRecord,
     free_base_option,
     group_options,
     json_option,
@@ -73,7 +73,7 @@ def _print_verdict(verdict: "CrosscheckResult") -> None:
         click.echo(f"sysid-bench: {verdict.robot}: {verdict.reason}", err=True)
 
 
-class _Paper(OptionValues):
+class _Paper(OptionsRecord):
     paper: bool
     zero: str | None
     values: Path | None

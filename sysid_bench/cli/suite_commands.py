@@ -10,7 +10,7 @@ from sysid_bench.cli.options import (
     INTERRUPTED,
     OK,
     USAGE,
-    OptionValues,
+    OptionsRecord,
     group_options,
     json_option,
     print_json,
@@ -57,7 +57,7 @@ def plan(
     return OK
 
 
-class _Execution(OptionValues):
+class _Execution(OptionsRecord):
     out: Path | None
     jobs: int | None
     timeout: str | None
@@ -65,7 +65,7 @@ class _Execution(OptionValues):
     fail_fast: bool
 
 
-class _Selection(OptionValues):
+class _Selection(OptionsRecord):
     select: str | None
     limit: int | None
     record: str | None

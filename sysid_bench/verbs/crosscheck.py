@@ -136,6 +136,7 @@ def _verdict(
 def _measured(manifest: Manifest, samples: int, free_base: bool | None) -> CrosscheckResult:
     robot = load_robot(manifest, free_base=free_base)
     verdict = compare_engines(robot, samples)
+    # Counted on the tree itself: coupled joints have fewer torque rows, reported beside.
     base = structural_base(robot.uncoupled, robot.inertial_columns)
     return CrosscheckResult(
         robot=robot.name,

@@ -177,6 +177,7 @@ def excite(
     method, problem = question.method, question.problem
     drives = joint_drives(kind, question.joints, request.motors)
     recorded = [read_motion(Path(f), problem, question.joints, method) for f in request.after]
+    # The same seed gives _figures the random motions that the search began with.
     rng = np.random.default_rng(request.seed)
     design = method.solve(problem, rng, recorded, on_value)
     motion = method.motion(design.C, problem)

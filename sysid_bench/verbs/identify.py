@@ -24,30 +24,26 @@ OF_LOGS: Final = "for recordings only (--log)."
 def identify(
     model: PathLike, task: str = "robot", payload: str | Mapping[str, Any] = "none",
     terms: Sequence[str] | None = None, estimator: str | None = None,
-    noise: Mapping[str, Any] | None = None, *,
-    log: PathLike | Sequence[PathLike] = (), test: PathLike | Sequence[PathLike] = (),
-    simulate: bool | None = None, model_out: PathLike | None = None,
-    json_out: PathLike | None = None, robots_dir: Path | None = None, seed: int = 0,
-    sensor: str | None = None, free_base: bool | None = None,
-    contacts: Sequence[str] | str | None = None, complete: str | None = None,
-    filter: str | None = None, derivatives: str | None = None, moving: float = 0.0,
-    choose: Sequence[str] = (), position_given: bool = False, accept: Sequence[str] = (),
-    figure: PathLike | None = None,
+    noise: Mapping[str, Any] | None = None, *, log: PathLike | Sequence[PathLike] = (),
+    test: PathLike | Sequence[PathLike] = (), simulate: bool | None = None,
+    model_out: PathLike | None = None, json_out: PathLike | None = None,
+    robots_dir: Path | None = None, seed: int = 0, sensor: str | None = None,
+    free_base: bool | None = None, contacts: Sequence[str] | str | None = None,
+    complete: str | None = None, filter: str | None = None, derivatives: str | None = None,
+    moving: float = 0.0, choose: Sequence[str] = (), position_given: bool = False,
+    accept: Sequence[str] = (), figure: PathLike | None = None,
 ) -> IdentifyResult:  # fmt: skip
     """Identify a robot: from the recordings `log`, judged on `test`, or from its own simulation.
 
-    The arguments are fields of `IdentifyRequest`, of `SimulatedRequest` (payload, noise, seed,
-    sensor, free_base, contacts, complete) and of `RecordedRequest` (the last line but one).
-    Raises UsageError for unknown names or contradictory data, ModelError for a model that cannot be
-    used or values that must not be written, EstimationError where the method fails.
+    The arguments are fields of `IdentifyRequest`, `SimulatedRequest` and `RecordedRequest`. Raises
+    UsageError for unknown names or contradictory data, ModelError for a model that cannot be used
+    or values that must not be written, EstimationError where the method fails.
     """
-    check_term_names(terms)
     logs, tests = _paths(log), _paths(test)
     _check_source(simulate, logs)
     shared: dict[str, Any] = {
-        "model": str(model), "task": task, "terms": None if terms is None else tuple(terms),
-        "estimator": estimator, "model_out": _path(model_out), "json_out": _path(json_out),
-        "robots_dir": robots_dir,
+        "model": str(model), "task": task, "terms": _terms(terms), "estimator": estimator,
+        "model_out": _path(model_out), "json_out": _path(json_out), "robots_dir": robots_dir,
     }  # fmt: skip
     of_logs: dict[str, Any] = {
         "accept": tuple(accept), "choose": tuple(choose), "position_given": position_given,
@@ -59,18 +55,11 @@ def identify(
     }  # fmt: skip
     if logs:
         _refuse(of_simulation, OF_SIMULATION)
-        return _stored(
-            identify_recorded(RecordedRequest(logs=logs, tests=tests, **shared, **of_logs)),
-            json_out,
-        )
+        recorded = RecordedRequest(logs=logs, tests=tests, **shared, **of_logs)
+        return _stored(identify_recorded(recorded), json_out)
     _refuse({"test": tests, **of_logs}, OF_LOGS)
-    # seed and free_base have no effect on recordings, and are accepted there.
-    return _stored(
-        identify_simulated(
-            SimulatedRequest(seed=seed, free_base=free_base, **shared, **of_simulation)
-        ),
-        json_out,
-    )
+    of_simulation |= {"seed": seed, "free_base": free_base}  # accepted, without effect, for logs
+    return _stored(identify_simulated(SimulatedRequest(**shared, **of_simulation)), json_out)
 
 
 def _check_source(simulate: bool | None, logs: tuple[Path, ...]) -> None:
@@ -99,6 +88,12 @@ def _stored(result: IdentifyResult, file: PathLike | None) -> IdentifyResult:
 
 def _paths(files: PathLike | Sequence[PathLike]) -> tuple[Path, ...]:
     return (Path(files),) if isinstance(files, (str, Path)) else tuple(map(Path, files))
+
+
+def _terms(names: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Joint terms; raise UsageError for unknown ones, and for a single text."""
+    check_term_names(names)
+    return None if names is None else tuple(names)
 
 
 def _path(file: PathLike | None) -> Path | None:

@@ -87,6 +87,7 @@ def init_robot(
     links = [row for row in rows.rows if row.kind != "F"]
     files = _new_files(Path(robot_name if out is None else out), robot_name)
     files.model.write_text(text, encoding="utf-8")
+    # The table may already lie in the folder: copying a file onto itself is an error.
     if source.resolve() != files.table.resolve():
         shutil.copyfile(source, files.table)
     files.manifest.write_text(_manifest(robot_name, conventions, links), encoding="utf-8")

@@ -153,6 +153,7 @@ def _export(
         return csv_text(commands), None
     if kind == "ros2":
         return (ros2.json_text if file.suffix == ".json" else ros2.yaml_text)(commands), None
+    # Clamping changes the commands, so that table and report describe what the motors receive.
     commands, report = damiao.limit_commands(commands, drives, clamp)
     if kind == "can":
         text = damiao.can_log(commands, drives)

@@ -135,6 +135,7 @@ def _write(
 ) -> Path:
     rule = run_folder.suite.record
     max_hz = rule.max_hz if rule else MAX_HZ
+    # A recording needs the signals, which rows do not hold: the cell is executed again.
     (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
     job = job_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_dir)
     path = _path(run_folder, cell)

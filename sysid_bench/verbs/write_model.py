@@ -83,6 +83,7 @@ def write_model(
     verdict_of = dict(zip(problem.parameters, seen, strict=True))
     definition = named_task(task)
     bodies = {body.name: _pop(theta, body.columns) for body in problem.bodies}
+    # The file lists welded bodies one by one; their sum was identified.
     if definition.lumps_welded_bodies:
         bodies = {name: phi - _welded(robot, name) for name, phi in bodies.items()}
     # What remains behind a sensor are its constants (offsets, gains), which no model file holds.
@@ -124,6 +125,7 @@ def _welded(robot: RobotModel, name: str) -> Array:
     """phi (10,) of all bodies welded to a link in the file, in the link's frame."""
     link = robot.body_names.index(name)
     tree, phi = robot.tree, robot.phi.copy()
+    # Neither the link itself nor a payload at the tool counts as welded in the file.
     phi[link] = 0.0
     if robot.payload_body is not None:
         phi[robot.payload_body] = 0.0
