@@ -1,8 +1,7 @@
 """Errors with one root; messages name the input, the possible values and the remedy."""
 
 import errno
-from collections.abc import Iterable
-from difflib import get_close_matches
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 SHOWN: Final = 8
@@ -10,6 +9,24 @@ SHOWN: Final = 8
 _MACHINE_ERRORS: Final = frozenset(
     (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ENFILE, errno.ENOMEM)
 )
+
+NEAR: Final = 0.5
+"""Least similarity (difflib: 2 x common letters / all letters) of a name that is suggested."""
+
+RESEMBLING: Final = 0.4
+"""Least similarity of the best name with which the nearest names are listed."""
+
+_KINDS: Final = (
+    *("robot", "payload", "task", "excitation", "estimator", "simulation", "plant", "metric"),
+    *("log-reader", "suite"),
+)
+LISTINGS: Final = {
+    **{kind: f" (all: sysid-bench list {kind}s)" for kind in _KINDS},
+    "name": " (all: sysid-bench list KIND, with KIND one of "
+    + ", ".join(f"{kind}s" for kind in _KINDS)
+    + ")",
+}
+"""Command that lists the names of a kind, as an addition to a message."""
 
 
 class SysidBenchError(Exception):
@@ -37,25 +54,40 @@ class EstimationError(SysidBenchError):
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], advice: str = "") -> UsageError:
-    """Return an error that names the nearest existing `kind`, and lists all of them or, where there
-    are many, the SHOWN nearest."""
+    """Return an error that names the nearest existing `kind` and lists the others.
+
+    Of more than SHOWN names it lists the nearest ones; where none is near the first ones, with the
+    command that lists all.
+    """
+    from difflib import get_close_matches  # 1.5 ms that --help would wait for
+
     names = sorted(set(known))
-    near = get_close_matches(name, names, n=1, cutoff=0.5)
+    near = get_close_matches(name, names, n=1, cutoff=NEAR)
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    listed = f" There are: {', '.join(names)}." if names else f" There is no {kind} at all."
-    if len(names) > SHOWN:
-        nearest = get_close_matches(name, names, n=SHOWN, cutoff=0.0)
-        listed = f" The nearest of {len(names)}: {', '.join(nearest)}."
+    # Where no name resembles it, their order by similarity is noise.
+    resembling = get_close_matches(name, names, n=1, cutoff=RESEMBLING)
+    nearest = get_close_matches(name, names, n=SHOWN, cutoff=0.0) if resembling else []
+    listed = _listed(kind, names, nearest)
     return UsageError(
-        f"No {kind} is called {name!r}.{hint}{listed}{' ' + advice if advice else ''}"
+        f"No {kind} is called {name!r}.{hint} {listed}{' ' + advice if advice else ''}"
     )
 
 
-def first_names(names: Iterable[str]) -> str:
-    """Return the first three of names, each once, and the number of the others."""
+def _listed(kind: str, names: Sequence[str], nearest: Sequence[str]) -> str:
+    if not names:
+        return f"There is no {kind} at all."
+    if len(names) <= SHOWN:
+        return f"There are: {', '.join(names)}."
+    if nearest:
+        return f"The nearest of {len(names)}: {', '.join(nearest)}."
+    return f"There are {first_names(names, SHOWN)}{LISTINGS.get(kind, '')}."
+
+
+def first_names(names: Iterable[str], count: int = 3) -> str:
+    """Return the first `count` of names, each once, and the number of the others."""
     unique = list(dict.fromkeys(names))
-    more = "" if len(unique) < 4 else f" and {len(unique) - 3} more"
-    return ", ".join(unique[:3]) + more
+    more = f" and {len(unique) - count} more" if len(unique) > count else ""
+    return ", ".join(unique[:count]) + more
 
 
 def status_of(error: BaseException) -> str:

@@ -102,8 +102,12 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
 
 
 def known(kind: str) -> dict[str, str]:
-    """Return every name of a kind with its target "module:object", built in or an entry point."""
-    return dict(BUILTIN.get(kind, {})) | {point.name: point.value for point in _points(kind)}
+    """Return every name of a kind with its target "module:object", built in or an entry point.
+
+    A kind of two words is written "log_reader" or "log-reader".
+    """
+    key = kind.replace("-", "_")
+    return dict(BUILTIN.get(key, {})) | {point.name: point.value for point in _points(key)}
 
 
 def is_builtin(kind: str, name: str) -> bool:
@@ -117,12 +121,17 @@ def resolve(kind: str, name: str) -> Any:
     target = table.get(name, name)
     if ":" not in target:
         advice = "One of your own is named 'module:object' or 'file:path.py:object'."
-        raise unknown_name(kind, name, table, advice)
+        raise unknown_name(_shown(kind), name, table, advice)
     path, _, attribute = target.rpartition(":")
     module = _module(path)
     if not hasattr(module, attribute):
-        raise UsageError(f"{path!r} has no {attribute!r} ({kind} {name!r}).")
+        raise UsageError(f"{path!r} has no {attribute!r} ({_shown(kind)} {name!r}).")
     return getattr(module, attribute)
+
+
+def _shown(kind: str) -> str:
+    """Kind as messages print it."""
+    return kind.replace("_", "-")
 
 
 def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
@@ -133,60 +142,52 @@ def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
     """
     if isinstance(spec, str):
         spec = {"use": spec}
+    shown = _shown(kind)
     if "use" not in spec:
-        raise UsageError(f"A {kind} needs a name: {{ use = ... }}; got the keys {sorted(spec)}.")
+        raise UsageError(f"A {shown} needs a name: {{ use = ... }}; got the keys {sorted(spec)}.")
     make = resolve(kind, spec["use"])
     settings = {key: value for key, value in spec.items() if key not in ("use", "label")}
-    if not callable(make):
-        if settings:
-            raise UsageError(f"{kind} {spec['use']!r} takes no settings; got {sorted(settings)}.")
-        return make
-    return make(**_settings(kind, spec["use"], make, settings))
+    if callable(make):
+        return make(**_settings(f"{shown} {spec['use']!r}", make, settings))
+    if settings:
+        raise UsageError(f"{shown} {spec['use']!r} takes no settings; got {sorted(settings)}.")
+    return make
 
 
 def resolve_paths(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
     """Return a plug-in's spec with the paths of "file:mine.py:Class" and of the setting `file`
     relative to the suite's folder."""
-    resolved, use = dict(spec), spec.get("use")
+    resolved = dict(spec)
     if folder is None:
         return resolved
-    if isinstance(use, str) and use.startswith("file:"):
+    use, file = str(spec.get("use")), spec.get("file")
+    if use.startswith("file:"):
         path, colon, attribute = use.removeprefix("file:").rpartition(":")
         resolved["use"] = f"file:{folder / path}{colon}{attribute}"
-    if isinstance(spec.get("file"), str):
-        resolved["file"] = str(folder / spec["file"])
+    if isinstance(file, str):
+        resolved["file"] = str(folder / file)
     return resolved
 
 
-def _settings(kind: str, name: str, make: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+def _settings(plugin: str, make: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a plug-in in SI units; raise UsageError for unknown, missing or wrong ones."""
     try:
         parameters = inspect.signature(make).parameters
-    except (TypeError, ValueError):
+    except (TypeError, ValueError):  # written in C, without a signature
         return dict(given)
-    free = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
-    units = _units_of(make)
-    values = {}
-    for key, value in given.items():
-        if key not in parameters and not free:
-            raise unknown_name(f"setting of the {kind} {name!r}", key, parameters)
-        try:
-            values[key] = quantity(value, units[key]) if key in units else value
-        except UsageError as error:
-            raise UsageError(f"{kind} {name!r}, {key}: {error}") from error
-    _refuse_missing(f"{kind} {name!r}", parameters, values)
-    return values
+    _check_settings(plugin, parameters, given)
+    units = _units(make)
+    return {key: _setting(plugin, key, value, units.get(key)) for key, value in given.items()}
 
 
-def _units_of(make: Any) -> dict[str, str]:
-    """Units of the settings that declare one in the metadata of their dataclass field."""
-    fields = dataclasses.fields(make) if dataclasses.is_dataclass(make) else ()
-    return {field.name: field.metadata["unit"] for field in fields if "unit" in field.metadata}
-
-
-def _refuse_missing(
-    plugin: str, parameters: Mapping[str, inspect.Parameter], values: Mapping[str, Any]
+def _check_settings(
+    plugin: str, parameters: Mapping[str, inspect.Parameter], given: Mapping[str, Any]
 ) -> None:
-    missing = [key for key, p in parameters.items() if _is_required(p) and key not in values]
+    """Raise UsageError for a setting that the plug-in does not take, and for one that it lacks."""
+    unknown = [key for key in given if key not in parameters]
+    if unknown and not _takes_any(parameters):
+        raise unknown_name(f"setting of the {plugin}", unknown[0], parameters)
+    missing = [key for key, p in parameters.items() if _is_required(p) and key not in given]
     if missing:
         raise UsageError(f"{plugin} needs the settings {', '.join(missing)}.")
 
@@ -194,6 +195,24 @@ def _refuse_missing(
 def _is_required(parameter: inspect.Parameter) -> bool:
     variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
     return parameter.default is inspect.Parameter.empty and parameter.kind not in variadic
+
+
+def _takes_any(parameters: Mapping[str, inspect.Parameter]) -> bool:
+    """Test for `**settings`, which take every key."""
+    return any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
+
+
+def _units(make: Any) -> dict[str, str]:
+    """{setting: unit} of the dataclass fields that are read with their unit."""
+    fields = dataclasses.fields(make) if dataclasses.is_dataclass(make) else ()
+    return {f.name: f.metadata["unit"] for f in fields if "unit" in f.metadata}
+
+
+def _setting(plugin: str, key: str, value: Any, unit: str | None) -> Any:
+    try:
+        return value if unit is None else quantity(value, unit)
+    except UsageError as error:
+        raise UsageError(f"{plugin}, {key}: {error}") from error
 
 
 def _points(kind: str) -> tuple[EntryPoint, ...]:
@@ -212,9 +231,10 @@ def _module(path: str) -> ModuleType:
     try:
         return importlib.import_module(path)
     except ModuleNotFoundError as error:
-        if f"{path}.".startswith(f"{error.name}."):
-            raise UsageError(f"No module is called {path!r} on the path of this Python.") from error
-        raise  # the plug-in's own import: blaming its name would hide the mistake
+        # The plug-in's own import may fail: blaming its name would hide the mistake.
+        if not f"{path}.".startswith(f"{error.name}."):
+            raise
+        raise UsageError(f"No module is called {path!r} on the path of this Python.") from error
 
 
 def _module_of_file(path: Path) -> ModuleType:

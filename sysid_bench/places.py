@@ -7,7 +7,7 @@ from pathlib import Path
 from sysid_bench.errors import UsageError, unknown_name
 
 
-def shipped(kind: str) -> Path:
+def installed_folder(kind: str) -> Path:
     """Return the folder `robots` or `suites` of this installation (checkout or wheel)."""
     package = Path(__file__).resolve().parent
     for folder in (package / kind, package.parent / kind):
@@ -18,9 +18,8 @@ def shipped(kind: str) -> Path:
 
 def robot_folders(extra: Path | None = None) -> list[Path]:
     """Return folders with <name>/robot.toml by precedence: --robots, ./robots, installed."""
-    folders = [] if extra is None else [extra]
-    folders += [Path("robots"), shipped("robots")]
-    return [folder for folder in folders if folder.is_dir()]
+    folders = (extra, Path("robots"), installed_folder("robots"))
+    return [folder for folder in folders if folder is not None and folder.is_dir()]
 
 
 def robots(extra: Path | None = None) -> dict[str, Path]:
@@ -32,10 +31,10 @@ def robots(extra: Path | None = None) -> dict[str, Path]:
     return found
 
 
-def suites() -> dict[str, Path]:
+def suite_files() -> dict[str, Path]:
     """Return the file of every suite that has a name, ./suites before the installed ones."""
     found: dict[str, Path] = {}
-    for folder in (Path("suites"), shipped("suites")):
+    for folder in (Path("suites"), installed_folder("suites")):
         for file in sorted(folder.glob("*.toml")):
             found.setdefault(file.stem, file)
     return found
@@ -47,23 +46,24 @@ def suite(name: str) -> Path:
     if path.suffix == ".toml" or path.parent != Path("."):
         if path.is_file():
             return path
-        raise UsageError(f"There is no suite file {name!r}; named suites: {', '.join(suites())}.")
-    table = suites()
+        raise UsageError(
+            f"There is no suite file {name!r}; named suites: {', '.join(suite_files())}."
+        )
+    table = suite_files()
     if name not in table:
         raise unknown_name("suite", name, table, "Or give the path of a TOML file.")
     return table[name]
 
 
 @cache
-def example_robot_data() -> Path:
+def robot_data_folder() -> Path:
     """Return the folder `robots` of the package example-robot-data, without importing it."""
     try:
         listed = files("example-robot-data") or []
     except PackageNotFoundError as error:
         raise UsageError("The package example-robot-data is absent: pip install it.") from error
-    for file in listed:
-        if file.name.endswith(".urdf") and "robots" in file.parts:
-            path = Path(str(file.locate())).resolve()
-            depth = len(file.parts) - file.parts.index("robots") - 2
-            return path.parents[depth]
-    raise UsageError("The package example-robot-data holds no URDF; install it again.")
+    urdf = next((f for f in listed if f.name.endswith(".urdf") and "robots" in f.parts), None)
+    if urdf is None:
+        raise UsageError("The package example-robot-data holds no URDF; install it again.")
+    depth = len(urdf.parts) - urdf.parts.index("robots") - 2
+    return Path(str(urdf.locate())).resolve().parents[depth]

@@ -16,7 +16,9 @@ from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Trajectory
 
-NAMED = tuple(sorted(path.parent.name for path in places.shipped("robots").glob("*/robot.toml")))
+NAMED = tuple(
+    sorted(path.parent.name for path in places.installed_folder("robots").glob("*/robot.toml"))
+)
 """Robots of `robots/`: a new one runs through all laws by being there."""
 
 MOTIONLESS = ("quadrotor_base.urdf", "iris_simple.urdf")
@@ -41,14 +43,14 @@ BODY_JOINTS = (
 
 def urdf_files() -> list[str]:
     """Every URDF of example-robot-data that has a joint, relative to `places`' folder."""
-    folder = places.example_robot_data()
+    folder = places.robot_data_folder()
     found = (str(file.relative_to(folder)) for file in sorted(folder.rglob("*.urdf")))
     return [file for file in found if file != EMPTY and not file.endswith(MOTIONLESS)]
 
 
 def urdf_robot(file: str, free_base: bool = False) -> RobotModel:
     """The robot of a file named by `urdf_files`."""
-    return load_robot(places.example_robot_data() / file, free_base=free_base)
+    return load_robot(places.robot_data_folder() / file, free_base=free_base)
 
 
 @cache

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sysid_bench import errors
-from sysid_bench.errors import SysidBenchError, unknown_name
+from sysid_bench import errors, list_
+from sysid_bench.cli import main
+from sysid_bench.errors import LISTINGS, SHOWN, SysidBenchError, UsageError, unknown_name
 
 CLASSES = [
     thing
@@ -47,6 +48,35 @@ def test_a_slip_of_one_letter_is_recognised(name: str, known: list[str]) -> None
     others = [f"{i}{'0' * len(name)}" for i in range(len(known))]
     message = str(unknown_name("robot", name[:-1], [*others, name]))
     assert f"Did you mean {name!r}?" in message
+
+
+def test_of_many_names_the_near_ones_are_listed() -> None:
+    known = [f"joint{k}" for k in range(20)]
+    message = str(unknown_name("robot", "joint", [*known, "xy"]))
+    listed = message.split("The nearest of 21: ")[1].rstrip(".").split(", ")
+    assert len(set(listed)) == SHOWN
+    assert set(listed) <= set(known)
+
+
+def test_where_nothing_is_near_the_message_has_the_command_that_lists_all() -> None:
+    known = [f"joint{k}" for k in range(10, 30)]
+    first = ", ".join(known[:SHOWN])
+    assert str(unknown_name("robot", "xyz", known)) == (
+        f"No robot is called 'xyz'. There are {first} and 12 more (all: sysid-bench list robots)."
+    )
+    assert str(unknown_name("joint", "xyz", known)).endswith(f"There are {first} and 12 more.")
+
+
+def test_every_kind_of_the_catalogue_has_its_command(capsys: pytest.CaptureFixture[str]) -> None:
+    for kind, command in LISTINGS.items():
+        if kind != "name":
+            words = command.strip(" ()").split("sysid-bench ")[1].split()
+            assert main(words, standalone_mode=False) in (0, None)
+    assert capsys.readouterr().out
+    with pytest.raises(UsageError) as refusal:
+        list_("xyzzy")
+    assert str(refusal.value).endswith(" and 2 more.")
+    assert len(LISTINGS) == 11
 
 
 def test_where_nothing_exists_the_message_says_so() -> None:

@@ -37,6 +37,12 @@ def plugin(tmp_path: Path) -> str:
     return f"file:{file}"
 
 
+def test_a_kind_of_two_words_is_written_with_a_hyphen() -> None:
+    assert known("log-reader") == known("log_reader") != {}
+    with pytest.raises(UsageError, match=r"No log-reader is called 'nunpy'.*'numpy'"):
+        resolve("log_reader", "nunpy")
+
+
 def modules(kind: str) -> set[str]:
     return {target.partition(":")[0] for target in BUILTIN[kind].values()}
 
@@ -146,7 +152,8 @@ def test_a_slip_is_answered_with_the_nearest_name_and_all_names(kind: str, name:
     with pytest.raises(UsageError) as error:
         resolve(kind, name + "x")
     message = str(error.value)
-    assert f"No {kind} is called {name + 'x'!r}. Did you mean {name!r}?" in message
+    shown_kind = kind.replace("_", "-")
+    assert f"No {shown_kind} is called {name + 'x'!r}. Did you mean {name!r}?" in message
     shown = [other for other in BUILTIN[kind] if f" {other}," in message or f" {other}." in message]
     assert len(shown) == min(len(BUILTIN[kind]), SHOWN)
     assert "module:object" in message

@@ -49,13 +49,13 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_this_checkout_has_its_data(kind: str) -> None:
-    assert places.shipped(kind) == CHECKOUT / kind
+    assert places.installed_folder(kind) == CHECKOUT / kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_checkout_keeps_data_beside_the_package(kind: str, installation: Path) -> None:
     (installation.parent / kind).mkdir()
-    assert places.shipped(kind) == installation.parent / kind
+    assert places.installed_folder(kind) == installation.parent / kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -63,14 +63,14 @@ def test_a_wheel_keeps_data_inside_whatever_lies_beside(kind: str, installation:
     # Beside an installed package lies site-packages, where "robots" may be anybody's.
     (installation / kind).mkdir()
     (installation.parent / kind).mkdir()
-    assert places.shipped(kind) == installation / kind
+    assert places.installed_folder(kind) == installation / kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.usefixtures("installation")
 def test_an_installation_without_data_says_so(kind: str) -> None:
     with pytest.raises(UsageError, match=kind):
-        places.shipped(kind)
+        places.installed_folder(kind)
 
 
 def test_the_nearest_robot_of_a_name_wins(installation: Path, here: Path, tmp_path: Path) -> None:
@@ -129,8 +129,8 @@ def test_a_suite_that_is_absent_is_answered_with_those_that_exist(
 
 def test_example_robot_data_is_found_without_importing_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "example_robot_data", None)  # an import would raise
-    places.example_robot_data.cache_clear()
-    folder = places.example_robot_data()
+    places.robot_data_folder.cache_clear()
+    folder = places.robot_data_folder()
     assert (folder / "panda_description" / "urdf" / "panda.urdf").is_file()
 
 

@@ -5,14 +5,14 @@ from pathlib import Path
 import click
 
 import sysid_bench
-from sysid_bench.cli.common import (
+from sysid_bench.cli.options import (
     FAILED,
     OK,
     json_option,
     print_json,
     print_result,
+    report_errors,
     robots_option,
-    run_command,
 )
 
 _CHECKED = ("estimator", "excitation", "plant", "simulation", "metric", "log-reader", "task")
@@ -27,7 +27,7 @@ _CHECKED = ("estimator", "excitation", "plant", "simulation", "metric", "log-rea
 )
 @robots_option
 @json_option
-@run_command
+@report_errors
 def list_(kind: str, robots_dir: Path | None, as_json: bool) -> int:
     """List the names of a kind."""
     entries = sysid_bench.list_(kind, robots_dir)
@@ -44,7 +44,7 @@ def list_(kind: str, robots_dir: Path | None, as_json: bool) -> int:
 @click.argument("name")
 @robots_option
 @json_option
-@run_command
+@report_errors
 def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
     """Show one robot, payload, plug-in or suite."""
     print_result(sysid_bench.show(name, robots_dir), as_json)
@@ -67,7 +67,7 @@ def show(name: str, robots_dir: Path | None, as_json: bool) -> int:
 )
 @robots_option
 @json_option
-@run_command
+@report_errors
 def check_plugin(
     name: str, kind: str, file: Path | None, robots_dir: Path | None, as_json: bool
 ) -> int:
@@ -82,7 +82,7 @@ def check_plugin(
 
 @click.command()
 @json_option
-@run_command
+@report_errors
 def doctor(as_json: bool) -> int:
     """Check this machine."""
     result = sysid_bench.doctor()

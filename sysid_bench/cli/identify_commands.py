@@ -1,39 +1,40 @@
 """Command that identifies one robot: identify."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 import click
 
 import sysid_bench
-from sysid_bench.cli.common import (
+from sysid_bench.cli.options import (
     OK,
+    OptionsRecord,
     free_base_option,
+    group_options,
     json_option,
-    option_group,
     print_result,
+    report_errors,
     robots_option,
-    run_command,
     sensor_option,
     task_option,
     terms_option,
 )
-from sysid_bench.cli.options import (
+from sysid_bench.cli.values import (
     parse_contacts,
     parse_names,
     parse_noise,
     parse_payload,
     parse_terms,
 )
+from sysid_bench.errors import UsageError
 
 
-class _Source(NamedTuple):
+class _Source(OptionsRecord):
     simulate: bool
     logs: tuple[Path, ...]
     tests: tuple[Path, ...]
 
 
-class _LogOptions(NamedTuple):
+class _LogOptions(OptionsRecord):
     candidates: str | None
     position_given: bool
     figure: Path | None
@@ -43,7 +44,7 @@ class _LogOptions(NamedTuple):
     moving: float
 
 
-class _Unknowns(NamedTuple):
+class _Unknowns(OptionsRecord):
     task: str
     sensor: str | None
     payload: str
@@ -51,7 +52,7 @@ class _Unknowns(NamedTuple):
     free_base: bool | None
 
 
-class _Method(NamedTuple):
+class _Method(OptionsRecord):
     estimator: str | None
     noise: str | None
     contacts: str | None
@@ -59,13 +60,13 @@ class _Method(NamedTuple):
     seed: int
 
 
-class _Output(NamedTuple):
+class _Output(OptionsRecord):
     model_out: Path | None
     json_out: Path | None
     as_json: bool
 
 
-_source_options = option_group(
+_source_options = group_options(
     "source",
     _Source,
     [
@@ -89,7 +90,7 @@ _source_options = option_group(
     ],
 )
 
-_log_options = option_group(
+_log_options = group_options(
     "of_logs",
     _LogOptions,
     [
@@ -130,7 +131,7 @@ _log_options = option_group(
     ],
 )
 
-_unknown_options = option_group(
+_unknown_options = group_options(
     "unknowns",
     _Unknowns,
     [
@@ -148,7 +149,7 @@ _unknown_options = option_group(
     ],
 )
 
-_method_options = option_group(
+_method_options = group_options(
     "method",
     _Method,
     [
@@ -174,7 +175,7 @@ _method_options = option_group(
     ],
 )
 
-_output_options = option_group(
+_output_options = group_options(
     "output",
     _Output,
     [
@@ -190,16 +191,16 @@ _output_options = option_group(
 
 
 @click.command()
-@click.argument("model", metavar="MODEL")
+@click.argument("model", metavar="MODEL", required=False)
 @_source_options
 @_log_options
 @_unknown_options
 @_method_options
 @_output_options
 @robots_option
-@run_command
+@report_errors
 def identify(
-    model: str,
+    model: str | None,
     source: _Source,
     of_logs: _LogOptions,
     unknowns: _Unknowns,
@@ -209,7 +210,7 @@ def identify(
 ) -> int:
     """Identify one robot: excite and simulate it, or read recordings; estimate; export."""
     result = sysid_bench.identify(
-        model,
+        _given(model),
         task=unknowns.task,
         payload=parse_payload(unknowns.payload),
         terms=parse_terms(unknowns.terms),
@@ -236,3 +237,13 @@ def identify(
     )
     print_result(result, output.as_json)
     return OK
+
+
+def _given(model: str | None) -> str:
+    """Robot to identify; raise UsageError with an example where none is given."""
+    if model is None:
+        raise UsageError(
+            "Which robot? Name it or its model file, then its data: sysid-bench identify ur5 "
+            "--log run.toml --test other.toml, or: sysid-bench identify ur5 --simulate."
+        )
+    return model

@@ -1,16 +1,22 @@
 """Commands that write a first file: init."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 import click
 
 import sysid_bench
-from sysid_bench.cli.common import OK, json_option, option_group, print_result, run_command
-from sysid_bench.cli.options import parse_names
+from sysid_bench.cli.options import (
+    OK,
+    OptionsRecord,
+    group_options,
+    json_option,
+    print_result,
+    report_errors,
+)
+from sysid_bench.cli.values import parse_names
 
 
-class _Conventions(NamedTuple):
+class _Conventions(OptionsRecord):
     modified: bool
     frames: str
     base: str
@@ -34,7 +40,7 @@ def init() -> None:
 )
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder; default: the name.")
 @click.option("--name", help="Default: that of the table.")
-@option_group(
+@group_options(
     "conventions",
     _Conventions,
     [
@@ -58,7 +64,7 @@ def init() -> None:
     ],
 )
 @json_option
-@run_command
+@report_errors
 def robot(
     table: Path, out: Path | None, name: str | None, conventions: _Conventions, as_json: bool
 ) -> int:

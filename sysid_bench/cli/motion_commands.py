@@ -1,35 +1,39 @@
 """Command that designs motions: excite."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import click
 
 import sysid_bench
-from sysid_bench.cli.common import (
+from sysid_bench.cli.options import (
     FAILED,
     INTERRUPTED,
     OK,
+    OptionsRecord,
+    group_options,
     json_option,
-    option_group,
     print_result,
+    report_errors,
     robots_option,
-    run_command,
     sensor_option,
     task_option,
     terms_option,
 )
-from sysid_bench.cli.options import (
+from sysid_bench.cli.progress import search_progress
+from sysid_bench.cli.values import (
     parse_limits,
     parse_motors,
     parse_objective,
     parse_settings,
     parse_terms,
 )
-from sysid_bench.cli.progress import search_progress
+
+if TYPE_CHECKING:
+    from sysid_bench import ExciteResult
 
 
-class _Settings(NamedTuple):
+class _Settings(OptionsRecord):
     """Settings of the excitation `optimised`, as typed."""
 
     period: str | None
@@ -44,19 +48,19 @@ class _Settings(NamedTuple):
     starts: int | None
 
 
-class _Unknowns(NamedTuple):
+class _Unknowns(OptionsRecord):
     task: str
     sensor: str | None
     payload: str
     terms: str | None
 
 
-class _Bounds(NamedTuple):
+class _Bounds(OptionsRecord):
     limits: tuple[str, ...]
     boxes: tuple[str, ...]
 
 
-class _Output(NamedTuple):
+class _Output(OptionsRecord):
     export: str | None
     motors: str | None
     clamp: str
@@ -65,7 +69,7 @@ class _Output(NamedTuple):
     as_json: bool
 
 
-_setting_options = option_group(
+_setting_options = group_options(
     "settings",
     _Settings,
     [
@@ -90,7 +94,7 @@ _setting_options = option_group(
     ],
 )
 
-_unknown_options = option_group(
+_unknown_options = group_options(
     "unknowns",
     _Unknowns,
     [
@@ -103,7 +107,7 @@ _unknown_options = option_group(
     ],
 )
 
-_bound_options = option_group(
+_bound_options = group_options(
     "bounds",
     _Bounds,
     [
@@ -124,7 +128,7 @@ _bound_options = option_group(
     ],
 )
 
-_output_options = option_group(
+_output_options = group_options(
     "output",
     _Output,
     [
@@ -162,7 +166,7 @@ _output_options = option_group(
 @_output_options
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0))
 @robots_option
-@run_command
+@report_errors
 def excite(
     robot: str,
     objective: str,
@@ -190,7 +194,7 @@ def excite(
         payload=unknowns.payload,
         sensor=unknowns.sensor,
         terms=parse_terms(unknowns.terms),
-        settings=parse_settings(settings._asdict(), bounds.boxes),
+        settings=parse_settings(vars(settings), bounds.boxes),
         limits=parse_limits(bounds.limits),
         motors=None if output.motors is None else parse_motors(output.motors),
         clamp=quantity(output.clamp, "1"),
@@ -202,6 +206,10 @@ def excite(
     with search_progress() as on_value:
         result = sysid_bench.excite(request, on_value)
     print_result(result, output.as_json)
+    return _exit_code(result)
+
+
+def _exit_code(result: "ExciteResult") -> int:
     if result.interrupted:
         return INTERRUPTED
     return FAILED if result.violations else OK

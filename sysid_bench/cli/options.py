@@ -1,134 +1,152 @@
-"""Values of options that hold several words; names are checked by the commands themselves."""
+"""Options, errors, exit codes and printing of all commands."""
 
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sysid_bench.errors import UsageError
+import click
 
-_UNITS = {"period": "s", "clearance": "m", "floor": "m", "torque_share": "1"}
+from sysid_bench.errors import SysidBenchError
 
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
-def parse_names(text: str | None) -> tuple[str, ...]:
-    """Split words at commas, each once; () for None."""
-    return tuple(dict.fromkeys(word.strip() for word in (text or "").split(",") if word.strip()))
+    from sysid_bench import Result
 
+OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
-def parse_terms(text: str | None) -> tuple[str, ...] | None:
-    """Joint terms of "viscous,coulomb,j1.k"; () for "none"; None leaves the choice to the robot."""
-    words = parse_names(text)
-    if text is None:
-        return None
-    return () if words == ("none",) else words
+Command = Callable[..., Any]
 
-
-def parse_payload(text: str) -> str | dict[str, Any]:
-    """Name of a payload, or the TOML table that a text in braces holds."""
-    if not text.lstrip().startswith("{"):
-        return text
-    try:
-        return dict(_toml(f"payload = {text}")["payload"])
-    except ValueError as error:
-        raise UsageError(
-            f"The payload {text!r} is not a TOML table ({error}); write --payload "
-            "'{ mass = 1.2, com = [0, 0, 0.05], inertia = \"sphere 0.05 m\" }'."
-        ) from error
+robots_option = click.option(
+    "--robots", "robots_dir", type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Folder of your own robots, <name>/robot.toml.",
+)  # fmt: skip
 
 
-def parse_noise(text: str | None) -> dict[str, str]:
-    """[noise] table of "tau=0.5 %,q=1e-4 rad"; raise UsageError for a key given twice."""
-    table: dict[str, str] = {}
-    for part in (text or "").split(","):
-        key, _, value = part.partition("=")
-        if not part.strip():
-            continue
-        if key.strip() in table:
-            raise UsageError(f"--noise has {key.strip()} twice.")
-        table[key.strip()] = value.strip()
-    return table
+class _Name(click.ParamType[str]):
+    """A name of the registry of plug-ins, or one of the user's own."""
+
+    name = "text"
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> "list[CompletionItem]":
+        from click.shell_completion import CompletionItem
+
+        from sysid_bench.naming import known  # entry points: 30 ms that --help would wait for
+
+        names = known(self.kind)
+        return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
-def parse_contacts(text: str | None) -> list[str] | str | None:
-    """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raise UsageError for others."""
-    from sysid_bench.units import interval
+class _TaskOption(click.Option):
+    """Lists the registered tasks in its help, only when it is printed."""
 
-    if text is None or text == "detect":
-        return text
-    periods = list(parse_names(text))
-    for period in periods or [text]:
-        interval(period)
-    return periods
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        from sysid_bench.naming import known
+
+        self.help = f"{', '.join(known('task'))}; or your own, file:mine.py:Class."
+        return super().get_help_record(ctx)
 
 
-def parse_objective(text: str) -> str | dict[str, float]:
-    """Name of an objective, or the weights of "D=1,cond=0.2"."""
-    if "=" not in text:
-        return text
-    return {name: _number(value) for name, value in parse_pairs(text.split(","))}
+task_option = click.option(
+    "--task", default="robot", show_default=True, type=_Name("task"), cls=_TaskOption
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+free_base_option = click.option(
+    "--free-base", is_flag=True, default=None, help="Let the root body float."
+)
+sensor_option = click.option(
+    "--sensor",
+    metavar="NAME|PLACE",
+    help="Force/torque sensor: a name of the manifest, or a fixed joint, site or body to cut at.",
+)
+terms_option = click.option(
+    "--terms", help="Joint terms that are also unknown: viscous,coulomb,j1.k,...; or none."
+)
 
 
-def parse_limits(words: Sequence[str]) -> dict[str, list[float]]:
-    """Numbers of "v=1.7,1.7,2.2", by the key."""
-    return {key: [_number(x) for x in values.split(",")] for key, values in parse_pairs(words)}
+class OptionsRecord:
+    """Values of a group of options, as attributes.
+
+    A plain class: --help would wait 5 ms for as many named tuples, 40 ms for dataclasses.
+    """
+
+    def __init__(self, **values: Any) -> None:
+        vars(self).update(values)
 
 
-def parse_settings(options: Mapping[str, Any], boxes: Sequence[str]) -> dict[str, Any]:
-    """Settings of the excitation `optimised` in SI units; options that are None are left out."""
-    from sysid_bench.units import quantity
+def group_options(
+    name: str, record: type[OptionsRecord], options: Sequence[Callable[[Command], Command]]
+) -> Callable[[Command], Command]:
+    """Decorator that passes the values of several options as one record, the argument `name`."""
+    fields = tuple(record.__annotations__)
 
-    settings: dict[str, Any] = {
-        key: quantity(value, _UNITS[key]) if key in _UNITS else value
-        for key, value in options.items()
-        if value is not None
-    }
-    if "joints" in settings:
-        settings["joints"] = tuple(name.strip() for name in settings["joints"].split(","))
-    if boxes:
-        settings["boxes"] = {body: _box(body, ranges) for body, ranges in parse_pairs(boxes)}
-    return settings
+    def decorate(command: Command) -> Command:
+        @wraps(command)
+        def gathered(*args: Any, **values: Any) -> Any:
+            parts = record(**{field: values.pop(field) for field in fields})
+            return command(*args, **values, **{name: parts})
 
+        decorated: Command = gathered
+        for option in reversed(options):
+            decorated = option(decorated)
+        return decorated
 
-def parse_motors(text: str) -> dict[str, dict[str, Any]]:
-    """Motors of "DM4340,DM4310", in the order of the moving joints ("1", "2", ...), or of a TOML
-    file with a table for each joint, and [all]."""
-    if not text.endswith(".toml"):
-        return {str(k): {"motor": name.strip()} for k, name in enumerate(text.split(","), 1)}
-    try:
-        table = _toml(Path(text).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise UsageError(f"There is no file {text!r} of motors.") from error
-    except ValueError as error:
-        raise UsageError(f"{text}: {error}.") from error
-    if not all(isinstance(value, dict) for value in table.values()):
-        raise UsageError(f"{text}: write a table for each joint: [joint1] motor = 'DM4340'.")
-    return table
+    return decorate
 
 
-def parse_pairs(words: Sequence[str]) -> list[tuple[str, str]]:
-    """Pairs of "NAME=VALUE"; raise UsageError for a word without both."""
-    pairs = [word.partition("=") for word in words]
-    for key, sign, value in pairs:
-        if not (key.strip() and sign and value):
-            raise UsageError(f"{key + sign + value!r} is not a pair; write NAME=VALUE.")
-    return [(key.strip(), value) for key, _, value in pairs]
+def report_errors(function: Callable[..., int]) -> Callable[..., None]:
+    """Run a command and exit with its code; our errors become one paragraph and code 2."""
+
+    @wraps(function)
+    def guarded(*args: Any, **options: Any) -> None:
+        context = click.get_current_context()
+        try:
+            code = function(*args, **options)
+        except KeyboardInterrupt:
+            code = INTERRUPTED
+        except BrokenPipeError:  # the reader of our output has closed it, as `head` does
+            sys.stderr.close()
+            code = OK
+        except (SysidBenchError, OSError) as error:
+            if context.find_root().obj:  # --debug
+                raise
+            click.echo(f"sysid-bench: {_paragraph(error)}", err=True)
+            code = USAGE
+        context.exit(code)
+
+    return guarded
 
 
-def _toml(text: str) -> dict[str, Any]:
-    """Tables of a TOML text; raise ValueError (TOMLDecodeError) for another text."""
-    import tomllib
-
-    return tomllib.loads(text)
-
-
-def _box(body: str, text: str) -> list[list[float]]:
-    ranges = [part.split(":") for part in text.split(",")]
-    if [len(part) for part in ranges] != [2, 2, 2]:
-        raise UsageError(f"The box of {body!r} is written x:x,y:y,z:z in m; got {text!r}.")
-    return [[_number(low), _number(high)] for low, high in ranges]
+def _paragraph(error: SysidBenchError | OSError) -> str:
+    """Message of an error; for a file that cannot be written, with advice."""
+    if isinstance(error, SysidBenchError):
+        return str(error)
+    file = error.filename or "a file"
+    return (
+        f"{file}: {error.strerror or error}; choose a folder that can be written (-o), on a disk "
+        "with free space."
+    )
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        raise UsageError(f"{text!r} is not a number.") from error
+def print_json(value: Any) -> None:
+    """Print a value as JSON; NaN and infinities become null."""
+    import json  # 2 ms that --help would wait for
+
+    from sysid_bench.canonical_json import plain
+
+    click.echo(json.dumps(plain(value), indent=2))
+
+
+def print_result(result: "Result", as_json: bool) -> None:
+    """Print a result as JSON, or its summary."""
+    if as_json:
+        print_json(result)
+    else:
+        click.echo(result.summary())

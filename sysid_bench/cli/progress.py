@@ -65,6 +65,7 @@ def search_progress() -> Iterator[Callable[[int, float], None]]:
         sys.stderr.flush()
 
     yield show
+    # Carriage return, then erase to the end of the line.
     sys.stderr.write("\r\x1b[K")
 
 

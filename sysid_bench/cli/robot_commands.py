@@ -1,26 +1,27 @@
 """Commands on a robot model: crosscheck, basis."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import click
 
 import sysid_bench
-from sysid_bench.cli.common import (
+from sysid_bench.cli.options import (
     FAILED,
     OK,
+    OptionsRecord,
     free_base_option,
+    group_options,
     json_option,
-    option_group,
     print_json,
     print_result,
+    report_errors,
     robots_option,
-    run_command,
     sensor_option,
     task_option,
     terms_option,
 )
-from sysid_bench.cli.options import parse_names, parse_terms
+from sysid_bench.cli.values import parse_terms
 from sysid_bench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 )
 @robots_option
 @json_option
-@run_command
+@report_errors
 def crosscheck(
     robots: tuple[str, ...],
     samples: int,
@@ -72,7 +73,7 @@ def _print_verdict(verdict: "CrosscheckResult") -> None:
         click.echo(f"sysid-bench: {verdict.robot}: {verdict.reason}", err=True)
 
 
-class _Paper(NamedTuple):
+class _Paper(OptionsRecord):
     paper: bool
     zero: str | None
     values: Path | None
@@ -84,7 +85,7 @@ class _Paper(NamedTuple):
 @terms_option
 @sensor_option
 @free_base_option
-@option_group(
+@group_options(
     "printing",
     _Paper,
     [
@@ -105,7 +106,7 @@ class _Paper(NamedTuple):
 )
 @robots_option
 @json_option
-@run_command
+@report_errors
 def basis(
     robot: str,
     task: str,
@@ -117,14 +118,9 @@ def basis(
     as_json: bool,
 ) -> int:
     """Print the base parameters: number, combinations, identifiability of each parameter."""
-    if (printing.zero is not None or printing.values is not None) and not printing.paper:
-        raise UsageError("--zero and --values belong to --paper.")
-    if (
-        printing.paper
-        and sysid_bench.show(task)["identifies_whole_robot"]
-        and free_base is None
-        and sensor is None
-    ):
+    _check_paper(printing)
+    whole = free_base is None and sensor is None
+    if printing.paper and whole and sysid_bench.show(task)["identifies_whole_robot"]:
         _print_paper(robot, parse_terms(terms), printing, robots_dir, as_json)
         return OK
     result = sysid_bench.basis(robot, task, parse_terms(terms), free_base, robots_dir, sensor)
@@ -133,6 +129,12 @@ def basis(
     else:
         print_result(result, as_json)
     return OK
+
+
+def _check_paper(printing: _Paper) -> None:
+    """Raise UsageError for options that belong to --paper alone."""
+    if not printing.paper and (printing.zero, printing.values) != (None, None):
+        raise UsageError("--zero and --values belong to --paper.")
 
 
 def _print_paper(
@@ -144,8 +146,7 @@ def _print_paper(
 ) -> None:
     from sysid_bench.verbs.base_table import lines
 
-    zero = None if printing.zero is None else parse_names(printing.zero)
-    zero = () if zero == ("none",) else zero
+    zero = parse_terms(printing.zero)
     table = sysid_bench.paper_table(robot, terms, zero, printing.values, robots_dir)
     if as_json:
         print_json(table)

@@ -5,13 +5,13 @@ from pathlib import Path
 import click
 
 import sysid_bench
-from sysid_bench.cli.common import OK, json_option, print_result, robots_option, run_command
+from sysid_bench.cli.options import OK, json_option, print_result, report_errors, robots_option
 
 
 @click.command()
 @click.argument("run_folder", metavar="RUN")
 @json_option
-@run_command
+@report_errors
 def status(run_folder: str, as_json: bool) -> int:
     """Show the progress of a run, and the reasons of failures."""
     print_result(sysid_bench.status(run_folder), as_json)
@@ -22,7 +22,7 @@ def status(run_folder: str, as_json: bool) -> int:
 @click.argument("run_folder", metavar="RUN")
 @click.argument("identifier", metavar="ID")
 @json_option
-@run_command
+@report_errors
 def cell(run_folder: str, identifier: str, as_json: bool) -> int:
     """Show one row, its traceback, and the command that reproduces it."""
     print_result(sysid_bench.cell(run_folder, identifier), as_json)
@@ -33,7 +33,7 @@ def cell(run_folder: str, identifier: str, as_json: bool) -> int:
 @click.argument("run_folder", metavar="RUN")
 @click.argument("name")
 @click.option("--format", "form", default="md", show_default=True, help="md, csv or latex.")
-@run_command
+@report_errors
 def table(run_folder: str, name: str, form: str) -> int:
     """Print one table of a run."""
     click.echo(sysid_bench.table(run_folder, name, form), nl=False)
@@ -42,7 +42,7 @@ def table(run_folder: str, name: str, form: str) -> int:
 
 @click.command()
 @click.argument("run_folder", metavar="RUN")
-@run_command
+@report_errors
 def report(run_folder: str) -> int:
     """Write a run's tables, figures and report.html again."""
     click.echo(str(sysid_bench.report(run_folder)))
@@ -53,7 +53,7 @@ def report(run_folder: str) -> int:
 @click.argument("run_folder", metavar="RUN")
 @click.argument("what", metavar="ID|SPEC")
 @robots_option
-@run_command
+@report_errors
 def record(run_folder: str, what: str, robots_dir: Path | None) -> int:
     """Execute a cell again and write its recording for the Rerun viewer."""
     for path in sysid_bench.record(run_folder, what, robots_dir):
@@ -65,7 +65,7 @@ def record(run_folder: str, what: str, robots_dir: Path | None) -> int:
 @click.argument("run_folder", metavar="RUN")
 @click.argument("identifier", metavar="ID")
 @click.option("--web", is_flag=True, help="In the browser, served on this machine alone.")
-@run_command
+@report_errors
 def view(run_folder: str, identifier: str, web: bool) -> int:
     """Open the recording of a cell."""
     return int(sysid_bench.view(run_folder, identifier, web).wait())

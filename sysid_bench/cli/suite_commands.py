@@ -1,24 +1,25 @@
 """Commands on a suite: plan, run."""
 
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import click
 
 import sysid_bench
-from sysid_bench.cli.common import (
+from sysid_bench.cli.options import (
     INTERRUPTED,
     OK,
     USAGE,
+    OptionsRecord,
+    group_options,
     json_option,
-    option_group,
     print_json,
     print_result,
+    report_errors,
     robots_option,
-    run_command,
 )
-from sysid_bench.cli.options import parse_pairs
 from sysid_bench.cli.progress import run_progress
+from sysid_bench.cli.values import parse_condition, parse_entries
 from sysid_bench.errors import SysidBenchError
 
 _set_option = click.option(
@@ -33,7 +34,7 @@ _select_option = click.option("--select", help="Only cells that meet this expres
 @_set_option
 @robots_option
 @json_option
-@run_command
+@report_errors
 def plan(
     suite: str,
     select: str | None,
@@ -43,7 +44,9 @@ def plan(
 ) -> int:
     """Validate a suite and count its cells; nothing runs."""
     try:
-        result = sysid_bench.plan(suite, select, dict(parse_pairs(settings)), robots_dir)
+        result = sysid_bench.plan(
+            suite, parse_condition(select), dict(parse_entries(settings)), robots_dir
+        )
     except SysidBenchError as error:
         if not as_json:
             raise
@@ -54,7 +57,7 @@ def plan(
     return OK
 
 
-class _Execution(NamedTuple):
+class _Execution(OptionsRecord):
     out: Path | None
     jobs: int | None
     timeout: str | None
@@ -62,7 +65,7 @@ class _Execution(NamedTuple):
     fail_fast: bool
 
 
-class _Selection(NamedTuple):
+class _Selection(OptionsRecord):
     select: str | None
     limit: int | None
     record: str | None
@@ -70,7 +73,7 @@ class _Selection(NamedTuple):
 
 @click.command()
 @click.argument("suite", metavar="SUITE|RUN")
-@option_group(
+@group_options(
     "execution",
     _Execution,
     [
@@ -90,7 +93,7 @@ class _Selection(NamedTuple):
         click.option("--fail-fast", is_flag=True, help="Stop at the first failure."),
     ],
 )
-@option_group(
+@group_options(
     "selection",
     _Selection,
     [
@@ -101,7 +104,7 @@ class _Selection(NamedTuple):
 )
 @_set_option
 @robots_option
-@run_command
+@report_errors
 def run(
     suite: str,
     execution: _Execution,
@@ -119,13 +122,13 @@ def run(
             suite,
             execution.out,
             execution.jobs,
-            selection.select,
+            parse_condition(selection.select),
             selection.limit,
             execution.timeout,
             rerun=execution.rerun,
             fail_fast=execution.fail_fast,
-            record=selection.record,
-            overrides=dict(parse_pairs(settings)),
+            record=parse_condition(selection.record),
+            overrides=dict(parse_entries(settings)),
             robots_dir=robots_dir,
             on_event=on_event,
         )

@@ -3,11 +3,15 @@
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.base_table import base_table
 from sysid_bench.models.load import load_robot
+from sysid_bench.verbs.result import value_text
+
+ROUNDING: Final = 1e-6
+"""Change below which values count as those of a physical robot: solver tolerance."""
 
 
 def paper_table(
@@ -24,13 +28,13 @@ def paper_table(
     """
 
     robot = load_robot(source, robots_dir=robots_dir)
-    given = _read(Path(values)) if isinstance(values, (str, Path)) else values
+    if not isinstance(values, (str, Path)):
+        return base_table(robot, terms, zero, values)
+    given = _read(Path(values))
     try:
         return base_table(robot, terms, zero, given)
     except UsageError as error:
-        if isinstance(values, (str, Path)):
-            raise UsageError(f"{values}: {error}") from error
-        raise
+        raise UsageError(f"{values}: {error}") from error
 
 
 def lines(answer: Mapping[str, Any]) -> list[str]:
@@ -38,17 +42,20 @@ def lines(answer: Mapping[str, Any]) -> list[str]:
     rows = answer["rows"]
     if all(row["value"] is None for row in rows):
         return [row["expression"] for row in rows]
-    printed = [
-        f"{'-' if row['value'] is None else format(row['value'], '.4g'):>10}  {row['expression']}"
-        + (f"   IMPOSSIBLE: {row['impossible']}" if row["impossible"] else "")
-        for row in rows
-    ]
-    change = answer["smallest_change"]
-    if change is not None and change > 1e-6:
-        printed.append(
-            f"No physical robot has these values: some have to change by {change:.3g} or more."
-        )
-    return printed
+    return [_line(row) for row in rows] + _change_lines(answer["smallest_change"] or 0.0)
+
+
+def _change_lines(change: float) -> list[str]:
+    """Remark on values that no physical robot has."""
+    if change <= ROUNDING:
+        return []
+    return [f"No physical robot has these values: some have to change by {change:.3g} or more."]
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    """Value and expression of a row, marked where no physical robot has the value."""
+    mark = f"   IMPOSSIBLE: {row['impossible']}" if row["impossible"] else ""
+    return f"{value_text(row['value']):>10}  {row['expression']}{mark}"
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -1,10 +1,11 @@
 """Base parameters of a task: number, combinations, and identifiability of each parameter."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from sysid_bench.errors import SHOWN, first_names
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     dropped_expressions,
@@ -16,14 +17,12 @@ from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.tasks.task import find_task
+from sysid_bench.types import Array, BaseMap, Body
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.task_terms import check_terms
+from sysid_bench.verbs.task_terms import check_terms, terms_of
 
 LOAD: Final = "point-1kg"
 """Payload mounted for payload tasks. Identifiability depends on its position in the tree alone."""
-
-SHOWN: Final = 8
-"""Names in one line of the summary."""
 
 _WORDS: Final = {
     "identifiable": "identifiable",
@@ -74,16 +73,19 @@ class BasisResult(Result):
         if self.near_degenerate:
             share = self.dropped_torque
             lines.append(f"  these carry {share:.1e} of the torque, which no estimate predicts")
+        return "\n".join([*lines, *self._verdict_lines()])
+
+    def _verdict_lines(self) -> Iterator[str]:
+        """First parameters of each verdict that occurs."""
         for verdict, words in _WORDS.items():
             names = [name for name, value in self.verdicts.items() if value == verdict]
             if names:
-                lines.append(f"  {len(names)} {words}: {_first(names)}")
-        return "\n".join(lines)
+                yield f"  {len(names)} {words}: {_first(names)}"
 
 
 def _first(names: list[str]) -> str:
-    more = len(names) - SHOWN
-    return ", ".join(names[:SHOWN]) + (f" and {more} more (--json)" if more > 0 else "")
+    """The first SHOWN of names, and where to find the others."""
+    return first_names(names, SHOWN) + (" (--json)" if len(names) > SHOWN else "")
 
 
 def basis(
@@ -105,11 +107,10 @@ def basis(
     definition = find_task(task)
     load = PAYLOADS[LOAD if definition.identifies_payload else "none"]
     robot = load_robot(source, load, free_base, robots_dir)
-    chosen = definition.default_terms(robot) if terms is None else tuple(terms)
+    chosen = terms_of(definition, robot, terms)
     posed = definition.unknowns(robot, chosen, sensor, None)
     R = structural_factor(robot, posed.parameters, posed.rows, posed.cuts)
     base = base_map(R, posed.parameters)
-    inertial = {column for body in posed.bodies for column in body.columns}
     return BasisResult(
         robot=robot.name,
         task=task,
@@ -117,17 +118,28 @@ def basis(
         rows=list(robot.torque_rows if posed.rows is None else posed.rows),
         parameters=len(posed.parameters),
         base_parameters=base.rank,
-        # Joint terms come last, so that no pivot among the inertial parameters depends on them.
-        inertial=sum(name in inertial for name in base.names),
+        inertial=_inertial_rank(base, posed.bodies),
         gap=base.gap,
         near_degenerate=base.near_degenerate,
         dropped_torque=dropped_torque(base, posed.truth.theta),
-        near_degenerate_directions=[
-            {"singular_value": value, "expression": expression(parts, 2), "terms": parts}
-            for value, parts in dropped_expressions(R, base)
-        ],
+        near_degenerate_directions=_near_degenerate_fields(R, base),
         combinations=[
             {"expression": expression(parts), "terms": parts} for parts in base_expressions(base)
         ],
         verdicts=dict(zip(base.parameters, verdicts(base), strict=True)),
     )
+
+
+def _inertial_rank(base: BaseMap, bodies: Iterable[Body]) -> int:
+    """Number of base parameters that are inertial: joint terms come last among the unknowns, so
+    that no pivot among the inertial parameters depends on them."""
+    inertial = {column for body in bodies for column in body.columns}
+    return sum(name in inertial for name in base.names)
+
+
+def _near_degenerate_fields(R: Array, base: BaseMap) -> list[dict[str, Any]]:
+    """Directions below the rank tolerance but above rounding error."""
+    return [
+        {"singular_value": value, "expression": expression(parts, 2), "terms": parts}
+        for value, parts in dropped_expressions(R, base)
+    ]

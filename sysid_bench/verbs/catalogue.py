@@ -2,10 +2,13 @@
 
 import dataclasses
 import json
+import re
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
+
+from pydantic import BaseModel
 
 from sysid_bench import naming, places
 from sysid_bench.errors import SysidBenchError, unknown_name
@@ -17,6 +20,9 @@ from sysid_bench.verbs.result import Result
 
 Entry = dict[str, Any]
 
+_SENTENCE_END: Final = re.compile(r"(?<=\.) (?=[A-Z`])")
+"""A full stop before a capital or a name; "et al. (2010)" and "i.e. x" do not end a sentence."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class ShowResult(Result):
@@ -27,10 +33,9 @@ class ShowResult(Result):
 
     def summary(self) -> str:
         """One line per key."""
-        return "\n".join(
-            f"{key:<12} {value if isinstance(value, str) else json.dumps(value, default=str)}"
-            for key, value in self.items()
-        )
+        values = self._fields()
+        width = max(map(len, values))
+        return "\n".join(f"{key:<{width}}  {_value_line(v)}" for key, v in values.items())
 
     def _fields(self) -> Entry:
         return {"kind": self.kind, **self.entry}
@@ -38,26 +43,53 @@ class ShowResult(Result):
 
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
-    simulations, plants, metrics, log-readers) with name and title; the title of an entry that
-    cannot be read states the reason."""
-    if kind not in _LISTS:
+    simulations, plants, metrics, log-readers; singular or plural) with name and title; the title of
+    an entry that cannot be read states the reason."""
+    plural = _plural(kind)
+    if plural not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
-    return _LISTS[kind](robots_dir)
+    return _LISTS[plural](robots_dir)
 
 
 def show(name: str, robots_dir: Path | None = None) -> ShowResult:
-    """Return a robot's manifest as read, a payload, the settings of a plug-in, or a suite.
+    """Return a robot's manifest as read, a payload, the settings of a plug-in, or a suite; for a
+    kind, the titles of its names.
 
     Raises UsageError with the nearest name of any kind.
     """
-    path = "/" in name or name.endswith((".urdf", ".xml"))
-    if path or is_model(name) or name in places.robots(robots_dir):
+    if _is_robot(name, robots_dir):
         return ShowResult("robot", _robot(name, robots_dir))
-    found = {kind: {entry["name"] for entry in list_(kind, robots_dir)} for kind in _LISTS}
-    for kind, make in _SHOWS.items():
-        if name in found[kind]:
-            return ShowResult(kind.removesuffix("s"), make(name))
-    raise unknown_name("name", name, {n for names in found.values() for n in names})
+    names = {kind: _names(kind, robots_dir) for kind in _LISTS}
+    kind = next((kind for kind in _SHOWS if name in names[kind]), None)
+    if kind is not None:
+        return ShowResult(kind.removesuffix("s"), _SHOWS[kind](name))
+    if _plural(name) in _LISTS:
+        return ShowResult("kind", _titles(_plural(name), robots_dir))
+    raise unknown_name("name", name, set().union(*names.values()))
+
+
+def _is_robot(name: str, robots_dir: Path | None) -> bool:
+    """Test for the file or the name of a robot, which need not exist where it is a path."""
+    path = "/" in name or name.endswith((".urdf", ".xml"))
+    return path or is_model(name) or name in places.robots(robots_dir)
+
+
+def _names(kind: str, robots_dir: Path | None) -> set[str]:
+    return {entry["name"] for entry in list_(kind, robots_dir)}
+
+
+def _plural(kind: str) -> str:
+    """Kind as it is listed: "log-readers" for "log_reader"."""
+    return kind.replace("_", "-").removesuffix("s") + "s"
+
+
+def _titles(kind: str, robots_dir: Path | None) -> Entry:
+    """Kind, then the title of each of its names."""
+    return {"name": kind} | {entry["name"]: entry["title"] for entry in list_(kind, robots_dir)}
+
+
+def _value_line(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, default=str)
 
 
 def _robot(name: str, robots_dir: Path | None) -> Entry:
@@ -70,15 +102,18 @@ def _robot(name: str, robots_dir: Path | None) -> Entry:
         "free_base": manifest.free_base,
         "gravity": manifest.gravity,
         "terms": list(manifest.terms),
-        "limits": {
-            j: limits.model_dump(exclude_none=True) for j, limits in manifest.limits.items()
-        },
-        "joints": {j: terms.model_dump(exclude_none=True) for j, terms in manifest.joints.items()},
+        "limits": _given(manifest.limits),
+        "joints": _given(manifest.joints),
         "couplings": manifest.couplings,
         "coupling": {"independent": list(manifest.independent)},
         "sensors": [sensor.model_dump() for sensor in manifest.sensors],
         "licence": manifest.licence,
     }
+
+
+def _given(by_joint: Mapping[str, BaseModel]) -> Entry:
+    """Keys of each joint that the manifest gives."""
+    return {joint: table.model_dump(exclude_none=True) for joint, table in by_joint.items()}
 
 
 def _robots(robots_dir: Path | None) -> list[Entry]:
@@ -125,10 +160,17 @@ def _plugin(kind: str) -> Callable[[str], Entry]:
         settings = {}
         if dataclasses.is_dataclass(plugin):
             settings = {field.name: _default(field) for field in dataclasses.fields(plugin)}
-        title = (plugin.__doc__ or "").strip().split("\n")[0]
+        title = _first_sentence(plugin.__doc__ or "")
         return {"name": name, "title": title, "at": naming.known(kind)[name], "settings": settings}
 
     return entry
+
+
+def _first_sentence(text: str) -> str:
+    """First sentence of a docstring on one line; the whole paragraph where no other
+    follows."""
+    paragraph = " ".join(text.strip().partition("\n\n")[0].split())
+    return _SENTENCE_END.split(paragraph, maxsplit=1)[0]
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
@@ -139,7 +181,9 @@ def _default(field: dataclasses.Field[Any]) -> Any:
 
 
 def _suites(robots_dir: Path | None) -> list[Entry]:
-    return [{"name": name, "title": _suite_title(file)} for name, file in places.suites().items()]
+    return [
+        {"name": name, "title": _suite_title(file)} for name, file in places.suite_files().items()
+    ]
 
 
 def _suite_title(file: Path) -> str:
@@ -150,7 +194,7 @@ def _suite_title(file: Path) -> str:
 
 
 def _suite(name: str) -> Entry:
-    file = places.suites()[name]
+    file = places.suite_files()[name]
     return {"name": name, "file": str(file), **tomllib.loads(file.read_text(encoding="utf-8"))}
 
 

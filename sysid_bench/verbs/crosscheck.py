@@ -44,17 +44,11 @@ class CrosscheckResult(Result):
         """Lines of what was measured; none for a model that could not be used."""
         if self.nv is None:
             return []
-        native = (
-            f"native: {self.native_reason}"
-            if self.native_gap is None
-            else f"native gap {self.native_gap:.1e}"
-        )
-        weak = f" ({self.near_degenerate} near-degenerate)" if self.near_degenerate else ""
         return [
             f"{self.robot}: {'agrees' if self.ok else 'DIFFERS'}  gap {self.gap:.1e}  "
-            f"closure {self.closure:.1e}  {native}",
+            f"closure {self.closure:.1e}  {self._native_text()}",
             f"  {self.nv} degrees of freedom, {self.bodies} bodies, "
-            f"{self.base_parameters} base parameters{weak}",
+            f"{self.base_parameters} base parameters{self._weak_text()}",
             *self._coupling_lines(),
             *(f"  {_kind(repair)}: {repair}" for repair in self.repairs),
         ]
@@ -62,6 +56,15 @@ class CrosscheckResult(Result):
     def summary(self) -> str:
         """Measured values, and the reason of a failure."""
         return "\n".join(self.figures() + ([f"{self.robot}: {self.reason}"] if self.reason else []))
+
+    def _weak_text(self) -> str:
+        return f" ({self.near_degenerate} near-degenerate)" if self.near_degenerate else ""
+
+    def _native_text(self) -> str:
+        """Gap against Pinocchio's own parser, or the reason why there is none."""
+        if self.native_gap is None:
+            return f"native: {self.native_reason}"
+        return f"native gap {self.native_gap:.1e}"
 
     def _coupling_lines(self) -> list[str]:
         if self.coupling is None:
@@ -90,22 +93,33 @@ def crosscheck(
     """
     if samples < 1:
         raise UsageError(f"--samples {samples}: at least one state is needed to compare.")
-    manifests = [(str(source), _manifest(str(source), robots_dir)) for source in sources]
-    if assets is not None:
-        manifests = [
-            (source, replace(found, assets=assets) if isinstance(found, Manifest) else found)
-            for source, found in manifests
-        ]
-    return [_verdict(source, found, samples, free_base) for source, found in manifests]
+    names = [_name(source) for source in sources]
+    manifests = [_manifest(name, robots_dir, assets) for name in names]
+    return [
+        _verdict(name, found, samples, free_base)
+        for name, found in zip(names, manifests, strict=True)
+    ]
 
 
-def _manifest(source: str, robots_dir: Path | None) -> Manifest | Exception:
+def _name(source: str | Path) -> str:
+    """Name or file of a robot as text; raise UsageError for another type, such as a list."""
+    if not isinstance(source, (str, Path)):
+        raise UsageError(
+            f"crosscheck takes names and files one by one, as crosscheck('ur5', 'panda'); got "
+            f"{source!r}."
+        )
+    return str(source)
+
+
+def _manifest(source: str, robots_dir: Path | None, assets: Path | None) -> Manifest | Exception:
+    """Manifest of a robot, or the reason why its file cannot be read."""
     try:
-        return find_manifest(source, robots_dir)
+        manifest = find_manifest(source, robots_dir)
     except UsageError:
         raise
     except Exception as error:
         return error
+    return manifest if assets is None else replace(manifest, assets=assets)
 
 
 def _verdict(
@@ -122,6 +136,7 @@ def _verdict(
 def _measured(manifest: Manifest, samples: int, free_base: bool | None) -> CrosscheckResult:
     robot = load_robot(manifest, free_base=free_base)
     verdict = compare_engines(robot, samples)
+    # Counted on the tree itself: coupled joints have fewer torque rows, reported beside.
     base = structural_base(robot.without_coupling, robot.inertial_columns)
     return CrosscheckResult(
         robot=robot.name,

@@ -56,19 +56,23 @@ def doctor() -> DoctorResult:
 
 
 def _packages() -> _Check:
-    absent = []
-    for package in PACKAGES:
-        try:
-            import_module(package)
-        except ImportError as error:
-            absent.append(f"{package} ({error})")
+    absent = [reason for package in PACKAGES if (reason := _import_failure(package))]
     detail = f"absent: {', '.join(absent)}" if absent else "all import"
     return _Check("packages", not absent, detail)
 
 
+def _import_failure(package: str) -> str:
+    """Name and error of a package that does not import; "" for one that does."""
+    try:
+        import_module(package)
+    except ImportError as error:
+        return f"{package} ({error})"
+    return ""
+
+
 def _example_robots() -> _Check:
     try:
-        return _Check("example-robot-data", True, str(places.example_robot_data()))
+        return _Check("example-robot-data", True, str(places.robot_data_folder()))
     except SysidBenchError as error:
         return _Check("example-robot-data", False, str(error))
 
@@ -76,8 +80,10 @@ def _example_robots() -> _Check:
 def _robots() -> _Check:
     robots = list_("robots")
     broken = [robot["name"] for robot in robots if robot["title"].startswith("cannot be read")]
-    detail = f"{len(robots)} robots" + (f"; cannot be read: {', '.join(broken)}" if broken else "")
-    return _Check("robots", not broken and bool(robots), detail)
+    detail = f"{len(robots)} robots"
+    if broken:
+        detail += f"; cannot be read: {', '.join(broken)}"
+    return _Check("robots", bool(robots) and not broken, detail)
 
 
 def _viewer() -> _Check:

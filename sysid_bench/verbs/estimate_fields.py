@@ -18,41 +18,67 @@ Errors = Mapping[str, StandardError]
 TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
 
 
+def estimate_fields(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str, Any]:
+    """Return the fields `std_from`, `base`, `bodies` and `joints` of an identification.
+
+    `std_from`: origin of the standard deviations, "periods", "residuals" or "textbook" (see
+    evaluation/covariance.py); None without any.
+    """
+    return {
+        "std_from": next(iter(errors), None),
+        "base": _base(estimate, problem, errors),
+        "bodies": _bodies(estimate, problem, errors),
+        "joints": _joints(estimate, problem, errors),
+    }
+
+
+def parameters_with(body: Mapping[str, Any], verdict: str) -> list[str]:
+    """Return the parameters of a body that have a verdict."""
+    return [key for key, value in body["identifiable"].items() if value == verdict]
+
+
 def values_of(estimate: Estimate, problem: Problem) -> Array:
     """Return theta (p,); NaN where the method identifies a combination alone."""
     if estimate.theta is not None:
         return estimate.theta
     assert estimate.beta is not None
-    single = np.array(verdicts(problem.base)) == "identifiable"
-    values: Array = np.where(single, problem.base.embed(estimate.beta), np.nan)
+    values: Array = np.where(_identifiable(problem), problem.base.embed(estimate.beta), np.nan)
     return values
 
 
-def bodies_of(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str, dict[str, Any]]:
-    """Return {name: mass (kg), com (m), inertia about the centre of mass (six, kg m^2), each None
-    unless identifiable, and `parameters`, `identifiable` (verdicts), `std` of the ten}."""
+def _identifiable(problem: Problem) -> Array:
+    """Mask (p,) of the parameters that are identifiable on their own."""
+    mask: Array = np.array(verdicts(problem.base)) == "identifiable"
+    return mask
+
+
+def _bodies(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str, dict[str, Any]]:
+    """{name: mass (kg), com (m), inertia about the centre of mass (six, kg m^2), each None unless
+    identifiable, and `parameters`, `identifiable` (verdicts), `std` of the ten}."""
     columns = {name: j for j, name in enumerate(problem.parameters)}
     theta, verdict = values_of(estimate, problem), np.array(verdicts(problem.base))
     std = _std(problem, errors)
-    bodies = {}
-    for body in problem.bodies:
-        ten = [columns[column] for column in body.columns]
-        phi, single = theta[ten], verdict[ten] == "identifiable"
-        # Combinations count as zero here; com and inertia are only given where none is needed.
-        _, com, inertia = mass_com_inertia(np.where(single, phi, 0.0))
-        bodies[body.name] = {
-            "mass": float(phi[0]) if single[0] else None,
-            "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
-            "inertia": six_of_matrix(inertia).tolist() if single.all() else None,
-            "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
-            "identifiable": dict(zip(NAMES, verdict[ten].tolist(), strict=True)),
-            "std": dict(zip(NAMES, std[ten].tolist(), strict=True)),
-        }
-    return bodies
+    tens = {body.name: [columns[column] for column in body.columns] for body in problem.bodies}
+    return {name: _body(theta[ten], verdict[ten], std[ten]) for name, ten in tens.items()}
 
 
-def base_of(estimate: Estimate, problem: Problem, errors: Errors) -> list[dict[str, Any]]:
-    """Return [{expression, terms, value, std}] of the base parameters, in order of their pivots."""
+def _body(phi: Array, verdict: Array, std: Array) -> dict[str, Any]:
+    """Fields of a body from its ten parameters (m, h, I about the frame's origin)."""
+    single = verdict == "identifiable"
+    # Combinations count as zero here; com and inertia are only given where none is needed.
+    _, com, inertia = mass_com_inertia(np.where(single, phi, 0.0))
+    return {
+        "mass": float(phi[0]) if single[0] else None,
+        "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
+        "inertia": six_of_matrix(inertia).tolist() if single.all() else None,
+        "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
+        "identifiable": dict(zip(NAMES, verdict.tolist(), strict=True)),
+        "std": dict(zip(NAMES, std.tolist(), strict=True)),
+    }
+
+
+def _base(estimate: Estimate, problem: Problem, errors: Errors) -> list[dict[str, Any]]:
+    """[{expression, terms, value, std}] of the base parameters, in order of their pivots."""
     assert estimate.beta is not None
     std = _base_std(errors, problem.base.rank)
     return [
@@ -61,10 +87,10 @@ def base_of(estimate: Estimate, problem: Problem, errors: Errors) -> list[dict[s
     ]
 
 
-def joints_of(
+def _joints(
     estimate: Estimate, problem: Problem, errors: Errors
 ) -> dict[str, dict[str, dict[str, Any]]]:
-    """Return {joint: {term: value, identifiable, std}} of the unknown joint terms."""
+    """{joint: {term: value, identifiable, std}} of the unknown joint terms."""
     inertial = {column for body in problem.bodies for column in body.columns}
     theta, std = values_of(estimate, problem), _std(problem, errors)
     joints: dict[str, dict[str, dict[str, Any]]] = {}
@@ -92,28 +118,24 @@ def _joint_and_term(name: str) -> tuple[str, str]:
 
 def warnings_of(estimate: Estimate, problem: Problem) -> list[str]:
     """Warn about parameters that are not identifiable on their own, combinations first."""
-    by_verdict: dict[str, list[str]] = {"combination": [], "none": []}
-    for name, verdict in zip(problem.parameters, verdicts(problem.base), strict=True):
-        if verdict != "identifiable":
-            by_verdict[verdict].append(name)
     # Parameters without effect, as those of a fixed base, come last.
-    names, without_effect = [*by_verdict["combination"], *by_verdict["none"]], by_verdict["none"]
+    without_effect = _names(problem, "none")
+    names = [*_names(problem, "combination"), *without_effect]
     if not names:
         return []
     effect = f" ({len(without_effect)} have no effect)" if without_effect else ""
-    text = (
+    choice = "; their values are the method's choice, which no residual can confirm"
+    return [
         f"{len(names)} of {len(problem.parameters)} parameters are not identifiable on their own"
         f"{effect}: {', '.join(names[:8])}{', ...' if len(names) > 8 else ''}"
-    )
-    if estimate.theta is not None:
-        text += "; their values are the method's choice, which no residual can confirm"
-    return [text]
+        f"{'' if estimate.theta is None else choice}"
+    ]
 
 
-def std_from(errors: Errors) -> str | None:
-    """Return the origin of the standard deviations: "periods", "residuals" or "textbook" (see
-    evaluation/covariance.py); None without any."""
-    return next(iter(errors), None)
+def _names(problem: Problem, verdict: str) -> list[str]:
+    """Parameters with a verdict."""
+    verdicts_of = zip(problem.parameters, verdicts(problem.base), strict=True)
+    return [name for name, found in verdicts_of if found == verdict]
 
 
 def _base_std(errors: Errors, rank: int) -> Array:
@@ -136,6 +158,5 @@ def _std(problem: Problem, errors: Errors) -> Array:
     """Standard deviations (p,) of the parameters that are identifiable, NaN elsewhere."""
     std = np.full(len(problem.parameters), np.nan)
     std[problem.base.pivots] = _base_std(errors, problem.base.rank)
-    single = np.array(verdicts(problem.base)) == "identifiable"
-    known: Array = np.where(single, std, np.nan)
+    known: Array = np.where(_identifiable(problem), std, np.nan)
     return known

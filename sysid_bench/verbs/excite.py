@@ -1,7 +1,7 @@
 """Design of the most informative motion within a robot's limits, as a file for its controller."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -12,26 +12,33 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import InformationModel, information_model, torque_model
-from sysid_bench.excitation.optimised import Optimised, design_figures, excited_parameters
+from sysid_bench.excitation.limit_use import LimitUse
+from sysid_bench.excitation.optimised import Design, Optimised, design_figures, excited_parameters
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.tasks.task import find_task
-from sysid_bench.types import Array, BaseMap
+from sysid_bench.types import Array, BaseMap, Trajectory
+from sysid_bench.verbs.identify_request import check_seed
 from sysid_bench.verbs.motion_export import (
     RESTING,
+    MotionExport,
     check_export,
     joint_commands,
-    motor_drives,
+    joint_drives,
     read_motion,
     write_motion,
 )
-from sysid_bench.verbs.result import OMIT_NONE, Result
-from sysid_bench.verbs.task_terms import check_term_names
+from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
+from sysid_bench.verbs.task_terms import check_term_names, terms_of
 
 OnValue = Callable[[int, float], None]
 """Listener of a search: evaluations so far, best value of the objective."""
+
+LIMITS: Final = ("v", "a", "tau")
+RESTING_SPEED: Final = 1e-3
+"""Speed (rad/s, m/s) below which a motion counts as starting and ending at rest."""
 
 _COMPARED: Final = ("condition", "condition_unit", "log_det", "smallest_singular_value")
 
@@ -116,20 +123,27 @@ class ExciteResult(Result):
             f"{self.start_condition:.4g}), log det {self.log_det:.5g} "
             f"({self.start_log_det:.5g}); {self.evaluations} evaluations, {self.seconds:.1f} s",
         ]
-        for kind, used in self.limits.items():
-            lines.append(
-                f"  {kind:<12} {used['value']:9.4g} of {used['limit']:.4g} {used['unit']}, "
-                f"margin {used['margin']:.3g} ({used['at']})"
-            )
+        lines += [_limit_line(kind, used) for kind, used in self.limits.items()]
         if not self.violations:
             lines.append("  no limit is violated on a grid ten times finer than that of the search")
         lines.append(f"  shapes: {self.geometry['note']}")
+        return "\n".join([*lines, *self._closing_lines()])
+
+    def _closing_lines(self) -> Iterator[str]:
+        """Interruption, warnings and the file."""
         if self.interrupted:
-            lines.append("  interrupted: this is the best feasible motion so far")
-        lines += [f"  warning: {warning}" for warning in self.warnings]
+            yield "  interrupted: this is the best feasible motion so far"
+        for warning in self.warnings:
+            yield f"  warning: {warning}"
         if self.file:
-            lines.append(f"  file: {self.file}")
-        return "\n".join(lines)
+            yield f"  file: {self.file}"
+
+
+def _limit_line(kind: str, used: Mapping[str, Any]) -> str:
+    return (
+        f"  {kind:<12} {used['value']:9.4g} of {used['limit']:.4g} {used['unit']}, "
+        f"margin {used['margin']:.3g} ({used['at']})"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,52 +170,67 @@ def excite(
     if not isinstance(request, ExciteRequest):
         request = ExciteRequest(request)
     start = time.perf_counter()
+    # Whatever can be refused is checked before the search.
+    check_seed(request.seed)
     kind = check_export(request.export, request.out)
     question = _question(request, kind)
     method, problem = question.method, question.problem
-    # Whatever can be refused is checked before the search.
-    drives = motor_drives(kind, question.joints, request.motors)
+    drives = joint_drives(kind, question.joints, request.motors)
     recorded = [read_motion(Path(f), problem, question.joints, method) for f in request.after]
+    # The same seed gives _figures the random motions that the search began with.
     rng = np.random.default_rng(request.seed)
     design = method.solve(problem, rng, recorded, on_value)
     motion = method.motion(design.C, problem)
-    limits = method.report(design.C, problem)
-    warnings: list[str] = []
-    drive_report = None
+    exported = MotionExport([], None)
     if request.out is not None:
         commands = joint_commands(question.robot, motion, question.joints)
         exported = write_motion(Path(request.out), kind, commands, drives, request.clamp)
-        warnings, drive_report = exported.warnings, exported.drives
+    return _result(request, question, design, motion, exported, time.perf_counter() - start)
+
+
+def _result(
+    request: ExciteRequest,
+    question: _Question,
+    design: Design,
+    motion: Trajectory,
+    exported: MotionExport,
+    seconds: float,
+) -> ExciteResult:
+    method, problem = question.method, question.problem
     return ExciteResult(
         robot=question.robot.name,
         task=request.task,
         payload=request.payload,
         terms=list(question.terms),
         objective=request.objective,
-        family=method.family,
-        harmonics=method.harmonics,
-        period=method.period,
-        cycles=method.cycles,
         joints=list(question.joints),
         seed=request.seed,
         rate=request.rate,
+        **{name: getattr(method, name) for name in ("family", "harmonics", "period", "cycles")},
         **_figures(question, design.C, request.seed),
+        **_limit_fields(method.report(design.C, problem)),
         of=question.base.rank,
         evaluations=design.evaluations,
         interrupted=design.interrupted,
-        limits={used.kind: used.to_json() for used in limits.values()},
-        violations=[
-            {"kind": used.kind, "at": used.name, "share": used.use}
-            for used in limits.values()
-            if not used.use <= 1.0
-        ],
-        rest=bool(np.abs(motion.v[[0, -1]]).max() < 1e-3),
+        rest=bool(np.abs(motion.v[[0, -1]]).max() < RESTING_SPEED),
         geometry=_geometry(problem, method),
-        warnings=warnings,
-        file=None if request.out is None else str(request.out),
-        export=drive_report,
-        seconds=time.perf_counter() - start,
+        warnings=exported.warnings,
+        file=file_text(request.out),
+        export=exported.drives,
+        seconds=seconds,
     )
+
+
+def _limit_fields(limits: Mapping[str, LimitUse]) -> dict[str, Any]:
+    """Fields `limits` and `violations` of the result."""
+    # A share that is NaN is a violation too: no comparison with it holds.
+    violated = [used for used in limits.values() if not used.use <= 1.0]
+    return {
+        "limits": {used.kind: used.to_json() for used in limits.values()},
+        "violations": [
+            {"kind": used.kind, "at": used.name, "share": used.use} for used in violated
+        ],
+    }
 
 
 def _question(request: ExciteRequest, kind: str) -> _Question:
@@ -209,7 +238,7 @@ def _question(request: ExciteRequest, kind: str) -> _Question:
     payload = parse_payload(request.payload)
     robot = load_robot(request.robot, payload, robots_dir=request.robots_dir)
     definition = find_task(request.task)
-    terms = definition.default_terms(robot) if request.terms is None else tuple(request.terms)
+    terms = terms_of(definition, robot, request.terms)
     posed = definition.unknowns(robot, terms, request.sensor, None)
     base = structural_base(robot, posed.parameters, posed.rows, posed.cuts)
     information = information_model(robot, base.names, posed.rows, posed.cuts)
@@ -221,11 +250,9 @@ def _question(request: ExciteRequest, kind: str) -> _Question:
         scene=lambda floor: scenes.setdefault(floor, collision_model(robot, floor)),
         **_limits(robot.torque_rows, request.limits),
     )
-    settings: dict[str, Any] = {"clearance": 0.01, **request.settings}
-    if kind != "csv":
-        settings.setdefault("family", RESTING)
+    resting = {} if kind == "csv" else {"family": RESTING}
+    settings: dict[str, Any] = {"clearance": 0.01, **resting, **request.settings}
     method = Optimised(objective=request.objective, **settings)
-    joints = _joint_names(problem, method.space(problem).dofs)
     return _Question(
         robot=robot,
         terms=terms,
@@ -233,7 +260,7 @@ def _question(request: ExciteRequest, kind: str) -> _Question:
         problem=problem,
         information=information,
         method=method,
-        joints=joints,
+        joints=_joint_names(problem, method.space(problem).dofs),
     )
 
 
@@ -255,30 +282,40 @@ def _joint_names(problem: DesignProblem, dofs: Array) -> tuple[str, ...]:
 
 
 def _limits(rows: tuple[str, ...], given: Mapping[str, Sequence[float]]) -> dict[str, Any]:
-    limits = {}
-    for key, values in given.items():
-        if key not in ("v", "a", "tau"):
-            raise unknown_name("limit", key, ("v", "a", "tau"), "Positions come from the robot.")
-        numbers = np.array(values, dtype=float)
-        if len(numbers) not in (1, len(rows)) or not (numbers > 0).all():
-            raise UsageError(
-                f"The limit {key} needs one positive number, or {len(rows)}, one for each of "
-                f"{', '.join(rows)}; got {', '.join(map(str, values))}."
-            )
-        limits[key] = np.broadcast_to(numbers, len(rows)).copy()
-    return limits
+    """Limits {key: (nv,)} that replace the robot's."""
+    unknown = next((key for key in given if key not in LIMITS), None)
+    if unknown is not None:
+        raise unknown_name("limit", unknown, LIMITS, "Positions come from the robot.")
+    return {key: _limit(key, values, rows) for key, values in given.items()}
+
+
+def _limit(key: str, values: Sequence[float], rows: tuple[str, ...]) -> Array:
+    """One positive number for each row; raise UsageError for another count or sign."""
+    numbers = np.array(values, dtype=float)
+    if len(numbers) not in (1, len(rows)) or not (numbers > 0).all():
+        raise UsageError(
+            f"The limit {key} needs one positive number, or {len(rows)}, one for each of "
+            f"{', '.join(rows)}; got {', '.join(map(str, values))}."
+        )
+    limit: Array = np.broadcast_to(numbers, len(rows)).copy()
+    return limit
 
 
 def _geometry(problem: DesignProblem, method: Optimised) -> dict[str, Any]:
-    if (method.clearance is None and method.floor is None) or problem.scene is None:
+    """Pairs of shapes that the search kept apart, and those that it did not check."""
+    if problem.scene is None or (method.clearance is None and method.floor is None):
         return {"shapes": None, "ignored": [], "note": "collisions were not asked for"}
     scene = problem.scene(method.floor)
-    note = (
-        f"{scene.shapes} kept apart by {method.clearance or 0.0:g} m or more"
-        if scene.shapes
-        else "the robot's files hold none that can be read: collisions were not checked"
-    )
-    if scene.ignored:
-        pairs = ", ".join(" and ".join(pair) for pair in scene.ignored)
-        note += f"; not checked, in contact in the reference configuration: {pairs}"
-    return {"shapes": scene.shapes, "ignored": [list(p) for p in scene.ignored], "note": note}
+    note = "the robot's files hold none that can be read: collisions were not checked"
+    if scene.shapes:
+        note = f"{scene.shapes} kept apart by {method.clearance or 0.0:g} m or more"
+    ignored = [list(pair) for pair in scene.ignored]
+    return {"shapes": scene.shapes, "ignored": ignored, "note": note + _ignored_text(ignored)}
+
+
+def _ignored_text(ignored: Sequence[Sequence[str]]) -> str:
+    """Pairs that touch before the robot moves, as the links at a joint do."""
+    if not ignored:
+        return ""
+    pairs = ", ".join(" and ".join(pair) for pair in ignored)
+    return f"; not checked, in contact in the reference configuration: {pairs}"

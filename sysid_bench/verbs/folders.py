@@ -14,12 +14,14 @@ def open_run(folder: str | Path) -> RunFolder:
 def find_cell(run_folder: RunFolder, identifier: str) -> str:
     """Return the id that begins with `identifier`; raise UsageError for none or several."""
     ids = [cell.id for cell in run_folder.plan.cells]
-    found = [i for i in ids if i.startswith(identifier)] if identifier else []
-    if len(found) != 1:
-        count = f"{len(found)} cell ids begin" if found else "No cell id begins"
-        shown = f": {', '.join(found[:8])}" if found else ""
-        raise UsageError(
-            f"{count} with {identifier!r}{shown}; the run has {len(ids)} cells, listed "
-            "in its plan.jsonl."
-        )
-    return found[0]
+    found = [i for i in ids if identifier and i.startswith(identifier)]
+    if len(found) == 1:
+        return found[0]
+    matches = _matches_text(identifier, found)
+    raise UsageError(f"{matches}; the run has {len(ids)} cells, listed in its plan.jsonl.")
+
+
+def _matches_text(identifier: str, found: list[str]) -> str:
+    if not found:
+        return f"No cell id begins with {identifier!r}"
+    return f"{len(found)} cell ids begin with {identifier!r}: {', '.join(found[:8])}"

@@ -27,7 +27,7 @@ def excitation_fields(ready: Prepared[SimulatedSource]) -> dict[str, Any]:
     }
 
 
-def comparison_fields(
+def estimation_fields(
     ready: Prepared[SimulatedSource], estimate: Estimate
 ) -> dict[str, dict[str, float]] | None:
     """RMS errors of joint torques (N m) and of a contact wrench (N, N m) on the last body, with

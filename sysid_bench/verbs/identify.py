@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from sysid_bench.errors import UsageError
 from sysid_bench.verbs.identify_recorded import RecordedRequest, identify_recorded
@@ -13,127 +13,87 @@ from sysid_bench.verbs.task_terms import check_term_names
 
 PathLike = str | Path
 
+OF_SIMULATION: Final = (
+    "for simulated data only (--simulate). A log states its payload, and holds positions and "
+    "torques without a force/torque sensor."
+)
+OF_LOGS: Final = "for recordings only (--log)."
+"""Reasons why options do not fit the source of the data."""
+
 
 def identify(
-    model: PathLike,
-    task: str = "robot",
-    payload: str | Mapping[str, Any] = "none",
-    terms: Sequence[str] | None = None,
-    estimator: str | None = None,
-    noise: Mapping[str, Any] | None = None,
-    *,
-    log: PathLike | Sequence[PathLike] = (),
-    test: PathLike | Sequence[PathLike] = (),
-    simulate: bool | None = None,
-    model_out: PathLike | None = None,
-    json_out: PathLike | None = None,
-    robots_dir: Path | None = None,
-    seed: int = 0,
-    sensor: str | None = None,
-    free_base: bool | None = None,
-    contacts: Sequence[str] | str | None = None,
-    complete: str | None = None,
-    filter: str | None = None,
-    derivatives: str | None = None,
-    moving: float = 0.0,
-    choose: Sequence[str] = (),
-    position_given: bool = False,
-    accept: Sequence[str] = (),
-    figure: PathLike | None = None,
-) -> IdentifyResult:
+    model: PathLike, task: str = "robot", payload: str | Mapping[str, Any] = "none",
+    terms: Sequence[str] | None = None, estimator: str | None = None,
+    noise: Mapping[str, Any] | None = None, *, log: PathLike | Sequence[PathLike] = (),
+    test: PathLike | Sequence[PathLike] = (), simulate: bool | None = None,
+    model_out: PathLike | None = None, json_out: PathLike | None = None,
+    robots_dir: Path | None = None, seed: int = 0, sensor: str | None = None,
+    free_base: bool | None = None, contacts: Sequence[str] | str | None = None,
+    complete: str | None = None, filter: str | None = None, derivatives: str | None = None,
+    moving: float = 0.0, choose: Sequence[str] = (), position_given: bool = False,
+    accept: Sequence[str] = (), figure: PathLike | None = None,
+) -> IdentifyResult:  # fmt: skip
     """Identify a robot: from the recordings `log`, judged on `test`, or from its own simulation.
 
-    See `SimulatedRequest` for payload, noise, seed, sensor, free_base, contacts and complete, and
-    `RecordedRequest` for filter, derivatives, moving, choose, position_given, accept and figure.
-    `model_out`: the model file again, with the identified values; `json_out`: the result as a file.
-    Raises UsageError for unknown names or contradictory data, ModelError for a model that cannot be
-    used or values that must not be written, EstimationError where the method fails.
+    The arguments are fields of `IdentifyRequest`, `SimulatedRequest` and `RecordedRequest`. Raises
+    UsageError for unknown names or contradictory data, ModelError for a model that cannot be used
+    or values that must not be written, EstimationError where the method fails.
     """
-    check_term_names(terms)
-    terms = None if terms is None else tuple(terms)
     logs, tests = _paths(log), _paths(test)
-    of_logs = {
-        "test": tests, "accept": accept, "choose": choose, "position-given": position_given,
-        "filter": filter, "derivatives": derivatives, "moving": moving, "figure": figure,
+    _check_source(simulate, logs)
+    shared: dict[str, Any] = {
+        "model": str(model), "task": task, "terms": _terms(terms), "estimator": estimator,
+        "model_out": _path(model_out), "json_out": _path(json_out), "robots_dir": robots_dir,
     }  # fmt: skip
-    of_simulation = {
-        "noise": noise, "payload": payload != "none", "sensor": sensor, "contacts": contacts,
+    of_logs: dict[str, Any] = {
+        "accept": tuple(accept), "choose": tuple(choose), "position_given": position_given,
+        "filter": filter, "derivatives": derivatives, "moving": moving, "figure": _path(figure),
+    }  # fmt: skip
+    of_simulation: dict[str, Any] = {
+        "noise": noise, "payload": payload, "sensor": sensor, "contacts": contacts,
         "complete": complete,
     }  # fmt: skip
-    _check_source(simulate, logs, of_simulation, of_logs)
-    result: IdentifyResult
     if logs:
-        result = identify_recorded(
-            RecordedRequest(
-                model=str(model),
-                logs=logs,
-                tests=tests,
-                task=task,
-                terms=terms,
-                estimator=estimator,
-                filter=filter,
-                derivatives=derivatives,
-                moving=moving,
-                choose=tuple(choose),
-                position_given=position_given,
-                accept=tuple(accept),
-                model_out=_path(model_out),
-                json_out=_path(json_out),
-                figure=_path(figure),
-                robots_dir=robots_dir,
-            )
-        )
-    else:
-        result = identify_simulated(
-            SimulatedRequest(
-                model=str(model),
-                task=task,
-                payload=payload,
-                terms=terms,
-                estimator=estimator,
-                noise=noise,
-                seed=seed,
-                sensor=sensor,
-                free_base=free_base,
-                contacts=contacts,
-                complete=complete,
-                model_out=_path(model_out),
-                json_out=_path(json_out),
-                robots_dir=robots_dir,
-            )
-        )
-    if json_out is not None:
-        text = json.dumps(result.to_dict(), indent=2) + "\n"
-        Path(json_out).write_text(text, encoding="utf-8")
-    return result
+        _refuse(of_simulation, OF_SIMULATION)
+        recorded = RecordedRequest(logs=logs, tests=tests, **shared, **of_logs)
+        return _stored(identify_recorded(recorded), json_out)
+    _refuse({"test": tests, **of_logs}, OF_LOGS)
+    of_simulation |= {"seed": seed, "free_base": free_base}  # accepted, without effect, for logs
+    return _stored(identify_simulated(SimulatedRequest(**shared, **of_simulation)), json_out)
 
 
-def _check_source(
-    simulate: bool | None,
-    logs: tuple[Path, ...],
-    of_simulation: Mapping[str, Any],
-    of_logs: Mapping[str, Any],
-) -> None:
-    """Raise UsageError without one source of data, and for options of the other one."""
+def _check_source(simulate: bool | None, logs: tuple[Path, ...]) -> None:
+    """Raise UsageError without one source of data."""
     if (simulate is False and not logs) or (simulate and logs):
         raise UsageError(
             "Where do the data come from? Give --log LOG.toml for a recording, or --simulate for "
             "the robot's simulation."
         )
-    foreign = [name for name, value in (of_simulation if logs else of_logs).items() if value]
-    if not foreign:
-        return
-    names = ", ".join(f"--{name}" for name in foreign)
-    if logs:
-        raise UsageError(
-            f"{names}: for simulated data only (--simulate). A log states its payload, and holds "
-            "positions and torques without a force/torque sensor."
-        )
-    raise UsageError(f"{names}: for recordings only (--log).")
+
+
+def _refuse(options: Mapping[str, Any], reason: str) -> None:
+    """Raise UsageError for options of the other source of data."""
+    given = [f"--{name}" for name, value in options.items() if value and value != "none"]
+    if given:
+        raise UsageError(f"{', '.join(given).replace('_', '-')}: {reason}")
+
+
+def _stored(result: IdentifyResult, file: PathLike | None) -> IdentifyResult:
+    """Result, also written to the file `json_out`."""
+    if file is not None:
+        text = json.dumps(result.to_dict(), indent=2) + "\n"
+        Path(file).write_text(text, encoding="utf-8")
+    return result
 
 
 def _paths(files: PathLike | Sequence[PathLike]) -> tuple[Path, ...]:
     return (Path(files),) if isinstance(files, (str, Path)) else tuple(map(Path, files))
+
+
+def _terms(names: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Joint terms; raise UsageError for unknown ones, and for a single text."""
+    check_term_names(names)
+    return None if names is None else tuple(names)
 
 
 def _path(file: PathLike | None) -> Path | None:

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError
+from sysid_bench.errors import EstimationError, UsageError
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.recorded_score import (
     joint_errors,
@@ -27,28 +27,37 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.naming import build
 from sysid_bench.reporting.torque_figure import torque_figure
-from sysid_bench.signals.log_description import read_description
+from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.estimate_fields import (
-    base_of,
-    bodies_of,
-    joints_of,
-    std_from,
+    estimate_fields,
+    parameters_with,
     warnings_of,
 )
-from sysid_bench.verbs.identify_result import IdentifyResult
+from sysid_bench.verbs.identify_request import IdentifyRequest
+from sysid_bench.verbs.identify_result import IdentifyResult, base_lines, std_lines
 from sysid_bench.verbs.log_warnings import log_warnings
-from sysid_bench.verbs.result import OMIT_NONE, value_text
+from sysid_bench.verbs.result import OMIT_NONE, file_text, value_text
 from sysid_bench.verbs.task_terms import check_term_names
 from sysid_bench.verbs.write_model import check_files, write_model
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
 ESTIMATOR: Final = "wls"
+DESCRIPTION: Final = (
+    "file = '{}', rate = '200 Hz', joints = ['j1'], q = {{ columns = [1], unit = 'rad' }}, "
+    "tau = {{ columns = [2], unit = 'N m' }}, one key a line."
+)
+"""Smallest description of a recording, with the name of its file left open."""
+_FIGURES: Final = (
+    *("rank", "data_rank", "parameters", "rank_gap", "near_degenerate"),
+    *("condition", "condition_unit"),
+)
+"""Figures of the data; the two conditions are absent where the data excite nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordedRequest:
+class RecordedRequest(IdentifyRequest):
     """Identification from recordings described by TOML files.
 
     `derivatives`: "from q", or "from v" (the default where every log has v). `moving`: samples of
@@ -58,22 +67,15 @@ class RecordedRequest:
     contradictions in the data that may pass.
     """
 
-    model: str
     logs: tuple[Path, ...]
     tests: tuple[Path, ...] = ()
-    task: str = "robot"
-    terms: tuple[str, ...] | None = None
-    estimator: str | None = None
     filter: str | None = None
     derivatives: str | None = None
     moving: float = 0.0
     choose: tuple[str, ...] = ()
     position_given: bool = False
     accept: tuple[str, ...] = ()
-    model_out: Path | None = None
-    json_out: Path | None = None
     figure: Path | None = None
-    robots_dir: Path | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -128,15 +130,12 @@ class RecordedResult(IdentifyResult):
             f"  {self._signals_line()}",
             *_selection_lines(self.selection),
             "  joint                  RMS     train" + ("          test" if test else ""),
+            *(_joint_line(joint, train, test) for joint, train in self.training.items()),
+            *(_test_line(label, table) for label, table in list(self.tests.items())[1:]),
+            *base_lines(self.base),
+            *std_lines(self.std_from),
+            *_payload_lines(self.payload),
         ]
-        for joint, train in self.training.items():
-            line = f"  {joint:18} {train['rms']:8.4g}  {_error(train)}"
-            lines.append(line + (f"  {_error(test[joint])}" if test else ""))
-        for label, table in list(self.tests.items())[1:]:
-            errors = ", ".join(_error(joint).strip() for joint in table.values())
-            lines.append(f"  {label}: {errors}")
-        if self.payload is not None:
-            lines.append(f"  payload: {_payload_line(self.payload)}")
         return "\n".join(lines + self._closing_lines())
 
     def _signals_line(self) -> str:
@@ -154,19 +153,14 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     in the data that `accept` does not name, EstimationError where the method fails.
     """
     check_term_names(request.terms)
-    descriptions = [read_description(log) for log in (*request.logs, *request.tests)]
-    name = request.estimator or ESTIMATOR
-    method = build("estimator", name)
+    training, tests = _descriptions(request)
+    method = build("estimator", _estimator(request))
     manifest = find_manifest(request.model, request.robots_dir)
-    if request.model_out is not None or request.json_out is not None:
-        robot = load_robot(manifest)
-        check_files(robot, request.task, request.model_out, request.json_out)
-    training = descriptions[: len(request.logs)]
-    testing = dict(zip(_labels(request.tests), descriptions[len(training) :], strict=True))
-    posed = prepare_logs(manifest, training, testing, _options(request))
+    _check_targets(request, manifest)
+    posed = prepare_logs(manifest, training, tests, _options(request))
     estimate = estimate_parameters(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
-        raise EstimationError(f"{name} on {manifest.name}: {estimate.reason}")
+        raise EstimationError(f"{_estimator(request)} on {manifest.name}: {estimate.reason}")
     result = _result(request, manifest, posed, estimate, estimate.beta)
     if request.figure is not None:
         _draw(request.figure, posed, estimate.beta)
@@ -174,6 +168,39 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
         robot = posed.source.training[0].robot
         write_model(robot, request.task, estimate, posed.problem, request.model_out)
     return result
+
+
+def _check_targets(request: RecordedRequest, manifest: Manifest) -> None:
+    """Raise UsageError, before anything runs, for files that cannot be written."""
+    if request.model_out is not None or request.json_out is not None:
+        robot = load_robot(manifest)
+        check_files(robot, request.task, request.model_out, request.json_out)
+
+
+def _descriptions(
+    request: RecordedRequest,
+) -> tuple[list[LogDescription], dict[str, LogDescription]]:
+    """Descriptions of the training recordings, and of the tests by label."""
+    tests = zip(_labels(request.tests), request.tests, strict=True)
+    training = [_description(log) for log in request.logs]
+    return training, {label: _description(log) for label, log in tests}
+
+
+def _description(file: Path) -> LogDescription:
+    """Description of a recording; for a file that is not TOML, an error with an example."""
+    try:
+        return read_description(file)
+    except UsageError as error:
+        if file.suffix.lower() == ".toml" or not file.is_file():
+            raise
+        raise UsageError(
+            f"{str(file)!r} is not the description of a recording. Write a TOML file that names "
+            f"its data and its columns, and give that: {DESCRIPTION.format(file.name)}"
+        ) from error
+
+
+def _estimator(request: RecordedRequest) -> str:
+    return request.estimator or ESTIMATOR
 
 
 def _options(request: RecordedRequest) -> LogOptions:
@@ -198,21 +225,10 @@ def _result(
 ) -> RecordedResult:
     problem, source = posed.problem, posed.source
     robot = source.training[0].robot
-    errors = standard_errors(problem, estimate)
-    bodies, joints = bodies_of(estimate, problem, errors), joints_of(estimate, problem, errors)
-    training = joint_errors(problem, beta)
-    replayed = {
-        label: repeatability_error(source.training, test, problem.rows)
-        for label, test in source.tests.items()
-    }
-    figures = data_figures(problem, {})
-    processed = (*source.training, *source.tests.values())
-    payload: dict[str, Any] | None = None
-    if find_task(request.task).identifies_payload:
-        payload = list(bodies.values())[-1]
-        if request.position_given:
-            method = build("estimator", request.estimator or ESTIMATOR)
-            payload = asdict(payload_mass(method, problem, source.builder, source.training, beta))
+    fields = estimate_fields(estimate, problem, standard_errors(problem, estimate))
+    errors = _errors(posed, beta)
+    data = data_figures(problem, {})
+    figures: dict[str, Any] = {key: data.get(key) for key in _FIGURES}
     return RecordedResult(
         model=manifest.name,
         file=str(manifest.path),
@@ -220,46 +236,73 @@ def _result(
         terms=list(source.terms),
         rows=list(problem.rows),
         locked=dict(robot.manifest.locked),
-        estimator=request.estimator or ESTIMATOR,
+        estimator=_estimator(request),
         signals=_signals(source.builder.preprocessing),
         denominator=DENOMINATOR,
-        selection=None if source.selection is None else _selection(source.selection),
-        rank=figures["rank"],
-        data_rank=figures["data_rank"],
-        parameters=figures["parameters"],
-        rank_gap=figures["rank_gap"],
-        near_degenerate=figures["near_degenerate"],
-        condition=figures.get("condition"),
-        condition_unit=figures.get("condition_unit"),
-        rmse_train=rms_error(problem, beta),
-        rmse_test=_mean([rms_error(test, beta) for test in posed.held_out.values()]),
-        torque_error=torque_error(posed.held_out, beta),
-        training=training,
-        tests={label: joint_errors(test, beta) for label, test in posed.held_out.items()},
-        replayed=replayed,
-        logs=[
-            *(_segment(log, "train") for log in source.training),
-            *(_segment(log, "test") for log in source.tests.values()),
-        ],
-        std_from=std_from(errors),
-        base=base_of(estimate, problem, errors),
-        bodies=bodies,
-        joints=joints,
-        payload=payload,
+        selection=_selection(source.selection),
+        **figures,
+        **errors,
+        **fields,
+        logs=_segments(source),
+        payload=_payload(request, posed, beta, fields["bodies"]),
         feasible=feasible_figures(estimate.theta, problem).get("feasible"),
-        warnings=[
-            *robot.repairs,
-            *_findings(processed),
-            *log_warnings(training, joints),
-            *_repeated(replayed),
-            *warnings_of(estimate, problem),
-        ],
-        figure=None if request.figure is None else str(request.figure),
-        model_out=None if request.model_out is None else str(request.model_out),
+        warnings=_warnings(posed, estimate, errors, fields["joints"]),
+        figure=file_text(request.figure),
+        model_out=file_text(request.model_out),
     )
 
 
-def _selection(selection: TermSelection) -> dict[str, Any]:
+def _errors(posed: Prepared[RecordedSource], beta: Array) -> dict[str, Any]:
+    """Errors of the predicted torques: pooled, by joint, and of the training torque itself."""
+    problem, source, tests = posed.problem, posed.source, posed.held_out
+    return {
+        "rmse_train": rms_error(problem, beta),
+        "rmse_test": _mean([rms_error(test, beta) for test in tests.values()]),
+        "torque_error": torque_error(tests, beta),
+        "training": joint_errors(problem, beta),
+        "tests": {label: joint_errors(test, beta) for label, test in tests.items()},
+        "replayed": {
+            label: repeatability_error(source.training, test, problem.rows)
+            for label, test in source.tests.items()
+        },
+    }
+
+
+def _payload(
+    request: RecordedRequest,
+    posed: Prepared[RecordedSource],
+    beta: Array,
+    bodies: Mapping[str, dict[str, Any]],
+) -> dict[str, Any] | None:
+    """Identified payload, or its mass alone where its position is given; None for other tasks."""
+    if not find_task(request.task).identifies_payload:
+        return None
+    if not request.position_given:
+        return list(bodies.values())[-1]
+    method, source = build("estimator", _estimator(request)), posed.source
+    return asdict(payload_mass(method, posed.problem, source.builder, source.training, beta))
+
+
+def _warnings(
+    posed: Prepared[RecordedSource],
+    estimate: Estimate,
+    errors: Mapping[str, Any],
+    joints: Mapping[str, Any],
+) -> list[str]:
+    """Repairs of the model, findings in the logs, doubtful torques, repeated motions, verdicts."""
+    source = posed.source
+    return [
+        *source.training[0].robot.repairs,
+        *_findings((*source.training, *source.tests.values())),
+        *log_warnings(errors["training"], joints),
+        *_repeated(errors["replayed"]),
+        *warnings_of(estimate, posed.problem),
+    ]
+
+
+def _selection(selection: TermSelection | None) -> dict[str, Any] | None:
+    if selection is None:
+        return None
     return {
         "added": [{"parameter": name, "error": error} for name, error in selection.added],
         "error_before": selection.error_before,
@@ -285,22 +328,47 @@ def _draw(path: Path, posed: Prepared[RecordedSource], beta: Array) -> None:
     torque_figure(path, found.t, found.problem.rows, found.measured, found.predicted, units)
 
 
+def _joint_line(
+    joint: str, train: Mapping[str, Any], test: Mapping[str, Mapping[str, Any]] | None
+) -> str:
+    """RMS torque of a joint and its errors in training and in the first test."""
+    line = f"  {joint:18} {train['rms']:8.4g}  {_error(train)}"
+    return line + (f"  {_error(test[joint])}" if test else "")
+
+
+def _test_line(label: str, errors: Mapping[str, Mapping[str, Any]]) -> str:
+    """Errors of all joints in a further test."""
+    return f"  {label}: {', '.join(_error(joint).strip() for joint in errors.values())}"
+
+
 def _error(joint: Mapping[str, Any]) -> str:
     relative = joint["relative"]
     share = "     -" if relative is None else f"{100 * relative:5.1f}%"
     return f"{joint['rmse']:8.3g} {share}"
 
 
-def _payload_line(payload: Mapping[str, Any]) -> str:
-    if "interval" in payload:
-        low, high = payload["interval"]
-        return (
-            f"mass {payload['mass']:.4g} kg, {100 * payload['confidence']:.0f} % in [{low:.4g}, "
-            f"{high:.4g}] by leaving parts of the motion out"
-        )
-    single = [key for key, verdict in payload["identifiable"].items() if verdict == "identifiable"]
+def _payload_lines(payload: Mapping[str, Any] | None) -> list[str]:
+    """Line of the identified payload; none for tasks without one."""
+    if payload is None:
+        return []
+    return [f"  payload: {(_mass_text if 'interval' in payload else _values_text)(payload)}"]
+
+
+def _mass_text(payload: Mapping[str, Any]) -> str:
+    low, high = payload["interval"]
+    return (
+        f"mass {payload['mass']:.4g} kg, {100 * payload['confidence']:.0f} % in [{low:.4g}, "
+        f"{high:.4g}] by leaving parts of the motion out"
+    )
+
+
+def _values_text(payload: Mapping[str, Any]) -> str:
+    """Parameters of the payload that are identifiable on their own, with units."""
     units = {"m": "kg", "h": "kg m", "I": "kg m^2"}
-    values = [f"{key} {value_text(payload['parameters'][key])} {units[key[0]]}" for key in single]
+    values = [
+        f"{key} {value_text(payload['parameters'][key])} {units[key[0]]}"
+        for key in parameters_with(payload, "identifiable")
+    ]
     return ", ".join(values) or "nothing of it is identifiable on its own"
 
 
@@ -324,6 +392,11 @@ def _labels(tests: Sequence[Path]) -> list[str]:
 
 def _mean(values: Sequence[float]) -> float | None:
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
+
+
+def _segments(source: RecordedSource) -> list[dict[str, Any]]:
+    training = [_segment(log, "train") for log in source.training]
+    return training + [_segment(log, "test") for log in source.tests.values()]
 
 
 def _segment(processed: ProcessedLog, use: str) -> dict[str, Any]:
@@ -357,13 +430,15 @@ def _findings(logs: Sequence[ProcessedLog]) -> list[str]:
 
 def _repeated(replayed: Mapping[str, Mapping[str, float] | None]) -> list[str]:
     """Warn about tests on the training motion: they say nothing about other motions."""
-    warnings = []
-    for label, errors in replayed.items():
-        if errors is not None:
-            shares = " ".join(f"{100 * error:.1f}" for error in errors.values())
-            warnings.append(
-                f"{label} repeats the training motion: its errors show how well the same motion is "
-                "predicted again, not how well others are; the training torque itself, played "
-                f"again, errs by {shares} %"
-            )
-    return warnings
+    return [
+        _repeated_test(label, errors) for label, errors in replayed.items() if errors is not None
+    ]
+
+
+def _repeated_test(label: str, errors: Mapping[str, float]) -> str:
+    shares = " ".join(f"{100 * error:.1f}" for error in errors.values())
+    return (
+        f"{label} repeats the training motion: its errors show how well the same motion is "
+        "predicted again, not how well others are; the training torque itself, played "
+        f"again, errs by {shares} %"
+    )

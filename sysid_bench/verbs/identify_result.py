@@ -1,8 +1,11 @@
 """Result of an identification, from simulated or recorded data."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from sysid_bench.errors import SHOWN, first_names
+from sysid_bench.identifiability.base_expressions import expression
+from sysid_bench.verbs.estimate_fields import parameters_with
 from sysid_bench.verbs.result import Result, estimate_text
 
 STD_FROM: Final = {
@@ -10,6 +13,9 @@ STD_FROM: Final = {
     "residuals": "from residuals and the correlation of neighbouring ones",
     "textbook": "by the method's own formula",
 }
+
+TERMS: Final = 4
+"""Terms of one base parameter in the summary."""
 
 
 class IdentifyResult(Result):
@@ -47,21 +53,32 @@ class IdentifyResult(Result):
     def _closing_lines(self) -> list[str]:
         """Warnings and files."""
         lines = [f"  warning: {warning}" for warning in self.warnings]
-        files = ("figure", "model_out")
-        names = [(name.removesuffix("_out"), self.get(name)) for name in files]
-        return lines + [f"  {name}: {file}" for name, file in names if file]
+        files = {"figure": self.get("figure"), "model": self.model_out}
+        return lines + [f"  {name}: {file}" for name, file in files.items() if file]
 
 
-def body_lines(name: str, body: Mapping[str, Any]) -> list[str]:
-    """Mass of a body, then the parameters that are identifiable on their own."""
-    single = [
+def body_lines(bodies: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Mass and parameters of each body that are identifiable on their own, then the other bodies'
+    names."""
+    lines, others = [], []
+    for name, body in bodies.items():
+        if parameters_with(body, "identifiable"):
+            lines += _body(name, body)
+        else:
+            others.append(name)
+    if others:
+        lines.append(f"  nothing is identifiable on its own: {first_names(others, SHOWN)}")
+    return lines
+
+
+def _body(name: str, body: Mapping[str, Any]) -> list[str]:
+    values = [
         f"{key} {estimate_text(body['parameters'][key], body['std'][key])}"
-        for key, verdict in body["identifiable"].items()
-        if verdict == "identifiable"
+        for key in parameters_with(body, "identifiable")
     ]
     return [
         f"  {name}: mass {estimate_text(body['mass'], body['std']['m'], 'not identifiable')}",
-        f"    {', '.join(single) or 'nothing is identifiable on its own'}",
+        f"    {', '.join(values)}",
     ]
 
 
@@ -74,3 +91,35 @@ def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
         for term, value in terms.items()
     ]
     return f"  {name}: {', '.join(parts)}"
+
+
+def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Base parameters with the largest ratio of value to standard deviation, or the largest values
+    where no deviation is known; then the number of the others."""
+    ranked = sorted(base, key=_significance, reverse=True)
+    lines = [
+        f"    {estimate_text(entry['value'], entry['std']):<20}  {_shortened(entry)}"
+        for entry in ranked[:SHOWN]
+    ]
+    more = [f"    and {len(base) - SHOWN} more (--json)"] if len(base) > SHOWN else []
+    return ["  base parameters, most significant first:", *lines, *more] if base else []
+
+
+def std_lines(std_from: str | None) -> list[str]:
+    """Meaning of ±; none without standard deviations."""
+    return [] if std_from is None else [f"  ±: one standard deviation, {STD_FROM[std_from]}"]
+
+
+def _significance(entry: Mapping[str, Any]) -> float:
+    """|value| / std, the t-statistic of the hypothesis that the parameter is zero."""
+    size = abs(entry["value"] or 0.0)
+    return float(size / entry["std"] if entry["std"] else size)
+
+
+def _shortened(entry: Mapping[str, Any]) -> str:
+    """Expression of a base parameter, cut after its first terms."""
+    more = len(entry["terms"]) - TERMS
+    if more <= 0:
+        return str(entry["expression"])
+    first = dict(list(entry["terms"].items())[:TERMS])
+    return f"{expression(first)} and {more} more terms"

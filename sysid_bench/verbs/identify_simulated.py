@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import EstimationError, ModelError
@@ -20,16 +19,20 @@ from sysid_bench.naming import build
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.estimate_fields import (
-    base_of,
-    bodies_of,
     completion_warnings,
-    joints_of,
-    std_from,
+    estimate_fields,
     warnings_of,
 )
-from sysid_bench.verbs.ft_summary import comparison_fields, excitation_fields, sensor_lines
-from sysid_bench.verbs.identify_result import STD_FROM, IdentifyResult, body_lines, joint_line
-from sysid_bench.verbs.result import OMIT_NONE, value_text
+from sysid_bench.verbs.ft_summary import estimation_fields, excitation_fields, sensor_lines
+from sysid_bench.verbs.identify_request import IdentifyRequest, check_seed
+from sysid_bench.verbs.identify_result import (
+    IdentifyResult,
+    base_lines,
+    body_lines,
+    joint_line,
+    std_lines,
+)
+from sysid_bench.verbs.result import OMIT_NONE, file_text, value_text
 from sysid_bench.verbs.task_terms import check_terms
 from sysid_bench.verbs.write_model import check_files, write_model
 
@@ -37,10 +40,15 @@ HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
 ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
 IDEAL: Final = {"filter": "none", "derivatives": "exact"}
 """Signals: rates are differentiated from the encoders once these are noisy."""
+_SCORES: Final = (
+    *("rank", "data_rank", "parameters", "condition", "condition_unit", "rmse_train", "rmse_test"),
+    *("torque_error", "feasible", "plausible"),
+)
+"""Scores that the result reports."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulatedRequest:
+class SimulatedRequest(IdentifyRequest):
     """Identification from simulated data: a suite's experiment with defaults elsewhere.
 
     `payload` (a name or a table) and `noise` ({"q": "1e-4 rad", "tau": "0.5 %"}) as in a suite;
@@ -49,20 +57,13 @@ class SimulatedRequest:
     bodies lie nearest to the prior.
     """
 
-    model: str
-    task: str = "robot"
     payload: str | Mapping[str, Any] = "none"
-    terms: tuple[str, ...] | None = None
-    estimator: str | None = None
     noise: Mapping[str, Any] | None = None
     seed: int = 0
     sensor: str | None = None
     free_base: bool | None = None
     contacts: Sequence[str] | str | None = None
     complete: str | None = None
-    model_out: Path | None = None
-    json_out: Path | None = None
-    robots_dir: Path | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,11 +114,10 @@ class SimulatedResult(IdentifyResult):
             lines.append(f"  {self.left_out:.1%} of the samples left out as contacts")
         if self.sensor is not None:
             lines += sensor_lines(self.sensor)
-        for name, body in self.bodies.items():
-            lines += body_lines(name, body)
+        lines += body_lines(self.bodies)
         lines += [joint_line(name, terms) for name, terms in self.joints.items()]
-        if self.std_from is not None:
-            lines.append(f"  ±: one standard deviation, {STD_FROM[self.std_from]}")
+        lines += base_lines(self.base)
+        lines += std_lines(self.std_from)
         return "\n".join(lines + self._closing_lines())
 
 
@@ -128,30 +128,45 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
     must not be written, EstimationError where the method fails.
     """
     check_terms(request.task, request.terms)
+    check_seed(request.seed)
     name = _estimator(request)
     method = build("estimator", name)
     spec = _spec(request)
-    folder = None if request.robots_dir is None else str(request.robots_dir)
+    robot = _checked_robot(request, spec)
+    ready = prepare_simulated(spec, robot)
+    estimate = estimate_parameters(method, ready.problem, ready.experiment)
+    sensor = excitation_fields(ready) if ready.source.task.definition.identifies_sub_tree else None
+    _check_status(estimate, f"{name} on {robot.robot.name}", _sensor_warnings(sensor))
+    whole = request.complete is not None
+    if request.complete is not None:
+        estimate = completed_estimate(estimate, ready.problem, request.complete)
+    if sensor is not None:
+        sensor |= {"estimation": estimation_fields(ready, estimate)}
+    result = _result(request, robot, ready, estimate, sensor)
+    if request.model_out is not None:
+        write_model(robot.robot, request.task, estimate, ready.problem, request.model_out, whole)
+    return result
+
+
+def _checked_robot(request: SimulatedRequest, spec: ExperimentSpec) -> LoadedRobot:
+    """Load the robot; raise before anything runs for files or a model that cannot be used."""
+    folder = file_text(request.robots_dir)
     robot = loaded_robot(spec.robot, spec.payload, folder, None, request.free_base)
     check_files(robot.robot, request.task, request.model_out, request.json_out)
     if not robot.check.ok():
         raise ModelError(f"{robot.robot.name}: the engines disagree: {robot.check.reason()}.")
-    ready = prepare_simulated(spec, robot)
-    definition = ready.source.task.definition
-    estimate = estimate_parameters(method, ready.problem, ready.experiment)
-    sensor = excitation_fields(ready) if definition.identifies_sub_tree else None
+    return robot
+
+
+def _check_status(estimate: Estimate, what: str, warnings: Sequence[str]) -> None:
+    """Raise EstimationError with the reason of a failure, and what may have caused it."""
     if estimate.status != "ok":
-        hint = f" {sensor['warning']}" if sensor and sensor["warning"] else ""
-        raise EstimationError(f"{name} on {robot.robot.name}: {estimate.reason}{hint}")
-    if request.complete is not None:
-        estimate = completed_estimate(estimate, ready.problem, request.complete)
-    if sensor is not None:
-        sensor = sensor | {"estimation": comparison_fields(ready, estimate)}
-    result = _result(request, robot, ready, estimate, sensor)
-    if request.model_out is not None:
-        whole = request.complete is not None
-        write_model(robot.robot, request.task, estimate, ready.problem, request.model_out, whole)
-    return result
+        raise EstimationError(" ".join([f"{what}: {estimate.reason}", *warnings]))
+
+
+def _sensor_warnings(sensor: Mapping[str, Any] | None) -> list[str]:
+    """Warning about what the data behind a force/torque sensor do not excite, if any."""
+    return [sensor["warning"]] if sensor and sensor["warning"] else []
 
 
 def _result(
@@ -162,43 +177,31 @@ def _result(
     sensor: dict[str, Any] | None,
 ) -> SimulatedResult:
     problem, source = ready.problem, ready.source
-    figures = score(estimate, problem, ready.held_out, source.truth, source.extents)
-    errors = standard_errors(problem, estimate)
-    bodies = bodies_of(estimate, problem, errors)
-    missing = [sensor["warning"]] if sensor and sensor["warning"] else []
+    definition = source.task.definition
+    scores = score(estimate, problem, ready.held_out, source.truth, source.extents)
+    fields = estimate_fields(estimate, problem, standard_errors(problem, estimate))
+    first_body = next(iter(fields["bodies"].values()))
     return SimulatedResult(
         model=loaded.robot.name,
         file=str(loaded.robot.manifest.path),
         task=request.task,
-        terms=list(unknown_terms(_spec(request), loaded.robot, source.task.definition)),
+        terms=list(unknown_terms(_spec(request), loaded.robot, definition)),
         rows=list(problem.rows),
         estimator=_estimator(request),
-        rank=figures.rank,
-        data_rank=figures.data_rank,
-        parameters=figures.parameters,
-        condition=figures.condition,
-        condition_unit=figures.condition_unit,
-        rmse_train=figures.rmse_train,
-        rmse_test=figures.rmse_test,
-        torque_error=figures.torque_error,
+        **{name: getattr(scores, name) for name in _SCORES},
+        **fields,
         left_out=source.left_out,
         gap=loaded.check.gap,
-        std_from=std_from(errors),
-        base=base_of(estimate, problem, errors),
-        bodies=bodies,
-        joints=joints_of(estimate, problem, errors),
-        payload=next(iter(bodies.values())) if source.task.definition.identifies_payload else None,
+        payload=first_body if definition.identifies_payload else None,
         completed=request.complete,
-        feasible=figures.feasible,
-        plausible=figures.plausible,
         warnings=[
             *loaded.robot.repairs,
             *warnings_of(estimate, problem),
             *completion_warnings(estimate, problem),
-            *missing,
+            *_sensor_warnings(sensor),
         ],
         sensor=sensor,
-        model_out=None if request.model_out is None else str(request.model_out),
+        model_out=file_text(request.model_out),
     )
 
 
@@ -206,12 +209,15 @@ def _estimator(request: SimulatedRequest) -> str:
     return request.estimator or find_task(request.task).default_estimator
 
 
+def _signals(noise: Mapping[str, float], contacts: Sequence[str] | str | None) -> dict[str, Any]:
+    """Signal processing that suits the noise, with the samples left out for contacts."""
+    signals: dict[str, Any] = dict(ENCODERS if {"q", "quantum"} & set(noise) else IDEAL)
+    return signals if contacts is None else signals | {"contacts": contacts}
+
+
 def _spec(request: SimulatedRequest) -> ExperimentSpec:
     """Experiment as a suite with nothing but defaults would have it."""
     noise = normal_noise(request.noise or {})
-    signals: dict[str, Any] = dict(ENCODERS if {"q", "quantum"} & set(noise) else IDEAL)
-    if request.contacts is not None:
-        signals["contacts"] = request.contacts
     return ExperimentSpec(
         seed=request.seed,
         robot=request.model,
@@ -225,7 +231,7 @@ def _spec(request: SimulatedRequest) -> ExperimentSpec:
         simulation={"use": "inverse"},
         rate=200.0,
         noise=noise,
-        signals=signals,
+        signals=_signals(noise, request.contacts),
         repeat=0,
         sensor=request.sensor,
         free_base=request.free_base,

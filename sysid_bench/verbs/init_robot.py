@@ -1,15 +1,15 @@
 """New robot folder from a Denavit-Hartenberg table."""
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.dh.dh_expression import read_expression
 from sysid_bench.models.dh.dh_robot import mjcf_of
-from sysid_bench.models.dh.dh_table import read_table
+from sysid_bench.models.dh.dh_table import DhRow, read_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.verbs.result import Result
 
@@ -46,6 +46,12 @@ class _Conventions:
     massless: tuple[str, ...]
 
 
+class _Files(NamedTuple):
+    manifest: Path
+    model: Path
+    table: Path
+
+
 def init_robot(
     table: str | Path,
     out: str | Path | None = None,
@@ -68,14 +74,7 @@ def init_robot(
     source = Path(table)
     rows = read_table(source)
     robot_name = name or source.stem
-    if frames not in ("joint", "link"):
-        raise UsageError(f"frames must be 'joint' or 'link'; got {frames!r}.")
-    conventions = _Conventions(
-        "modified" if modified else "standard",
-        "joint" if frames == "joint" else "link",
-        _three_numbers(base, "base"),
-        tuple(massless),
-    )
+    conventions = _conventions(modified, frames, base, massless)
     text = mjcf_of(
         rows,
         robot_name,
@@ -85,27 +84,57 @@ def init_robot(
         gravity=_three_numbers(gravity, "gravity"),
         massless=massless,
     )
-    folder = Path(out) if out is not None else Path(robot_name)
-    if (folder / "robot.toml").exists():
-        raise UsageError(f"{str(folder)!r} already holds a robot; name another folder with -o.")
-    folder.mkdir(parents=True, exist_ok=True)
-    model, manifest = folder / f"{robot_name}.xml", folder / "robot.toml"
-    model.write_text(text, encoding="utf-8")
-    if source.resolve() != (folder / "dh.csv").resolve():
-        shutil.copyfile(source, folder / "dh.csv")
-    links = [row.link for row in rows.rows if row.kind != "F"]
-    manifest.write_text(_manifest(robot_name, conventions, links), encoding="utf-8")
-    robot = load_robot(manifest)
-    without_mass = [row.link for row in rows.rows if row.kind != "F" and row.mass is None]
-    invented = [f"link{link}" for link in without_mass if link not in massless]
+    links = [row for row in rows.rows if row.kind != "F"]
+    files = _new_files(Path(robot_name if out is None else out), robot_name)
+    files.model.write_text(text, encoding="utf-8")
+    # The table may already lie in the folder: copying a file onto itself is an error.
+    if source.resolve() != files.table.resolve():
+        shutil.copyfile(source, files.table)
+    files.manifest.write_text(_manifest(robot_name, conventions, links), encoding="utf-8")
+    return _result(robot_name, files, _mass_warnings(links, massless))
+
+
+def _result(name: str, files: _Files, warnings: list[str]) -> InitRobotResult:
+    """Load the written robot, and report its joints."""
+    robot = load_robot(files.manifest)
     return InitRobotResult(
-        robot=robot_name,
-        folder=str(folder),
-        files=[str(file) for file in (manifest, model, folder / "dh.csv")],
+        robot=name,
+        folder=str(files.manifest.parent),
+        files=[str(file) for file in files],
         joints=list(robot.torque_rows),
         following=[row for row in robot.rows if row not in robot.torque_rows],
-        warnings=[f"masses made up: {', '.join(invented)}"] if invented else [],
+        warnings=warnings,
     )
+
+
+def _conventions(
+    modified: bool, frames: str, base: Sequence[float] | str, massless: Sequence[str]
+) -> _Conventions:
+    """Conventions as [dh] has them; raise UsageError for unknown frames."""
+    if frames not in ("joint", "link"):
+        raise UsageError(f"frames must be 'joint' or 'link'; got {frames!r}.")
+    return _Conventions(
+        "modified" if modified else "standard",
+        "joint" if frames == "joint" else "link",
+        _three_numbers(base, "base"),
+        tuple(massless),
+    )
+
+
+def _new_files(folder: Path, name: str) -> _Files:
+    """Files of a new robot in a folder, which is made; raise UsageError where it holds a robot."""
+    files = _Files(folder / "robot.toml", folder / f"{name}.xml", folder / "dh.csv")
+    if files.manifest.exists():
+        raise UsageError(f"{str(folder)!r} already holds a robot; name another folder with -o.")
+    folder.mkdir(parents=True, exist_ok=True)
+    return files
+
+
+def _mass_warnings(links: Sequence[DhRow], massless: Sequence[str]) -> list[str]:
+    """Warn about links whose mass the table leaves out."""
+    without = [row.link for row in links if row.mass is None]
+    invented = [f"link{link}" for link in without if link not in massless]
+    return [f"masses made up: {', '.join(invented)}"] if invented else []
 
 
 def _three_numbers(given: Sequence[float] | str, option: str) -> tuple[float, ...]:
@@ -118,15 +147,22 @@ def _three_numbers(given: Sequence[float] | str, option: str) -> tuple[float, ..
     return tuple(read_expression(word, {}, frozenset(), f"--{option}").constant for word in words)
 
 
-def _manifest(name: str, conventions: _Conventions, links: Sequence[str]) -> str:
-    bodies = ", ".join(f'"link{link}"' for link in links)
-    massless = ", ".join(f'"link{link}"' for link in conventions.massless)
-    base = ", ".join(f"{x:.17g}" for x in conventions.base)
+def _manifest(name: str, conventions: _Conventions, links: Sequence[DhRow]) -> str:
+    """Text of robot.toml; lines of defaults are left out."""
+    massless = base = ""
+    if conventions.massless:
+        massless = f"massless = [{_bodies(conventions.massless)}]  # not asked for\n"
+    if any(conventions.base):
+        base = f"base       = [{', '.join(f'{x:.17g}' for x in conventions.base)}]\n"
     return (
-        f'name  = "{name}"\nfile  = "{name}.xml"\nterms = ["viscous", "coulomb"]\n'
-        + (f"massless = [{massless}]  # not asked for\n" if massless else "")
-        + f'[dh]\ntable      = "dh.csv"\nconvention = "{conventions.convention}"\n'
-        + f'frames     = "{conventions.frames}"\n'
-        + (f"base       = [{base}]\n" if any(conventions.base) else "")
-        + f"[paper]\norder = [{bodies}]\n[limits.all]\nv = {2.0}\na = {5.0}\n"
+        f'name  = "{name}"\nfile  = "{name}.xml"\nterms = ["viscous", "coulomb"]\n{massless}'
+        f'[dh]\ntable      = "dh.csv"\nconvention = "{conventions.convention}"\n'
+        f'frames     = "{conventions.frames}"\n{base}'
+        f"[paper]\norder = [{_bodies(row.link for row in links)}]\n"
+        f"[limits.all]\nv = {2.0}\na = {5.0}\n"
     )
+
+
+def _bodies(links: Iterable[str]) -> str:
+    """Names of the bodies of links, as the entries of a TOML list."""
+    return ", ".join(f'"link{link}"' for link in links)

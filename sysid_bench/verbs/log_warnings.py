@@ -1,6 +1,6 @@
 """Warnings about implausible torques in recordings, from the identified model itself."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 UNEXPLAINED: Final = 0.9
@@ -9,40 +9,46 @@ UNEXPLAINED: Final = 0.9
 DEVIATIONS: Final = 3.0
 """Standard deviations below zero from which a friction coefficient counts as negative."""
 
+SILENT: Final = "the torque of {} is zero throughout: is its column the right one?"
+FOREIGN: Final = (
+    "the model explains next to nothing of the torque of {}: are columns exchanged, constant, or "
+    "those of other joints?"
+)
+PUSHING: Final = (
+    "friction is negative on {}: the torque has the wrong sign there, or it is not the motor's."
+)
+
 
 def log_warnings(
     training: Mapping[str, Mapping[str, Any]], joints: Mapping[str, Mapping[str, Any]]
-) -> Iterator[str]:
-    """Yield a sentence for torques that are zero, that no model explains, or that push with the
+) -> list[str]:
+    """Return sentences for torques that are zero, that no model explains, or that push with the
     motion; `training` and `joints` as in the result of `identify` on logs."""
-    silent = [name for name, error in training.items() if not error["rms"]]
-    if silent:
-        yield f"the torque of {', '.join(silent)} is zero throughout: is its column the right one?"
-    unexplained = {
-        name: error["relative"]
-        for name, error in training.items()
-        if error["relative"] is not None and error["relative"] > UNEXPLAINED
+    doubts = {
+        SILENT: _silent(training),
+        FOREIGN: _unexplained(training),
+        PUSHING: [name for name, terms in joints.items() if _pushes(terms)],
     }
-    if unexplained:
-        shares = ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in unexplained.items())
-        yield (
-            f"the model explains next to nothing of the torque of {shares}: are columns exchanged, "
-            "constant, or those of other joints?"
-        )
-    pushing = [name for name, terms in joints.items() if _pushes(terms)]
-    if pushing:
-        yield (
-            f"friction is negative on {', '.join(pushing)}: the torque has the wrong sign there, "
-            "or it is not the motor's."
-        )
+    return [warning.format(", ".join(names)) for warning, names in doubts.items() if names]
+
+
+def _silent(training: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Joints without any torque, as those of an empty column."""
+    return [name for name, error in training.items() if not error["rms"]]
+
+
+def _unexplained(training: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Joints whose torque the model does not explain, with their relative errors."""
+    shares = {name: error["relative"] or 0.0 for name, error in training.items()}
+    return [f"{name} ({100 * s:.0f} %)" for name, s in shares.items() if s > UNEXPLAINED]
 
 
 def _pushes(terms: Mapping[str, Mapping[str, Any]]) -> bool:
     """Test whether the viscous and Coulomb friction of a joint, where identified, are negative."""
     friction = [terms[term] for term in ("viscous", "coulomb") if term in terms]
-    return bool(friction) and all(
-        term["value"] is not None
-        and term["value"] < 0
-        and (term["std"] is None or term["value"] < -DEVIATIONS * term["std"])
-        for term in friction
-    )
+    return bool(friction) and all(_is_negative(term) for term in friction)
+
+
+def _is_negative(term: Mapping[str, Any]) -> bool:
+    """Test whether a coefficient is negative beyond its standard deviation, where that is known."""
+    return term["value"] is not None and bool(term["value"] < -DEVIATIONS * (term["std"] or 0.0))

@@ -1,9 +1,9 @@
 """Files of motions: exports for controllers, and recorded motions read again."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -16,9 +16,17 @@ from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Trajectory
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 EXPORTS: Final = ("csv", "ros2", "damiao", "can")
 RESTING: Final = "fourier-polynomial"
 """Family of curves for exports to hardware: it starts and ends at rest."""
+
+MOVING_START: Final = (
+    "the motion starts and ends at speed; a motion for hardware should start and end at rest: "
+    f"--family {RESTING}"
+)
 
 Drives = tuple[damiao.DamiaoDrive, ...]
 
@@ -36,14 +44,19 @@ def check_export(export: str | None, out: str | Path | None) -> str:
     kind = export or "csv"
     if kind not in EXPORTS:
         raise unknown_name("export", kind, EXPORTS)
-    if out is None and export is not None:
+    if out is not None:
+        _check_folder(Path(out).parent)
+    elif export is not None:
         raise UsageError("Where does the export go? Give a file: -o FILE.")
-    if out is not None and not Path(out).parent.is_dir():
-        raise UsageError(f"There is no folder {str(Path(out).parent)!r} to write the motion to.")
     return kind
 
 
-def motor_drives(
+def _check_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        raise UsageError(f"There is no folder {str(folder)!r} to write the motion to.")
+
+
+def joint_drives(
     kind: str, joints: tuple[str, ...], motors: Mapping[str, Mapping[str, Any]] | None
 ) -> Drives:
     """Drives of the joints for Damiao exports; none for the others. `motors` by the names of the
@@ -55,33 +68,30 @@ def motor_drives(
             f"Which motors drive {', '.join(joints)}? Name them in this order, as --motors "
             f"DM4340,DM4310,..., or in a TOML file; there are: {', '.join(damiao.MOTORS)}."
         )
+    return damiao.damiao_drives(joints, _by_joint(joints, motors))
+
+
+def _by_joint(
+    joints: tuple[str, ...], motors: Mapping[str, Mapping[str, Any]]
+) -> Mapping[str, Mapping[str, Any]]:
+    """Motors by the names of the joints; raise UsageError for numbered ones of another count."""
     by_number = {str(k): name for k, name in enumerate(joints, 1)}
-    numbered = set(motors) <= set(by_number) and not set(motors) & set(joints)
-    if numbered and len(motors) != len(joints):
+    if not set(motors) <= by_number.keys() - set(joints):
+        return motors
+    if len(motors) != len(joints):
         raise UsageError(
             f"{len(motors)} motor(s) for {len(joints)} joints: {', '.join(joints)}; name one each."
         )
-    return damiao.damiao_drives(
-        joints, {by_number[k]: m for k, m in motors.items()} if numbered else motors
-    )
+    return {by_number[k]: motor for k, motor in motors.items()}
 
 
 def read_motion(
     file: Path, problem: DesignProblem, joints: tuple[str, ...], method: Optimised
 ) -> Trajectory:
     """Read a recorded motion: columns t, <joint>.q, .v, .a, as a CSV export has them."""
-    import pandas as pd
-
-    if not file.is_file():
-        raise UsageError(f"There is no file {str(file)!r} of a recorded motion.")
-    table = pd.read_csv(file)
-    missing = [f"{j}.{key}" for j in joints for key in "qva" if f"{j}.{key}" not in table]
-    if missing:
-        raise UsageError(
-            f"{file.name} has no columns {', '.join(missing[:8])}; a recorded motion is a CSV file "
-            "as excite writes it."
-        )
+    table = _read_table(file, [f"{joint}.{key}" for joint in joints for key in "qva"])
     space = method.space(problem)
+    # Joints that the design does not move stand at the reference configuration.
     q = np.tile(problem.q0, (len(table), 1))
     v, a = np.zeros((2, len(table), sum(len(joint.dofs) for joint in problem.joints)))
     moving = space.v_indices
@@ -89,6 +99,22 @@ def read_motion(
         array[:, columns] = table[[f"{joint}.{key}" for joint in joints]].to_numpy()
     t = table["t"].to_numpy() if "t" in table else np.arange(len(table)) / problem.rate
     return problem.completed(Trajectory(t, q, v, a, file.name))
+
+
+def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
+    """Table of a CSV file; raise UsageError where the file or columns of it are absent."""
+    import pandas as pd
+
+    if not file.is_file():
+        raise UsageError(f"There is no file {str(file)!r} of a recorded motion.")
+    table = pd.read_csv(file)
+    missing = [column for column in columns if column not in table]
+    if missing:
+        raise UsageError(
+            f"{file.name} has no columns {', '.join(missing[:8])}; a recorded motion is a CSV file "
+            "as excite writes it."
+        )
+    return table
 
 
 def joint_commands(robot: RobotModel, motion: Trajectory, joints: tuple[str, ...]) -> Commands:
@@ -113,31 +139,35 @@ def write_motion(
 ) -> MotionExport:
     """Write commands in the format of an export; at most the share `clamp` of a motor's samples may
     be clamped to its range."""
-    warnings = []
-    if not commands.starts_at_rest:
-        warnings.append(
-            "the motion starts and ends at speed; a motion for hardware should start and end at "
-            f"rest: --family {RESTING}"
-        )
-    report: list[dict[str, Any]] | None = None
-    if kind == "csv":
-        text = csv_text(commands)
-    elif kind == "ros2":
-        text = (ros2.json_text if file.suffix == ".json" else ros2.yaml_text)(commands)
-    else:
-        commands, report = damiao.limit_commands(commands, drives, clamp)
-        warnings += [_hot_motor(entry) for entry in report if entry["hot"]]
-        if kind == "can":
-            text = damiao.log_text(commands, drives)
-        else:
-            text = damiao.table_text(commands, drives, report)
-        report = [drive.to_json() | entry for drive, entry in zip(drives, report, strict=True)]
+    text, report = _export(file, kind, commands, drives, clamp)
     file.write_text(text, encoding="utf-8")
-    return MotionExport(warnings, report)
+    warnings = [] if commands.starts_at_rest else [MOVING_START]
+    return MotionExport(warnings + _hot_motors(report or []), report)
 
 
-def _hot_motor(entry: Mapping[str, Any]) -> str:
-    return (
+def _export(
+    file: Path, kind: str, commands: Commands, drives: Drives, clamp: float
+) -> tuple[str, list[dict[str, Any]] | None]:
+    """Text of an export, and for Damiao exports the scaling and clamping of each motor."""
+    if kind == "csv":
+        return csv_text(commands), None
+    if kind == "ros2":
+        return (ros2.json_text if file.suffix == ".json" else ros2.yaml_text)(commands), None
+    # Clamping changes the commands, so that table and report describe what the motors receive.
+    commands, report = damiao.limit_commands(commands, drives, clamp)
+    if kind == "can":
+        text = damiao.log_text(commands, drives)
+    else:
+        text = damiao.table_text(commands, drives, report)
+    entries = [drive.to_json() | entry for drive, entry in zip(drives, report, strict=True)]
+    return text, entries
+
+
+def _hot_motors(report: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Warn about motors whose RMS torque is above the rated one: they overheat in the long run."""
+    return [
         f"{entry['joint']}: RMS torque {entry['rms_torque']:.3g} N m is above the rated "
         f"{entry['rated_torque']:.3g} N m of its motor"
-    )
+        for entry in report
+        if entry["hot"]
+    ]

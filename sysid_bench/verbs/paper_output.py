@@ -1,7 +1,7 @@
 """Tables and figures of a suite's [[paper]] entries, from the data that cells stored."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,8 @@ from sysid_bench.harness.plan import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
 from sysid_bench.reporting.torque_figure import torque_figure
+from sysid_bench.verbs.base_table import ROUNDING
+from sysid_bench.verbs.result import value_text
 
 if TYPE_CHECKING:
     from sysid_bench.harness.store import RunFolder
@@ -34,28 +36,31 @@ def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[Listing, ..
 
 def draw_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
     """Draw the torque figures of a run as .pdf and .svg; title and path of the latter."""
-
     files = []
     for entry, cell in _shown(run, drawn=True):
-        path = _file(run, entry, cell, "npz")
-        if not path.is_file():
+        data = _file(run, entry, cell, "npz")
+        if not data.is_file():
             _stored(run, entry, cell)  # raises with the reason
-        with np.load(path) as data:
-            arrays = data["t"], data["measured"], data["predicted"]
-            rows, units = data["rows"].tolist(), data["units"].tolist()
-        for kind in ("pdf", "svg"):
-            drawing = folder / f"{entry.name}.{kind}"
-            t, measured, predicted = arrays
-            torque_figure(drawing, t, rows, measured, predicted, units)
+        drawing = folder / f"{entry.name}.svg"
+        _draw(data, (drawing.with_suffix(".pdf"), drawing))
         files.append((f"{entry.title or entry.name}: {_source(cell)}", drawing))
     return files
 
 
+def _draw(data: Path, drawings: Iterable[Path]) -> None:
+    """Draw the stored torques of a cell to each of several files."""
+    with np.load(data) as arrays:
+        t, measured, predicted = arrays["t"], arrays["measured"], arrays["predicted"]
+        rows, units = arrays["rows"].tolist(), arrays["units"].tolist()
+    for drawing in drawings:
+        torque_figure(drawing, t, rows, measured, predicted, units)
+
+
 def text_of(listing: Listing, form: str, origin: "Origin") -> str:
     """Markdown, CSV or LaTeX of a listing."""
-    if form == "md":
-        return to_markdown(listing)
-    return to_csv(listing) if form == "csv" else to_latex(listing, origin)
+    if form == "latex":
+        return to_latex(listing, origin)
+    return (to_csv if form == "csv" else to_markdown)(listing)
 
 
 def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":
@@ -67,14 +72,20 @@ def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":
 
 def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
     """The first cell with an ok row that an entry selects."""
-
     rows = run.rows().rows
-    wanted = None if entry.select is None else Expression.parse(entry.select)
-    found = [c for c in run.plan.cells if wanted is None or wanted.matches(
-        {**rows.get(c.id, {}), **fields(c)})]  # fmt: skip
+    found = _selected(run, entry.select)
     if not found:
         raise UsageError(f"[[paper]] {entry.name!r}: no cell meets {entry.select!r}.")
-    return next((cell for cell in found if rows.get(cell.id, {}).get("status") == "ok"), None)
+    ok = (cell for cell in found if rows.get(cell.id, {}).get("status") == "ok")
+    return next(ok, None)
+
+
+def _selected(run: "RunFolder", condition: str | None) -> "Sequence[Cell]":
+    """Cells that meet a condition on their fields and, where there is one, on their row."""
+    if condition is None:
+        return run.plan.cells
+    rows, wanted = run.rows().rows, Expression.parse(condition)
+    return [c for c in run.plan.cells if wanted.matches({**rows.get(c.id, {}), **fields(c)})]
 
 
 def _file(run: "RunFolder", entry: "Paper", cell: "Cell", kind: str) -> Path:
@@ -98,20 +109,27 @@ def _stored(run: "RunFolder", entry: "Paper", cell: "Cell") -> dict[str, Any]:
 def _base_parameters(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> Listing:
     """The sums in the order of the robot's manifest, with the values of a cell."""
     rows = tuple(
-        (str(k), row["expression"], _number(row["value"]), row["impossible"] or "")
+        (str(k), row["expression"], value_text(row["value"]), row["impossible"] or "")
         for k, row in enumerate(data["rows"], start=1)
     )
-    extra = [f"{name} = {_number(value)}" for name, value in data["extra"].items()]
-    notes = [_source(cell)]
-    notes += [f"Besides: {', '.join(extra)}."] if extra else []
-    change = data["smallest_change"]
-    if change is not None and change > 1e-6:
-        zero = f"With {', '.join(data['zero'])} taken for zero, no" if data["zero"] else "No"
-        notes.append(f"{zero} robot has them: some have to change by {change:.3g} or more.")
     title = entry.title or f"Base parameters of {cell.labels['robot']}"
-    return Listing(
-        entry.name, title, ("no.", "parameter", "value", "impossible"), rows, tuple(notes)
-    )
+    head, notes = ("no.", "parameter", "value", "impossible"), tuple(_notes(cell, data))
+    return Listing(entry.name, title, head, rows, notes)
+
+
+def _notes(cell: "Cell", data: Mapping[str, Any]) -> Iterator[str]:
+    """Source of the values, further values, and the change that makes them physical."""
+    yield _source(cell)
+    extra = [f"{name} = {value_text(value)}" for name, value in data["extra"].items()]
+    if extra:
+        yield f"Besides: {', '.join(extra)}."
+    change = data["smallest_change"] or 0.0
+    if change > ROUNDING:
+        yield f"{_no(data['zero'])} robot has them: some have to change by {change:.3g} or more."
+
+
+def _no(zero: Sequence[str]) -> str:
+    return f"With {', '.join(zero)} taken for zero, no" if zero else "No"
 
 
 def _model(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> Listing:
@@ -131,7 +149,3 @@ def _source(cell: "Cell") -> str:
     return (
         f"{words['excitation']}, {words['signals']}, {words['estimator']}; terms {words['terms']}."
     )
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"

@@ -2,6 +2,7 @@
 
 import subprocess
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,22 +31,28 @@ def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> lis
     """
     run_folder = open_run(folder)
     stored = run_folder.rows().rows
-    if all(c in "0123456789abcdef" for c in what):
-        chosen = [find_cell(run_folder, what)]
-    else:
-        chosen = _matching(run_folder, what)
+    chosen = [find_cell(run_folder, what)] if _is_id(what) else _matching(run_folder, what)
     if not chosen:
         raise UsageError(f"No finished cell of {str(folder)!r} meets {what!r}; nothing to record.")
-    max_hz = run_folder.suite.record.max_hz if run_folder.suite.record else MAX_HZ
     for cell in chosen:
-        if cell not in stored:
-            raise UsageError(f"The cell {cell} has not run yet; run it first, then record it.")
-        if stored[cell].get("status") in ("crash", "timeout"):
-            raise UsageError(
-                f"The cell {cell} ended as {stored[cell]['status']}; executed again here it would "
-                "take this command with it. Record another cell of its experiment."
-            )
-    return [_write(run_folder, cell, stored[cell], max_hz, robots_dir) for cell in chosen]
+        _check_row(cell, stored.get(cell))
+    return [_write(run_folder, cell, stored[cell], robots_dir) for cell in chosen]
+
+
+def _is_id(what: str) -> bool:
+    """Test whether a text is a beginning of an id, and not an expression."""
+    return set(what) <= set("0123456789abcdef")
+
+
+def _check_row(cell: str, row: Mapping[str, Any] | None) -> None:
+    """Raise UsageError for a cell that has not run, or that ended its process."""
+    if row is None:
+        raise UsageError(f"The cell {cell} has not run yet; run it first, then record it.")
+    if row.get("status") in ("crash", "timeout"):
+        raise UsageError(
+            f"The cell {cell} ended as {row['status']}; executed again here it would "
+            "take this command with it. Record another cell of its experiment."
+        )
 
 
 def record_selected(
@@ -53,23 +60,28 @@ def record_selected(
 ) -> list[Path]:
     """Write the recordings that a suite's [record] (or `expression`) selects, at most `MOST`, where
     they are absent or old. Cells without data (skipped, crash, timeout) are left out."""
-    rule = run_folder.suite.record
-    chosen = list(_matching(run_folder, expression)) if expression else list(_by_rule(run_folder))
+    chosen = _matching(run_folder, expression) if expression else _by_rule(run_folder)
     stored = run_folder.rows().rows
+    with_data = [c for c in dict.fromkeys(chosen) if stored[c].get("data_rank") is not None]
+    newest = _newest_row(run_folder)
     written = []
-    newest = max(
-        (f.stat().st_mtime for f in (run_folder.path / "cells").glob("*.jsonl")), default=0
-    )
-    for cell in [c for c in dict.fromkeys(chosen) if stored[c].get("data_rank") is not None][:MOST]:
-        path = _path(run_folder, cell)
-        if path.is_file() and path.stat().st_mtime > newest:
+    for cell in with_data[:MOST]:
+        if _written_at(_path(run_folder, cell)) > newest:
             continue
-        try:
-            max_hz = rule.max_hz if rule else MAX_HZ
-            written.append(_write(run_folder, cell, stored[cell], max_hz, robots_dir))
-        except SysidBenchError:
-            continue  # the row states why; a missing recording does not fail a run
+        # The row states why; a missing recording does not fail a run.
+        with suppress(SysidBenchError):
+            written.append(_write(run_folder, cell, stored[cell], robots_dir))
     return written
+
+
+def _written_at(file: Path) -> float:
+    """Time (s since the epoch) when a file was last written; -1 for an absent one."""
+    return file.stat().st_mtime if file.is_file() else -1.0
+
+
+def _newest_row(run_folder: RunFolder) -> float:
+    """Time (s since the epoch) when a row was last written; 0 without rows."""
+    return max(map(_written_at, (run_folder.path / "cells").glob("*.jsonl")), default=0.0)
 
 
 def view(folder: str | Path, identifier: str, web: bool = False) -> subprocess.Popen[bytes]:
@@ -108,10 +120,9 @@ def _worst(run_folder: RunFolder, metric: str, count: int, per: str | None) -> I
     if metric not in rows:
         return
     measured = rows[rows[metric].notna()].sort_values(metric, ascending=False, kind="stable")
-    groups = (
-        [measured] if per is None else [group for _, group in measured.groupby(per, sort=False)]
-    )
-    for group in groups:
+    # Cells of one group stand together, in the order in which the groups first occur.
+    groups = [("", measured)] if per is None else measured.groupby(per, sort=False)
+    for _, group in groups:
         yield from group["id"].head(count)
 
 
@@ -120,8 +131,11 @@ def _path(run_folder: RunFolder, cell: str) -> Path:
 
 
 def _write(
-    run_folder: RunFolder, cell: str, row: Mapping[str, Any], max_hz: Any, robots_dir: Path | None
+    run_folder: RunFolder, cell: str, row: Mapping[str, Any], robots_dir: Path | None
 ) -> Path:
+    rule = run_folder.suite.record
+    max_hz = rule.max_hz if rule else MAX_HZ
+    # A recording needs the signals, which rows do not hold: the cell is executed again.
     (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
     job = job_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_dir)
     path = _path(run_folder, cell)

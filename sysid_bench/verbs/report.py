@@ -2,7 +2,8 @@
 
 import shlex
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,7 +25,11 @@ from sysid_bench.verbs.paper_output import draw_paper_figures, paper_tables, tex
 from sysid_bench.vocabulary import JOINT, PARAMETER, STD_FROM
 
 if TYPE_CHECKING:
+    import pandas as pd
+
+    from sysid_bench.harness.data_frames import Frames
     from sysid_bench.harness.store import RunFolder
+    from sysid_bench.harness.suite.model import Suite
 
 DEFAULT_TABLE: Final[Mapping[str, Any]] = {
     "name": "main",
@@ -37,6 +42,8 @@ DEFAULT_TABLE: Final[Mapping[str, Any]] = {
 """The table of a suite that names none."""
 
 FORMATS: Final = ("md", "csv", "latex")
+_FRAMES: Final = {JOINT: "by_joint", STD_FROM: "by_std_from", PARAMETER: "by_parameter"}
+"""Data with a row for each value of an axis, made when it is read."""
 _SUFFIXES: Final = {"md": "md", "csv": "csv", "latex": "tex"}
 
 
@@ -79,17 +86,32 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     if form not in FORMATS:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
-    tables = {made.name: made for made in _tables(run_folder)}
+    origin = _origin(run_folder)
+    tables = _by_name(_tables(run_folder))
     if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
-        listings = {made.name: made for made in paper_tables(run_folder, name)}
-        if name not in listings:
-            raise UsageError(f"{name!r} has no ok cell yet, or is a figure: see figures/.")
-        return text_of(listings[name], form, _origin(run_folder))
+        return text_of(_listing(run_folder, name), form, origin)
     if name not in tables:  # rankings resample thousands of times: made only where one is named
-        tables |= {made.name: made for ranking in _rankings(run_folder) for made in ranking.tables}
+        tables |= _by_name(_ranking_tables(_rankings(run_folder)))
     if name not in tables:
         raise unknown_name("table", name, tables)
-    return _text(tables[name], form, _origin(run_folder))
+    return _text(tables[name], form, origin)
+
+
+def _by_name(tables: Iterable[Table]) -> dict[str, Table]:
+    return {made.name: made for made in tables}
+
+
+def _listing(run_folder: "RunFolder", name: str) -> Listing:
+    """Listing of a [[paper]] entry; raise UsageError where there is none to print."""
+    for listing in paper_tables(run_folder, name):
+        return listing
+    raise UsageError(f"{name!r} has no ok cell yet, or is a figure: see figures/.")
+
+
+def _ranking_tables(ranked: Iterable[Ranking]) -> Iterator[Table]:
+    """Tables of all rankings."""
+    for ranking in ranked:
+        yield from ranking.tables
 
 
 def printed_tables(folder: str | Path) -> list[str]:
@@ -114,7 +136,7 @@ def _write_tables(
 ) -> None:
     """Every table as Markdown, CSV and LaTeX, and all numbers as LaTeX macros."""
     for form, suffix in _SUFFIXES.items():
-        for made in (*tables, *(pair for ranking in ranked for pair in ranking.tables)):
+        for made in (*tables, *_ranking_tables(ranked)):
             _put(folder / f"{made.name}.{suffix}", _text(made, form, origin))
         for listing in listings:
             _put(folder / f"{listing.name}.{suffix}", text_of(listing, form, origin))
@@ -123,10 +145,10 @@ def _write_tables(
 
 
 def _draw(folder: Path, tables: tuple[Table, ...], ranked: tuple[Ranking, ...]) -> None:
+    drawn = [made for made in tables if made.has_figure]
     for suffix in ("pdf", "svg"):
-        for made in tables:
-            if made.has_figure:
-                figure(made, folder / f"{made.name}.{suffix}")
+        for made in drawn:
+            figure(made, folder / f"{made.name}.{suffix}")
         for ranking in ranked:
             profile(ranking, folder / f"{ranking.name}.{suffix}")
 
@@ -135,32 +157,40 @@ def _tables(run_folder: "RunFolder") -> Iterator[Table]:
     frames, suite = run_folder.frames(), run_folder.suite
     specs = [entry.model_dump(exclude_none=True) for entry in suite.table] or [dict(DEFAULT_TABLE)]
     for spec in specs:
-        axes = (*spec["rows"], *spec["columns"])
-        lines = frames.by_parameter if PARAMETER in axes else frames.cells
-        lines = frames.by_std_from if STD_FROM in axes else lines
-        lines = frames.by_joint if JOINT in axes else lines
-        try:
+        lines = _lines(frames, (*spec["rows"], *spec["columns"]))
+        with _incomplete_run(run_folder):
             yield make_table(lines, spec, _choose, frames.parameters, suite.metrics)
-        except UsageError:
-            if _is_complete(run_folder):
-                raise
+
+
+def _lines(frames: "Frames", axes: Collection[str]) -> "pd.DataFrame":
+    """Data of a table: a row per joint, way of estimation or parameter where an axis needs it, else
+    one per cell."""
+    name = next((name for axis, name in _FRAMES.items() if axis in axes), "cells")
+    lines: pd.DataFrame = getattr(frames, name)
+    return lines
 
 
 def _rankings(run_folder: "RunFolder") -> tuple[Ranking, ...]:
     cells, suite = run_folder.frames().cells, run_folder.suite
     found: list[Ranking] = []
     for entry in suite.ranking:
-        spec = entry.model_dump(exclude_none=True)
-        try:
-            found += rankings(cells, spec, _choose, suite.metrics)
-        except UsageError:
-            if _is_complete(run_folder):
-                raise
+        with _incomplete_run(run_folder):
+            found += rankings(cells, entry.model_dump(exclude_none=True), _choose, suite.metrics)
     return tuple(found)
 
 
+@contextmanager
+def _incomplete_run(run_folder: "RunFolder") -> Iterator[None]:
+    """Leave a table out while cells have no row: until then it may have nothing to show."""
+    try:
+        yield
+    except UsageError:
+        if _is_complete(run_folder):
+            raise
+
+
 def _is_complete(run_folder: "RunFolder") -> bool:
-    """True where every cell has a row: before that, a table may have nothing to show yet."""
+    """Test whether every cell has a row."""
     return len(run_folder.frames().cells) == len(run_folder.plan.cells)
 
 
@@ -169,9 +199,10 @@ def _choose(expression: str, cell: Mapping[str, Any]) -> bool:
 
 
 def _text(table: Table, form: str, origin: Origin) -> str:
-    if form == "md":
-        return to_markdown(table)
-    return to_csv(table) if form == "csv" else to_latex(table, origin)
+    """Text of a table; the origin is a comment in LaTeX alone."""
+    if form == "latex":
+        return to_latex(table, origin)
+    return (to_csv if form == "csv" else to_markdown)(table)
 
 
 def _put(path: Path, text: str) -> None:
@@ -183,7 +214,10 @@ def _put(path: Path, text: str) -> None:
 
 def _origin(run_folder: "RunFolder") -> Origin:
     cells = sorted(cell.id for cell in run_folder.plan.cells)
-    suite = run_folder.suite
+    return Origin(run_folder.path.name, digest(cells)[:12], _command(run_folder.suite))
+
+
+def _command(suite: "Suite") -> str:
+    """Command that makes the run: of the suite's [origin], or with its name."""
     typed = suite.origin.command if suite.origin else None
-    command = typed or f"sysid-bench run {shlex.quote(suite.name)}"
-    return Origin(run_folder.path.name, digest(cells)[:12], command)
+    return typed or f"sysid-bench run {shlex.quote(suite.name)}"

@@ -1,14 +1,19 @@
 """Base of the results that commands return: frozen records that also read as mappings."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from html import escape
+from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
+from sysid_bench.errors import NEAR
 
 OMIT_NONE: Final = {"omit None": True}
 """Metadata of a field that is absent from the mapping and the JSON while it is None."""
+
+_CONTAINERS: Final = (Mapping, list, tuple)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,7 +44,10 @@ class Result(Mapping[str, Any]):
             object.__setattr__(self, entry.name, plain(getattr(self, entry.name)))
 
     def __getitem__(self, key: str) -> Any:
-        return self._fields()[key]
+        values = self._fields()
+        if key in values:
+            return values[key]
+        raise KeyError(_with_hint(str(key), values))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._fields())
@@ -63,6 +71,11 @@ class Result(Mapping[str, Any]):
         )
 
 
+def file_text(file: str | Path | None) -> str | None:
+    """Name of a file as text; None for None."""
+    return None if file is None else str(file)
+
+
 def value_text(value: float | None, absent: str = "-") -> str:
     """Four significant digits; `absent` for None."""
     return absent if value is None else f"{value:.4g}"
@@ -73,13 +86,19 @@ def estimate_text(value: float | None, std: float | None, absent: str = "-") -> 
     return value_text(value, absent) + ("" if value is None or std is None else f" ± {std:.2g}")
 
 
+def _with_hint(key: str, known: Iterable[str]) -> str:
+    """Unknown key with the nearest one."""
+    near = get_close_matches(key, list(known), n=1, cutoff=NEAR)
+    return f"{key}; did you mean {near[0]!r}?" if near else key
+
+
 def _inline(value: Any) -> str:
-    """One line: containers of more than three entries by their size."""
-    if isinstance(value, (Mapping, list, tuple)) and (len(value) > 3 or _nested(value)):
+    """One line: containers of more than three entries, or of containers, by their size."""
+    if isinstance(value, _CONTAINERS) and (len(value) > 3 or _nested(value)):
         return f"<{len(value)} {'entry' if len(value) == 1 else 'entries'}>"
     return f"{value:.4g}" if isinstance(value, float) else repr(value)
 
 
 def _nested(value: Any) -> bool:
     inner = value.values() if isinstance(value, Mapping) else value
-    return any(isinstance(entry, (Mapping, list, tuple)) for entry in inner)
+    return any(isinstance(entry, _CONTAINERS) for entry in inner)

@@ -3,15 +3,16 @@
 import json
 import shlex
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from sysid_bench import places
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.harness.plan import Cell, Plan, expand
+from sysid_bench.harness.plan import Cell, expand
 from sysid_bench.harness.run import Rerun
+from sysid_bench.harness.run import RunResult as Outcome
 from sysid_bench.harness.run import run as execute
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
@@ -28,35 +29,16 @@ INTERRUPTED = 130
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanResult(Result):
-    """Cells of a suite. The attributes `cells` and `experiments` hold the specifications; as a
-    mapping and in JSON they are counts."""
+    """Cells of a suite. The attributes `cells` (in the order of the suite) and `experiments` (in
+    the order of their first cell) hold the specifications; as a mapping and in JSON they are
+    counts. `excluded`: cells by reason; `seconds`: expected cost on one worker; `notes` on the
+    selection."""
 
-    plan: Plan
-
-    @property
-    def cells(self) -> tuple[Cell, ...]:
-        """Selected cells in the order of the suite."""
-        return self.plan.cells
-
-    @property
-    def experiments(self) -> tuple[ExperimentSpec, ...]:
-        """Experiments of the cells, in the order of their first cell."""
-        return self.plan.experiments
-
-    @property
-    def excluded(self) -> Mapping[str, int]:
-        """Number of excluded cells by reason."""
-        return self.plan.excluded
-
-    @property
-    def seconds(self) -> float:
-        """Expected cost on one worker, s."""
-        return self.plan.seconds
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks on the selection."""
-        return self.plan.notes
+    cells: tuple[Cell, ...]
+    experiments: tuple[ExperimentSpec, ...]
+    excluded: Mapping[str, int]
+    seconds: float
+    notes: tuple[str, ...]
 
     def summary(self) -> str:
         """Counts, exclusions and notes."""
@@ -98,7 +80,7 @@ class RunResult(Result):
         if not self.counts:
             notes = " ".join(self.notes)
             return f"No cell was selected; see 'sysid-bench plan'. {notes}".rstrip()
-        counts = ", ".join(f"{count} {status}" for status, count in self.counts.items())
+        counts = _counts_text(self.counts)
         lines = [
             *printed_tables(folder),
             counts + (f", {self.open} open" if self.open else ""),
@@ -109,6 +91,10 @@ class RunResult(Result):
 
     def _fields(self) -> dict[str, Any]:
         return super()._fields() | {"folder": str(self.folder.path)}
+
+
+def _counts_text(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {status}" for status, count in counts.items())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,7 +109,7 @@ class StatusResult(Result):
 
     def summary(self) -> str:
         """Counts, then one line for each reason."""
-        counts = ", ".join(f"{n} {status}" for status, n in self.statuses.items()) or "no rows"
+        counts = _counts_text(self.statuses) or "no rows"
         lines = [f"{self.cells} cells: {counts}, {self.open} open"]
         lines += [f"  {r['cells']} {r['status']}: {r['reason']}" for r in self.reasons]
         return "\n".join(lines)
@@ -139,16 +125,18 @@ class CellResult(Result):
     def summary(self) -> str:
         """One line per field, then the traceback of a failure."""
         tables = ("joints", "parameters_table", "traceback")
-        lines = [
-            f"{key:<22} {value if isinstance(value, str) else json.dumps(value)}"
-            for key, value in self.items()
-            if key not in tables
-        ]
+        fields = {key: value for key, value in self.items() if key not in tables}
+        lines = [f"{key:<22} {_json_text(value)}" for key, value in fields.items()]
         traceback = self.row.get("traceback")
         return "\n".join([*lines, f"\n{traceback}"] if traceback else lines)
 
     def _fields(self) -> dict[str, Any]:
         return {**self.row, "command": self.command}
+
+
+def _json_text(value: Any) -> str:
+    """JSON of a field; a string without quotes."""
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def plan(
@@ -164,9 +152,15 @@ def plan(
     """
     names = installed_names(robots_dir)
     whole = expand(load_suite(places.suite(str(suite)), names, overrides), names)
-    cells = whole.select(select)
-    why = whole.missing_values(select) if select and not cells else ()
-    return PlanResult(replace(whole, cells=cells, notes=(*whole.notes, *why)))
+    selected = replace(whole, cells=whole.select(select))
+    why = whole.missing_values(select) if select and not selected.cells else ()
+    return PlanResult(
+        cells=selected.cells,
+        experiments=selected.experiments,
+        excluded=whole.excluded,
+        seconds=selected.seconds,
+        notes=(*whole.notes, *why),
+    )
 
 
 def run(
@@ -203,9 +197,18 @@ def run(
         robots_dir=robots_dir,
         overrides=overrides,
     )
+    _write_reports(outcome, record, robots_dir)
+    return _run_result(outcome)
+
+
+def _write_reports(outcome: Outcome, record: str | None, robots_dir: Path | None) -> None:
+    """Write recordings and report of a run that has rows and was not interrupted."""
     if outcome.counts and outcome.exit_code != INTERRUPTED:
         record_selected(outcome.folder, record, robots_dir)
         report(outcome.folder.path)
+
+
+def _run_result(outcome: Outcome) -> RunResult:
     return RunResult(
         folder=outcome.folder,
         counts=outcome.counts,
@@ -222,19 +225,22 @@ def status(folder: str | Path) -> StatusResult:
     stored = run_folder.rows().rows
     planned = [cell.id for cell in run_folder.plan.cells]
     rows = [stored[cell] for cell in planned if cell in stored]
-    reasons = Counter(
-        (row["status"], row.get("reason") or "") for row in rows if row["status"] != "ok"
-    )
     return StatusResult(
         folder=str(run_folder.path),
         cells=len(planned),
         open=len(planned) - len(rows),
         statuses=dict(Counter(row["status"] for row in rows)),
-        reasons=[
-            {"status": kind, "reason": reason, "cells": n}
-            for (kind, reason), n in reasons.most_common()
-        ],
+        reasons=_reasons(rows),
     )
+
+
+def _reasons(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Reasons of the cells that are not ok, the most frequent first."""
+    pairs = ((row["status"], row.get("reason") or "") for row in rows if row["status"] != "ok")
+    return [
+        {"status": status, "reason": reason, "cells": count}
+        for (status, reason), count in Counter(pairs).most_common()
+    ]
 
 
 def cell(folder: str | Path, identifier: str) -> CellResult:

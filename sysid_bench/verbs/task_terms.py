@@ -4,17 +4,18 @@ from collections.abc import Sequence
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
-from sysid_bench.tasks.task import find_task, task_names_with_terms
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.tasks.task import TaskDefinition, find_task, task_names_with_terms
 
 
 def check_term_names(terms: Sequence[str] | None) -> None:
     """Raise UsageError with the nearest name for an unknown joint term, and for a single text."""
     if isinstance(terms, str):
         raise UsageError(f"terms is a sequence of names, as [{terms!r}]; got the text {terms!r}.")
-    for term in terms or ():
-        if not is_term(term):
-            advice = f"{TERM_ADVICE} Separate several by commas, or: none."
-            raise unknown_name("joint term", term, TERMS, advice)
+    unknown = next((term for term in terms or () if not is_term(term)), None)
+    if unknown is not None:
+        advice = f"{TERM_ADVICE} Separate several by commas, or: none."
+        raise unknown_name("joint term", unknown, TERMS, advice)
 
 
 def check_terms(task: str, terms: Sequence[str] | None) -> None:
@@ -26,3 +27,10 @@ def check_terms(task: str, terms: Sequence[str] | None) -> None:
             "terms as known; leave --terms out, or use the task "
             f"{' or '.join(task_names_with_terms())}."
         )
+
+
+def terms_of(
+    definition: TaskDefinition, robot: RobotModel, terms: Sequence[str] | None
+) -> tuple[str, ...]:
+    """Return the joint terms to identify: the given ones, or those of the task for None."""
+    return definition.default_terms(robot) if terms is None else tuple(terms)

@@ -2,9 +2,11 @@
 
 import contextlib
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.identifiability.verdicts import verdicts
@@ -25,9 +27,10 @@ def check_files(robot: RobotModel, task: str, model: Path | None, answer: Path |
     model or the JSON result cannot be written to."""
     if model is not None:
         _check_format(robot, task, model)
-    if answer is not None:
-        _check_folder(robot, answer)
-    if model is not None and answer is not None and answer.resolve() == model.resolve():
+    if answer is None:
+        return
+    _check_folder(robot, answer)
+    if model is not None and answer.resolve() == model.resolve():
         raise UsageError(
             f"{str(answer)!r} cannot hold both the model and the JSON result; name two files."
         )
@@ -49,11 +52,16 @@ def _check_format(robot: RobotModel, task: str, target: Path) -> None:
 
 
 def _check_folder(robot: RobotModel, target: Path) -> None:
-    for source in (robot.manifest.path, robot.manifest.manifest_file):
-        if source is not None and target.exists() and source.exists() and target.samefile(source):
-            raise UsageError(f"{str(target)!r} is the model itself; name another file.")
+    sources = (robot.manifest.path, robot.manifest.manifest_file)
+    if target.exists() and any(_is_same(target, source) for source in sources):
+        raise UsageError(f"{str(target)!r} is the model itself; name another file.")
     if not target.parent.is_dir():
         raise UsageError(f"There is no folder {str(target.parent)!r} to write {target.name} to.")
+
+
+def _is_same(target: Path, source: Path | None) -> bool:
+    """Test whether a source exists and is the target, by any path."""
+    return source is not None and source.exists() and target.samefile(source)
 
 
 def write_model(
@@ -73,22 +81,32 @@ def write_model(
     theta = dict(zip(problem.parameters, values_of(estimate, problem), strict=True))
     seen = ("identifiable",) * len(problem.parameters) if whole else verdicts(problem.base)
     verdict_of = dict(zip(problem.parameters, seen, strict=True))
-    definition, bodies = find_task(task), {}
-    for body in problem.bodies:
-        phi = [theta.pop(column) for column in body.columns]
-        bodies[body.name] = (
-            phi - _welded(robot, body.name) if definition.lumps_welded_bodies else phi
-        )
-    joints: dict[str, dict[str, float]] = {}
-    term_of = {suffix: term for term, suffix in SUFFIX.items()}
+    definition = find_task(task)
+    bodies = {body.name: _pop(theta, body.columns) for body in problem.bodies}
+    # The file lists welded bodies one by one; their sum was identified.
+    if definition.lumps_welded_bodies:
+        bodies = {name: phi - _welded(robot, name) for name, phi in bodies.items()}
     # What remains behind a sensor are its constants (offsets, gains), which no model file holds.
-    for name, value in theta.items() if not definition.measures_sensor_only else ():
-        joint, _, suffix = name.rpartition(".")
-        term = term_of[suffix]
-        joints.setdefault(joint, {})[KEYS.get(term, term)] = float(value)
+    joints = {} if definition.measures_sensor_only else _joint_terms(theta)
     write = updated_urdf if robot.format == "urdf" else updated_mjcf
     with _source(robot) as source:
         target.write_bytes(write(source, bodies, joints, verdict_of).encode())
+
+
+def _pop(theta: dict[str, float], columns: Sequence[str]) -> Array:
+    """Remove the parameters (10,) of a body from theta."""
+    return np.array([theta.pop(column) for column in columns])
+
+
+def _joint_terms(theta: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """{joint: {key of the file: value}} of joint parameters such as "j1.fv"."""
+    term_of = {suffix: term for term, suffix in SUFFIX.items()}
+    joints: dict[str, dict[str, float]] = {}
+    for name, value in theta.items():
+        joint, _, suffix = name.rpartition(".")
+        term = term_of[suffix]
+        joints.setdefault(joint, {})[KEYS.get(term, term)] = float(value)
+    return joints
 
 
 @contextlib.contextmanager
@@ -107,6 +125,7 @@ def _welded(robot: RobotModel, name: str) -> Array:
     """phi (10,) of all bodies welded to a link in the file, in the link's frame."""
     link = robot.body_names.index(name)
     tree, phi = robot.tree, robot.phi.copy()
+    # Neither the link itself nor a payload at the tool counts as welded in the file.
     phi[link] = 0.0
     if robot.payload_body is not None:
         phi[robot.payload_body] = 0.0

@@ -36,6 +36,14 @@ def test_a_result_reads_as_a_mapping() -> None:
     assert Sample("a", 1.0, [], "n")["note"] == "n"
 
 
+def test_an_unknown_key_names_the_nearest() -> None:
+    with pytest.raises(KeyError, match="nmae; did you mean 'name'"):
+        SAMPLE["nmae"]
+    with pytest.raises(KeyError, match=r"^'xyzzy'$"):
+        SAMPLE["xyzzy"]
+    assert "nmae" not in SAMPLE
+
+
 def test_json_has_numbers_or_null() -> None:
     assert json.loads(json.dumps(SAMPLE.to_dict())) == {
         "name": "a<b",
@@ -78,6 +86,46 @@ def test_a_plan_counts_its_cells() -> None:
     assert plan["cells"] == len(plan.cells) > 0
     assert plan["experiments"] == len(plan.experiments)
     assert plan.summary().startswith(f"{len(plan.cells)} cells in ")
+
+
+@pytest.mark.parametrize("seed", ["x", 1.5, -1, None])
+def test_a_seed_is_an_integer(seed: object) -> None:
+    with pytest.raises(UsageError, match="seed must be an integer of 0 or more"):
+        sysid_bench.identify("scara", seed=seed)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="seed must be an integer of 0 or more"):
+        sysid_bench.excite(sysid_bench.ExciteRequest("scara", seed=seed))  # type: ignore[arg-type]
+
+
+def test_a_list_is_not_a_robot() -> None:
+    with pytest.raises(UsageError, match=r"one by one, as crosscheck\('ur5', 'panda'\)"):
+        sysid_bench.crosscheck(["ur5"])  # type: ignore[arg-type]
+
+
+def test_options_of_the_other_source_are_named() -> None:
+    with pytest.raises(UsageError, match=r"^--noise, --sensor: for simulated data only"):
+        sysid_bench.identify("ur5", log="run.toml", noise={"q": "1e-4 rad"}, sensor="wrist")
+    with pytest.raises(UsageError, match=r"^--test, --position-given: for recordings only"):
+        sysid_bench.identify("ur5", test="run.toml", position_given=True)
+
+
+def test_a_summary_has_base_parameters_and_one_line_for_bodies_without_values() -> None:
+    result = sysid_bench.identify("ur5", noise={"tau": "0.5 %"})
+    lines = result.summary().splitlines()
+    assert (
+        lines.count(
+            "  nothing is identifiable on its own: "
+            "base_link, shoulder_link, wrist_3_link, ee_link, tool0, base"
+        )
+        == 1
+    )
+    start = lines.index("  base parameters, most significant first:")
+    assert lines[start + 9] == f"    and {len(result.base) - 8} more (--json)"
+    sizes = {e["expression"]: abs(e["value"]) / e["std"] for e in result.base}
+    singles = [line.split()[-1] for line in lines[start + 1 : start + 9] if line.count(" + ") == 0]
+    assert singles
+    assert sorted(singles, key=sizes.__getitem__, reverse=True) == singles
+    ranked = sorted(sizes, key=sizes.__getitem__, reverse=True)[:8]
+    assert set(singles) <= set(ranked)
 
 
 def test_one_source_of_data_is_given() -> None:

@@ -75,6 +75,35 @@ def test_show_knows_every_kind(cli: Run) -> None:
     assert "'wls'" in one_sentence(cli("show", "wsl"))
 
 
+@pytest.mark.parametrize("kind", ["log-readers", "log-reader", "log_reader", "log_readers"])
+def test_a_kind_is_singular_or_plural(cli: Run, kind: str) -> None:
+    listed = cli("list", kind)
+    assert listed.returncode == 0, listed.stderr
+    first = listed.stdout.splitlines()[0]
+    assert first.endswith("Lines of numbers separated by comma, semicolon, tab or blanks.")
+    assert first in cli("show", kind).stdout.splitlines()
+
+
+def test_show_aligns_its_keys(cli: Run) -> None:
+    keys = ("kind", "name", "title", "at", "settings")
+    lines = cli("show", "ols").stdout.splitlines()
+    assert [line[:10] for line in lines] == [f"{key:<10}" for key in keys]
+
+
+def test_what_is_missing_is_named_with_an_example(cli: Run, tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("t,q\n0,1\n")
+    for words, example in (
+        (("identify", "--log", "run.csv"), "sysid-bench identify ur5 --log run.toml"),
+        (("identify", "ur5", "--log", "run.csv"), "file = 'run.csv'"),
+        (("identify", "ur5", "--noise", "tau"), "--noise 'tau=0.5 %"),
+        (("plan", "smoke", "--select", 'robot = "ur5"'), 'write ==, as in: robot == "ur5"'),
+    ):
+        done = cli(*words)
+        assert done.returncode == 2, words
+        assert example in one_sentence(done)
+    assert cli("plan", "smoke", "--select", 'robot != "a=b"').returncode == 0
+
+
 def test_plan_counts_and_refuses_with_lines(cli: Run, tmp_path: Path) -> None:
     counted = json.loads(cli("plan", "smoke", "--json").stdout)
     assert counted["cells"] == 120

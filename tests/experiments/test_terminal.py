@@ -41,7 +41,7 @@ LOAD = PAYLOADS["box-2kg"]
 def arm(name: str) -> RobotModel:
     if name in places.robots():
         return named_robot(name, "box-2kg")
-    path = next(places.example_robot_data().rglob(f"{name}.urdf"))
+    path = next(places.robot_data_folder().rglob(f"{name}.urdf"))
     return load_robot(path, LOAD)
 
 

@@ -50,7 +50,7 @@ def test_named_robots_have_their_ranks(name: str) -> None:
 
 @pytest.mark.parametrize("file", FILES)
 def test_other_files_have_their_ranks(file: str) -> None:
-    (path,) = places.example_robot_data().rglob(file)
+    (path,) = places.robot_data_folder().rglob(file)
     assert inertial_base(load_robot(path)).rank == FILES[file]
 
 
@@ -62,7 +62,7 @@ def test_a_payload_adds_no_base_parameter() -> None:
 @pytest.mark.parametrize("file", ["so100.urdf", "so101.urdf"])
 def test_axes_tilted_by_rounding_are_reported_as_near_degenerate(file: str) -> None:
     """Two axes are parallel but for truncated decimals; unit columns would hide that."""
-    (path,) = places.example_robot_data().rglob(file)
+    (path,) = places.robot_data_folder().rglob(file)
     base = inertial_base(load_robot(path))
     assert base.rank == 36
     assert base.near_degenerate == 2

@@ -75,7 +75,7 @@ def survives_or_says_why(text: str, suffix: str, folder: Path) -> bool:
 
 @pytest.mark.parametrize("file", FILES)
 def test_a_damaged_urdf_loads_or_is_refused(file: str, tmp_path: Path) -> None:
-    text = (places.example_robot_data() / file).read_text(encoding="utf-8")
+    text = (places.robot_data_folder() / file).read_text(encoding="utf-8")
     assert survives_or_says_why(text, ".urdf", tmp_path)
     loaded = [survives_or_says_why(damaged(text, seed), ".urdf", tmp_path) for seed in range(100)]
     assert any(loaded)

@@ -112,7 +112,7 @@ def damaged(seed: int, folder: Path) -> Path:
     if (seed // len(WAYS)) % 2:
         text, suffix = random_robot(seed, ALWAYS), ".xml"
     else:
-        text = (places.example_robot_data() / draw.choice(URDFS)).read_text(encoding="utf-8")
+        text = (places.robot_data_folder() / draw.choice(URDFS)).read_text(encoding="utf-8")
         text = re.sub(r"<!--.*?-->|<(transmission|gazebo).*?</\1>", "", text, flags=re.DOTALL)
         suffix = ".urdf"
     file = folder / f"robot{suffix}"
@@ -138,5 +138,5 @@ def test_a_damaged_file_is_one_sentence(seed: int, tmp_path: Path) -> None:
 
 def test_undamaged_the_same_texts_are_robots(tmp_path: Path) -> None:
     (tmp_path / "r.xml").write_text(random_robot(1, ALWAYS))
-    files = [tmp_path / "r.xml", *(places.example_robot_data() / file for file in URDFS)]
+    files = [tmp_path / "r.xml", *(places.robot_data_folder() / file for file in URDFS)]
     assert all(verdict["ok"] for verdict in crosscheck(*files, samples=2))

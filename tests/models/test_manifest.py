@@ -175,7 +175,19 @@ def test_every_way_to_name_a_robot_finds_the_same_file(
     assert find_manifest("own", robots_dir=tmp_path / "robots").path == own / "r.urdf"
 
 
-@pytest.mark.parametrize("name", ["ur55", "", "robots", "."])
+@pytest.mark.parametrize("name", ["", "robots", "."])
+def test_names_that_resemble_none_list_eight_robots(name: str) -> None:
+    known = places.robots()
+    with pytest.raises(UsageError) as refusal:
+        find_manifest(name)
+    found = re.search(rf"There are ([\w, ]+) and {len(known) - 8} more", str(refusal.value))
+    assert found is not None
+    listed = found[1].split(", ")
+    assert listed == sorted(known)[:8]
+    assert "sysid-bench list robots" in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["ur55", "pandas"])
 def test_unknown_names_list_the_nearest_eight(name: str) -> None:
     known = places.robots()
     with pytest.raises(UsageError) as refusal:

@@ -70,7 +70,7 @@ def skeleton(text: str) -> dict[str, tuple[str | None, str]]:
 
 @pytest.mark.parametrize("file", urdf_files())
 def test_what_is_not_repaired_keeps_all_its_numbers(file: str) -> None:
-    text = (places.example_robot_data() / file).read_text(encoding="utf-8")
+    text = (places.robot_data_folder() / file).read_text(encoding="utf-8")
     urdf = canonical_urdf(text, file)
     mended = {name for words in urdf.repairs for name in re.findall(r"link '([^']+)'", words)}
     before, after = inertials(text), inertials(urdf.text)
@@ -85,7 +85,7 @@ def test_what_is_not_repaired_keeps_all_its_numbers(file: str) -> None:
 @pytest.mark.parametrize("file", urdf_files())
 def test_the_canonical_text_is_its_own(file: str) -> None:
     """Mended once, there is nothing left to mend."""
-    urdf = canonical_urdf((places.example_robot_data() / file).read_bytes(), file)
+    urdf = canonical_urdf((places.robot_data_folder() / file).read_bytes(), file)
     again = canonical_urdf(urdf.text, file)
     assert again.repairs == ()
     assert inertials(again.text) == inertials(urdf.text)

@@ -1,0 +1,160 @@
+"""Values of options that hold several words; names are checked by the commands themselves."""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sysid_bench.errors import UsageError
+
+_STRING = re.compile(r"'[^']*'|\"[^\"]*\"")
+_ASSIGNMENT = re.compile(r"(?<![=!<>])=(?!=)")
+_UNITS = {"period": "s", "clearance": "m", "floor": "m", "torque_share": "1"}
+
+
+def parse_names(text: str | None) -> tuple[str, ...]:
+    """Split words at commas, each once; () for None."""
+    return tuple(dict.fromkeys(word.strip() for word in (text or "").split(",") if word.strip()))
+
+
+def parse_terms(text: str | None) -> tuple[str, ...] | None:
+    """Joint terms of "viscous,coulomb,j1.k"; () for "none"; None leaves the choice to the robot."""
+    words = parse_names(text)
+    if text is None:
+        return None
+    return () if words == ("none",) else words
+
+
+def parse_payload(text: str) -> str | dict[str, Any]:
+    """Name of a payload, or the TOML table that a text in braces holds."""
+    if not text.lstrip().startswith("{"):
+        return text
+    try:
+        return dict(_toml(f"payload = {text}")["payload"])
+    except ValueError as error:
+        raise UsageError(
+            f"The payload {text!r} is not a TOML table ({error}); write --payload "
+            "'{ mass = 1.2, com = [0, 0, 0.05], inertia = \"sphere 0.05 m\" }'."
+        ) from error
+
+
+def parse_noise(text: str | None) -> dict[str, str]:
+    """[noise] table of "tau=0.5 %,q=1e-4 rad"; raise UsageError for a key given twice or without
+    a value."""
+    table: dict[str, str] = {}
+    for part in filter(str.strip, (text or "").split(",")):
+        key, value = (word.strip() for word in part.partition("=")[::2])
+        if not (key and value):
+            raise UsageError(
+                f"--noise {part.strip()}: a value is missing; write a name and a quantity, as "
+                "--noise 'tau=0.5 %,q=1e-4 rad'."
+            )
+        if key in table:
+            raise UsageError(f"--noise has {key} twice.")
+        table[key] = value
+    return table
+
+
+def parse_condition(text: str | None) -> str | None:
+    """Condition on cells as it was typed; raise UsageError for a single "=" outside strings."""
+    if text is not None and _ASSIGNMENT.search(_STRING.sub("", text)):
+        corrected = _ASSIGNMENT.sub("==", text)
+        raise UsageError(f"{text!r} compares with a single '='; write ==, as in: {corrected}")
+    return text
+
+
+def parse_contacts(text: str | None) -> list[str] | str | None:
+    """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raise UsageError for others."""
+    from sysid_bench.units import interval
+
+    if text is None or text == "detect":
+        return text
+    periods = list(parse_names(text))
+    for period in periods or [text]:
+        interval(period)
+    return periods
+
+
+def parse_objective(text: str) -> str | dict[str, float]:
+    """Name of an objective, or the weights of "D=1,cond=0.2"."""
+    if "=" not in text:
+        return text
+    return {name: _number(value) for name, value in parse_entries(text.split(","))}
+
+
+def parse_limits(words: Sequence[str]) -> dict[str, list[float]]:
+    """Numbers of "v=1.7,1.7,2.2", by the key."""
+    return {key: [_number(x) for x in values.split(",")] for key, values in parse_entries(words)}
+
+
+def parse_settings(options: Mapping[str, Any], boxes: Sequence[str]) -> dict[str, Any]:
+    """Settings of the excitation `optimised` in SI units; options that are None are left out."""
+    from sysid_bench.units import quantity
+
+    given = {key: value for key, value in options.items() if value is not None}
+    settings: dict[str, Any] = {
+        key: quantity(value, _UNITS[key]) if key in _UNITS else value
+        for key, value in given.items()
+    }
+    if "joints" in settings:
+        settings["joints"] = tuple(name.strip() for name in settings["joints"].split(","))
+    return settings | _boxes(parse_entries(boxes))
+
+
+def _boxes(boxes: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Setting `boxes` of (body, ranges); none without any."""
+    return {"boxes": {body: _box(body, ranges) for body, ranges in boxes}} if boxes else {}
+
+
+def parse_motors(text: str) -> dict[str, dict[str, Any]]:
+    """Motors of "DM4340,DM4310", in the order of the moving joints ("1", "2", ...), or of a TOML
+    file with a table for each joint, and [all]."""
+    if not text.endswith(".toml"):
+        return {str(k): {"motor": name.strip()} for k, name in enumerate(text.split(","), 1)}
+    table = _motor_file(text)
+    if not all(isinstance(value, dict) for value in table.values()):
+        raise UsageError(f"{text}: write a table for each joint: [joint1] motor = 'DM4340'.")
+    return table
+
+
+def _motor_file(file: str) -> dict[str, Any]:
+    """Tables of a TOML file; raise UsageError where it is absent or not TOML."""
+    try:
+        return _toml(Path(file).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise UsageError(f"There is no file {file!r} of motors.") from error
+    except ValueError as error:
+        raise UsageError(f"{file}: {error}.") from error
+
+
+def parse_entries(words: Sequence[str]) -> list[tuple[str, str]]:
+    """Pairs of "NAME=VALUE"; raise UsageError for a word without both."""
+    return [_entry(word) for word in words]
+
+
+def _entry(word: str) -> tuple[str, str]:
+    key, _, value = word.partition("=")
+    if not (key.strip() and value):
+        raise UsageError(f"{word!r} is not a pair; write NAME=VALUE.")
+    return key.strip(), value
+
+
+def _toml(text: str) -> dict[str, Any]:
+    """Tables of a TOML text; raise ValueError (TOMLDecodeError) for another text."""
+    import tomllib
+
+    return tomllib.loads(text)
+
+
+def _box(body: str, text: str) -> list[list[float]]:
+    ranges = [part.split(":") for part in text.split(",")]
+    if [len(part) for part in ranges] != [2, 2, 2]:
+        raise UsageError(f"The box of {body!r} is written x:x,y:y,z:z in m; got {text!r}.")
+    return [[_number(low), _number(high)] for low, high in ranges]
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise UsageError(f"{text!r} is not a number.") from error

@@ -1,0 +1,34 @@
+"""Request of an identification: what simulated and recorded data have in common."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from sysid_bench.errors import UsageError
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifyRequest:
+    """Identification of one robot.
+
+    `model`: a robot's name, a URDF or an MJCF file; `terms`: joint terms that are also unknown
+    (None: those of the task); `estimator`: a plug-in (None: the usual one for the data).
+    `model_out`: the model file again, with the identified values; `json_out`: the result as a file.
+    """
+
+    model: str
+    task: str = "robot"
+    terms: tuple[str, ...] | None = None
+    estimator: str | None = None
+    model_out: Path | None = None
+    json_out: Path | None = None
+    robots_dir: Path | None = None
+
+
+def check_seed(seed: int) -> None:
+    """Raise UsageError for a seed that is not an integer of 0 or more."""
+    try:
+        valid = seed.__index__() >= 0
+    except (AttributeError, TypeError):
+        valid = False
+    if not valid:
+        raise UsageError(f"seed must be an integer of 0 or more, such as 0; got {seed!r}.")
