@@ -16,12 +16,12 @@ def to_csv(table: Table) -> str:
     # The name of the metric is in the column "metric" in any case.
     fields = [field for field in table.column_fields if field != METRIC]
     writer.writerow([*table.row_fields, *fields, *head])
-    for row, column in table.keys:
+    for row, column in table.indices:
         entry = table.entry(row, column)
         if entry is None:
             continue
         failures = " ".join(f"{kind}={count}" for kind, count in entry.failures.items())
-        metric = table.metric_in(column)
+        metric = table.metric_of(column)
         kind = [metric.name, metric.unit, table.stat, table.interval]
         numbers = [entry.text or entry.value, entry.low, entry.high, entry.n, entry.n_failed]
         marks = [failures, entry.missing, int(entry.best), metric.better or ""]

@@ -138,7 +138,7 @@ def _one_series(
 
 def _absent(axes: "Axes", entry: Entry, y: float, colour: str) -> None:
     """A failure stands as a word at the left edge; a zero on a log axis as 0."""
-    word = "0" if entry.value is not None else (entry.word or "no value")
+    word = "0" if entry.value is not None else (entry.label or "no value")
     axes.text(0.01, y, plain(word), transform=axes.get_yaxis_transform(), color=colour,
               fontsize=5.5, fontstyle="italic", va="center")  # fmt: skip
 
@@ -185,7 +185,7 @@ def _cell_text(table: Table, row: Key, column: Key) -> str:
     if entry is None:
         return ABSENT
     if entry.value is None:
-        return entry.word or ABSENT
+        return entry.label or ABSENT
     digits = f"{entry.value:.0e}" if entry.value else "0"
     return digits.replace("e-0", "e-").replace("e+0", "e+") + ("*" if entry.note else "")
 

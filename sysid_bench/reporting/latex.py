@@ -54,14 +54,14 @@ def to_latex(table: Table, origin: Origin) -> str:
     """A `table` float. Needs booktabs and siunitx; no other package."""
     layout = [_lay_out(table, column) for column in table.columns]
     body = "\n".join(_rows(table, layout))
-    notes = [rf"\textsuperscript{{{mark}}}\,{escape(n)}" for n, mark in table.footnotes.items()]
+    notes = [rf"\textsuperscript{{{mark}}}\,{escape(n)}" for n, mark in table.note_labels.items()]
     notes += [escape(note) for note in table.notes]
     float_, size = _fit(sum(column.width for column in layout))
     below = "".join(f"\n\n\\smallskip\n{{\\footnotesize {note}\\par}}" for note in notes)
     return (
         f"{origin_text(origin)}\\begin{{{float_}}}\n\\centering\n{size}"
         f"\\caption{{{escape(table.title)}. {_caption(table)}}}\n"
-        f"\\label{{tab:{letters_only(table.name)}}}\n\\smallskip\n"
+        f"\\label{{tab:{label_name(table.name)}}}\n\\smallskip\n"
         # siunitx sets bold numbers in medium weight without detect-weight.
         "\\sisetup{detect-weight=true}\n"
         f"\\begin{{tabular}}{{@{{}}{'l' * len(table.row_fields)}"
@@ -85,11 +85,11 @@ def to_macros(tables: Sequence[Table], origin: Origin) -> str:
     Digits are spelled; names that would fall together get letters from a hash of their labels.
     """
     entries = [
-        ((table.name, *row, *column), table.notations[column], table.entry(row, column))
+        ((table.name, *row, *column), table.column_notation[column], table.entry(row, column))
         for table in tables
-        for row, column in table.keys
+        for row, column in table.indices
     ]
-    names = macro_names([labels for labels, _, _ in entries])
+    names = names_of_macros([labels for labels, _, _ in entries])
     lines = [
         f"\\newcommand{{\\{name}}}{{{_inline(style, entry)}}}"
         for name, (_, style, entry) in zip(names, entries, strict=True)
@@ -97,7 +97,7 @@ def to_macros(tables: Sequence[Table], origin: Origin) -> str:
     return origin_text(origin) + "\n".join(lines) + "\n"
 
 
-def macro_names(keys: Sequence[tuple[str, ...]]) -> list[str]:
+def names_of_macros(keys: Sequence[tuple[str, ...]]) -> list[str]:
     """A macro name of letters for each key; different keys never share one."""
     plain = ["sid" + "".join(map(_camel, key)) for key in keys]
     shared = Counter(plain)
@@ -146,7 +146,7 @@ class _Column:
 
 
 def _lay_out(table: Table, column: Key) -> _Column:
-    style = table.notations[column]
+    style = table.column_notation[column]
     entries = [entry for key, entry in table.entries.items() if key[1] == column]
     texts = [style.text(entry.value) for entry in entries if entry.value is not None]
     has_text = any(entry.note or entry.low is not None for entry in entries)
@@ -157,12 +157,12 @@ def _cell(table: Table, column: _Column, entry: Entry | None) -> str:
     number, after = "{--}", ""
     if entry is not None and entry.value is not None:
         number = ("\\bfseries " if entry.best else "") + column.style.text(entry.value)
-    elif entry is not None and entry.word:
-        number = f"{{{escape(entry.word)}}}"
+    elif entry is not None and entry.label:
+        number = f"{{{escape(entry.label)}}}"
     if entry is not None and entry.low is not None and entry.high is not None:
         after = _between(column.style.text(entry.low), column.style.text(entry.high))
     if entry is not None and entry.note:
-        after += rf"\textsuperscript{{{table.footnotes[entry.note]}}}"
+        after += rf"\textsuperscript{{{table.note_labels[entry.note]}}}"
     return f"{number} & {after}" if column.has_text else number
 
 
@@ -256,10 +256,10 @@ def _caption(table: Table) -> str:
 
 
 def _inline(style: Notation, entry: Entry | None) -> str:
-    if entry is None or (entry.value is None and not entry.word):
+    if entry is None or (entry.value is None and not entry.label):
         return "--"
     if entry.value is None:
-        return rf"\textit{{{escape(entry.word)}}}"
+        return rf"\textit{{{escape(entry.label)}}}"
     return f"\\num{{{style.text(entry.value)}}}"
 
 
@@ -268,14 +268,14 @@ def origin_text(origin: Origin) -> str:
     return "".join(f"% {name}: {' '.join(text.split())}\n" for name, text in pairs)
 
 
-def letters_only(text: str) -> str:
+def label_name(text: str) -> str:
     spelled = "".join(_DIGIT_WORDS[int(c)] if c in "0123456789" else c for c in text)
     return "".join(c for c in spelled if c.isascii() and (c.isalpha() or c == "-"))
 
 
 def _camel(text: str) -> str:
     words = "".join(c if c.isascii() and c.isalnum() else " " for c in text).split()
-    return letters_only("".join(word[0].upper() + word[1:] for word in words))
+    return label_name("".join(word[0].upper() + word[1:] for word in words))
 
 
 def _hash_letters(key: tuple[str, ...]) -> str:

@@ -46,7 +46,7 @@ def to_latex(listing: Listing, origin: latex.Origin) -> str:
     return (
         f"{latex.origin_text(origin)}\\begin{{table}}\n\\centering\n"
         f"\\caption{{{latex.escape(listing.title)}}}\n"
-        f"\\label{{tab:{latex.letters_only(listing.name)}}}\n\\smallskip\n"
+        f"\\label{{tab:{latex.label_name(listing.name)}}}\n\\smallskip\n"
         f"\\footnotesize\n\\begin{{tabular}}{{@{{}}{'l' * len(listing.head)}@{{}}}}\n\\toprule\n"
         f"{head}\n\\midrule\n{body}\n\\bottomrule\n\\end{{tabular}}{notes}\n\\end{{table}}\n"
     )

@@ -14,13 +14,13 @@ def to_markdown(table: Table) -> str:
     """Title, caption, a pipe table and its notes; failures stand as words."""
     header = [*table.row_fields, *map(table.column_label, table.columns)]
     lines = [_line([escape(name) for name in header])]
-    sides = ["---" if table.metric_in(column).text else "---:" for column in table.columns]
+    sides = ["---" if table.metric_of(column).text else "---:" for column in table.columns]
     lines.append(_line(["---"] * len(table.row_fields) + sides))
     for row in table.rows:
         numbers = [_cell(table, column, table.entry(row, column)) for column in table.columns]
         lines.append(_line([*map(escape, row), *numbers]))
     parts = [f"**{escape(table.title)}**", escape(table.caption), "\n".join(lines)]
-    parts += [f"({mark}) {escape(note)}" for note, mark in table.footnotes.items()]
+    parts += [f"({mark}) {escape(note)}" for note, mark in table.note_labels.items()]
     return "\n\n".join([*parts, *map(escape, table.notes)]) + "\n"
 
 
@@ -37,10 +37,10 @@ def _line(parts: list[str]) -> str:
 def _cell(table: Table, column: Key, entry: Entry | None) -> str:
     if entry is None:
         return ABSENT
-    mark = f" ({table.footnotes[entry.note]})" if entry.note else ""
+    mark = f" ({table.note_labels[entry.note]})" if entry.note else ""
     if entry.value is None:
-        return (escape(entry.word) or ABSENT) + mark
-    text = table.notations[column].text
+        return (escape(entry.label) or ABSENT) + mark
+    text = table.column_notation[column].text
     value = f"**{text(entry.value)}**" if entry.best else text(entry.value)
     if entry.low is not None and entry.high is not None:
         value += rf" \[{text(entry.low)}, {text(entry.high)}\]"

@@ -70,10 +70,10 @@ class Ranking:
     @property
     def tables(self) -> tuple[Table, ...]:
         """The order, and how often which beats which, and whether that is chance."""
-        return self.order, self._pairs("wins", self.wins), self._pairs("p", self.p)
+        return self.summary_table, self._pairs("wins", self.wins), self._pairs("p", self.p)
 
     @property
-    def order(self) -> Table:
+    def summary_table(self) -> Table:
         """The methods from best to worst."""
         others = 1 - np.eye(len(self.methods))
         won = (self.wins * others).sum(axis=1) / max(len(self.methods) - 1, 1)

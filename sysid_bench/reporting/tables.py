@@ -37,7 +37,7 @@ class Entry:
         return sum(self.failures.values())
 
     @property
-    def word(self) -> str:
+    def label(self) -> str:
         """The text instead of a number: words of the cells, or the most frequent failure; empty
         where there is a number."""
         if self.text:
@@ -49,7 +49,7 @@ class Entry:
     @property
     def note(self) -> str:
         """Count of the cells that the printed value or word does not cover; empty where none."""
-        covered = {self.word} if self.word and not self.missing else set()
+        covered = {self.label} if self.label and not self.missing else set()
         if not set(self.failures) - covered and not (self.missing and (self.n or self.failures)):
             return ""
         counts = [f"{number} {kind}" for kind, number in self.failures.items()]
@@ -92,7 +92,7 @@ class Table:
         """True where one axis can show all numbers."""
         return not self.has_metric_columns and not self.metric.text
 
-    def metric_in(self, column: Key) -> Metric:
+    def metric_of(self, column: Key) -> Metric:
         """The metric of a column."""
         if not self.has_metric_columns:
             return self.metric
@@ -101,7 +101,7 @@ class Table:
     def column_labels(self, column: Key) -> Key:
         """Labels above a column, one per column field; metrics with unit and direction."""
         if self.has_metric_columns:
-            metric = self.metric_in(column)
+            metric = self.metric_of(column)
             return (*column[:-1], f"{metric.heading} {metric.arrow}".strip())
         return column
 
@@ -131,13 +131,13 @@ class Table:
         return "".join(f"; {found[b]} {text}" for b, text in _DIRECTIONS.items() if b in found)
 
     @cached_property
-    def footnotes(self) -> dict[str, str]:
+    def note_labels(self) -> dict[str, str]:
         """A letter for every note that an entry carries."""
-        found = (self.entries[key].note for key in self.keys if key in self.entries)
+        found = (self.entries[key].note for key in self.indices if key in self.entries)
         return {note: _letters(i) for i, note in enumerate(dict.fromkeys(filter(None, found)))}
 
     @property
-    def keys(self) -> list[tuple[Key, Key]]:
+    def indices(self) -> list[tuple[Key, Key]]:
         """Every (row, column), row by row."""
         return [(row, column) for row in self.rows for column in self.columns]
 
@@ -146,14 +146,14 @@ class Table:
         return self.entries.get((row, column))
 
     @cached_property
-    def notations(self) -> dict[Key, Notation]:
+    def column_notation(self) -> dict[Key, Notation]:
         """Notation of each column: the same where columns differ by the estimator alone."""
         values: dict[Key, list[float | None]] = {}
         digits: dict[Key, int] = {}
         for (_, column), entry in self.entries.items():
             group = self._without_estimator(column)
             values.setdefault(group, []).append(entry.value)
-            digits[group] = 0 if self.stat == "count" else self.metric_in(column).digits
+            digits[group] = 0 if self.stat == "count" else self.metric_of(column).digits
         shared = {group: notation(numbers, digits[group]) for group, numbers in values.items()}
         return {column: shared[self._without_estimator(column)] for column in self.columns}
 

@@ -95,7 +95,7 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
 def printed_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
-    orders = (ranking.order for ranking in _rankings(run))
+    orders = (ranking.summary_table for ranking in _rankings(run))
     return [_text(made, "md", _origin(run)) for made in (*_tables(run), *orders)]
 
 
@@ -118,7 +118,7 @@ def _write_tables(
             _put(folder / f"{made.name}.{suffix}", _text(made, form, origin))
         for listing in listings:
             _put(folder / f"{listing.name}.{suffix}", text_of(listing, form, origin))
-    orders = tuple(ranking.order for ranking in ranked)
+    orders = tuple(ranking.summary_table for ranking in ranked)
     _put(folder / "numbers.tex", to_macros((*tables, *orders), origin))
 
 

@@ -59,11 +59,17 @@ def view(path: Path, web: bool = False) -> "subprocess.Popen[bytes]":
         raise UsageError(
             f"The recording {str(path)!r} does not exist; make it with sysid-bench record."
         )
-    command = [str(viewer()), "--bind", "127.0.0.1", *(["--web-viewer"] if web else []), str(path)]
+    command = [
+        str(view_command()),
+        "--bind",
+        "127.0.0.1",
+        *(["--web-viewer"] if web else []),
+        str(path),
+    ]
     return subprocess.Popen(command)
 
 
-def viewer() -> Path:
+def view_command() -> Path:
     """The `rerun` program that belongs to this Python."""
     folder = Path(sys.executable).parent
     for name in ("rerun", "rerun.exe", "Scripts/rerun.exe"):
