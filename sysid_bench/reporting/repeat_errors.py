@@ -25,11 +25,16 @@ def repeat_statistic(
     is measured by the bound, where a parameter has none.
     """
     errors, bound = repeat_errors(cells, parameters)
-    if len(errors) < ENOUGH_REPEATS or errors.shape[1] == 0 or (np.ptp(errors, axis=0) == 0).any():
+    if not _has_scatter(errors):
         return None
     if metric == "bias":
         return bias(errors)
     return WITH_BOUND[metric](errors, bound) if np.isfinite(bound).all() else None
+
+
+def _has_scatter(errors: Array) -> bool:
+    """True where there are enough repeats, and the noise of each moved every parameter."""
+    return len(errors) >= ENOUGH_REPEATS and errors.size > 0 and bool(np.ptp(errors, axis=0).all())
 
 
 def repeat_errors(cells: "pd.DataFrame", parameters: "pd.DataFrame") -> tuple[Array, Array]:

@@ -12,7 +12,8 @@ from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.figures import figure, svg_element
 from sysid_bench.reporting.html import RunView, write_report
-from sysid_bench.reporting.latex import Origin, to_latex, to_macros
+from sysid_bench.reporting.latex import Origin, to_latex
+from sysid_bench.reporting.latex_macros import to_macros
 from sysid_bench.reporting.listing import Listing
 from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown

@@ -17,13 +17,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.reporting.csv_table import to_csv
-from sysid_bench.reporting.latex import (
-    Origin,
-    escape,
-    names_of_macros,
-    to_latex,
-    to_macros,
-)
+from sysid_bench.reporting.latex import Origin, to_latex
+from sysid_bench.reporting.latex_macros import names_of_macros, to_macros
+from sysid_bench.reporting.latex_text import escape
 from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import escape as escape_markdown
 from sysid_bench.reporting.markdown import to_markdown
