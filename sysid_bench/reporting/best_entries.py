@@ -1,5 +1,6 @@
 """The best entries of a table: among estimators where these are rows or columns, else in a row."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
@@ -52,9 +53,9 @@ def _above_floor(table: Table, keys: list[_Position], floor: float) -> dict[_Pos
     """Values of the entries that have one, moved to the floor; empty where all lie below it."""
     values = {key: v for key in keys if (v := table.entries[key].value) is not None}
     # Below the floor all values are rounding: none is better than another.
-    if all(abs(v) < floor for v in values.values()):
+    if max(map(abs, values.values()), default=0.0) < floor:
         return {}
-    return {key: max(v, floor) if v >= 0 else min(v, -floor) for key, v in values.items()}
+    return {key: math.copysign(max(abs(v), floor), v) for key, v in values.items()}
 
 
 def _printed_alike(

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -82,15 +83,21 @@ def _thinned(cell: CellData, max_hz: float) -> np.ndarray:
     """Indices of the samples to keep: every k-th, evenly, the first among them."""
     if not max_hz > 0:
         raise UsageError(f"max_hz is {max_hz!r}; give a positive number of hertz.")
+    _check_lengths(cell)
     times, count = cell.motion.t, len(cell.motion)
+    if count < 2:
+        return np.arange(count)
+    rate = (count - 1) / (times[-1] - times[0])
+    # Rounding of the rate must not drop every second sample of a motion at exactly max_hz.
+    return np.arange(0, count, max(int(np.ceil(rate / max_hz - 1e-9)), 1))
+
+
+def _check_lengths(cell: CellData) -> None:
+    count = len(cell.motion)
     for name in ("measured", "predicted", "positions", "quaternions"):
         signal = getattr(cell, name)
         if signal is not None and len(signal) != count:
             raise UsageError(f"{name} has {len(signal)} samples, the motion {count}: align them.")
-    if count < 2:
-        return np.arange(count)
-    rate = (count - 1) / (times[-1] - times[0])
-    return np.arange(0, count, max(int(np.ceil(rate / max_hz - 1e-9)), 1))
 
 
 def _log(stream: "rr.RecordingStream", scene: RecordingScene, picked: np.ndarray) -> None:
@@ -99,6 +106,20 @@ def _log(stream: "rr.RecordingStream", scene: RecordingScene, picked: np.ndarray
     cell = scene.cell
     times = rr.TimeColumn(TIMELINE, duration=cell.motion.t[picked])
     log_scene(stream, scene, picked, times)
+    _log_torques(stream, cell, picked, times)
+    _log_curves(stream, cell)
+    _log_regressor(stream, cell)
+    text = rr.TextDocument(summary(cell, scene.complaints), media_type="text/markdown")
+    stream.log("summary", text, static=True)
+    names = ("id", "robot", "payload", "task", "estimator", "status")
+    known = {name: str(cell.row[name]) for name in names if name in cell.row}
+    stream.send_property("sysid", rr.AnyValues(drop_untyped_nones=True, **known))
+
+
+def _log_torques(
+    stream: "rr.RecordingStream", cell: CellData, picked: np.ndarray, times: "rr.TimeColumn"
+) -> None:
+    """Measured and predicted torque of every row, and their difference."""
     for i, row in enumerate(_row_names(cell)):
         measured = cell.measured[picked, i]
         _log_series(stream, ["torque", row, "measured"], "measured", _MEASURED, measured, times)
@@ -108,21 +129,28 @@ def _log(stream: "rr.RecordingStream", scene: RecordingScene, picked: np.ndarray
         residual = measured - predicted
         _log_series(stream, ["torque", row, "predicted"], "predicted", _PREDICTED, predicted, times)
         _log_series(stream, ["residual", row], row, _colour(i), residual, times)
+
+
+def _log_curves(stream: "rr.RecordingStream", cell: CellData) -> None:
+    """On-line estimates, each curve over its own times."""
+    import rerun as rr
+
     for curve in cell.curves:
         over = rr.TimeColumn(TIMELINE, duration=curve.t)
         for i, (name, values) in enumerate(curve.series.items()):
             _log_series(stream, ["curves", curve.name, name], name, _colour(i), values, over)
+
+
+def _log_regressor(stream: "rr.RecordingStream", cell: CellData) -> None:
+    """Singular values and gap to Pinocchio on a logarithmic scale: both span many decades."""
+    import rerun as rr
+
     if len(cell.singular_values):
         bars = rr.BarChart(_log10(cell.singular_values), color=_MEASURED)
         stream.log("singular_values", bars, static=True)
     if cell.gap_map.size:
         image = rr.Tensor(_log10(cell.gap_map), dim_names=("row", "parameter"))
         stream.log("gap", image, static=True)
-    text = rr.TextDocument(summary(cell, scene.complaints), media_type="text/markdown")
-    stream.log("summary", text, static=True)
-    names = ("id", "robot", "payload", "task", "estimator", "status")
-    known = {name: str(cell.row[name]) for name in names if name in cell.row}
-    stream.send_property("sysid", rr.AnyValues(drop_untyped_nones=True, **known))
 
 
 def _log_series(
@@ -160,19 +188,11 @@ def _blueprint(cell: CellData) -> "rrb.Blueprint":
 
     about = rrb.TextDocumentView(name="Summary", origin="/summary")
     left = rrb.Vertical(_robot_view(cell), about, row_shares=[3, 2])
-    pages = _torque_pages(cell)
-    if cell.curves:
-        pages = rrb.Tabs(pages, _curve_page(cell))
-    parts: list[rrb.Container | rrb.View] = [pages]
-    if cell.predicted is not None:
-        parts.append(rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual"))
-    regressor: list[rrb.View] = []
-    if len(cell.singular_values):
-        regressor.append(rrb.BarChartView(name="log10 singular values", origin="/singular_values"))
-    if cell.gap_map.size:
-        regressor.append(rrb.TensorView(name="log10 |Y - Y_pin|", origin="/gap", view_fit="Fill"))
-    if regressor:
-        parts.append(rrb.Horizontal(*regressor))
+    parts: list[rrb.Container | rrb.View] = [
+        _time_pages(cell),
+        *_residual_views(cell),
+        *_regressor_views(cell),
+    ]
     right = rrb.Vertical(*parts, row_shares=[3] + [1] * (len(parts) - 1))
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[2, 3]),
@@ -183,42 +203,76 @@ def _blueprint(cell: CellData) -> "rrb.Blueprint":
     )
 
 
+def _time_pages(cell: CellData) -> "rrb.Container":
+    """The torques and, of an on-line estimator, its curves behind a tab."""
+    import rerun.blueprint as rrb
+
+    torques = _torque_pages(cell)
+    return rrb.Tabs(torques, _curve_page(cell)) if cell.curves else torques
+
+
+def _residual_views(cell: CellData) -> "Iterator[rrb.View]":
+    import rerun.blueprint as rrb
+
+    if cell.predicted is not None:
+        yield rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual")
+
+
+def _regressor_views(cell: CellData) -> "Iterator[rrb.Container]":
+    """Singular values and gap side by side, as far as the cell has them."""
+    import rerun.blueprint as rrb
+
+    views: list[rrb.View] = []
+    if len(cell.singular_values):
+        views.append(rrb.BarChartView(name="log10 singular values", origin="/singular_values"))
+    if cell.gap_map.size:
+        views.append(rrb.TensorView(name="log10 |Y - Y_pin|", origin="/gap", view_fit="Fill"))
+    if views:
+        yield rrb.Horizontal(*views)
+
+
 def _robot_view(cell: CellData) -> "rrb.View":
     import rerun.blueprint as rrb
 
-    eye = None
-    if cell.positions is not None and cell.positions.size:
-        corners = cell.positions.reshape(-1, 3)
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        centre, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 0.2)
-        # From the front right and a little above, far enough for links beyond the last origin.
-        eye = rrb.EyeControls3D(
-            position=centre + size * np.array([0.9, -0.9, 0.5]), look_target=centre
-        )
+    eye = None if cell.positions is None or cell.positions.size == 0 else _eye(cell.positions)
     return rrb.Spatial3DView(
         name="Robot", origin="/", contents=["/robot/**", "/sticks/**"], eye_controls=eye
     )
 
 
+def _eye(positions: np.ndarray) -> "rrb.EyeControls3D":
+    """View of all places that the bodies' origins (N, bodies, 3) reach."""
+    import rerun.blueprint as rrb
+
+    corners = positions.reshape(-1, 3)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    centre, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 0.2)
+    # From the front right and a little above, far enough for links beyond the last origin.
+    offset = size * np.array([0.9, -0.9, 0.5])
+    return rrb.EyeControls3D(position=centre + offset, look_target=centre)
+
+
 def _torque_pages(cell: CellData) -> "rrb.Container":
     """A grid of joints; beyond nine, tabs of grids."""
+    import rerun.blueprint as rrb
+
+    plots = [_torque_plot(row, has_legend=i == 0) for i, row in enumerate(_row_names(cell))]
+    starts = range(0, len(plots), _PLOTS_PER_PAGE)
+    grids = [
+        _grid(plots[start : start + _PLOTS_PER_PAGE], f"Torques {i}")
+        for i, start in enumerate(starts, start=1)
+    ]
+    return grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
+
+
+def _torque_plot(row: str, has_legend: bool) -> "rrb.View":
     import rerun as rr
     import rerun.blueprint as rrb
 
-    plots = [
-        rrb.TimeSeriesView(
-            name=row,
-            origin=rr.new_entity_path(["torque", row]),
-            plot_legend=rrb.PlotLegend(visible=i == 0),
-        )
-        for i, row in enumerate(_row_names(cell))
-    ]
-    pages = [plots[i : i + _PLOTS_PER_PAGE] for i in range(0, len(plots), _PLOTS_PER_PAGE)]
-    grids = [
-        rrb.Grid(*page, grid_columns=_columns_for(len(page)), name=f"Torques {i + 1}")
-        for i, page in enumerate(pages)
-    ]
-    return grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
+    legend = rrb.PlotLegend(visible=has_legend)
+    return rrb.TimeSeriesView(
+        name=row, origin=rr.new_entity_path(["torque", row]), plot_legend=legend
+    )
 
 
 def _curve_page(cell: CellData) -> "rrb.Container":
@@ -229,8 +283,10 @@ def _curve_page(cell: CellData) -> "rrb.Container":
         rrb.TimeSeriesView(name=curve.name, origin=rr.new_entity_path(["curves", curve.name]))
         for curve in cell.curves
     ]
-    return rrb.Grid(*plots, grid_columns=_columns_for(len(plots)), name="On-line")
+    return _grid(plots, "On-line")
 
 
-def _columns_for(plots: int) -> int:
-    return 1 if plots <= 3 else 2 if plots <= 6 else 3
+def _grid(plots: "Sequence[rrb.View]", name: str) -> "rrb.Container":
+    import rerun.blueprint as rrb
+
+    return rrb.Grid(*plots, grid_columns=min((len(plots) + 2) // 3, 3), name=name)

@@ -33,8 +33,8 @@ def _settings(row: Mapping[str, Any]) -> list[tuple[str, Any]]:
 
 
 def _scores(row: Mapping[str, Any]) -> Iterator[str]:
-    shown = [metric for metric in METRICS.values() if metric.shown and metric.name != "seconds"]
-    scores = [(m.heading, row[m.name]) for m in shown if row.get(m.name) is not None]
+    values = [(m, row.get(m.name)) for m in METRICS.values() if m.shown and m.name != "seconds"]
+    scores = [(metric.heading, value) for metric, value in values if value is not None]
     if scores:
         yield _table(("score", "value"), scores)
 

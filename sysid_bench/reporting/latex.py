@@ -103,17 +103,22 @@ def _is_annotated(entry: Entry) -> bool:
 
 def _column_format(style: Notation, entries: Sequence[Entry]) -> str:
     """siunitx table-format: sign, digits before and after the point, digits of the exponent."""
-    texts = [style.text(entry.value) for entry in entries if entry.value is not None]
-    mantissas, _, exponents = zip(*(text.partition("e") for text in texts or ["0"]), strict=True)
-    whole, _, decimals = zip(*(mantissa.partition(".") for mantissa in mantissas), strict=True)
-    power = [exponent for exponent in exponents if exponent]
-    after = f"e{_digit_format(power)}" if power else ""
-    return f"{_digit_format(whole)}.{max(map(len, decimals))}{after}"
+    texts = [style.text(entry.value) for entry in entries if entry.value is not None] or ["0"]
+    mantissas, exponents = _split(texts, "e")
+    whole, decimals = _split(mantissas, ".")
+    power = f"e{_digit_format(exponents)}" if any(exponents) else ""
+    return f"{_digit_format(whole)}.{max(map(len, decimals))}{power}"
+
+
+def _split(texts: Sequence[str], mark: str) -> tuple[list[str], list[str]]:
+    """What stands before and after a mark, "" where a text has none."""
+    parts = [text.partition(mark) for text in texts]
+    return [before for before, _, _ in parts], [after for _, _, after in parts]
 
 
 def _digit_format(numbers: Sequence[str]) -> str:
     """Sign, where one of the whole numbers has it, and digits of the longest."""
-    sign = "-" if any(number.startswith("-") for number in numbers) else ""
+    sign = "-" if any("-" in number for number in numbers) else ""
     return f"{sign}{max(len(number.lstrip('-')) for number in numbers)}"
 
 

@@ -26,11 +26,14 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
 
 def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
     """Fields that differ between the cells of an entry: its statistic compares unlike settings."""
-    hidden = [f for f in SWEEPABLE if f in cells.columns and f not in layout.fields]
-    counts = {field: cells[field].nunique() for field in hidden}
-    pooled = [f"{count} of {field}" for field, count in counts.items() if count > 1]
+    hidden = cells[[field for field in _swept(cells) if field not in layout.fields]]
+    pooled = [f"{count} of {field}" for field, count in hidden.nunique().items() if count > 1]
     if pooled:
         yield f"Each number pools different settings: {', '.join(pooled)}."
+
+
+def _swept(cells: "pd.DataFrame") -> list[str]:
+    return [field for field in SWEEPABLE if field in cells.columns]
 
 
 def _names(cells: "pd.DataFrame", layout: TableLayout, metric: Metric) -> list[str]:
@@ -54,9 +57,13 @@ def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
 
 def _too_few(layout: TableLayout, entries: Entries) -> Iterator[str]:
     """Reason why a metric of all repeats is missing."""
-    repeated = [metric for metric in layout.metrics if metric.level == "repeats"]
-    missing = any(entry.missing for entry in entries.values() if entry.value is None)
-    if repeated and missing:
-        needs = {need for metric in repeated for need in metric.needs}
+    needs = _needs_of_repeats(layout)
+    if needs and any(entry.missing for entry in entries.values() if entry.value is None):
         bound = ", or no noise of the torque and so no bound" if "noise" in needs else ""
         yield f"{ABSENT}: fewer than {ENOUGH_REPEATS} repeats, no noise at all{bound}."
+
+
+def _needs_of_repeats(layout: TableLayout) -> set[str]:
+    """What the metrics of all repeats need, repeats among it; empty where there is none."""
+    repeated = (metric.needs for metric in layout.metrics if metric.level == "repeats")
+    return set().union(*repeated)
