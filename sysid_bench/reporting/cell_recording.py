@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -17,12 +16,10 @@ from sysid_bench.types import CellData
 
 if TYPE_CHECKING:
     import rerun as rr
-    import rerun.blueprint as rrb
 
 TIMELINE: Final = "sim_time"
 _MEASURED, _PREDICTED = (59, 130, 246), (234, 120, 30)
 _SMALLEST_RATIO = 1e-20  # of the largest: zeros stay on the logarithmic picture
-_PLOTS_PER_PAGE = 9
 
 
 def record(cell: CellData, path: Path, max_hz: float = 50) -> Path:
@@ -33,6 +30,8 @@ def record(cell: CellData, path: Path, max_hz: float = 50) -> Path:
     """
     import rerun as rr
 
+    from sysid_bench.reporting.recording_layout import recording_layout
+
     picked = _thinned(cell, max_hz)
     scene = scene_of(cell)
     part = path.with_name(path.name + ".part")
@@ -41,7 +40,8 @@ def record(cell: CellData, path: Path, max_hz: float = 50) -> Path:
     application = re.sub(r"[^\w .-]", "-", f"sysid_bench {row.get('robot', '')}".strip())
     stream = rr.RecordingStream(application, recording_id=str(row.get("id", path.stem)))
     try:
-        stream.save(part, default_blueprint=_blueprint(cell))
+        layout = recording_layout(cell, TIMELINE, _row_names(cell))
+        stream.save(part, default_blueprint=layout)
         _log(stream, scene, picked)
         stream.flush()
         stream.disconnect()  # writes the footer that `rerun rrd verify` asks for
@@ -180,113 +180,3 @@ def _colour(i: int) -> tuple[int, int, int]:
         (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0),
     )  # fmt: skip
     return palette[i % len(palette)]
-
-
-def _blueprint(cell: CellData) -> "rrb.Blueprint":
-    """Robot and summary to the left; one torque plot per joint, residuals, regressor right."""
-    import rerun.blueprint as rrb
-
-    about = rrb.TextDocumentView(name="Summary", origin="/summary")
-    left = rrb.Vertical(_robot_view(cell), about, row_shares=[3, 2])
-    parts: list[rrb.Container | rrb.View] = [
-        _time_pages(cell),
-        *_residual_views(cell),
-        *_regressor_views(cell),
-    ]
-    right = rrb.Vertical(*parts, row_shares=[3] + [1] * (len(parts) - 1))
-    return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[2, 3]),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
-        auto_views=False,
-    )
-
-
-def _time_pages(cell: CellData) -> "rrb.Container":
-    """The torques and, of an on-line estimator, its curves behind a tab."""
-    import rerun.blueprint as rrb
-
-    torques = _torque_pages(cell)
-    return rrb.Tabs(torques, _curve_page(cell)) if cell.curves else torques
-
-
-def _residual_views(cell: CellData) -> "Iterator[rrb.View]":
-    import rerun.blueprint as rrb
-
-    if cell.predicted is not None:
-        yield rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual")
-
-
-def _regressor_views(cell: CellData) -> "Iterator[rrb.Container]":
-    """Singular values and gap side by side, as far as the cell has them."""
-    import rerun.blueprint as rrb
-
-    views: list[rrb.View] = []
-    if len(cell.singular_values):
-        views.append(rrb.BarChartView(name="log10 singular values", origin="/singular_values"))
-    if cell.gap_map.size:
-        views.append(rrb.TensorView(name="log10 |Y - Y_pin|", origin="/gap", view_fit="Fill"))
-    if views:
-        yield rrb.Horizontal(*views)
-
-
-def _robot_view(cell: CellData) -> "rrb.View":
-    import rerun.blueprint as rrb
-
-    eye = None if cell.positions is None or cell.positions.size == 0 else _eye(cell.positions)
-    return rrb.Spatial3DView(
-        name="Robot", origin="/", contents=["/robot/**", "/sticks/**"], eye_controls=eye
-    )
-
-
-def _eye(positions: np.ndarray) -> "rrb.EyeControls3D":
-    """View of all places that the bodies' origins (N, bodies, 3) reach."""
-    import rerun.blueprint as rrb
-
-    corners = positions.reshape(-1, 3)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    centre, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 0.2)
-    # From the front right and a little above, far enough for links beyond the last origin.
-    offset = size * np.array([0.9, -0.9, 0.5])
-    return rrb.EyeControls3D(position=centre + offset, look_target=centre)
-
-
-def _torque_pages(cell: CellData) -> "rrb.Container":
-    """A grid of joints; beyond nine, tabs of grids."""
-    import rerun.blueprint as rrb
-
-    plots = [_torque_plot(row, has_legend=i == 0) for i, row in enumerate(_row_names(cell))]
-    starts = range(0, len(plots), _PLOTS_PER_PAGE)
-    grids = [
-        _grid(plots[start : start + _PLOTS_PER_PAGE], f"Torques {i}")
-        for i, start in enumerate(starts, start=1)
-    ]
-    return grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
-
-
-def _torque_plot(row: str, has_legend: bool) -> "rrb.View":
-    import rerun as rr
-    import rerun.blueprint as rrb
-
-    legend = rrb.PlotLegend(visible=has_legend)
-    return rrb.TimeSeriesView(
-        name=row, origin=rr.new_entity_path(["torque", row]), plot_legend=legend
-    )
-
-
-def _curve_page(cell: CellData) -> "rrb.Container":
-    import rerun as rr
-    import rerun.blueprint as rrb
-
-    plots = [
-        rrb.TimeSeriesView(name=curve.name, origin=rr.new_entity_path(["curves", curve.name]))
-        for curve in cell.curves
-    ]
-    return _grid(plots, "On-line")
-
-
-def _grid(plots: "Sequence[rrb.View]", name: str) -> "rrb.Container":
-    import rerun.blueprint as rrb
-
-    return rrb.Grid(*plots, grid_columns=min((len(plots) + 2) // 3, 3), name=name)

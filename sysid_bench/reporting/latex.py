@@ -58,7 +58,7 @@ def to_latex(table: Table, origin: Origin) -> str:
         "\\sisetup{detect-weight=true}\n"
         f"\\begin{{tabular}}{{@{{}}{columns}@{{}}}}\n\\toprule\n"
         f"{_heads(table, layout)}\\midrule\n{_body(table, layout)}\\bottomrule\n"
-        f"\\end{{tabular}}{below_table(_notes(table))}\n\\end{{{float_}}}\n"
+        f"\\end{{tabular}}{notes_text(_notes(table))}\n\\end{{{float_}}}\n"
     )
 
 
@@ -68,7 +68,7 @@ def origin_text(origin: Origin) -> str:
     return "".join(f"% {name}: {' '.join(text.split())}\n" for name, text in pairs)
 
 
-def below_table(notes: Sequence[str]) -> str:
+def notes_text(notes: Sequence[str]) -> str:
     """Notes (LaTeX) in small type, a paragraph each."""
     return "".join(f"\n\n\\smallskip\n{{\\footnotesize {note}\\par}}" for note in notes)
 

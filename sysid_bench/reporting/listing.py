@@ -40,7 +40,7 @@ def to_latex(listing: Listing, origin: latex.Origin) -> str:
     head, *rows = (
         latex.table_line(map(escape_latex, row)) for row in (listing.head, *listing.rows)
     )
-    notes = latex.below_table(list(map(escape_latex, listing.notes)))
+    notes = latex.notes_text(list(map(escape_latex, listing.notes)))
     return (
         f"{latex.origin_text(origin)}\\begin{{table}}\n\\centering\n"
         f"\\caption{{{escape_latex(listing.title)}}}\n"

@@ -31,7 +31,7 @@ class RankingCases:
     left_out: int
 
     @property
-    def ratios(self) -> Array:
+    def scaled_errors(self) -> Array:
         """Errors (cases, methods) over the smallest of the case."""
         return np.asarray(self.errors / np.fmin.reduce(self.errors, axis=1)[:, None])
 

@@ -195,7 +195,7 @@ def _groups(cells: "pd.DataFrame", apart: list[str]) -> Iterator[tuple[Key, "pd.
 def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: Metric) -> Ranking:
     title = str(spec.get("title") or f"Methods by {metric.title}")
     # Ratios are averaged as logarithms: twice the best and half of it cancel.
-    logs = mean_by_robot(np.log(failures_last(cases.ratios)), cases)
+    logs = mean_by_robot(np.log(failures_last(cases.scaled_errors)), cases)
     mean = interquartile_mean(np.exp(logs).reshape(-1, logs.shape[-1]))
     low, high = robot_bootstrap(np.exp(logs))
     order = np.argsort(mean, kind="stable")
@@ -210,7 +210,7 @@ def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: 
         robots=logs.shape[0],
         motions=logs.shape[1],
         left_out=cases.left_out,
-        ratios=cases.ratios[:, order],
+        ratios=cases.scaled_errors[:, order],
         mean=mean[order],
         low=low[order],
         high=high[order],
