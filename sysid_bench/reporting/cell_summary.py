@@ -26,7 +26,7 @@ def summary(data: CellData, complaints: Sequence[str] = ()) -> str:
 
 
 def _settings(row: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """What identifies a cell, its status and, where it failed, the reason."""
+    """Settings that identify a cell, its status and, where it failed, the reason."""
     known = [(name, row[name]) for name in _IDENTITY if row.get(name) is not None]
     status = [("status", row.get("status", "unknown")), ("reason", row.get("reason"))]
     return known + [(name, value) for name, value in status if value]

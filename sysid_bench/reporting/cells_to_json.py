@@ -34,6 +34,7 @@ def cells_to_json(
     dictionary = [list(dict.fromkeys(texts)) for texts in words.values()]
     scores = _scores(cells, metrics)
     ids = list(map(str, cells["id"]))
+    # The script of the page reads the columns in this order.
     columns = [
         ids,
         *map(_codes, words.values(), dictionary),

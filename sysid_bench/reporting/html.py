@@ -143,6 +143,7 @@ def _tolerance(suite: Mapping[str, Any]) -> float | None:
 
 def _short_path(folder: Path) -> str:
     """Relative where the run lies below the working folder: a report may be handed on."""
+    # A run elsewhere needs its whole path for the command to work.
     absolute, here = folder.resolve(), Path.cwd().resolve()
     return absolute.relative_to(here).as_posix() if absolute.is_relative_to(here) else str(folder)
 

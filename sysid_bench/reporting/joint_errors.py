@@ -28,6 +28,7 @@ def joint_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> list[JointErr
     if joints.empty or not {"id", "name", "relative"} <= set(joints.columns):
         return []
     methods = cells[["id", "robot"]].assign(method=_methods(cells))
+    # Joints may carry fields of their cell, too; those of the cells are the ones to group by.
     merged = joints[joints.columns.difference(["robot", "method"])].merge(methods, on="id")
     return [_errors_of_robot(*group) for group in merged.groupby("robot", sort=False)]
 

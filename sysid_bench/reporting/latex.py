@@ -48,6 +48,7 @@ class _Column:
 def to_latex(table: Table, origin: Origin) -> str:
     """A `table` float. Needs booktabs and siunitx; no other package."""
     layout = [_lay_out(table, column) for column in table.columns]
+    # A field is text (l); numbers align at their points (S).
     columns = "l" * len(table.row_fields) + "".join(column.spec for column in layout)
     float_, size = _fit(_width(layout))
     return (
@@ -111,7 +112,7 @@ def _column_format(style: Notation, entries: Sequence[Entry]) -> str:
 
 
 def _split(texts: Sequence[str], mark: str) -> tuple[list[str], list[str]]:
-    """What stands before and after a mark, "" where a text has none."""
+    """Text before and after a mark; the latter is "" where a text has no mark."""
     parts = [text.partition(mark) for text in texts]
     return [before for before, _, _ in parts], [after for _, _, after in parts]
 

@@ -60,6 +60,7 @@ def _figure(ranking: Ranking) -> "Figure":
 def _line(axes: "Axes", ranking: Ranking, rank: int) -> None:
     share = ranking.profile[:, rank]
     if rank >= NAMED:
+        # One of the grey lines names them all.
         others = "others" if rank == NAMED else None
         axes.step(RATIOS, share, where="post", color="#cccccc", linewidth=0.5, label=others)
         return

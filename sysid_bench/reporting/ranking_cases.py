@@ -45,6 +45,7 @@ def ranking_cases(cells: "pd.DataFrame", metric: Metric) -> RankingCases:
     rows = lines.groupby([*names, "estimator"], sort=False)["error"].agg(["size", "first"])
     size, errors = (rows[which].unstack("estimator") for which in ("size", "first"))
     methods = list(dict.fromkeys(lines["estimator"]))
+    # A failed cell has a row without an error; a cell that was never planned has no row.
     whole = size[methods].notna().all(axis=1)
     if len(methods) < 2 or not whole.any():
         raise UsageError(

@@ -102,6 +102,7 @@ class Ranking:
         return self.against or self.methods[0]
 
     def _summary_columns(self) -> dict[str, Sequence[Entry]]:
+        # A method ties with itself, which does not count as a comparison.
         others = 1 - np.eye(len(self.methods))
         won = (self.wins * others).sum(axis=1) / max(len(self.methods) - 1, 1)
         reference = self.methods.index(self._reference)

@@ -48,6 +48,7 @@ def repeat_errors(cells: "pd.DataFrame", parameters: "pd.DataFrame") -> tuple[Ar
         return np.zeros((0, 0)), np.zeros(0)
     lines = lines.assign(square=lines["bound"].astype(float) ** 2)
     where = [*settings, "body", "name"]
+    # A repeat that failed in one setting is left out of all, so that the rows are complete.
     errors = lines.pivot(index="repeat", columns=where, values="base_error").dropna()
     squares = lines.pivot(index="repeat", columns=where, values="square")
     bound = np.sqrt(squares[errors.columns].loc[errors.index].mean(axis=0, skipna=False))

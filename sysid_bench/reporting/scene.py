@@ -74,6 +74,7 @@ def log_scene(
     stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     positions = cell.positions[picked]
     quaternions = cell.quaternions[picked][..., _XYZW]
+    # Poses move over time; shapes hang on them and are logged once.
     for i, path in enumerate(_body_paths(cell.bodies)):
         pose = rr.Transform3D.columns(translation=positions[:, i], quaternion=quaternions[:, i])
         stream.send_columns(path, indexes=[times], columns=pose)

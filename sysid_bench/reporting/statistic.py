@@ -61,6 +61,7 @@ def _bootstrap(stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
     names, which = np.unique(repeats.astype(str), return_inverse=True)
     if len(names) < 2:
         return None, None
+    # One row per repeat: a draw of rows is a draw of repeats, all of them at once.
     blocks = np.full((len(names), np.bincount(which).max()), np.nan)
     for i in range(len(names)):
         block = values[which == i]

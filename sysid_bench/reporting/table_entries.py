@@ -73,6 +73,7 @@ def _of_repeats(
     parameters: "pd.DataFrame | None",
 ) -> Entry:
     """The figure of all repeats of a group, its cells each one repeat of one setting."""
+    # A scatter needs the single repeats: the row of a cell has no parameters.
     figure = None if parameters is None else repeat_statistic(metric.name, ok, parameters)
     if figure is None:
         return Entry(None, None, None, 0, failures, len(ok))

@@ -64,6 +64,6 @@ def _too_few(layout: TableLayout, entries: Entries) -> Iterator[str]:
 
 
 def _needs_of_repeats(layout: TableLayout) -> set[str]:
-    """What the metrics of all repeats need, repeats among it; empty where there is none."""
+    """Needs of the metrics of all repeats; empty where the table has no such metric."""
     repeated = (metric.needs for metric in layout.metrics if metric.level == "repeats")
     return set().union(*repeated)
