@@ -184,38 +184,40 @@ def checked_metric(thing: Any) -> Metric:
             f"A metric plug-in is a sysid_bench.types.Metric, or a function that returns one; got "
             f"{type(thing).__name__}."
         )
-    _validate_name(thing.name)
-    if thing.compute is None or thing.level != "cell" or thing.text:
-        raise UsageError(
-            f"The metric {thing.name!r} needs `compute` and level 'cell', and is a number."
-        )
-    _validate_direction(thing)
+    _check_name(thing.name)
+    _check_value(thing)
+    _check_direction(thing)
     return thing
 
 
-def _validate_name(name: str) -> None:
+def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name):
         raise UsageError(f"The metric name {name!r} is not a field name; use a-z, 0-9 and _.")
     if name in METRICS:
         raise UsageError(f"The metric name {name!r} is a field of rows already; choose another.")
 
 
-def _validate_direction(metric: Metric) -> None:
-    name, better = metric.name, metric.better
-    if better not in ("lower", "higher", None):
-        raise UsageError(f"The metric {name!r}: better is 'lower', 'higher' or None.")
-    if metric.ranked and better != "lower":
-        raise UsageError(f"The metric {name!r} is ranked by ratios: better has to be 'lower'.")
+def _check_value(metric: Metric) -> None:
+    if metric.compute is None or metric.level != "cell" or metric.text:
+        raise UsageError(
+            f"The metric {metric.name!r} needs `compute` and level 'cell', and is a number."
+        )
+
+
+def _check_direction(metric: Metric) -> None:
+    if metric.better not in ("lower", "higher", None):
+        raise UsageError(f"The metric {metric.name!r}: better is 'lower', 'higher' or None.")
+    # A ranking divides by the smallest value of a case: the best has to be the smallest.
+    if metric.ranked and metric.better != "lower":
+        raise UsageError(
+            f"The metric {metric.name!r} is ranked by ratios: better has to be 'lower'."
+        )
 
 
 def metric_record(metric: Metric) -> dict[str, Any]:
     """JSON values that describe a metric without its code, as a run folder keeps them."""
-    values = ((key, getattr(metric, key)) for key in _RECORD)
-    return {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in values
-        if value is not None
-    }
+    values = {key: getattr(metric, key) for key in _RECORD} | {"needs": list(metric.needs)}
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def metric_from_record(record: Mapping[str, Any]) -> Metric:
@@ -235,28 +237,32 @@ def metric_fields(makers: Mapping[str, Callable[[], Any]], cell: MetricInput) ->
     fields: Row = {}
     reasons: dict[str, str] = {}
     for name, make in makers.items():
-        fields[name] = None
-        try:
-            fields[name], reason = _value(checked_metric(make()), cell)
-        except (Exception, SystemExit) as error:  # a plug-in's file may call sys.exit()
-            reason = reason_of(error)
+        fields[name], reason = _field(make, cell)
         if reason:
             reasons[name] = reason
     return {**fields, REASONS: reasons} if reasons else fields
 
 
+def _field(make: Callable[[], Any], cell: MetricInput) -> tuple[float | None, str]:
+    """Value and reason of a plug-in metric that `make` imports and builds."""
+    try:
+        return _value(checked_metric(make()), cell)
+    except (Exception, SystemExit) as error:  # a plug-in's file may call sys.exit()
+        return None, reason_of(error)
+
+
 def _value(metric: Metric, cell: MetricInput) -> tuple[float | None, str]:
     """Value and reason; (None, "") where the metric says that it does not apply."""
-    missing = [need for need in metric.needs if not _is_there(need, cell)]
+    missing = ", ".join(need for need in metric.needs if not _is_there(need, cell))
     if missing:
-        return None, f"needs {', '.join(missing)}"
+        return None, f"needs {missing}"
     assert metric.compute is not None
     given: Any = metric.compute(cell)
-    return (None, "") if given is None else _finite_number(given)
+    return (None, "") if given is None else _finite(given)
 
 
-def _finite_number(given: Any) -> tuple[float | None, str]:
-    """The number that a metric has returned, or the reason why it is none."""
+def _finite(given: Any) -> tuple[float | None, str]:
+    """A metric's result as a number, or the reason why it is not one."""
     # Scalars of numpy and booleans are numbers, too; arrays of one element are a mistake.
     if getattr(given, "ndim", 0) or isinstance(given, (str, bytes)):
         return None, f"returned {type(given).__name__}; a metric is one number or None"

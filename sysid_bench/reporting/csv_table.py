@@ -3,7 +3,12 @@
 import csv
 import io
 
-from sysid_bench.reporting.tables import METRIC, Table
+from sysid_bench.reporting.tables import METRIC, Entry, Key, Table
+
+_HEAD = (
+    *("metric", "unit", "stat", "interval", "value", "low", "high", "n", "n_failed", "failures"),
+    *("missing", "best", "better"),
+)
 
 
 def to_csv(table: Table) -> str:
@@ -11,19 +16,19 @@ def to_csv(table: Table) -> str:
     counts, marks."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    head = ["metric", "unit", "stat", "interval", "value", "low", "high", "n", "n_failed"]
-    head += ["failures", "missing", "best", "better"]
     # The name of the metric is in the column "metric" in any case.
     fields = [field for field in table.column_fields if field != METRIC]
-    writer.writerow([*table.row_fields, *fields, *head])
-    for row, column in table.keys:
-        entry = table.entry(row, column)
-        if entry is None:
-            continue
-        failures = " ".join(f"{kind}={count}" for kind, count in entry.failures.items())
-        metric = table.metric_in(column)
-        kind = [metric.name, metric.unit, table.stat, table.interval]
-        numbers = [entry.text or entry.value, entry.low, entry.high, entry.n, entry.n_failed]
-        marks = [failures, entry.missing, int(entry.best), metric.better or ""]
-        writer.writerow([*row, *column[: len(fields)], *kind, *numbers, *marks])
+    writer.writerow([*table.row_fields, *fields, *_HEAD])
+    for row, column in filter(table.entries.__contains__, table.indices):
+        entry = table.entries[row, column]
+        writer.writerow([*row, *column[: len(fields)], *_values(table, column, entry)])
     return out.getvalue()
+
+
+def _values(table: Table, column: Key, entry: Entry) -> list[object]:
+    """Values below `_HEAD`."""
+    metric = table.metric_of(column)
+    failures = " ".join(f"{kind}={count}" for kind, count in entry.failures.items())
+    kind = [metric.name, metric.unit, table.stat, table.interval]
+    numbers = [entry.text or entry.value, entry.low, entry.high, entry.n, entry.n_failed]
+    return [*kind, *numbers, failures, entry.missing, int(entry.best), metric.better or ""]

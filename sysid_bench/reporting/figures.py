@@ -3,7 +3,8 @@
 import io
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import accumulate, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.reporting.notation import ABSENT
-from sysid_bench.reporting.tables import Entry, Key, Table
+from sysid_bench.reporting.tables import NO_ENTRY, Entry, Key, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,7 +52,12 @@ def figure(table: Table, path: Path) -> Path:
 
 def figure_svg(table: Table) -> str:
     """The same picture as an <svg> element to put into a page."""
-    return svg_element(figure_bytes(lambda: _picture(table), "svg"))
+    return svg_of(lambda: _picture(table))
+
+
+def svg_of(draw: "Callable[[], Figure]") -> str:
+    """A drawing as an <svg> element."""
+    return svg_element(_file_bytes(draw, "svg"))
 
 
 def write_figure(draw: "Callable[[], Figure]", path: Path) -> Path:
@@ -59,7 +65,7 @@ def write_figure(draw: "Callable[[], Figure]", path: Path) -> Path:
     kind = path.suffix.lower().removeprefix(".")
     if kind not in METADATA:
         raise UsageError(f"A figure ends with .pdf or .svg; {path.name!r} does not.")
-    path.write_bytes(figure_bytes(draw, kind))
+    path.write_bytes(_file_bytes(draw, kind))
     return path
 
 
@@ -69,7 +75,7 @@ def svg_element(svg: bytes) -> str:
     return re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
-def figure_bytes(draw: "Callable[[], Figure]", kind: str) -> bytes:
+def _file_bytes(draw: "Callable[[], Figure]", kind: str) -> bytes:
     """A drawing as the bytes of a file, in the style of this package, not of the user."""
     import matplotlib
 
@@ -82,9 +88,10 @@ def figure_bytes(draw: "Callable[[], Figure]", kind: str) -> bytes:
 
 
 def _picture(table: Table) -> "Figure":
+    """A map shows levels; estimators are compared with each other, which takes a common axis."""
     fields = (*table.row_fields, *table.column_fields)
-    map_like = len(table.row_fields) == len(table.column_fields) == 1
-    return _heat_map(table) if map_like and "estimator" not in fields else _dots(table)
+    is_map = len(table.row_fields) == len(table.column_fields) == 1 and "estimator" not in fields
+    return _heat_map(table) if is_map else _dots(table)
 
 
 def _dots(table: Table) -> "Figure":
@@ -95,19 +102,17 @@ def _dots(table: Table) -> "Figure":
     height = max(0.9 + step * len(table.rows), 1.3)
     drawing = Figure(figsize=(WIDTH, height), layout="constrained")
     axes = drawing.add_subplot()
-    logarithmic = _spans_decades(table)
-    axes.set_xscale("log" if logarithmic else "linear")
+    axes.set_xscale("log" if _spans_decades(table) else "linear")
     for lane, column in enumerate(table.columns):
         offset = ((lane + 0.5) / lanes - 0.5) * 0.72
-        _one_series(axes, table, column, lane, offset, logarithmic)
-    axes.set_yticks(range(len(table.rows)), [_label(" · ".join(row)) for row in table.rows])
+        _one_series(axes, table, column, lane, offset)
+    axes.set_yticks(range(len(table.rows)), _labels(table.rows))
     axes.set_ylim(len(table.rows) - 0.5, -0.5)
     axes.set_xlabel(plain(table.metric.heading))
     axes.grid(axis="x", which="major", color="#dddddd", linewidth=0.4)
     axes.set_axisbelow(True)
     _separate(axes, table)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
     if axes.get_legend_handles_labels()[0] and table.column_fields:
         drawing.legend(loc="outside upper center", ncols=min(lanes, 2), frameon=False,
@@ -115,39 +120,43 @@ def _dots(table: Table) -> "Figure":
     return drawing
 
 
-def _one_series(
-    axes: "Axes", table: Table, column: Key, lane: int, offset: float, logarithmic: bool
-) -> None:
+def _one_series(axes: "Axes", table: Table, column: Key, lane: int, offset: float) -> None:
+    """Points of a column; each lane has its own offset, so that intervals do not overlap."""
     colour, marker = COLOURS[lane % len(COLOURS)], _MARKERS[lane % len(_MARKERS)]
-    xs, ys = [], []
+    points: list[tuple[float, float]] = []
     for i, row in enumerate(table.rows):
         entry = table.entry(row, column)
-        if entry is None:
-            continue
-        if entry.value is None or (logarithmic and entry.value <= 0):
-            _absent(axes, entry, i + offset, colour)
-            continue
-        xs.append(entry.value)
-        ys.append(i + offset)
-        if entry.low is not None and entry.high is not None:
-            low = entry.value if logarithmic and entry.low <= 0 else entry.low
-            axes.plot([low, entry.high], [i + offset] * 2, color=colour, solid_capstyle="butt")
+        if entry is not None:
+            points += _one_entry(axes, entry, i + offset, colour)
     name = plain(" · ".join(column)) or None
-    axes.plot(xs, ys, marker, color=colour, markeredgewidth=0, label=name)
+    axes.plot(*np.reshape(points, (-1, 2)).T, marker, color=colour, markeredgewidth=0, label=name)
+
+
+def _one_entry(axes: "Axes", entry: Entry, y: float, colour: str) -> list[tuple[float, float]]:
+    """Draw the interval of a value, or the word instead of it; return the points to mark."""
+    lowest = 0.0 if axes.get_xscale() == "log" else -math.inf
+    if entry.value is None or entry.value <= lowest:
+        _absent(axes, entry, y, colour)
+        return []
+    if entry.interval:
+        low, high = entry.interval
+        # An interval that goes beyond a logarithmic axis has no lower end to draw.
+        ends = [entry.value if low <= lowest else low, high]
+        axes.plot(ends, [y, y], color=colour, solid_capstyle="butt")
+    return [(entry.value, y)]
 
 
 def _absent(axes: "Axes", entry: Entry, y: float, colour: str) -> None:
     """A failure stands as a word at the left edge; a zero on a log axis as 0."""
-    word = "0" if entry.value is not None else (entry.word or "no value")
+    word = "0" if entry.value is not None else (entry.label or "no value")
     axes.text(0.01, y, plain(word), transform=axes.get_yaxis_transform(), color=colour,
               fontsize=5.5, fontstyle="italic", va="center")  # fmt: skip
 
 
 def _separate(axes: "Axes", table: Table) -> None:
     """A line between groups of the first row field."""
-    for i in range(1, len(table.rows)):
-        if len(table.row_fields) > 1 and table.rows[i][0] != table.rows[i - 1][0]:
-            axes.axhline(i - 0.5, color="#bbbbbb", linewidth=0.5)
+    for last in list(accumulate(map(len, table.rows_by_group)))[:-1]:
+        axes.axhline(last - 0.5, color="#bbbbbb", linewidth=0.5)
 
 
 def _heat_map(table: Table) -> "Figure":
@@ -156,52 +165,56 @@ def _heat_map(table: Table) -> "Figure":
     values = np.array([[_log(table.entry(r, c)) for c in table.columns] for r in table.rows])
     drawing = Figure(figsize=(WIDTH, 0.7 + 0.24 * len(table.rows)), layout="constrained")
     axes = drawing.add_subplot()
-    known = values[np.isfinite(values)]
-    low = math.floor(known.min()) if len(known) else 0
-    # Four decades at least: differences within rounding must not look like differences.
-    high = max(math.ceil(known.max()) if len(known) else 0, low + 4)
+    low, high = _decades(values[np.isfinite(values)])
     axes.set_facecolor("#eeeeee")
     shades = np.ma.masked_invalid(values)
     axes.pcolormesh(shades, cmap="Blues", vmin=low, vmax=high, edgecolors="white", linewidth=1)
     axes.invert_yaxis()
-    for i, row in enumerate(table.rows):
-        for j, column in enumerate(table.columns):
-            dark = values[i, j] > low + 0.6 * (high - low)
-            text = plain(_cell_text(table, row, column))
-            axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5,
-                      color="white" if dark else _INK)  # fmt: skip
-    axes.set_xticks(np.arange(len(table.columns)) + 0.5, [_label(c[0]) for c in table.columns])
-    axes.set_yticks(np.arange(len(table.rows)) + 0.5, [_label(r[0]) for r in table.rows])
+    # White letters on the dark end of the colour map.
+    inks = np.where(values > low + 0.6 * (high - low), "white", _INK)
+    for (i, row), (j, column) in product(enumerate(table.rows), enumerate(table.columns)):
+        text = plain(_cell_text(table.entry(row, column) or NO_ENTRY))
+        axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5,
+                  color=str(inks[i, j]))  # fmt: skip
+    axes.set_xticks(np.arange(len(table.columns)) + 0.5, _labels(table.columns))
+    axes.set_yticks(np.arange(len(table.rows)) + 0.5, _labels(table.rows))
     axes.set_xlabel(plain(table.column_fields[0]))
     axes.set_title(plain(table.metric.heading), fontsize=8)
     axes.tick_params(length=0)
-    for side in axes.spines.values():
-        side.set_visible(False)
+    axes.spines[:].set_visible(False)
     return drawing
 
 
-def _cell_text(table: Table, row: Key, column: Key) -> str:
-    entry = table.entry(row, column)
-    if entry is None:
-        return ABSENT
+def _decades(known: np.ndarray) -> tuple[int, int]:
+    """Lowest and highest power of ten (log10 of the values, finite) of a colour map."""
+    low = math.floor(min(known, default=0))
+    # Four decades at least: differences within rounding must not look like differences.
+    return low, max(math.ceil(max(known, default=0)), low + 4)
+
+
+def _cell_text(entry: Entry) -> str:
     if entry.value is None:
-        return entry.word or ABSENT
+        return entry.label or ABSENT
     digits = f"{entry.value:.0e}" if entry.value else "0"
     return digits.replace("e-0", "e-").replace("e+0", "e+") + ("*" if entry.note else "")
 
 
 def _log(entry: Entry | None) -> float:
-    if entry is None or entry.value is None or entry.value <= 0:
-        return math.nan
-    return math.log10(entry.value)
+    value = (entry or NO_ENTRY).value or 0.0
+    return math.log10(value) if value > 0 else math.nan
 
 
 def _spans_decades(table: Table) -> bool:
+    """True where an axis of the values should be logarithmic: none is negative, and they differ."""
     values = [entry.value for entry in table.entries.values() if entry.value is not None]
-    positive = [value for value in values if value > 0]
-    if not positive or any(value < 0 for value in values):
+    if min(values, default=-1.0) < 0:
         return False
+    positive = list(filter(None, values)) or [1.0]
     return math.log10(max(positive)) - math.log10(min(positive)) > _DECADES_FOR_LOG
+
+
+def _labels(keys: Sequence[Key]) -> list[str]:
+    return [_label(" · ".join(key)) for key in keys]
 
 
 def _label(text: str) -> str:
@@ -213,5 +226,9 @@ def _label(text: str) -> str:
 def plain(text: str) -> str:
     """Text that prints as it is. Names come from users: a dollar sign starts no formula, an odd
     letter needs no font."""
-    known = "".join(c if c == ABSENT or (c.isprintable() and ord(c) < 0x370) else "?" for c in text)
-    return known.replace("$", r"\$")
+    return "".join(c if _has_glyph(c) else "?" for c in text).replace("$", r"\$")
+
+
+def _has_glyph(c: str) -> bool:
+    """True for the letters before Greek, which every font of matplotlib has."""
+    return c == ABSENT or (c.isprintable() and ord(c) < 0x370)

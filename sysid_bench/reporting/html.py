@@ -3,31 +3,33 @@
 import json
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.metrics import METRICS
+from sysid_bench.reporting.cells_to_json import cells_to_json
+from sysid_bench.reporting.experiment_lines import experiment_lines
 from sysid_bench.reporting.figures import figure_svg
+from sysid_bench.reporting.joint_errors import joint_errors
 from sysid_bench.reporting.listing import Listing
 from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.performance_profile import profile_svg
 from sysid_bench.reporting.rankings import Ranking
 from sysid_bench.reporting.report_data import (
-    assumptions,
-    cells_as_data,
     crosscheck_rows,
     environment_lines,
-    failures,
-    headline,
-    joint_errors,
+    failed_cells,
+    run_summary,
 )
 from sysid_bench.reporting.tables import Table
 from sysid_bench.types import Metric
 
 if TYPE_CHECKING:
     import pandas as pd
+    from jinja2 import Template
 
 # Taller figures are not readable; the tables of the page hold the same numbers.
 _MOST_ROWS_OF_A_FIGURE: Final = 45
@@ -68,8 +70,33 @@ def write_report(run: RunView) -> Path:
 
 def report_html(run: RunView) -> str:
     """The page as text; every name in it is escaped, nothing in it needs a network."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
+
+    name = run.suite.get("name") or run.folder.name
+    return _template().render(
+        name=name,
+        title=run.suite.get("title") or name,
+        command=run.command,
+        cell_command=f"sysid-bench cell {shlex.quote(_short_path(run.folder))} ",
+        summary=run_summary(run.cells),
+        crosschecks=crosscheck_rows(run.cells),
+        tolerance=_tolerance(run.suite),
+        tables=(*run.tables, *(ranking.summary_table for ranking in run.rankings)),
+        listings=run.listings,
+        pictures=[(title, Markup(svg)) for title, svg in run.pictures],
+        pairs=[table for ranking in run.rankings for table in ranking.tables[1:]],
+        figures=[(title, caption, Markup(svg)) for title, caption, svg in _figures(run)],
+        assumptions=experiment_lines(run.suite, run.cells),
+        failures=failed_cells(run.cells),
+        joints=joint_errors(run.cells, run.joints),
+        provenance=environment_lines(run.env),
+        data=Markup(_script_safe(cells_to_json(run.cells, run.recordings, run.metrics))),
+    )
+
+
+def _template() -> "Template":
+    """The page's template; a value that it names and nobody gives is an error."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     env = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
@@ -78,46 +105,35 @@ def report_html(run: RunView) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    cell_command = f"sysid-bench cell {shlex.quote(_short_path(run.folder))} "
-    return env.get_template("report.html.jinja").render(
-        name=run.suite.get("name") or run.folder.name,
-        title=run.suite.get("title") or run.suite.get("name") or run.folder.name,
-        command=run.command,
-        cell_command=cell_command,
-        headline=headline(run.cells),
-        crosschecks=crosscheck_rows(run.cells),
-        tolerance=_tolerance(run.suite),
-        tables=(*run.tables, *(ranking.order for ranking in run.rankings)),
-        listings=run.listings,
-        pictures=[(title, Markup(svg)) for title, svg in run.pictures],
-        pairs=[table for ranking in run.rankings for table in ranking.tables[1:]],
-        figures=[
-            *((ranking.title, PROFILE, Markup(profile_svg(ranking))) for ranking in run.rankings),
-            *((t.title, t.caption, Markup(figure_svg(t))) for t in _pictured(run)),
-        ],
-        assumptions=assumptions(run.suite, run.cells),
-        failures=failures(run.cells),
-        joints=joint_errors(run.cells, run.joints),
-        provenance=environment_lines(run.env),
-        data=Markup(_script_safe(cells_as_data(run.cells, run.recordings, run.metrics))),
-    )
+    return env.get_template("report.html.jinja")
 
 
-def _pictured(run: RunView) -> list[Table]:
-    """The first table that fits a figure, and the map of gaps."""
-    fitting = [
-        table
-        for table in run.tables
-        if 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE and table.has_figure
-    ]
-    gaps = {"rows": ["robot"], "columns": ["payload"], "cells": {"metric": "gap", "stat": "max"}}
-    chosen = fitting[:1]
-    if {"robot", "payload", "gap"} <= set(run.cells.columns) and run.cells["gap"].notna().any():
+def _figures(run: RunView) -> Iterator[tuple[str, str, str]]:
+    """Title, caption and <svg> of every ranking, the first table that fits, the map of gaps."""
+    for ranking in run.rankings:
+        yield ranking.title, PROFILE, profile_svg(ranking)
+    first = islice(filter(_fits_a_figure, run.tables), 1)
+    for table in filter(_fits_a_figure, (*first, *_gap_map(run.cells))):
+        yield table.title, table.caption, figure_svg(table)
+
+
+def _fits_a_figure(table: Table) -> bool:
+    return table.has_figure and 0 < len(table.rows) <= _MOST_ROWS_OF_A_FIGURE
+
+
+def _gap_map(cells: "pd.DataFrame") -> Iterator[Table]:
+    """Largest gap by robot and payload; nothing where no cell was cross-checked."""
+    if not {"robot", "payload", "gap"} <= set(cells.columns):
+        return
+    measured = cells[cells["gap"].notna()]
+    if len(measured) > 0:
+        gaps = {
+            "rows": ["robot"],
+            "columns": ["payload"],
+            "cells": {"metric": "gap", "stat": "max"},
+        }
         # The cross-check belongs to the robot: a failed estimator takes nothing from it.
-        measured = run.cells[run.cells["gap"].notna()].assign(status="ok")
-        table = make_table(measured, {"name": "gap", **gaps})
-        chosen += [table] if len(table.rows) <= _MOST_ROWS_OF_A_FIGURE else []
-    return chosen
+        yield make_table(measured.assign(status="ok"), {"name": "gap", **gaps})
 
 
 def _tolerance(suite: Mapping[str, Any]) -> float | None:
@@ -127,6 +143,7 @@ def _tolerance(suite: Mapping[str, Any]) -> float | None:
 
 def _short_path(folder: Path) -> str:
     """Relative where the run lies below the working folder: a report may be handed on."""
+    # A run elsewhere needs its whole path for the command to work.
     absolute, here = folder.resolve(), Path.cwd().resolve()
     return absolute.relative_to(here).as_posix() if absolute.is_relative_to(here) else str(folder)
 

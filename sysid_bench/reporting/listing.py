@@ -5,7 +5,9 @@ import io
 from dataclasses import dataclass
 
 from sysid_bench.reporting import latex
-from sysid_bench.reporting.markdown import escape
+from sysid_bench.reporting.latex_text import escape as escape_latex
+from sysid_bench.reporting.latex_text import label_name
+from sysid_bench.reporting.markdown import escape, table_line
 
 
 @dataclass(frozen=True)
@@ -21,11 +23,8 @@ class Listing:
 
 def to_markdown(listing: Listing) -> str:
     """Title, a pipe table, its notes."""
-    lines = [listing.head, ("---",) * len(listing.head), *listing.rows]
-    table = "\n".join(
-        "| " + " | ".join(cell if k == 1 else escape(cell) for cell in line) + " |"
-        for k, line in enumerate(lines)
-    )
+    head, *rows = (tuple(map(escape, line)) for line in (listing.head, *listing.rows))
+    table = "\n".join(map(table_line, [head, ("---",) * len(head), *rows]))
     return "\n\n".join([f"**{escape(listing.title)}**", table, *map(escape, listing.notes)]) + "\n"
 
 
@@ -38,15 +37,14 @@ def to_csv(listing: Listing) -> str:
 
 def to_latex(listing: Listing, origin: latex.Origin) -> str:
     """A `table` float; needs booktabs alone."""
-    body = "\n".join(" & ".join(map(latex.escape, row)) + r" \\" for row in listing.rows)
-    head = " & ".join(map(latex.escape, listing.head)) + r" \\"
-    notes = "".join(
-        f"\n\n\\smallskip\n{{\\footnotesize {latex.escape(note)}\\par}}" for note in listing.notes
+    head, *rows = (
+        latex.table_line(map(escape_latex, row)) for row in (listing.head, *listing.rows)
     )
+    notes = latex.notes_text(list(map(escape_latex, listing.notes)))
     return (
         f"{latex.origin_text(origin)}\\begin{{table}}\n\\centering\n"
-        f"\\caption{{{latex.escape(listing.title)}}}\n"
-        f"\\label{{tab:{latex.letters_only(listing.name)}}}\n\\smallskip\n"
+        f"\\caption{{{escape_latex(listing.title)}}}\n"
+        f"\\label{{tab:{label_name(listing.name)}}}\n\\smallskip\n"
         f"\\footnotesize\n\\begin{{tabular}}{{@{{}}{'l' * len(listing.head)}@{{}}}}\n\\toprule\n"
-        f"{head}\n\\midrule\n{body}\n\\bottomrule\n\\end{{tabular}}{notes}\n\\end{{table}}\n"
+        f"{head}\\midrule\n{''.join(rows)}\\bottomrule\n\\end{{tabular}}{notes}\n\\end{{table}}\n"
     )

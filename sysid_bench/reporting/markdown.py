@@ -1,9 +1,11 @@
 """A table as GitHub Markdown."""
 
 import re
+from collections.abc import Iterable
+from functools import partial
 
-from sysid_bench.reporting.notation import ABSENT
-from sysid_bench.reporting.tables import Entry, Key, Table
+from sysid_bench.reporting.notation import ABSENT, Notation
+from sysid_bench.reporting.tables import NO_ENTRY, Entry, Key, Table
 
 _SPECIAL = re.compile(r"([\\|<>*`\[\]&])")
 # An underscore within a word is plain text in Markdown; at its edge it starts an emphasis.
@@ -12,15 +14,14 @@ _LOOSE_UNDERSCORE = re.compile(r"(?<![^\W_])_|_(?![^\W_])")
 
 def to_markdown(table: Table) -> str:
     """Title, caption, a pipe table and its notes; failures stand as words."""
-    header = [*table.row_fields, *map(table.column_label, table.columns)]
-    lines = [_line([escape(name) for name in header])]
-    sides = ["---" if table.metric_in(column).text else "---:" for column in table.columns]
-    lines.append(_line(["---"] * len(table.row_fields) + sides))
+    header = map(escape, [*table.row_fields, *map(table.column_label, table.columns)])
+    sides = ["---" if table.metric_of(column).text else "---:" for column in table.columns]
+    lines = [table_line(header), table_line(["---"] * len(table.row_fields) + sides)]
     for row in table.rows:
-        numbers = [_cell(table, column, table.entry(row, column)) for column in table.columns]
-        lines.append(_line([*map(escape, row), *numbers]))
+        numbers = map(partial(_cell, table, row), table.columns)
+        lines.append(table_line([*map(escape, row), *numbers]))
     parts = [f"**{escape(table.title)}**", escape(table.caption), "\n".join(lines)]
-    parts += [f"({mark}) {escape(note)}" for note, mark in table.footnotes.items()]
+    parts += [f"({mark}) {escape(note)}" for note, mark in table.note_labels.items()]
     return "\n\n".join([*parts, *map(escape, table.notes)]) + "\n"
 
 
@@ -30,18 +31,24 @@ def escape(text: str) -> str:
     return _LOOSE_UNDERSCORE.sub(r"\\_", _SPECIAL.sub(r"\\\1", flat))
 
 
-def _line(parts: list[str]) -> str:
+def table_line(parts: Iterable[str]) -> str:
+    """A line of a pipe table."""
     return f"| {' | '.join(parts)} |"
 
 
-def _cell(table: Table, column: Key, entry: Entry | None) -> str:
-    if entry is None:
-        return ABSENT
-    mark = f" ({table.footnotes[entry.note]})" if entry.note else ""
+def _cell(table: Table, row: Key, column: Key) -> str:
+    entry = table.entry(row, column) or NO_ENTRY
+    mark = f" ({table.note_labels[entry.note]})" if entry.note else ""
+    return _number(table.column_notation[column], entry) + mark
+
+
+def _number(style: Notation, entry: Entry) -> str:
+    """A number and its interval, or the words instead of it."""
     if entry.value is None:
-        return (escape(entry.word) or ABSENT) + mark
-    text = table.notations[column].text
-    value = f"**{text(entry.value)}**" if entry.best else text(entry.value)
-    if entry.low is not None and entry.high is not None:
-        value += rf" \[{text(entry.low)}, {text(entry.high)}\]"
-    return value + mark
+        return escape(entry.label) or ABSENT
+    number = style.text(entry.value)
+    return (f"**{number}**" if entry.best else number) + _interval(style, entry)
+
+
+def _interval(style: Notation, entry: Entry) -> str:
+    return rf" \[{', '.join(map(style.text, entry.interval))}\]" if entry.interval else ""

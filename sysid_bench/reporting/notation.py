@@ -8,7 +8,7 @@ from typing import Final
 ABSENT: Final = "\N{EN DASH}"  # stands for a number that was not computed
 
 # Beyond these a reader counts zeros instead of reading digits.
-_SMALLEST, _LARGEST, _WIDEST_SPAN = 1e-3, 1e5, 1e4
+_SMALLEST, _LARGEST, _WIDEST_SPAN, _LARGEST_WHOLE = 1e-3, 1e5, 1e4, 1e9
 _TIMES = "\N{MULTIPLICATION SIGN}"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -27,13 +27,19 @@ class Notation:
             return str(value)
         if value == 0:
             return "0"
-        if self.digits == 0 and not self.scientific:
-            return _no_negative_zero(f"{value:.0f}" if value == round(value) else f"{value:.1f}")
         if self.scientific:
+            # Python pads exponents to two digits; 1e-08 and 1e-8 are one number.
             mantissa, _, exponent = f"{value:.{max(self.digits, 1) - 1}e}".partition("e")
             return f"{mantissa}e{int(exponent)}"
+        text = f"{value:.{self._decimals_of(value)}f}"
+        return "0" if float(text) == 0 else text
+
+    def _decimals_of(self, value: float) -> int:
+        """Digits after the point; a number that should be whole but is not (a median) has one."""
+        if self.digits == 0:
+            return int(value != round(value))
         wanted = self.digits - 1 - _exponent(value, self.digits)
-        return _no_negative_zero(f"{value:.{min(max(wanted, 0), self.decimals)}f}")
+        return min(max(wanted, 0), self.decimals)
 
     def html_text(self, value: float) -> str:
         """The same number for the screen, with a raised power of ten."""
@@ -43,20 +49,26 @@ class Notation:
 
 def notation(values: Iterable[float | None], digits: int) -> Notation:
     """Notation for all values of a column; scientific where they span decades."""
-    sizes = [abs(v) for v in values if v is not None and math.isfinite(v) and v != 0]
+    # Zeros print as 0 in any notation; neither they nor missing values count.
+    sizes = [abs(v) for v in filter(None, values) if math.isfinite(v)]
     if not sizes:
         return Notation(digits, decimals=max(digits - 1, 0))
     low, high = min(sizes), max(sizes)
     if digits == 0:
-        return Notation(3, True) if high >= 1e9 else Notation(0)
-    scientific = low < _SMALLEST or high >= _LARGEST or high / low > _WIDEST_SPAN
-    return Notation(digits, scientific, max(digits - 1 - _exponent(low, digits), 0))
+        return _whole(high)
+    return Notation(digits, _spans_decades(low, high), max(digits - 1 - _exponent(low, digits), 0))
+
+
+def _whole(high: float) -> Notation:
+    """Notation of whole numbers up to `high`."""
+    return Notation(3, True) if high >= _LARGEST_WHOLE else Notation(0)
+
+
+def _spans_decades(low: float, high: float) -> bool:
+    """True where plain decimals would hold too many zeros."""
+    return low < _SMALLEST or high >= _LARGEST or high / low > _WIDEST_SPAN
 
 
 def _exponent(value: float, digits: int) -> int:
     """The power of ten after rounding to `digits`: 9.999 is 1.00e1."""
     return int(f"{value:.{digits - 1}e}".partition("e")[2])
-
-
-def _no_negative_zero(text: str) -> str:
-    return "0" if float(text) == 0 else text

@@ -8,9 +8,8 @@ import numpy as np
 from sysid_bench.reporting.figures import (
     COLOURS,
     WIDTH,
-    figure_bytes,
     plain,
-    svg_element,
+    svg_of,
     write_figure,
 )
 from sysid_bench.reporting.rankings import RATIOS, Ranking
@@ -32,7 +31,7 @@ def profile(ranking: Ranking, path: Path) -> Path:
 
 def profile_svg(ranking: Ranking) -> str:
     """The same picture as an <svg> element to put into a page."""
-    return svg_element(figure_bytes(lambda: _figure(ranking), "svg"))
+    return svg_of(lambda: _figure(ranking))
 
 
 def _figure(ranking: Ranking) -> "Figure":
@@ -51,8 +50,7 @@ def _figure(ranking: Ranking) -> "Figure":
     axes.set_ylabel(f"Share of {len(ranking.ratios)} cases within")
     axes.grid(which="major", color="#dddddd", linewidth=0.4)
     axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
     handles, names = axes.get_legend_handles_labels()
     drawing.legend(handles[::-1], names[::-1], loc="outside right upper", frameon=False,
                    handlelength=1.6, handletextpad=0.4, borderaxespad=0.2)  # fmt: skip
@@ -62,6 +60,7 @@ def _figure(ranking: Ranking) -> "Figure":
 def _line(axes: "Axes", ranking: Ranking, rank: int) -> None:
     share = ranking.profile[:, rank]
     if rank >= NAMED:
+        # One of the grey lines names them all.
         others = "others" if rank == NAMED else None
         axes.step(RATIOS, share, where="post", color="#cccccc", linewidth=0.5, label=others)
         return

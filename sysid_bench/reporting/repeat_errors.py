@@ -25,11 +25,16 @@ def repeat_statistic(
     is measured by the bound, where a parameter has none.
     """
     errors, bound = repeat_errors(cells, parameters)
-    if len(errors) < ENOUGH_REPEATS or errors.shape[1] == 0 or (np.ptp(errors, axis=0) == 0).any():
+    if not _has_scatter(errors):
         return None
     if metric == "bias":
         return mean_error(errors)
     return WITH_BOUND[metric](errors, bound) if np.isfinite(bound).all() else None
+
+
+def _has_scatter(errors: Array) -> bool:
+    """True where there are enough repeats, and the noise of each moved every parameter."""
+    return len(errors) >= ENOUGH_REPEATS and errors.size > 0 and bool(np.ptp(errors, axis=0).all())
 
 
 def repeat_errors(cells: "pd.DataFrame", parameters: "pd.DataFrame") -> tuple[Array, Array]:
@@ -43,6 +48,7 @@ def repeat_errors(cells: "pd.DataFrame", parameters: "pd.DataFrame") -> tuple[Ar
         return np.zeros((0, 0)), np.zeros(0)
     lines = lines.assign(square=lines["bound"].astype(float) ** 2)
     where = [*settings, "body", "name"]
+    # A repeat that failed in one setting is left out of all, so that the rows are complete.
     errors = lines.pivot(index="repeat", columns=where, values="base_error").dropna()
     squares = lines.pivot(index="repeat", columns=where, values="square")
     bound = np.sqrt(squares[errors.columns].loc[errors.index].mean(axis=0, skipna=False))

@@ -1,12 +1,13 @@
 """The robot of a recording: bodies that move, their shapes, sticks where a body has none."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from sysid_bench.errors import first_names
 from sysid_bench.types import CellData, Shape
 
 if TYPE_CHECKING:
@@ -38,22 +39,27 @@ class RecordingScene:
 
 def scene_of(cell: CellData) -> RecordingScene:
     """Meshes count only where all of them exist, can be read and fit into `MESH_BUDGET` bytes."""
-    meshes = [shape for shape in cell.shapes if shape.kind == "mesh"]
-    files = [Path(shape.file) for shape in meshes]
+    complaints = tuple(_complaints([Path(s.file) for s in cell.shapes if s.kind == "mesh"]))
+    # A robot that is half drawn misleads more than sticks do: one bad mesh drops all of them.
+    drawn = [shape for shape in cell.shapes if shape.kind != "mesh" or not complaints]
+    return RecordingScene(cell, tuple(drawn), complaints)
+
+
+def _complaints(files: Sequence[Path]) -> Iterator[str]:
+    """Reasons why mesh files cannot be drawn."""
     unreadable = [file.name for file in files if file.suffix.lower() not in _MESH_SUFFIXES]
-    lost = [file.name for file in files if not file.is_file() and file.name not in unreadable]
-    size = sum(file.stat().st_size for file in files if file.is_file())
-    complaints = []
     if unreadable:
-        complaints.append(f"{_some(unreadable)}: no format that the viewer reads.")
+        yield f"{first_names(unreadable)}: no format that the viewer reads."
+    lost = [file.name for file in files if file.name not in unreadable and not file.is_file()]
     if lost:
-        complaints.append(f"{_some(lost)}: no such file.")
+        yield f"{first_names(lost)}: no such file."
+    size = _total_bytes(files)
     if size > MESH_BUDGET:
-        complaints.append(f"The meshes have {size / 1e6:.1f} MB, above {MESH_BUDGET / 1e6:g} MB.")
-    drawn = cell.shapes
-    if complaints:
-        drawn = tuple(shape for shape in cell.shapes if shape.kind != "mesh")
-    return RecordingScene(cell, drawn, tuple(complaints))
+        yield f"The meshes have {size / 1e6:.1f} MB, above {MESH_BUDGET / 1e6:g} MB."
+
+
+def _total_bytes(files: Sequence[Path]) -> int:
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def log_scene(
@@ -68,6 +74,7 @@ def log_scene(
     stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     positions = cell.positions[picked]
     quaternions = cell.quaternions[picked][..., _XYZW]
+    # Poses move over time; shapes hang on them and are logged once.
     for i, path in enumerate(_body_paths(cell.bodies)):
         pose = rr.Transform3D.columns(translation=positions[:, i], quaternion=quaternions[:, i])
         stream.send_columns(path, indexes=[times], columns=pose)
@@ -127,11 +134,11 @@ def _log_sticks(
     """Thick lines between the origins of bare bodies and their neighbours, balls at the joints."""
     import rerun as rr
 
-    bare, radius = scene.bodies_without_shape, _stick_radius(positions)
-    pairs = _neighbours(scene, positions)
-    for i in bare:
+    radius = _stick_radius(positions)
+    for i in scene.bodies_without_shape:
         ball = rr.Points3D([(0, 0, 0)], radii=[1.6 * radius], colors=[_JOINT])
         stream.log(f"{_body_paths(scene.cell.bodies)[i]}/joint", ball, static=True)
+    pairs = _neighbours(scene, positions)
     if not pairs:
         return
     ends = np.stack([_ends(positions, child, parent) for child, parent in pairs], axis=1)
@@ -146,13 +153,15 @@ def _log_sticks(
 def _neighbours(scene: RecordingScene, positions: np.ndarray) -> list[tuple[int, int]]:
     """(child, parent) pairs to join; a root that stands still is joined to the world (-1)."""
     bare = set(scene.bodies_without_shape)
-    pairs = []
-    for child, parent in enumerate(scene.cell.parents):
-        fixed_root = parent < 0 and np.ptp(positions[:, child], axis=0).max() < _SHORTEST_STICK
-        wanted = child in bare if parent < 0 else bool(bare & {child, parent})
-        if wanted and (parent >= 0 or fixed_root):
-            pairs.append((child, parent))
-    return pairs
+    pairs = [pair for pair in enumerate(scene.cell.parents) if bare & set(pair)]
+    return [
+        (child, parent) for child, parent in pairs if parent >= 0 or _is_fixed(positions[:, child])
+    ]
+
+
+def _is_fixed(origin: np.ndarray) -> bool:
+    """True where an origin (N, 3) stands still: a floating base has no stick to the world."""
+    return bool(np.ptp(origin, axis=0).max() < _SHORTEST_STICK)
 
 
 def _ends(positions: np.ndarray, child: int, parent: int) -> np.ndarray:
@@ -166,9 +175,3 @@ def _stick_radius(positions: np.ndarray) -> float:
     first = positions[0]
     reach = float(np.linalg.norm(first - first.mean(axis=0), axis=1).max()) if len(first) else 0.0
     return max(reach, 0.05) / 40
-
-
-def _some(names: Sequence[str]) -> str:
-    distinct = list(dict.fromkeys(names))
-    rest = f" and {len(distinct) - 3} more" if len(distinct) > 3 else ""
-    return f"{', '.join(distinct[:3])}{rest}"

@@ -1,6 +1,6 @@
 """Choice of cells by field values or an expression, and the text of their labels."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -22,31 +22,42 @@ SWEEPABLE: Final = (
 def label(value: Any) -> str:
     """A field of a row as text; mappings and lists read as "tau 0.5 %, q 1e-4 rad"."""
     if isinstance(value, Mapping):
-        parts = [label(v) if k == "use" else f"{k} {label(v)}" for k, v in value.items()
-                 if v is not None]  # fmt: skip
-        return ", ".join(parts) or "none"
+        return ", ".join(_parts(value)) or "none"
     if isinstance(value, (list, tuple, np.ndarray)):
-        return " ".join(label(v) for v in value)
-    if value is None or (isinstance(value, float) and np.isnan(value)):
-        return "none"
-    return f"{value:g}" if isinstance(value, (float, np.floating)) else str(value)
+        return " ".join(map(label, value))
+    if isinstance(value, (float, np.floating)):
+        return _float_label(value)
+    return "none" if value is None else str(value)
+
+
+def _parts(value: Mapping[Any, Any]) -> Iterator[str]:
+    """ "key value" of each key that is set; the name of what is used stands without its key."""
+    for key, part in value.items():
+        if part is not None:
+            yield label(part) if key == "use" else f"{key} {label(part)}"
+
+
+def _float_label(value: "float | np.floating[Any]") -> str:
+    # pandas stores a missing text as NaN.
+    return "none" if np.isnan(value) else f"{value:g}"
 
 
 def with_labels(cells: "pd.DataFrame") -> "pd.DataFrame":
     """The same cells with text in every field that can make a row or column."""
-    texts = [
-        name
-        for name in cells.columns
-        if name in (*SWEEPABLE, "status")
-        or (cells[name].dtype == object and not _is_boolean(cells[name]))
-    ]
-    return cells.assign(**{name: [label(value) for value in cells[name]] for name in texts})
+    texts = [name for name in cells.columns if _has_labels(cells[name])]
+    return cells.assign(**{name: list(map(label, cells[name])) for name in texts})
+
+
+def _has_labels(column: "pd.Series") -> bool:
+    if column.name in (*SWEEPABLE, "status"):
+        return True
+    return column.dtype == object and not _is_boolean(column)
 
 
 def _is_boolean(column: "pd.Series") -> bool:
     """True where all values of a column are booleans: a metric, not a label."""
-    values = column.dropna()
-    return len(values) > 0 and all(isinstance(value, (bool, np.bool_)) for value in values)
+    types = set(map(type, column.dropna()))
+    return bool(types) and types <= {bool, np.bool_}
 
 
 def selected(
@@ -56,16 +67,27 @@ def selected(
     expression that `choose(expression, cell)` decides. Raises UsageError where none is left."""
     select = spec.get("select")
     if isinstance(select, str):
-        if choose is None:
-            raise UsageError(f"Give `choose` to evaluate the expression {select!r}.")
-        keep = [choose(select, {str(k): v for k, v in row.items()})
-                for row in cells.to_dict("records")]  # fmt: skip
-        cells = cells[keep]
-    for field, value in select.items() if isinstance(select, Mapping) else ():
-        if field not in cells.columns:
-            raise unknown_name("field of the cells", str(field), map(str, cells.columns))
-        allowed = [label(v) for v in (value if isinstance(value, list) else [value])]
-        cells = cells[[label(v) in allowed for v in cells[field]]]
+        cells = _matching(cells, select, choose)
+    elif isinstance(select, Mapping):
+        cells = _with_values(cells, select)
     if len(cells) == 0:
         raise UsageError(f"The table {spec.get('name', '')!r} has no cell (select: {select!r}).")
+    return cells
+
+
+def _matching(cells: "pd.DataFrame", expression: str, choose: Choose | None) -> "pd.DataFrame":
+    """Cells that meet an expression."""
+    if choose is None:
+        raise UsageError(f"Give `choose` to evaluate the expression {expression!r}.")
+    rows = cells.to_dict("records")
+    return cells[[choose(expression, {str(k): v for k, v in row.items()}) for row in rows]]
+
+
+def _with_values(cells: "pd.DataFrame", select: Mapping[str, Any]) -> "pd.DataFrame":
+    """Cells whose field has the value, or one of the list of values, for every field."""
+    for field, value in select.items():
+        if field not in cells.columns:
+            raise unknown_name("field of the cells", str(field), map(str, cells.columns))
+        allowed = set(map(label, value if isinstance(value, list) else [value]))
+        cells = cells[[text in allowed for text in map(label, cells[field])]]
     return cells

@@ -41,14 +41,19 @@ def interval_of(interval: str, stat: str, values: np.ndarray, repeats: np.ndarra
         return None, None
     if interval == "ci95":
         return _bootstrap(stat, values, repeats)
+    low, high = _spread(interval, stat, values)
+    return float(low), float(high)
+
+
+def _spread(interval: str, stat: str, values: np.ndarray) -> tuple[float, float]:
+    """Ends of an interval that describes the values, not the accuracy of their statistic."""
     if interval == "iqr":
         low, high = np.percentile(values, [25, 75])
-    elif interval == "range":
-        low, high = values.min(), values.max()
-    else:
-        centre, spread = statistic_of(stat, values), values.std(ddof=1)
-        low, high = centre - spread, centre + spread
-    return float(low), float(high)
+        return low, high
+    if interval == "range":
+        return values.min(), values.max()
+    centre, spread = statistic_of(stat, values), values.std(ddof=1)
+    return centre - spread, centre + spread
 
 
 def _bootstrap(stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
@@ -56,6 +61,7 @@ def _bootstrap(stat: str, values: np.ndarray, repeats: np.ndarray) -> Interval:
     names, which = np.unique(repeats.astype(str), return_inverse=True)
     if len(names) < 2:
         return None, None
+    # One row per repeat: a draw of rows is a draw of repeats, all of them at once.
     blocks = np.full((len(names), np.bincount(which).max()), np.nan)
     for i in range(len(names)):
         block = values[which == i]

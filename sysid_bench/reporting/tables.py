@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby, product, starmap
+from operator import itemgetter
 from string import ascii_lowercase
 from typing import Final
 
@@ -37,25 +39,38 @@ class Entry:
         return sum(self.failures.values())
 
     @property
-    def word(self) -> str:
+    def interval(self) -> tuple[float, float] | None:
+        """Both ends of the interval; None where there is none."""
+        return None if self.low is None or self.high is None else (self.low, self.high)
+
+    @property
+    def label(self) -> str:
         """The text instead of a number: words of the cells, or the most frequent failure; empty
         where there is a number."""
-        if self.text:
-            return self.text
-        if self.value is not None or not self.failures:
+        if self.value is not None:
             return ""
-        return max(self.failures, key=lambda kind: self.failures[kind])
+        return self.text or max(self.failures, key=self.failures.__getitem__, default="")
 
     @property
     def note(self) -> str:
         """Count of the cells that the printed value or word does not cover; empty where none."""
-        covered = {self.word} if self.word and not self.missing else set()
-        if not set(self.failures) - covered and not (self.missing and (self.n or self.failures)):
+        if self._is_complete:
             return ""
-        counts = [f"{number} {kind}" for kind, number in self.failures.items()]
-        counts += [f"{self.missing} without a value"] if self.missing else []
+        kinds = {**self.failures, "without a value": self.missing}
+        counts = [f"{number} {kind}" for kind, number in kinds.items() if number]
         lost = self.n_failed + self.missing
         return f"{lost} of {lost + self.n} cells give no number: {', '.join(counts)}."
+
+    @property
+    def _is_complete(self) -> bool:
+        """True where the printed value or word is that of every cell."""
+        if self.missing:
+            return not (self.n or self.failures)
+        return set(self.failures) <= {self.label}
+
+
+NO_ENTRY: Final = Entry(None, None, None, 0, {})
+"""Entry of a group that has no cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,16 +107,25 @@ class Table:
         """True where one axis can show all numbers."""
         return not self.has_metric_columns and not self.metric.text
 
-    def metric_in(self, column: Key) -> Metric:
+    @property
+    def rows_by_group(self) -> list[list[Key]]:
+        """Rows that share their first label; a table of one row field is one group."""
+        if len(self.row_fields) < 2:
+            return [list(self.rows)]
+        return [list(group) for _, group in groupby(self.rows, key=itemgetter(0))]
+
+    def metric_of(self, column: Key) -> Metric:
         """The metric of a column."""
-        if not self.has_metric_columns:
-            return self.metric
-        return next(metric for metric in self.metrics if metric.name == column[-1])
+        return self._metrics_by_name[column[-1]] if self.has_metric_columns else self.metric
+
+    @cached_property
+    def _metrics_by_name(self) -> dict[str, Metric]:
+        return {metric.name: metric for metric in self.metrics}
 
     def column_labels(self, column: Key) -> Key:
         """Labels above a column, one per column field; metrics with unit and direction."""
         if self.has_metric_columns:
-            metric = self.metric_in(column)
+            metric = self.metric_of(column)
             return (*column[:-1], f"{metric.heading} {metric.arrow}".strip())
         return column
 
@@ -114,15 +138,24 @@ class Table:
         """Metric, unit, statistic and interval in one sentence."""
         if self.own_caption:
             return self.own_caption
-        spread = f" with {INTERVALS[self.interval]}" if self.interval != "none" else ""
         if self.has_metric_columns:
-            return f"{STATISTICS[self.stat].capitalize()}{spread}{self._legend}."
+            return f"{STATISTICS[self.stat].capitalize()}{self._spread}{self._legend}."
+        return f"{self.metric.heading}{self._statistic}."
+
+    @property
+    def _statistic(self) -> str:
+        """Statistic of one metric: ": median with interquartile range"; empty for words."""
         if self.metric.text:
-            return f"{self.metric.heading}."
-        if self.metric.level == "repeats":
-            ends = ", with 95 % bootstrap interval" if self.interval != "none" else ""
-            return f"{self.metric.heading}: over all repeats and parameters{ends}."
-        return f"{self.metric.heading}: {STATISTICS[self.stat]}{spread}."
+            return ""
+        if self.metric.level != "repeats":
+            return f": {STATISTICS[self.stat]}{self._spread}"
+        # A figure of all repeats is not a statistic of cells: it has an interval of its own.
+        ends = ", with 95 % bootstrap interval" if self.interval != "none" else ""
+        return f": over all repeats and parameters{ends}"
+
+    @property
+    def _spread(self) -> str:
+        return f" with {INTERVALS[self.interval]}" if self.interval != "none" else ""
 
     @property
     def _legend(self) -> str:
@@ -131,31 +164,36 @@ class Table:
         return "".join(f"; {found[b]} {text}" for b, text in _DIRECTIONS.items() if b in found)
 
     @cached_property
-    def footnotes(self) -> dict[str, str]:
+    def note_labels(self) -> dict[str, str]:
         """A letter for every note that an entry carries."""
-        found = (self.entries[key].note for key in self.keys if key in self.entries)
-        return {note: _letters(i) for i, note in enumerate(dict.fromkeys(filter(None, found)))}
+        planned = filter(None, starmap(self.entry, self.indices))
+        notes = dict.fromkeys(entry.note for entry in planned)
+        return {note: _letters(i) for i, note in enumerate(filter(None, notes))}
 
     @property
-    def keys(self) -> list[tuple[Key, Key]]:
+    def indices(self) -> list[tuple[Key, Key]]:
         """Every (row, column), row by row."""
-        return [(row, column) for row in self.rows for column in self.columns]
+        return list(product(self.rows, self.columns))
 
     def entry(self, row: Key, column: Key) -> Entry | None:
         """The entry of a row and column, None where no cell was planned."""
         return self.entries.get((row, column))
 
     @cached_property
-    def notations(self) -> dict[Key, Notation]:
+    def column_notation(self) -> dict[Key, Notation]:
         """Notation of each column: the same where columns differ by the estimator alone."""
         values: dict[Key, list[float | None]] = {}
         digits: dict[Key, int] = {}
         for (_, column), entry in self.entries.items():
             group = self._without_estimator(column)
             values.setdefault(group, []).append(entry.value)
-            digits[group] = 0 if self.stat == "count" else self.metric_in(column).digits
+            digits[group] = self._digits(column)
         shared = {group: notation(numbers, digits[group]) for group, numbers in values.items()}
         return {column: shared[self._without_estimator(column)] for column in self.columns}
+
+    def _digits(self, column: Key) -> int:
+        """Significant digits of a column; 0 for whole numbers, as all counts are."""
+        return 0 if self.stat == "count" else self.metric_of(column).digits
 
     def _without_estimator(self, column: Key) -> Key:
         """The label that columns compared with each other share: all but the estimator."""
@@ -164,4 +202,5 @@ class Table:
 
 
 def _letters(i: int) -> str:
+    """Letters that count as columns of a spreadsheet do: a, b, ..., z, aa, ab."""
     return (_letters(i // 26 - 1) if i >= 26 else "") + ascii_lowercase[i % 26]

@@ -12,8 +12,8 @@ from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import fields
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.expression import Expression
-from sysid_bench.reporting.rerun_recording import record as write_recording
-from sysid_bench.reporting.rerun_recording import view as open_viewer
+from sysid_bench.reporting.cell_recording import record as write_recording
+from sysid_bench.reporting.cell_recording import view as open_viewer
 from sysid_bench.units import quantity
 from sysid_bench.verbs.folders import find_cell, open_run
 from sysid_bench.vocabulary import ROW_FIELDS

@@ -13,7 +13,8 @@ from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.figures import figure, svg_element
 from sysid_bench.reporting.html import RunView, write_report
-from sysid_bench.reporting.latex import Origin, to_latex, to_macros
+from sysid_bench.reporting.latex import Origin, to_latex
+from sysid_bench.reporting.latex_macros import to_macros
 from sysid_bench.reporting.listing import Listing
 from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown
@@ -117,7 +118,7 @@ def _ranking_tables(ranked: Iterable[Ranking]) -> Iterator[Table]:
 def printed_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
-    orders = (ranking.order for ranking in _rankings(run))
+    orders = (ranking.summary_table for ranking in _rankings(run))
     return [_text(made, "md", _origin(run)) for made in (*_tables(run), *orders)]
 
 
@@ -140,7 +141,7 @@ def _write_tables(
             _put(folder / f"{made.name}.{suffix}", _text(made, form, origin))
         for listing in listings:
             _put(folder / f"{listing.name}.{suffix}", text_of(listing, form, origin))
-    orders = tuple(ranking.order for ranking in ranked)
+    orders = tuple(ranking.summary_table for ranking in ranked)
     _put(folder / "numbers.tex", to_macros((*tables, *orders), origin))
 
 

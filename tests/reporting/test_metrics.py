@@ -356,5 +356,5 @@ def test_the_best_follows_the_direction_of_each_metric(cells: pd.DataFrame) -> N
 def test_each_metric_has_one_notation(cells: pd.DataFrame) -> None:
     table = make_table(cells, GLANCE)
     for metric in table.metrics:
-        styles = {table.notations[c] for c in table.columns if c[-1] == metric.name}
+        styles = {table.column_notation[c] for c in table.columns if c[-1] == metric.name}
         assert len(styles) == 1

@@ -66,6 +66,15 @@ def test_every_cell_is_on_the_page(run: RunView) -> None:
         assert row[score] is None if pd.isna(value) else row[score] == pytest.approx(value, 1e-3)
 
 
+def test_only_heads_of_metrics_wrap(run: RunView, spec: Mapping[str, Any]) -> None:
+    several = {k: v for k, v in spec.items() if k != "cells"}
+    wide = make_table(run.cells, {**several, "metrics": ["rmse_test", "torque_error", "rank"]})
+    page = report_html(replace(run, tables=(wide, *run.tables)))
+    first, *others = re.findall(r"<table[^>]*>\s*<caption>", page)
+    assert 'class="metrics"' in first
+    assert not any("class" in table for table in others)
+
+
 def test_every_kind_of_failure_has_its_reason_and_command(run: RunView) -> None:
     page = html.unescape(report_html(run))
     lost = run.cells[run.cells["status"] != "ok"]

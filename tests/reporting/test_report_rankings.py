@@ -70,7 +70,7 @@ def test_neither_the_unit_nor_the_order_of_cells_matters() -> None:
 
 def test_a_failure_is_counted_and_never_near_the_best() -> None:
     [ranking] = ranked(fabricate())
-    table = ranking.order
+    table = ranking.summary_table
     share = table.entries[("failing",), ("failed",)].value
     assert share == pytest.approx(0.5)
     near = table.entries[("failing",), (f"within {NEAR:g}",)].value
@@ -91,7 +91,7 @@ def test_a_method_named_beforehand_needs_fewer_robots_to_be_reported_from() -> N
     [ranking] = ranked(fabricate(robots=8), against="poor")
     best = ranking.methods.index("good")
     assert ranking.p_against[best] < ranking.p[best, ranking.methods.index("poor")]
-    entry = ranking.order.entries[("poor",), ("p",)]
+    entry = ranking.summary_table.entries[("poor",), ("p",)]
     assert entry.value is None
     with pytest.raises(UsageError, match="good"):
         ranked(fabricate(robots=2), against="gud")
@@ -102,7 +102,7 @@ def test_cases_that_some_method_never_saw_are_left_out_and_reported() -> None:
     lost = (cells["estimator"] == "poor") & (cells["robot"] == "r0")
     [ranking] = ranked(cells[~lost])
     assert ranking.left_out == 4
-    assert any("4 more are left out" in note for note in ranking.order.notes)
+    assert any("4 more are left out" in note for note in ranking.summary_table.notes)
     with pytest.raises(UsageError, match="no case"):
         ranked(cells[cells["estimator"] == "poor"])
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
+from sysid_bench.reporting.cell_recording import TIMELINE, record, view, view_command
 from sysid_bench.reporting.cell_summary import summary
-from sysid_bench.reporting.rerun_recording import TIMELINE, record, view, viewer
 from sysid_bench.reporting.scene import MESH_BUDGET, scene_of
 from sysid_bench.types import CellData, Shape, Trajectory
 
@@ -28,7 +28,7 @@ TRIANGLE = "solid t\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\
 
 def verified(path: Path) -> str:
     """Why `rerun rrd verify` refuses a file; empty where it does not."""
-    command = [str(viewer()), "rrd", "verify", str(path)]
+    command = [str(view_command()), "rrd", "verify", str(path)]
     environment = {**os.environ, "XDG_CONFIG_HOME": str(path.parent / "config")}
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=60, check=False, env=environment
@@ -181,7 +181,7 @@ def test_no_view_of_the_layout_reports_an_error(
     if not _has_vulkan():
         pytest.skip("no Vulkan driver is installed: the viewer cannot draw without a display")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    switch_off = [str(viewer()), "analytics", "disable"]
+    switch_off = [str(view_command()), "analytics", "disable"]
     subprocess.run(switch_off, capture_output=True, timeout=60, check=False)
     try:
         client = ViewerClient.spawn(headless=True, port=free_port(), executable_path=switch_off[0])

@@ -90,7 +90,7 @@ def test_a_group_without_a_number_shows_its_most_frequent_failure(cells: pd.Data
     lost = {key: e for key, e in table.entries.items() if e.value is None}
     assert {key[0][0] for key in lost} == {"anymal_c"}
     for (_, column), entry in lost.items():
-        assert entry.word == ("unsupported" if column == ("wls",) else "failed")
+        assert entry.label == ("unsupported" if column == ("wls",) else "failed")
 
 
 def test_a_group_with_some_failures_has_a_note_that_counts_them(cells: pd.DataFrame) -> None:
@@ -100,7 +100,7 @@ def test_a_group_with_some_failures_has_a_note_that_counts_them(cells: pd.DataFr
         assert not silent
         if entry.note:
             assert f"{entry.n_failed} of {entry.n_failed + entry.n}" in entry.note
-            assert entry.note in table.footnotes
+            assert entry.note in table.note_labels
 
 
 def test_ok_without_a_value_is_no_number_and_no_failure(cells: pd.DataFrame) -> None:
@@ -170,7 +170,7 @@ def test_columns_that_differ_in_the_estimator_alone_are_printed_alike() -> None:
         for n, e, v in [("x", "a", 0.02), ("x", "b", 2e-5), ("y", "a", 0.02), ("y", "b", 0.03)]
     ]
     table = table_of(pd.DataFrame(rows), ["robot"], ["noise", "estimator"])
-    reported = [table.notations[column].scientific for column in table.columns]
+    reported = [table.column_notation[column].scientific for column in table.columns]
     assert reported == [True, True, False, False]
 
 
@@ -256,13 +256,13 @@ def test_words_stand_as_they_are_and_what_differs_is_counted(cells: pd.DataFrame
         assert entry.value is None
         assert entry.n + entry.n_failed + entry.missing == 12
         if row == ("ur5",):
-            assert entry.word == "combination"
+            assert entry.label == "combination"
         elif entry.n:
             own = reported[(reported["robot"] == row[0]) & (reported["status"] == "ok")]
-            assert set(own["verdict"]) == {word.split()[0] for word in entry.word.split(", ")}
+            assert set(own["verdict"]) == {word.split()[0] for word in entry.label.split(", ")}
     lost = table.entry(("anymal_c",), ("box-2kg",))
     assert lost is not None
-    assert lost.word in ("unsupported", "failed")
+    assert lost.label in ("unsupported", "failed")
     for text in (to_markdown(table), to_csv(table)):
         assert "combination" in text
         assert "median" not in text.partition("\n")[0]

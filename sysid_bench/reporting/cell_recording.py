@@ -16,12 +16,10 @@ from sysid_bench.types import CellData
 
 if TYPE_CHECKING:
     import rerun as rr
-    import rerun.blueprint as rrb
 
 TIMELINE: Final = "sim_time"
 _MEASURED, _PREDICTED = (59, 130, 246), (234, 120, 30)
 _SMALLEST_RATIO = 1e-20  # of the largest: zeros stay on the logarithmic picture
-_PLOTS_PER_PAGE = 9
 
 
 def record(cell: CellData, path: Path, max_hz: float = 50) -> Path:
@@ -32,6 +30,8 @@ def record(cell: CellData, path: Path, max_hz: float = 50) -> Path:
     """
     import rerun as rr
 
+    from sysid_bench.reporting.recording_layout import recording_layout
+
     picked = _thinned(cell, max_hz)
     scene = scene_of(cell)
     part = path.with_name(path.name + ".part")
@@ -40,7 +40,8 @@ def record(cell: CellData, path: Path, max_hz: float = 50) -> Path:
     application = re.sub(r"[^\w .-]", "-", f"sysid_bench {row.get('robot', '')}".strip())
     stream = rr.RecordingStream(application, recording_id=str(row.get("id", path.stem)))
     try:
-        stream.save(part, default_blueprint=_blueprint(cell))
+        layout = recording_layout(cell, TIMELINE, _row_names(cell))
+        stream.save(part, default_blueprint=layout)
         _log(stream, scene, picked)
         stream.flush()
         stream.disconnect()  # writes the footer that `rerun rrd verify` asks for
@@ -59,11 +60,17 @@ def view(path: Path, web: bool = False) -> "subprocess.Popen[bytes]":
         raise UsageError(
             f"The recording {str(path)!r} does not exist; make it with sysid-bench record."
         )
-    command = [str(viewer()), "--bind", "127.0.0.1", *(["--web-viewer"] if web else []), str(path)]
+    command = [
+        str(view_command()),
+        "--bind",
+        "127.0.0.1",
+        *(["--web-viewer"] if web else []),
+        str(path),
+    ]
     return subprocess.Popen(command)
 
 
-def viewer() -> Path:
+def view_command() -> Path:
     """The `rerun` program that belongs to this Python."""
     folder = Path(sys.executable).parent
     for name in ("rerun", "rerun.exe", "Scripts/rerun.exe"):
@@ -76,15 +83,21 @@ def _thinned(cell: CellData, max_hz: float) -> np.ndarray:
     """Indices of the samples to keep: every k-th, evenly, the first among them."""
     if not max_hz > 0:
         raise UsageError(f"max_hz is {max_hz!r}; give a positive number of hertz.")
+    _check_lengths(cell)
     times, count = cell.motion.t, len(cell.motion)
+    if count < 2:
+        return np.arange(count)
+    rate = (count - 1) / (times[-1] - times[0])
+    # Rounding of the rate must not drop every second sample of a motion at exactly max_hz.
+    return np.arange(0, count, max(int(np.ceil(rate / max_hz - 1e-9)), 1))
+
+
+def _check_lengths(cell: CellData) -> None:
+    count = len(cell.motion)
     for name in ("measured", "predicted", "positions", "quaternions"):
         signal = getattr(cell, name)
         if signal is not None and len(signal) != count:
             raise UsageError(f"{name} has {len(signal)} samples, the motion {count}: align them.")
-    if count < 2:
-        return np.arange(count)
-    rate = (count - 1) / (times[-1] - times[0])
-    return np.arange(0, count, max(int(np.ceil(rate / max_hz - 1e-9)), 1))
 
 
 def _log(stream: "rr.RecordingStream", scene: RecordingScene, picked: np.ndarray) -> None:
@@ -93,6 +106,20 @@ def _log(stream: "rr.RecordingStream", scene: RecordingScene, picked: np.ndarray
     cell = scene.cell
     times = rr.TimeColumn(TIMELINE, duration=cell.motion.t[picked])
     log_scene(stream, scene, picked, times)
+    _log_torques(stream, cell, picked, times)
+    _log_curves(stream, cell)
+    _log_regressor(stream, cell)
+    text = rr.TextDocument(summary(cell, scene.complaints), media_type="text/markdown")
+    stream.log("summary", text, static=True)
+    names = ("id", "robot", "payload", "task", "estimator", "status")
+    known = {name: str(cell.row[name]) for name in names if name in cell.row}
+    stream.send_property("sysid", rr.AnyValues(drop_untyped_nones=True, **known))
+
+
+def _log_torques(
+    stream: "rr.RecordingStream", cell: CellData, picked: np.ndarray, times: "rr.TimeColumn"
+) -> None:
+    """Measured and predicted torque of every row, and their difference."""
     for i, row in enumerate(_row_names(cell)):
         measured = cell.measured[picked, i]
         _log_series(stream, ["torque", row, "measured"], "measured", _MEASURED, measured, times)
@@ -102,21 +129,28 @@ def _log(stream: "rr.RecordingStream", scene: RecordingScene, picked: np.ndarray
         residual = measured - predicted
         _log_series(stream, ["torque", row, "predicted"], "predicted", _PREDICTED, predicted, times)
         _log_series(stream, ["residual", row], row, _colour(i), residual, times)
+
+
+def _log_curves(stream: "rr.RecordingStream", cell: CellData) -> None:
+    """On-line estimates, each curve over its own times."""
+    import rerun as rr
+
     for curve in cell.curves:
         over = rr.TimeColumn(TIMELINE, duration=curve.t)
         for i, (name, values) in enumerate(curve.series.items()):
             _log_series(stream, ["curves", curve.name, name], name, _colour(i), values, over)
+
+
+def _log_regressor(stream: "rr.RecordingStream", cell: CellData) -> None:
+    """Singular values and gap to Pinocchio on a logarithmic scale: both span many decades."""
+    import rerun as rr
+
     if len(cell.singular_values):
         bars = rr.BarChart(_log10(cell.singular_values), color=_MEASURED)
         stream.log("singular_values", bars, static=True)
     if cell.gap_map.size:
         image = rr.Tensor(_log10(cell.gap_map), dim_names=("row", "parameter"))
         stream.log("gap", image, static=True)
-    text = rr.TextDocument(summary(cell, scene.complaints), media_type="text/markdown")
-    stream.log("summary", text, static=True)
-    names = ("id", "robot", "payload", "task", "estimator", "status")
-    known = {name: str(cell.row[name]) for name in names if name in cell.row}
-    stream.send_property("sysid", rr.AnyValues(drop_untyped_nones=True, **known))
 
 
 def _log_series(
@@ -146,85 +180,3 @@ def _colour(i: int) -> tuple[int, int, int]:
         (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0),
     )  # fmt: skip
     return palette[i % len(palette)]
-
-
-def _blueprint(cell: CellData) -> "rrb.Blueprint":
-    """Robot and summary to the left; one torque plot per joint, residuals, regressor right."""
-    import rerun.blueprint as rrb
-
-    about = rrb.TextDocumentView(name="Summary", origin="/summary")
-    left = rrb.Vertical(_robot_view(cell), about, row_shares=[3, 2])
-    pages = _torque_pages(cell)
-    if cell.curves:
-        pages = rrb.Tabs(pages, _curve_page(cell))
-    parts: list[rrb.Container | rrb.View] = [pages]
-    if cell.predicted is not None:
-        parts.append(rrb.TimeSeriesView(name="Residual, measured - predicted", origin="/residual"))
-    regressor: list[rrb.View] = []
-    if len(cell.singular_values):
-        regressor.append(rrb.BarChartView(name="log10 singular values", origin="/singular_values"))
-    if cell.gap_map.size:
-        regressor.append(rrb.TensorView(name="log10 |Y - Y_pin|", origin="/gap", view_fit="Fill"))
-    if regressor:
-        parts.append(rrb.Horizontal(*regressor))
-    right = rrb.Vertical(*parts, row_shares=[3] + [1] * (len(parts) - 1))
-    return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[2, 3]),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
-        auto_views=False,
-    )
-
-
-def _robot_view(cell: CellData) -> "rrb.View":
-    import rerun.blueprint as rrb
-
-    eye = None
-    if cell.positions is not None and cell.positions.size:
-        corners = cell.positions.reshape(-1, 3)
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        centre, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 0.2)
-        # From the front right and a little above, far enough for links beyond the last origin.
-        eye = rrb.EyeControls3D(
-            position=centre + size * np.array([0.9, -0.9, 0.5]), look_target=centre
-        )
-    return rrb.Spatial3DView(
-        name="Robot", origin="/", contents=["/robot/**", "/sticks/**"], eye_controls=eye
-    )
-
-
-def _torque_pages(cell: CellData) -> "rrb.Container":
-    """A grid of joints; beyond nine, tabs of grids."""
-    import rerun as rr
-    import rerun.blueprint as rrb
-
-    plots = [
-        rrb.TimeSeriesView(
-            name=row,
-            origin=rr.new_entity_path(["torque", row]),
-            plot_legend=rrb.PlotLegend(visible=i == 0),
-        )
-        for i, row in enumerate(_row_names(cell))
-    ]
-    pages = [plots[i : i + _PLOTS_PER_PAGE] for i in range(0, len(plots), _PLOTS_PER_PAGE)]
-    grids = [
-        rrb.Grid(*page, grid_columns=_columns_for(len(page)), name=f"Torques {i + 1}")
-        for i, page in enumerate(pages)
-    ]
-    return grids[0] if len(grids) == 1 else rrb.Tabs(*grids, name="Torques")
-
-
-def _curve_page(cell: CellData) -> "rrb.Container":
-    import rerun as rr
-    import rerun.blueprint as rrb
-
-    plots = [
-        rrb.TimeSeriesView(name=curve.name, origin=rr.new_entity_path(["curves", curve.name]))
-        for curve in cell.curves
-    ]
-    return rrb.Grid(*plots, grid_columns=_columns_for(len(plots)), name="On-line")
-
-
-def _columns_for(plots: int) -> int:
-    return 1 if plots <= 3 else 2 if plots <= 6 else 3

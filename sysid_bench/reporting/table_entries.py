@@ -1,0 +1,98 @@
+"""Entries of a table: statistics of the cells that share their labels."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sysid_bench.reporting.repeat_errors import repeat_statistic
+from sysid_bench.reporting.selection import label
+from sysid_bench.reporting.statistic import interval_of, statistic_of
+from sysid_bench.reporting.table_layout import TableLayout
+from sysid_bench.reporting.tables import Entry, Key
+from sysid_bench.types import Metric
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Entries = dict[tuple[Key, Key], Entry]
+
+
+def table_entries(
+    cells: "pd.DataFrame", layout: TableLayout, parameters: "pd.DataFrame | None"
+) -> Entries:
+    """Entries by row and column key; the name of the metric ends the column key where metrics are
+    columns. `parameters` as of make_table."""
+    rows, entries = len(layout.rows), {}
+    for metric in layout.metrics:
+        name = (metric.name,) if layout.has_metric_columns else ()
+        for labels, group in _groups(cells, layout.fields):
+            key = labels[:rows], labels[rows:] + name
+            entries[key] = _entry(group, metric, layout, parameters)
+    return entries
+
+
+def _groups(cells: "pd.DataFrame", fields: Key) -> Iterator[tuple[Key, "pd.DataFrame"]]:
+    for key, group in cells.groupby(list(fields), sort=False, dropna=False):
+        yield tuple(map(label, key if isinstance(key, tuple) else (key,))), group
+
+
+def _entry(
+    group: "pd.DataFrame", metric: Metric, layout: TableLayout, parameters: "pd.DataFrame | None"
+) -> Entry:
+    ok = group[group["status"] == "ok"]
+    failures = group.loc[group["status"] != "ok", "status"].value_counts(sort=False)
+    counts = {str(kind): int(number) for kind, number in failures.items()}
+    if metric.level == "repeats":
+        return _of_repeats(ok, counts, metric, layout.interval, parameters)
+    # Where every cell failed, no row has the metric at all.
+    given = ok.get(metric.name, [None] * len(ok))
+    if metric.text:
+        return _of_texts([value for value in given if isinstance(value, str)], len(ok), counts)
+    return _of_numbers(ok, np.array(list(map(_number, given)), dtype=float), counts, layout)
+
+
+def _of_numbers(
+    ok: "pd.DataFrame", values: np.ndarray, failures: Mapping[str, int], layout: TableLayout
+) -> Entry:
+    """Statistic and interval of the finite values; the others count as missing."""
+    repeats = np.asarray(ok.get("repeat", range(len(ok))))
+    finite = np.isfinite(values)
+    kept = values[finite]
+    low, high = interval_of(layout.interval, layout.stat, kept, repeats[finite])
+    value = statistic_of(layout.stat, kept) if len(kept) else None
+    return Entry(value, low, high, len(kept), failures, len(values) - len(kept))
+
+
+def _of_repeats(
+    ok: "pd.DataFrame",
+    failures: Mapping[str, int],
+    metric: Metric,
+    interval: str,
+    parameters: "pd.DataFrame | None",
+) -> Entry:
+    """The figure of all repeats of a group, its cells each one repeat of one setting."""
+    # A scatter needs the single repeats: the row of a cell has no parameters.
+    figure = None if parameters is None else repeat_statistic(metric.name, ok, parameters)
+    if figure is None:
+        return Entry(None, None, None, 0, failures, len(ok))
+    value, *ends = figure
+    low, high = ends if interval != "none" else (None, None)
+    return Entry(value, low, high, len(ok), failures)
+
+
+def _of_texts(texts: Sequence[str], cells: int, failures: Mapping[str, int]) -> Entry:
+    """One text where all cells have the same, else each with its count."""
+    met = Counter(texts)
+    text = ", ".join(met if len(met) == 1 else (f"{word} {n}" for word, n in met.most_common()))
+    return Entry(None, None, None, len(texts), failures, cells - len(texts), text=text)
+
+
+def _number(value: Any) -> float:
+    """A value as a number: Parquet and JSON hand whole numbers, booleans and None in one column
+    of objects."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return np.nan

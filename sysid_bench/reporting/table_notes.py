@@ -1,0 +1,69 @@
+"""Notes below a table: what its numbers pool, and why values are missing."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from sysid_bench.evaluation.repeat_statistic import ENOUGH_REPEATS
+from sysid_bench.metrics import REASONS
+from sysid_bench.reporting.notation import ABSENT
+from sysid_bench.reporting.selection import SWEEPABLE
+from sysid_bench.reporting.table_entries import Entries
+from sysid_bench.reporting.table_layout import TableLayout
+from sysid_bench.types import Metric
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) -> Iterator[str]:
+    """Sentences below a table."""
+    yield from _pooling(cells, layout)
+    for metric in layout.metrics:
+        yield from _names(cells, layout, metric)
+        yield from _reasons(cells, metric)
+    yield from _too_few(layout, entries)
+
+
+def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
+    """Fields that differ between the cells of an entry: its statistic compares unlike settings."""
+    hidden = cells[[field for field in _swept(cells) if field not in layout.fields]]
+    pooled = [f"{count} of {field}" for field, count in hidden.nunique().items() if count > 1]
+    if pooled:
+        yield f"Each number pools different settings: {', '.join(pooled)}."
+
+
+def _swept(cells: "pd.DataFrame") -> list[str]:
+    return [field for field in SWEEPABLE if field in cells.columns]
+
+
+def _names(cells: "pd.DataFrame", layout: TableLayout, metric: Metric) -> list[str]:
+    """Names behind a count, from the column `<metric>_names`."""
+    column = f"{metric.name}_names"
+    if column not in cells.columns:
+        return []
+    named = cells[~cells[column].isin(["", "none"])].to_dict("records")
+    rows = ((" / ".join(str(row[field]) for field in layout.fields), row[column]) for row in named)
+    return sorted({f"{place}: {metric.title.lower()}: {names}." for place, names in rows})
+
+
+def _reasons(cells: "pd.DataFrame", metric: Metric) -> Iterator[str]:
+    """Reasons of missing values, with the number of cells."""
+    column = f"{REASONS}.{metric.name}"
+    if column in cells.columns:
+        given = cells.loc[~cells[column].isin(["", "none"]), column].value_counts()
+        for why, n in given.items():
+            yield f"{metric.title}: {n} cells without a value: {why}."
+
+
+def _too_few(layout: TableLayout, entries: Entries) -> Iterator[str]:
+    """Reason why a metric of all repeats is missing."""
+    needs = _needs_of_repeats(layout)
+    if needs and any(entry.missing for entry in entries.values() if entry.value is None):
+        bound = ", or no noise of the torque and so no bound" if "noise" in needs else ""
+        yield f"{ABSENT}: fewer than {ENOUGH_REPEATS} repeats, no noise at all{bound}."
+
+
+def _needs_of_repeats(layout: TableLayout) -> set[str]:
+    """Needs of the metrics of all repeats; empty where the table has no such metric."""
+    repeated = (metric.needs for metric in layout.metrics if metric.level == "repeats")
+    return set().union(*repeated)
