@@ -64,6 +64,6 @@ def canonical(value: Any) -> str:
     return json.dumps(plain(value), sort_keys=True, separators=(",", ":"))
 
 
-def digest(value: Any) -> str:
+def canonical_hash(value: Any) -> str:
     """Return the sha256 of the canonical text, 64 hex digits."""
     return hashlib.sha256(canonical(value).encode()).hexdigest()

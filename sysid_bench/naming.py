@@ -154,7 +154,7 @@ def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
     return make
 
 
-def resolve_paths(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
+def resolve_files(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
     """Return a plug-in's spec with the paths of "file:mine.py:Class" and of the setting `file`
     relative to the suite's folder."""
     resolved = dict(spec)

@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.canonical_json import digest
+from sysid_bench.canonical_json import canonical_hash
 
 PACKAGES: Final = ("sysid-bench", "numpy", "scipy", "mujoco", "pin", "pandas", "clarabel")
 """Distributions on whose version results depend."""
@@ -50,7 +50,7 @@ def versions() -> dict[str, str | None]:
 @cache
 def package_hash() -> str:
     """Return 16 hex digits of this package's code and of the versions of its libraries."""
-    return digest([source_hash(str(PACKAGE_FOLDER)), versions(), sys.version_info[:2]])[:16]
+    return canonical_hash([source_hash(str(PACKAGE_FOLDER)), versions(), sys.version_info[:2]])[:16]
 
 
 @cache

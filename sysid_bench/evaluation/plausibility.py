@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
+from sysid_bench.spatial.inertia import mass_com_inertia, min_eigenvalues
 from sysid_bench.types import Array, Extent
 
 MAX_DENSITY: Final = 8000.0
@@ -27,7 +27,7 @@ def body_plausibility(phi: Array, extent: Extent | None) -> str:
     """
     mass, com, _ = mass_com_inertia(phi)
     # Relative to the largest entry: a point mass has eigenvalues of zero up to rounding.
-    if smallest_eigenvalue(phi) < -1e-9 * float(np.abs(phi).max()):
+    if min_eigenvalues(phi) < -1e-9 * float(np.abs(phi).max()):
         return "it is not physically feasible"
     if mass <= MASSLESS or extent is None:
         return ""

@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid_bench.evaluation.rms import known_rms
 from sysid_bench.evaluation.score import base_parameters, feasible_figures
-from sysid_bench.identification.linear.normal_qr import residual_norms
+from sysid_bench.identification.linear.normal_qr import residual_norm
 from sysid_bench.types import Array, Estimate, Problem, Score
 
 
@@ -19,7 +19,7 @@ def joint_errors(problem: Problem, beta: Array) -> dict[str, dict[str, Any]]:
     """Return {joint: {samples, rms, rmse, relative}} of one problem: RMS torque and RMS error
     (N m, N) for base parameters `beta` (r,)."""
     errors = {}
-    norms = residual_norms(problem, beta)
+    norms = residual_norm(problem, beta)
     for i, (factor, norm) in enumerate(zip(problem.factors, norms, strict=True)):
         # Joints differ in their samples: those at which one stands still are left out.
         count = max(factor.samples, 1)

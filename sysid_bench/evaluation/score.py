@@ -10,9 +10,9 @@ from scipy.linalg import solve_triangular
 
 from sysid_bench.evaluation.covariance import StandardError
 from sysid_bench.evaluation.plausibility import plausibility_findings
-from sysid_bench.identification.linear.normal_qr import excited_rank, residual_norms, stacked_factor
+from sysid_bench.identification.linear.normal_qr import excited_rank, residual_norm, stacked_factor
 from sysid_bench.qr_factor import upper_factor
-from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
+from sysid_bench.spatial.inertia import mass_com_inertia, min_eigenvalues
 from sysid_bench.types import Array, Estimate, Extent, Problem, Score, Truth
 
 SMALL_JOINT: Final = 0.01
@@ -163,7 +163,7 @@ class RowErrors:
     @cached_property
     def errors(self) -> Array:
         """RMS error."""
-        squares = np.array([residual_norms(p, self.beta) ** 2 for p in self.problems])
+        squares = np.array([residual_norm(p, self.beta) ** 2 for p in self.problems])
         return np.asarray(np.sqrt(squares.sum(axis=0) / sum(p.samples for p in self.problems)))
 
     @cached_property
@@ -296,7 +296,7 @@ def feasible_figures(theta: Array | None, problem: Problem) -> dict[str, Any]:
     if theta is None or not problem.bodies:
         return {}
     phi = _body_parameters(theta, problem)
-    smallest = smallest_eigenvalue(phi)
+    smallest = min_eigenvalues(phi)
     scale = np.abs(phi).max(axis=1)
     return {
         "min_eigenvalue": float(smallest.min()),

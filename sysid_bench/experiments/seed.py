@@ -2,13 +2,13 @@
 
 from typing import Any
 
-from sysid_bench.canonical_json import digest
+from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.experiments.spec import REDRAWN, ExperimentSpec
 
 
 def seed_of(suite_seed: int, *parts: Any) -> int:
     """A 128-bit seed from the suite's and any JSON values."""
-    return int(digest([suite_seed, *parts])[:32], 16)
+    return int(canonical_hash([suite_seed, *parts])[:32], 16)
 
 
 def motion_seed(spec: ExperimentSpec) -> int:

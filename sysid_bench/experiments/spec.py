@@ -6,7 +6,7 @@ from functools import cached_property
 from math import inf
 from typing import Any, Final
 
-from sysid_bench.canonical_json import digest
+from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.units import parse_quantity, quantity
 
@@ -43,7 +43,7 @@ class ExperimentSpec:
     @cached_property
     def id(self) -> str:
         """12 hex digits: a hash of the specification alone."""
-        return digest(self.to_json())[:12]
+        return canonical_hash(self.to_json())[:12]
 
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench import naming
-from sysid_bench.canonical_json import digest
+from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.plan import Cell
 from sysid_bench.models.manifest import find_manifest
-from sysid_bench.naming import resolve_paths
+from sysid_bench.naming import resolve_files
 from sysid_bench.versions import PACKAGE_FOLDER, source_hash, versions
 
 _FILE = re.compile(rb"""\s(?:file|filename)\s*=\s*["']([^"']+)["']""")
@@ -56,7 +56,7 @@ def cell_fingerprint(
         return ""
     named = [(kind, plugin) for kind, group in plugins.items() for plugin in group]
     targets = [_target(kind, plugin, folder) for kind, plugin in named]
-    specs = [resolve_paths(plugin, folder) for _, plugin in named]
+    specs = [resolve_files(plugin, folder) for _, plugin in named]
     read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
     if spec.log is not None:
         from sysid_bench.experiments.recorded.prepare import log_files
@@ -80,7 +80,7 @@ def _model_files(robot: str, robots_dir: Path | None, folder: Path | None) -> tu
 
 
 def _target(kind: str, plugin: Mapping[str, Any], folder: Path | None) -> str:
-    use = str(resolve_paths(plugin, folder)["use"])
+    use = str(resolve_files(plugin, folder)["use"])
     return use if ":" in use else naming.known(kind).get(use, use)
 
 
@@ -97,7 +97,7 @@ def _fingerprint(models: tuple[str, ...], plugins: tuple[str, ...]) -> str:
         versions(),
         sys.version_info[:2],
     ]
-    return digest(parts)[:16]
+    return canonical_hash(parts)[:16]
 
 
 @cache
@@ -157,5 +157,5 @@ def _plugin(name: str) -> str:
     if spec is None:
         return _ABSENT
     if spec.submodule_search_locations:
-        return digest([source_hash(folder) for folder in spec.submodule_search_locations])
+        return canonical_hash([source_hash(folder) for folder in spec.submodule_search_locations])
     return _file(spec.origin) if spec.origin else _ABSENT

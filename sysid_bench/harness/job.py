@@ -7,7 +7,7 @@ from typing import Any
 from sysid_bench.harness.plan import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
-from sysid_bench.naming import resolve_paths
+from sysid_bench.naming import resolve_files
 from sysid_bench.units import quantity
 
 
@@ -22,14 +22,14 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
         "seed": suite.seed,
         "estimators": [
             {
-                **resolve_paths(cell.estimator, suite.folder),
+                **resolve_files(cell.estimator, suite.folder),
                 "cell": cell.id,
                 "label": cell.labels["estimator"],
             }
             for cell in cells
         ],
         "metrics": [
-            {"name": entry.metric.name, "spec": resolve_paths(entry.spec, suite.folder)}
+            {"name": entry.metric.name, "spec": resolve_files(entry.spec, suite.folder)}
             for entry in suite.metric
         ],
         "papers": {cell.id: _papers(cell, suite) for cell in cells} if suite.paper else {},

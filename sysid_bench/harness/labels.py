@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from sysid_bench.canonical_json import canonical, digest
+from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.experiments.spec import normal_noise, normal_payload, normal_prior
 from sysid_bench.harness.suite.data_entries import Noise, Prior
 from sysid_bench.harness.suite.model import Plugin, RobotEntry, Suite
@@ -22,7 +22,7 @@ def _unique_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
         texts.setdefault(canonical(value), (short, long))
     labels = {key: short for key, (short, _) in texts.items()}
     longer = {key: long for key, (_, long) in texts.items()}
-    hashed = {key: f"{long} #{digest(key)[:6]}" for key, long in longer.items()}
+    hashed = {key: f"{long} #{canonical_hash(key)[:6]}" for key, long in longer.items()}
     for finer in (longer, hashed):
         count = Counter(labels.values())
         labels = {key: finer[key] if count[label] > 1 else label for key, label in labels.items()}

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import PurePosixPath
 from typing import Any
 
-from sysid_bench.canonical_json import canonical, digest
+from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.experiments.spec import (
     REDRAWN,
@@ -49,7 +49,7 @@ class Cell:
     @cached_property
     def id(self) -> str:
         """12 hex digits of the experiment and the estimator without its label."""
-        return digest([self.spec.id, self.estimator])[:12]
+        return canonical_hash([self.spec.id, self.estimator])[:12]
 
     @property
     def experiment(self) -> str:

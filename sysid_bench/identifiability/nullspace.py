@@ -22,10 +22,10 @@ import numpy as np
 
 from sysid_bench.models.tree import BALL, FREE, HINGE, Tree, TreeJoint
 from sysid_bench.spatial.inertia import (
+    inertia_transform,
     matrix_of_six,
     phi_of_pseudo_inertia,
     pseudo_inertia,
-    transport,
 )
 from sysid_bench.spatial.rotation import skew
 from sysid_bench.types import Array
@@ -58,7 +58,7 @@ def _across_joints(tree: Tree) -> Iterator[Array]:
     reached = [(np.zeros((6, 0)), _gravity(tree))] * (len(tree.links) + 1)  # (L, F)
     for i, link in enumerate(tree.links):
         L, F = reached[link.parent]
-        X = transport(link.R0, link.p0)
+        X = inertia_transform(link.R0, link.p0)
         observed, L, F = _after_joints(link.joints, _in_frame(L, link.R0, link.p0), X.T @ F)
         reached[i] = L, F
         yield _transfers(tree, link.body, bodies[link.parent], X, _null(observed))

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from sysid_bench.models.tree import BALL, FREE, HINGE, SLIDE, gravity_of
-from sysid_bench.spatial.inertia import transport
+from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array
 
@@ -94,7 +94,7 @@ def pinocchio_pairing(mj: mujoco.MjModel) -> Pairing:
         p = int(mj.body_parentid[b])
         carrier[b], pose[b] = _add_body(model, mj, b, int(carrier[p]), pose[p])
         model.appendBodyToJoint(int(carrier[b]), _inertia(mj, b), pose[b])
-    X = [transport(placement.rotation, placement.translation) for placement in pose[1:]]
+    X = [inertia_transform(placement.rotation, placement.translation) for placement in pose[1:]]
     scalar = _addresses(mj, HINGE, SLIDE)
     return Pairing(
         model=model,

@@ -15,7 +15,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from sysid_bench.spatial.inertia import transport
+from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array
 
@@ -97,7 +97,7 @@ def tree_of(mj: mujoco.MjModel, more: Mapping[int, tuple[TreeJoint, ...]] = NOTH
     `more`: further joints of body b after its own; their addresses in q and v follow the model's.
     """
     links, carrier, poses = _links(mj, more)
-    X = np.array([transport(R, p) for R, p in poses[1:]]).reshape(-1, 10, 10)
+    X = np.array([inertia_transform(R, p) for R, p in poses[1:]]).reshape(-1, 10, 10)
     added = [joint.kind for joint in chain.from_iterable(more.values())]
     nq = mj.nq + sum(COORDINATES[kind] for kind in added)
     nv = mj.nv + sum(DOFS[kind] for kind in added)

@@ -16,7 +16,7 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.urdf.urdf_joints import PLANAR_PARTS
 from sysid_bench.regressors.pinocchio import joint_columns
-from sysid_bench.spatial.inertia import transport
+from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Regressor, Trajectory
 
@@ -62,7 +62,7 @@ def urdf_regressor(robot: RobotModel, motion: Trajectory) -> Regressor:
         frame = native.body(name)
         if frame.parentJoint > 0:
             placement = frame.placement
-            X = transport(placement.rotation, placement.translation)
+            X = inertia_transform(placement.rotation, placement.translation)
             Y[:, :, b] = Y_joint[:, rows, frame.parentJoint - 1] @ X
     Y = Y.reshape(*Y.shape[:2], -1)
     return Regressor(_base_force_to_world(robot, motion, Y), robot.rows, robot.inertial_columns)

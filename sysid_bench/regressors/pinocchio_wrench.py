@@ -18,7 +18,7 @@ from sysid_bench.models.pairing import FROM_PINOCCHIO
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
 from sysid_bench.models.tree import BALL, HINGE
-from sysid_bench.spatial.inertia import transport
+from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Regressor, Trajectory
 
@@ -207,7 +207,7 @@ def _body_columns(Y: Array, cut: SensorCut, graph: _Graph, rooted: _Rooted) -> A
     for b in cut.bodies:
         node = graph.node[b]
         pose = rooted.pose[node] * graph.pose[b]
-        X = transport(pose.rotation, pose.translation)
+        X = inertia_transform(pose.rotation, pose.translation)
         parts.append(per_joint[:, :, rooted.joint[node] - 1] @ X)
     return np.concatenate(parts, axis=-1)
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.naming import resolve_paths
+from sysid_bench.naming import resolve_files
 from sysid_bench.signals.log_reader import ReaderSpec, plugin_file
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
@@ -140,7 +140,7 @@ class LogDescription:
         if written is None:
             return None
         spec = {"use": written} if isinstance(written, str) else written
-        return resolve_paths(spec, self.source.parent)
+        return resolve_files(spec, self.source.parent)
 
     @property
     def files(self) -> tuple[Path, ...]:

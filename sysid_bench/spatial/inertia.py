@@ -64,7 +64,7 @@ def phi_of_pseudo_inertia(J: Array) -> Array:
     return np.concatenate([J[..., 3, 3][..., None], J[..., :3, 3], six_of_matrix(inertia)], axis=-1)
 
 
-def transport(R_ab: Array, p_ab: Array) -> Array:
+def inertia_transform(R_ab: Array, p_ab: Array) -> Array:
     """Return X (10, 10) with phi_a = X phi_b, for frame b at p_ab (3,) with axes R_ab (3, 3) in a.
 
     The pseudo-inertia transforms as J_a = H J_b H' with the homogeneous matrix H.
@@ -74,7 +74,7 @@ def transport(R_ab: Array, p_ab: Array) -> Array:
     return phi_of_pseudo_inertia(H @ pseudo_inertia(np.eye(10)) @ H.T).T
 
 
-def smallest_eigenvalue(phi: Array) -> Array:
+def min_eigenvalues(phi: Array) -> Array:
     """Return the smallest eigenvalue (...) of the pseudo-inertia of phi (..., 10); a body is
     physically possible iff it is >= 0."""
     return np.linalg.eigvalsh(pseudo_inertia(phi))[..., 0]

@@ -11,7 +11,7 @@ from sysid_bench import naming
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorCut
-from sysid_bench.spatial.inertia import transport
+from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.spatial.rotation import matrix_of_quaternion
 from sysid_bench.types import Array, Body, Truth
 
@@ -113,7 +113,7 @@ class Task:
 def find_task(name: str, folder: Path | None = None) -> TaskDefinition:
     """Return the task of a name: built in, "module:Class" or "file:mine.py:Class"; relative files
     are found from `folder`, else from the working directory. Raises UsageError with the names."""
-    definition = naming.build("task", naming.resolve_paths({"use": name}, folder))
+    definition = naming.build("task", naming.resolve_files({"use": name}, folder))
     if not isinstance(definition, TaskDefinition):
         raise UsageError(
             f"{name!r} is not a task: derive the class from "
@@ -196,7 +196,7 @@ def phi_with_payload(robot: RobotModel) -> Array:
         b = robot.payload_body + 1  # MuJoCo counts the world as body 0
         R = matrix_of_quaternion(np.array(robot.mj.body_quat[b]))
         phi[robot.tool_body] += (
-            transport(R, np.array(robot.mj.body_pos[b])) @ phi[robot.payload_body]
+            inertia_transform(R, np.array(robot.mj.body_pos[b])) @ phi[robot.payload_body]
         )
     return phi
 

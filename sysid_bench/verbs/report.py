@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from sysid_bench.canonical_json import digest
+from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.reporting.csv_table import to_csv
@@ -215,7 +215,7 @@ def _put(path: Path, text: str) -> None:
 
 def _origin(run_folder: "RunFolder") -> Origin:
     cells = sorted(cell.id for cell in run_folder.plan.cells)
-    return Origin(run_folder.path.name, digest(cells)[:12], _command(run_folder.suite))
+    return Origin(run_folder.path.name, canonical_hash(cells)[:12], _command(run_folder.suite))
 
 
 def _command(suite: "Suite") -> str:

@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.identification.identify import identify
-from sysid_bench.identification.linear.normal_qr import residual_norms
+from sysid_bench.identification.linear.normal_qr import residual_norm
 from sysid_bench.models.coupling.constraints import PolynomialCoupling
 from sysid_bench.models.coupling.group import Group
 from sysid_bench.models.load import load_robot
@@ -115,7 +115,7 @@ def test_identified_from_a_closed_loop_next_to_nothing_is_left(kind: str) -> Non
     assert estimate.status == "ok", estimate.reason
     assert estimate.beta is not None
     recorded = np.linalg.norm(made.experiment.recording.tau, axis=0)
-    assert (residual_norms(made.problem, estimate.beta) <= 5e-4 * recorded).all()
+    assert (residual_norm(made.problem, estimate.beta) <= 5e-4 * recorded).all()
 
 
 @pytest.mark.parametrize("kind", ["slider-crank", "tendon"])

@@ -21,7 +21,7 @@ from sysid_bench.harness.suite.load_suite import (
     suite_text,
 )
 from sysid_bench.harness.suite.names import Names, installed_names
-from sysid_bench.naming import resolve_paths
+from sysid_bench.naming import resolve_files
 
 SUITES = {
     "full": FULL,
@@ -184,9 +184,9 @@ def test_a_plugin_that_breaks_on_import_is_a_line_like_others(tmp_path: Path) ->
 
 
 def test_plugin_files_are_found_from_the_suites_folder() -> None:
-    spec = resolve_paths({"use": "file:mine.py:Mine", "cut": 2}, Path("/suites"))
+    spec = resolve_files({"use": "file:mine.py:Mine", "cut": 2}, Path("/suites"))
     assert spec == {"use": "file:/suites/mine.py:Mine", "cut": 2}
-    assert resolve_paths({"use": "mylab.methods:X"}, Path("/suites")) == {"use": "mylab.methods:X"}
+    assert resolve_files({"use": "mylab.methods:X"}, Path("/suites")) == {"use": "mylab.methods:X"}
 
 
 def test_a_file_that_is_no_toml_or_no_file(tmp_path: Path) -> None:

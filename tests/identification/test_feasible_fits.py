@@ -29,7 +29,7 @@ from sysid_bench.identification.feasibility.required_prior import (
 )
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.base_coordinates import WEAK, weighted_coordinates
-from sysid_bench.spatial.inertia import mass_com_inertia, smallest_eigenvalue
+from sysid_bench.spatial.inertia import mass_com_inertia, min_eigenvalues
 from sysid_bench.types import Array, Estimate, Prior, Problem
 from tests.experiments.experiment_world import ready
 from tests.robots import random_phi
@@ -64,7 +64,7 @@ def test_every_estimate_is_consistent_and_certified(robot: str, noise: float) ->
     for method in METHODS:
         estimate = identify(method, at)
         theta = theta_of(estimate)
-        assert smallest_eigenvalue(theta[of.indices]).min() >= 0
+        assert min_eigenvalues(theta[of.indices]).min() >= 0
         assert theta[of.nonnegative].min(initial=0.0) >= 0
         assert estimate.stats["roundness"] > 0
         if "duality_gap" in estimate.stats:
@@ -79,7 +79,7 @@ def test_estimates_of_single_bodies_are_consistent(task: str, payload: str, nois
     at = problem("ur5", noise, task, payload)
     for method in METHODS:
         theta = theta_of(identify(method, at))
-        assert smallest_eigenvalue(theta[feasible_set_of(at).indices]).min() >= 0
+        assert min_eigenvalues(theta[feasible_set_of(at).indices]).min() >= 0
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -158,13 +158,13 @@ def test_the_entropic_fit_converges_at_the_boundary(robot: str, noise: float) ->
 
 def test_the_divergence_is_invariant_to_frames_and_units() -> None:
     """-log det J + tr(J0^-1 J) is the same after a change of frame or of the unit of mass."""
-    from sysid_bench.spatial.inertia import transport
+    from sysid_bench.spatial.inertia import inertia_transform
     from tests.robots import random_rotation
 
     rng = np.random.default_rng(2)
     phi, phi0 = random_phi(rng, 2)
     of = feasible_set_of(problem("ur10", 0.02, "payload", "box-2kg"))
-    X = transport(random_rotation(rng), rng.normal(size=3))
+    X = inertia_transform(random_rotation(rng), rng.normal(size=3))
 
     def distance(phi: Array, phi0: Array) -> float:
         near = divergence(of, phi0 / of.scale, np.ones(10))
@@ -200,7 +200,7 @@ def test_completion_keeps_beta_and_lies_nearest(robot: str, distance: str) -> No
     assert at.prior is not None
     theta = complete(of, at.base, beta, at.prior, distance)
     assert np.linalg.norm(at.base.K @ theta - beta) <= 1e-8 * np.linalg.norm(beta)
-    assert smallest_eigenvalue(theta[of.indices]).min() >= 0
+    assert min_eigenvalues(theta[of.indices]).min() >= 0
     x0 = feasible_point(of, at.prior.theta / of.scale, spread_of(of, at.prior))
     near = divergence(of, x0, spread_of(of, at.prior))
     if distance == "entropic":
@@ -240,7 +240,7 @@ def test_a_motion_of_two_samples_has_a_feasible_fit() -> None:
     assert identify(WLS(), at).status == "failed"
     for method in METHODS[:4]:  # log-Cholesky creeps along the valley of so few samples
         theta = theta_of(identify(method, at))
-        assert smallest_eigenvalue(theta[feasible_set_of(at).indices]).min() >= 0
+        assert min_eigenvalues(theta[feasible_set_of(at).indices]).min() >= 0
 
 
 @pytest.mark.parametrize("robot", ["ur5", "random:17"])

@@ -13,7 +13,7 @@ from scipy.linalg import qr
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.normal_qr import residual_norms
+from sysid_bench.identification.linear.normal_qr import residual_norm
 from sysid_bench.identification.linear.weights import row_sigmas
 from sysid_bench.types import Array, BaseMap, Estimate, Factor, Problem
 from tests.experiments.experiment_world import RICH, dense, ready
@@ -120,7 +120,7 @@ def test_the_row_residuals_are_those_of_the_dense_rows() -> None:
     Y, B = dense(problem)
     beta = np.random.default_rng(0).normal(size=problem.base.rank)
     expected = np.linalg.norm(B - Y @ beta, axis=0)
-    np.testing.assert_allclose(residual_norms(problem, beta), expected, rtol=1e-10)
+    np.testing.assert_allclose(residual_norm(problem, beta), expected, rtol=1e-10)
 
 
 # --- Covariance against the spread of repeats ---------------------------------------------------

@@ -9,7 +9,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.regression import Regression, regression
-from sysid_bench.spatial.inertia import transport
+from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.types import Array, Trajectory
 from tests.robots import named_robot, random_robot, robot_of, states
 
@@ -118,7 +118,7 @@ def test_riders_are_their_carriers_seen_from_elsewhere(robot: RobotModel) -> Non
             continue
         carrier = robot.tree.links[link].body
         R, p = _pose_in(robot, carrier, b)
-        expected = blocks[:, :, carrier] @ transport(R, p)
+        expected = blocks[:, :, carrier] @ inertia_transform(R, p)
         np.testing.assert_allclose(blocks[:, :, b], expected, atol=1e-11)
 
 

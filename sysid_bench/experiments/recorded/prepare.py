@@ -21,7 +21,7 @@ from sysid_bench.experiments.recorded.unknowns import unknowns_of
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
-from sysid_bench.naming import resolve_paths
+from sysid_bench.naming import resolve_files
 from sysid_bench.signals.log_checks import refuse_findings
 from sysid_bench.signals.log_description import LogDescription, log_description, name_of
 from sysid_bench.signals.processing import processing_of
@@ -74,7 +74,7 @@ def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogO
     """Options of a suite's [[log]] entry."""
     mass = log.get("true_mass")
     return LogOptions(
-        task=str(resolve_paths({"use": spec.task}, folder)["use"]),
+        task=str(resolve_files({"use": spec.task}, folder)["use"]),
         terms=spec.terms,
         filter=spec.signals.get("filter"),
         derivatives=spec.signals.get("derivatives"),

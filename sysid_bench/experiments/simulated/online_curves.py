@@ -11,7 +11,7 @@ import numpy as np
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.ft_score import subtree_parameters
 from sysid_bench.experiments.simulated.source import SimulatedSource
-from sysid_bench.identification.linear.normal_qr import residual_norms, spread
+from sysid_bench.identification.linear.normal_qr import residual_norm, spread
 from sysid_bench.identification.linear.online_estimation import (
     ParameterTrack,
     RecursiveEstimator,
@@ -57,7 +57,7 @@ def _noise(problem: Problem) -> Array:
     R = np.vstack([np.zeros((1, r + 1)), *(spread(factor, r) for factor in problem.factors)])
     beta = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0]
     size = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
-    left = residual_norms(problem, beta)
+    left = residual_norm(problem, beta)
     # Exact data leave rounding errors, whose size is not a weight.
     return np.asarray(np.maximum(left, 1e-6 * max(size.max(), 1e-12)) / np.sqrt(problem.samples))
 

@@ -46,7 +46,7 @@ from sysid_bench.harness.suite.report_entries import (
 )
 from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, metric_record
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
-from sysid_bench.naming import resolve_paths
+from sysid_bench.naming import resolve_files
 from sysid_bench.signals.log_description import log_description, name_of
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import FINDINGS
@@ -69,7 +69,7 @@ class Plugin(Section):
     @model_validator(mode="after")
     def known(self, info: ValidationInfo) -> "Plugin":
         checked(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
-        spec = resolve_paths(self.spec, check_context(info).folder)
+        spec = resolve_files(self.spec, check_context(info).folder)
         checked(lambda: check_context(info).names.plugin(self.kind, spec))
         return self
 
@@ -266,7 +266,7 @@ class MetricEntry(Plugin):
             spec = {key: setting for key, setting in value.items() if key != "record"}
             thing = None
             if record is None or not context.names.frozen:
-                thing = context.names.plugin("metric", resolve_paths(spec, context.folder))
+                thing = context.names.plugin("metric", resolve_files(spec, context.folder))
             metric = metric_from_record(record or {}) if thing is None else checked_metric(thing)
             found.append(context.add_metric(metric))
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import pinv
 
-from sysid_bench.identification.linear.normal_qr import residual_norms, stacked_factor
+from sysid_bench.identification.linear.normal_qr import residual_norm, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 
@@ -30,6 +30,6 @@ class MinNorm:
         inverse = pinv(R[:-1, :-1] @ base.K, rtol=self.rcond)
         theta = inverse @ R[:-1, -1]
         freedom = sum(f.samples for f in problem.factors if len(f.columns)) - base.rank
-        squares = float((residual_norms(problem, base.K @ theta) ** 2).sum())
+        squares = float((residual_norm(problem, base.K @ theta) ** 2).sum())
         spread = np.sqrt(squares / max(freedom, 1)) * base.K @ inverse
         return Estimate(theta=theta, covariance=spread @ spread.T)

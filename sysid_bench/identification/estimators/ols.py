@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sysid_bench.identification.linear.normal_qr import residual_norms, solve, stacked_factor
+from sysid_bench.identification.linear.normal_qr import residual_norm, solve, stacked_factor
 from sysid_bench.types import Estimate, Problem
 
 
@@ -23,7 +23,7 @@ class OLS:
         r = problem.base.rank
         beta = solve(R)
         freedom = sum(factor.samples for factor in problem.factors if len(factor.columns)) - r
-        squares = float((residual_norms(problem, beta) ** 2).sum())
+        squares = float((residual_norm(problem, beta) ** 2).sum())
         inverse = solve_triangular(R[:r, :r], np.eye(r))
         variance = squares / max(freedom, 1)
         sigma = np.ones(len(problem.rows))

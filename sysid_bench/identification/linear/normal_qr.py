@@ -74,7 +74,7 @@ def excited_rank(R: Array) -> int:
     return int((values > EXCITED * values[0]).sum())
 
 
-def residual_norms(problem: Problem, beta: Array) -> Array:
+def residual_norm(problem: Problem, beta: Array) -> Array:
     """|b_i - W_i beta| (rows,) of each row of the robot."""
     return np.array(
         [np.linalg.norm(f.R @ np.append(beta[f.columns], -1.0)) for f in problem.factors]

@@ -8,7 +8,7 @@ from scipy.linalg import solve_triangular
 from sysid_bench.identification.linear.normal_qr import (
     EXCITED,
     check_excited,
-    residual_norms,
+    residual_norm,
     solve_upper,
     spread,
     stacked_factor,
@@ -71,7 +71,7 @@ def fit_sigmas(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
     leverage = np.array([np.linalg.norm(share) ** 2 for share in shares]) / sigma**2
     samples = np.array([factor.samples for factor in problem.factors])
     freedom = np.maximum(samples - leverage, 1.0)
-    return with_floor(problem, residual_norms(problem, beta) / np.sqrt(freedom))
+    return with_floor(problem, residual_norm(problem, beta) / np.sqrt(freedom))
 
 
 def with_floor(problem: Problem, sigma: Array) -> Array:
