@@ -15,7 +15,7 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    content_hash,
+    data_hash,
     finding_of_error,
     findings_of,
     first_error,
@@ -87,7 +87,7 @@ def _findings_on(effect: Any, case: EffectCase) -> list[Finding]:
 def _state(case: EffectCase) -> str:
     model = case.robot.mj
     arrays = (model.body_mass, model.body_inertia, model.dof_damping, model.dof_frictionloss)
-    return content_hash(
+    return data_hash(
         (case.motion, case.robot.phi, case.robot.joint_terms, *map(np.array, arrays))
     )
 

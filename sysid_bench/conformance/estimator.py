@@ -14,7 +14,7 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    content_hash,
+    data_hash,
     failed_checks,
     finding_of_error,
     findings_of,
@@ -65,7 +65,7 @@ def check(estimator: Any, cases: Sequence[TestProblem]) -> list[Finding]:
     findings, reasons = [], dict[str, None]()
     answered = False
     for case in cases:
-        before = content_hash((case.problem, case.experiment))
+        before = data_hash((case.problem, case.experiment))
         try:
             first = _estimate(estimator, case)
         except Exception as error:
@@ -74,7 +74,7 @@ def check(estimator: Any, cases: Sequence[TestProblem]) -> list[Finding]:
         answered = answered or first.status == "ok"
         reasons[first.reason] = None
         findings += findings_of(LAWS, case.name, estimator, case, first)
-        if content_hash((case.problem, case.experiment)) != before:
+        if data_hash((case.problem, case.experiment)) != before:
             message = "it changed an array of the problem"
             findings.append(Finding(UNCHANGED, case.name, False, message))
     if not answered:

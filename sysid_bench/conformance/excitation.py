@@ -15,7 +15,7 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    content_hash,
+    data_hash,
     finding_of_error,
     findings_of,
     first_error,
@@ -77,7 +77,7 @@ def check_excitation(excitation: Any, cases: Sequence[DesignCase] | None = None)
     """Findings of all laws on all cases (None: `design_cases`)."""
     findings = []
     for case in design_cases() if cases is None else cases:
-        before = content_hash(case.brief)
+        before = data_hash(case.brief)
         try:
             motion = _motion(excitation, case)
         except Exception as error:
@@ -87,7 +87,7 @@ def check_excitation(excitation: Any, cases: Sequence[DesignCase] | None = None)
         findings += shape
         if shape[0].passed:  # the other laws compute with these arrays
             findings += findings_of(LAWS, case.name, excitation, case, motion)
-        if content_hash(case.brief) != before:
+        if data_hash(case.brief) != before:
             message = "it changed an array of the design problem"
             findings.append(Finding(UNCHANGED, case.name, False, message))
     return findings

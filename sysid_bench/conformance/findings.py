@@ -52,7 +52,7 @@ def finding_of_error(error: Exception, law: str, case: str) -> Finding:
     return Finding(name, case, False, f"it raised {reason_of(error)}")
 
 
-def content_hash(value: Any) -> str:
+def data_hash(value: Any) -> str:
     """Hash of all arrays that a value holds, through tuples, lists, partials and dataclasses."""
     total = hashlib.sha256()
     for array in _arrays(value):

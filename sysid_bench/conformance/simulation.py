@@ -15,7 +15,7 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    content_hash,
+    data_hash,
     finding_of_error,
     findings_of,
     first_error,
@@ -96,7 +96,7 @@ def _run(simulation: Any, case: SimulationCase, commanded: Trajectory) -> Any:
 
 def _state(case: SimulationCase, commanded: Trajectory) -> str:
     plant = case.plant
-    return content_hash((commanded, plant.robot.phi, plant.terms, plant.laws, plant.phi))
+    return data_hash((commanded, plant.robot.phi, plant.terms, plant.laws, plant.phi))
 
 
 def _has_shapes(case: SimulationCase, commanded: Trajectory, result: Any) -> str | None:

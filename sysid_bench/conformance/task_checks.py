@@ -14,7 +14,7 @@ import numpy as np
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
-    content_hash,
+    data_hash,
     finding_of_error,
     findings_of,
 )
@@ -105,7 +105,7 @@ def _findings_on(definition: TaskDefinition, case: TaskCase) -> list[Finding]:
 
 
 def _state(robot: RobotModel) -> str:
-    return content_hash((robot.phi, robot.joint_terms))
+    return data_hash((robot.phi, robot.joint_terms))
 
 
 def _names_unknowns_once(task: Task, case: TaskCase) -> str | None:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, reason_of, status_of
-from sysid_bench.experiments.job_channel import JobChannel, JobDied
+from sysid_bench.experiments.job_channel import JobChannel, JobDeath
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.loaded_sources import loaded_sources
 from sysid_bench.experiments.machine_use import PeakMemory, machine_fields
@@ -40,7 +40,7 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
         return
     death = channel.isolate(partial(_execute, argument))
     if death is not None:
-        raise JobDied(death)
+        raise JobDeath(death)
 
 
 def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:

@@ -22,7 +22,7 @@ class Death:
         return row | {"traceback": self.traceback} if self.traceback else row
 
 
-class JobDied(Exception):
+class JobDeath(Exception):
     """A job whose isolated process ended before its cells had rows."""
 
     def __init__(self, death: Death) -> None:

@@ -38,7 +38,7 @@ def file_hash(path: Path) -> str:
         return "absent"
 
 
-def changed_sources(sources: Mapping[str, str]) -> list[str]:
+def stale_sources(sources: Mapping[str, str]) -> list[str]:
     """Return the sources of a row that are there and differ now; what is gone proves nothing."""
     return [name for name, state in sources.items() if _present(name) not in (state, "absent")]
 

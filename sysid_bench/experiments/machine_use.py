@@ -21,7 +21,7 @@ class PeakMemory:
             self._known = True
 
     @property
-    def megabytes(self) -> float | None:
+    def value(self) -> float | None:
         """Peak in MB (10^6 bytes), None where the system does not report it."""
         if self._known:
             with contextlib.suppress(OSError, ValueError, IndexError):
@@ -33,4 +33,4 @@ class PeakMemory:
 def machine_fields(peak: PeakMemory | None) -> Row:
     """`load` (mean number of busy processes over a minute) and `peak_memory` (MB) of a cell."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {"load": load, "peak_memory": None if peak is None else peak.megabytes}
+    return {"load": load, "peak_memory": None if peak is None else peak.value}

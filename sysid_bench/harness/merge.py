@@ -52,11 +52,11 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     twice = sum(sum(row["status"] == "ok" for row in rows) > 1 for rows in candidates.values())
     if contradictions:
         return MergeResult(None, len(candidates), len(planned), twice, contradictions)
-    folder = RunFolder.create(out, first.suite, first.plan, _environment(folders))
+    folder = RunFolder.make(out, first.suite, first.plan, _environment(folders))
     with folder.new_writer("merge") as writer:
         for cell in planned:
             if cell in candidates:
-                writer.append(min(candidates[cell], key=_worth))
+                writer.write(min(candidates[cell], key=_worth))
     _copy_artifacts(folders, out)
     folder.write_frames()
     return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice)

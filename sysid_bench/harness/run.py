@@ -159,7 +159,7 @@ def _run_folder(
     else:
         suite = load_suite(places.suite(str(source)), names, overrides)
         suite = _signed(suite, str(source), robots_dir, overrides or {})
-    return RunFolder.create(
+    return RunFolder.make(
         out or Path("reports") / suite.name, suite, expand(suite, names), environment()
     )
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 
-from sysid_bench.experiments.loaded_sources import changed_sources
+from sysid_bench.experiments.loaded_sources import stale_sources
 from sysid_bench.harness.plan import Cell
 from sysid_bench.types import Row
 
@@ -14,7 +14,7 @@ def is_stale(row: Row, fingerprint: str) -> bool:
     """
     if fingerprint and row.get("fingerprint") != fingerprint:
         return True
-    return bool(changed_sources(row.get("sources") or {}))
+    return bool(stale_sources(row.get("sources") or {}))
 
 
 def stale_cells(

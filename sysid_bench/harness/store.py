@@ -14,7 +14,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.plan import Plan
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
-from sysid_bench.harness.work.processes import holders
+from sysid_bench.harness.work.processes import processes_with
 from sysid_bench.harness.work.row_files import RowWriter, StoredRows, new_row_file, read_rows
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class RunFolder:
     path: Path
 
     @classmethod
-    def create(cls, path: Path, suite: Suite, plan: Plan, env: Mapping[str, Any]) -> "RunFolder":
+    def make(cls, path: Path, suite: Suite, plan: Plan, env: Mapping[str, Any]) -> "RunFolder":
         """Create a run; for an existing run with the same cells, update suite and labels.
 
         Raises UsageError where the folder holds a run of other cells.
@@ -157,7 +157,7 @@ class RunFolder:
     def _lock_holder(self, written: str) -> str:
         """Processes that hold the lock; the one that wrote its number where they are not seen."""
         others = [
-            text for text in holders(self.path / ".lock") if f"process {os.getpid()} " not in text
+            text for text in processes_with(self.path / ".lock") if f"process {os.getpid()} " not in text
         ]
         return " and ".join(others[:3]) or f"process {written or 'unknown'}"
 

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.experiments.job_channel import JobChannel, JobDied
+from sysid_bench.experiments.job_channel import JobChannel, JobDeath
 
 
 def act(argument: dict[str, Any], channel: JobChannel) -> None:
@@ -34,7 +34,7 @@ def act_apart(argument: dict[str, Any], channel: JobChannel) -> None:
     """Does the same in a process of its own."""
     death = channel.isolate(partial(act, argument))
     if death is not None:
-        raise JobDied(death)
+        raise JobDeath(death)
 
 
 def perform(do: str) -> None:  # noqa: C901 - a table of acts

@@ -24,7 +24,7 @@ from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_row
 
 def make(folder: Path, text: str = FULL) -> RunFolder:
     suite = read(text)
-    return RunFolder.create(folder, suite, expand(suite, NAMES), {"python": "3"})
+    return RunFolder.make(folder, suite, expand(suite, NAMES), {"python": "3"})
 
 
 def test_a_run_folder_records_what_it_was_made_of(tmp_path: Path) -> None:
@@ -45,7 +45,7 @@ def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
 def test_the_same_plan_goes_on_and_another_is_refused(tmp_path: Path) -> None:
     run = make(tmp_path)
     with run.new_writer("w") as writer:
-        writer.append({"id": run.plan.cells[0].id, "status": "ok"})
+        writer.write({"id": run.plan.cells[0].id, "status": "ok"})
     again = make(tmp_path, FULL.replace("60 s", "30 s").replace("Geodesic (ours)", "Ours"))
     assert len(again.rows().rows) == 1
     assert again.suite.run.timeout == "30 s"
@@ -60,8 +60,8 @@ def test_the_last_row_of_an_id_wins_over_all_files(tmp_path: Path) -> None:
     for turn in range(3):
         for name in ("worker2", "worker1"):
             with RowWriter(new_row_file(tmp_path, name)) as writer:
-                writer.append({"id": "a", "turn": turn, "by": name})
-                writer.append({"id": name, "turn": turn})
+                writer.write({"id": "a", "turn": turn, "by": name})
+                writer.write({"id": name, "turn": turn})
     stored = read_rows(tmp_path)
     assert stored.rows["a"] == {"id": "a", "turn": 2, "by": "worker1"}
     assert {row["turn"] for row in stored.rows.values()} == {2}
@@ -91,7 +91,7 @@ def test_whole_rows_survive_whatever_stands_between_them(junk: list[bytes], cut:
 def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
     writer = RowWriter(new_row_file(tmp_path, "w"))
     for number in range(5):
-        writer.append({"id": str(number)})
+        writer.write({"id": str(number)})
         assert stored_cells(writer.path) == {str(n) for n in range(number + 1)}
     writer.close()
     writer.close()
@@ -100,8 +100,8 @@ def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
 def test_a_row_that_is_no_json_leaves_no_trace(tmp_path: Path) -> None:
     with RowWriter(new_row_file(tmp_path, "w")) as writer:
         with pytest.raises(TypeError, match="cannot be stored as JSON"):
-            writer.append({"id": "a", "value": object()})
-        writer.append({"id": "b"})
+            writer.write({"id": "a", "value": object()})
+        writer.write({"id": "b"})
     assert read_rows(tmp_path).garbled == ()
     assert stored_cells(writer.path) == {"b"}
 
@@ -151,8 +151,8 @@ def test_consolidation_keeps_every_number(tmp_path: Path) -> None:
             table = [{"body": "b", "name": "m", "true": 1.0, "estimate": None, "std": 0.1}]
             row = {**cell.head, "noise": "old label", "status": "ok", "torque_error": number / 3}
             more = {"versions": {"numpy": "2"}, "warnings": ["a"], "rank": number or None}
-            writer.append({**row, **more, "joints": joints, "parameters_table": table})
-        writer.append({"id": "of no plan", "status": "ok"})
+            writer.write({**row, **more, "joints": joints, "parameters_table": table})
+        writer.write({"id": "of no plan", "status": "ok"})
     run.write_frames()
     cells = pd.read_parquet(tmp_path / "cells.parquet")
     assert list(cells["id"]) == [cell.id for cell in run.plan.cells]

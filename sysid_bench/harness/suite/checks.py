@@ -119,7 +119,7 @@ def _is_list(value: Any) -> bool:
     return value is None or isinstance(value, (list, tuple))
 
 
-def as_plugin(value: Any) -> Any:
+def to_plugin(value: Any) -> Any:
     return {"use": value} if isinstance(value, str) else value
 
 

@@ -21,7 +21,7 @@ from pydantic import (
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.checks import (
-    as_plugin,
+    to_plugin,
     check_context,
     checked,
     condition,
@@ -97,7 +97,7 @@ class Plant(Plugin):
     kind = "plant"
 
 
-Named = BeforeValidator(as_plugin)
+Named = BeforeValidator(to_plugin)
 Sweep = BeforeValidator(items)
 ListSweep = BeforeValidator(key_list)
 

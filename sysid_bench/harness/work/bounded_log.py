@@ -30,7 +30,7 @@ class BoundedLog:
         self._tail = (self._tail + data)[-_TAIL:]
         self.total += len(data)
 
-    def since(self, start: int) -> str:
+    def output(self, start: int) -> str:
         """Return the output after its first `start` bytes, the last 64 kB at most."""
         length = min(self.total - start, len(self._tail))
         return self._tail[len(self._tail) - length :].decode(errors="replace")

@@ -48,7 +48,7 @@ def kill_children() -> None:
                 os.waitpid(child, 0)
 
 
-def kill_marked(mark: str, also: Iterable[int] = ()) -> None:
+def kill_tree(mark: str, also: Iterable[int] = ()) -> None:
     """End every process whose environment has this mark, and the processes `also`."""
     kill(also)
     for _ in range(_ROUNDS):
@@ -65,7 +65,7 @@ def kill(processes: Iterable[int]) -> None:
             os.kill(process, signal.SIGKILL)
 
 
-def descendants(process: int) -> list[int]:
+def tree_of(process: int) -> list[int]:
     """Return the processes below one, without itself."""
     found, waiting = list[int](), children_of(process)
     while waiting:
@@ -85,7 +85,7 @@ def children_of(process: int) -> list[int]:
     return found
 
 
-def holders(path: Path) -> list[str]:
+def processes_with(path: Path) -> list[str]:
     """Return "process 12 (its command line)" for each process that has a file open."""
     found = list[str]()
     for entry in _PROC.iterdir() if _PROC.is_dir() else ():
@@ -105,13 +105,13 @@ def _has_open(process: Path, path: str) -> bool:
     return False
 
 
-def tree_bytes(process: int, enough: float) -> float:
+def memory_use(process: int, enough: float) -> float:
     """Return the memory of a process tree in bytes; exactly only where it may be over `enough`.
 
     Resident pages that a fork shares are counted in each process, which is quick and too much; the
     proportional figures of the kernel, which are slow, count them once.
     """
-    tree = [process, *descendants(process)]
+    tree = [process, *tree_of(process)]
     resident = sum(map(_resident_bytes, tree))
     return resident if resident <= enough else sum(map(_proportional_bytes, tree))
 

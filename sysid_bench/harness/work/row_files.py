@@ -33,7 +33,7 @@ class RowWriter:
         self._file = path.open("ab")
         self._synced = time.monotonic()
 
-    def append(self, row: Row) -> None:
+    def write(self, row: Row) -> None:
         """Append one line. Raises TypeError before writing for values that are not JSON."""
         self._file.write(json.dumps(plain(row)).encode() + b"\n")
         self._file.flush()

@@ -132,7 +132,7 @@ class _Supervisor:
         elif notice.get("job") != worker.number or worker.job is None:
             return  # of a job that has ended
         elif "begin" in notice:
-            worker.restart_timeout()
+            worker.start_time_limit()
         elif "cell" in notice:
             worker.begin_cell(notice["cell"])
         elif "row" in notice:
@@ -170,7 +170,7 @@ class _Supervisor:
                 self._kill(worker, "timeout", limit)
             elif worker.process.poll() is not None:
                 self._end_dead(worker)
-            elif look and worker.job is not None and worker.uses_too_much_memory():
+            elif look and worker.job is not None and worker.is_over_memory():
                 limit = f"more than the limit of {(self.settings.memory or 0.0) / 1e9:g} GB"
                 self._kill(worker, "memory", limit)
 
@@ -226,7 +226,7 @@ class _Supervisor:
     def _write(self, row: Row) -> None:
         if self.writer is None:
             self.writer = RowWriter(new_row_file(self.settings.folder / "cells", "supervisor"))
-        self.writer.append(row)
+        self.writer.write(row)
         self._count(row["id"], row["status"], row["reason"])
 
     def _count(self, cell: str, status: Any, reason: Any) -> None:

@@ -23,8 +23,8 @@ from typing import Any, BinaryIO
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError, reason_of, status_of
-from sysid_bench.experiments.job_channel import Death, JobChannel, JobDied
-from sysid_bench.harness.work.isolation import CAN_FORK, Message, Send, run_isolated
+from sysid_bench.experiments.job_channel import Death, JobChannel, JobDeath
+from sysid_bench.harness.work.isolation import CAN_FORK, Message, Send, isolate
 from sysid_bench.harness.work.processes import with_parent
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
@@ -108,7 +108,7 @@ def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> None:
         value = function(job["argument"], channel)
     except _StorageError as error:
         notify({"full": reason_of(error.__cause__ or error)})
-    except JobDied as ended:
+    except JobDeath as ended:
         notify({"dead": ended.death.reason, "status": ended.death.status})
     except BaseException as error:  # sys.exit() of a plug-in fails its job, and nothing more
         text = traceback.format_exc()
@@ -149,7 +149,7 @@ class _Channel:
         if not CAN_FORK:
             function(self)
             return None
-        return run_isolated(
+        return isolate(
             lambda send: function(_ForkedChannel(self.call, self.open_cells, send)), self._receive
         )
 
@@ -182,7 +182,7 @@ class _StoringChannel(_Channel):
         if row.get("status") == "lost":
             row = {**row, "losses": self.losses.get(row["id"], 0) + 1}
         try:
-            self.writer.append(row)
+            self.writer.write(row)
         except OSError as error:
             raise _StorageError from error
         self.notify({"row": row["id"], "status": row.get("status"), "reason": row.get("reason")})

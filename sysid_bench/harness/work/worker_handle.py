@@ -19,7 +19,7 @@ from typing import Any
 
 from sysid_bench.harness.work.bounded_log import BoundedLog
 from sysid_bench.harness.work.isolation import end_of_process
-from sysid_bench.harness.work.processes import MARK, descendants, kill_marked, tree_bytes
+from sysid_bench.harness.work.processes import MARK, tree_of, kill_tree, memory_use
 from sysid_bench.harness.work.row_files import new_row_file, stored_cells
 from sysid_bench.types import Row
 
@@ -107,7 +107,7 @@ class Worker:
         self.current, self.has_begun = None, False
         self.open_cells = {cell["id"]: cell for cell in job.cells}
         self._log_start = self._log.total
-        self.restart_timeout()
+        self.start_time_limit()
         losses = {cell["id"]: cell["losses"] for cell in job.cells if cell.get("losses")}
         self._outbox.put(
             {
@@ -123,15 +123,15 @@ class Worker:
         """Start the time limit of a cell."""
         self.current, self.has_begun = cell, True
         self._log_start = self._log.total
-        self.restart_timeout()
+        self.start_time_limit()
 
     def close_cell(self, cell: str) -> None:
         """Forget a cell, whose row is stored."""
         self.open_cells.pop(cell, None)
         self.current = None
-        self.restart_timeout()
+        self.start_time_limit()
 
-    def restart_timeout(self) -> None:
+    def start_time_limit(self) -> None:
         """Give the whole time limit again: start-up, preparation and each cell have one each."""
         self.deadline = time.monotonic() + self.settings.timeout
 
@@ -139,18 +139,18 @@ class Worker:
         """Forget the job."""
         self.job, self.current, self.open_cells, self.deadline = None, None, {}, float("inf")
 
-    def uses_too_much_memory(self) -> bool:
+    def is_over_memory(self) -> bool:
         """True where the worker and all that it started are over the limit."""
         limit = self.settings.memory
-        return limit is not None and tree_bytes(self.process.pid, limit) > limit
+        return limit is not None and memory_use(self.process.pid, limit) > limit
 
     def kill(self) -> None:
         """Kill the process and all that it has started; cells whose rows it stored are not open any
         more."""
-        below = descendants(self.process.pid)
+        below = tree_of(self.process.pid)
         _kill_group(self.process)
         self.process.wait()
-        kill_marked(self._mark, below)
+        kill_tree(self._mark, below)
         if self.process.stdin is not None:
             self._outbox.put(StopIteration)
         for thread in self._threads:
@@ -178,7 +178,7 @@ class Worker:
 
     def _error_text(self) -> str:
         """Return the fatal error in the log since the cell began, or else its last line."""
-        lines = self._log.since(self._log_start).split("\n")
+        lines = self._log.output(self._log_start).split("\n")
         written = [line.strip() for line in lines if line.strip()]
         fatal = [line for line in written if line.startswith("Fatal Python error")]
         return (fatal or written[-1:] or [""])[0][:300]
