@@ -87,9 +87,7 @@ def _findings_on(effect: Any, case: EffectCase) -> list[Finding]:
 def _state(case: EffectCase) -> str:
     model = case.robot.mj
     arrays = (model.body_mass, model.body_inertia, model.dof_damping, model.dof_frictionloss)
-    return data_hash(
-        (case.motion, case.robot.phi, case.robot.joint_terms, *map(np.array, arrays))
-    )
+    return data_hash((case.motion, case.robot.phi, case.robot.joint_terms, *map(np.array, arrays)))
 
 
 def _torque(law: ForceLaw, motion: Trajectory) -> Array:

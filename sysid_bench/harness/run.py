@@ -10,7 +10,6 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -20,7 +19,7 @@ from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Cell, Plan, expand
 from sysid_bench.harness.shard import Shard
-from sysid_bench.harness.staleness import is_stale, stale_cells, stale_note
+from sysid_bench.harness.stale_rows import is_stale, stale_cells, stale_note
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
@@ -77,41 +76,41 @@ def run(
     _check(rerun, limit, jobs, timeout)
     names = names or installed_names(robots_dir)
     folder = _run_folder(suite_or_folder, out, names, overrides, robots_dir)
-    suite, plan = folder.suite, folder.plan
-    robots_dir = robots_dir or suite.robots_dir
-    selected = _selected(plan, select, shard)[:limit]
+    selected = _selected(folder.plan, select, shard)[:limit]
+    source = _JobSource(folder, call, robots_dir or folder.suite.robots_dir)
     with folder.lock() as descriptor:
-        fingerprint = partial(
-            cell_fingerprint,
-            robots_dir=robots_dir,
-            folder=suite.folder,
-            metrics=[entry.spec for entry in suite.metric],
-        )
         stored = folder.rows().rows
-        todo = _todo(selected, stored, rerun, fingerprint)
-        losses = {cell.id: stored.get(cell.id, {}).get("losses", 0) for cell in todo}
-        work = [
-            _job(cells, folder, call, robots_dir, fingerprint, losses)
-            for cells in _by_experiment(todo)
-        ]
+        todo = _todo(selected, stored, rerun, source.fingerprint)
+        work = source.jobs(todo, stored)
         if work:
             folder.write_env(environment())
         if on_event is not None:
             on_event("plan", _announcement(selected, todo, work))
-        settings = WorkerSettings(
-            folder=folder.path,
-            timeout=_seconds(suite.run.timeout if timeout is None else timeout),
-            threads=suite.run.threads,
-            keep_open=() if descriptor is None else (descriptor,),
-            memory=quantity(suite.run.memory, "B"),
-        )
+        settings = _worker_settings(folder, timeout, descriptor)
         ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, on_event)
         folder.write_frames()
-        repeated = {cell.id for cell in todo}
-        kept = [cell for cell in selected if cell.id not in repeated]
-        stale = stale_note(len(stale_cells(kept, stored, fingerprint)))
-    unmatched = plan.missing_values(select) if select and not selected else ()
+        kept = _others(selected, todo)
+        stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))
+    unmatched = folder.plan.missing_values(select) if select and not selected else ()
     return _result(folder, selected, todo, ending, (*filter(None, [stale]), *unmatched))
+
+
+def _others(selected: Iterable[Cell], todo: Iterable[Cell]) -> list[Cell]:
+    repeated = {cell.id for cell in todo}
+    return [cell for cell in selected if cell.id not in repeated]
+
+
+def _worker_settings(
+    folder: RunFolder, timeout: float | str | None, descriptor: int | None
+) -> WorkerSettings:
+    limits = folder.suite.run
+    return WorkerSettings(
+        folder=folder.path,
+        timeout=_seconds(limits.timeout if timeout is None else timeout),
+        threads=limits.threads,
+        keep_open=() if descriptor is None else (descriptor,),
+        memory=quantity(limits.memory, "B"),
+    )
 
 
 def _selected(plan: Plan, select: str | None, shard: Shard | None) -> tuple[Cell, ...]:
@@ -203,24 +202,36 @@ def _by_experiment(cells: Iterable[Cell]) -> list[list[Cell]]:
     return list(groups.values())
 
 
-def _job(
-    cells: Sequence[Cell],
-    folder: RunFolder,
-    call: str,
-    robots_dir: Path | None,
-    fingerprint: Callable[[Cell], str],
-    losses: Mapping[str, int],
-) -> Job:
-    fingerprints = {cell.id: fingerprint(cell) for cell in cells}
-    argument = job_of(cells, folder.suite, robots_dir) | {
-        "fingerprints": fingerprints,
-        "artifacts": str(folder.path.resolve() / "artifacts"),
-    }
-    heads = (
-        {**cell.head, "fingerprint": fingerprints[cell.id], "losses": losses[cell.id]}
-        for cell in cells
-    )
-    return Job(call, argument, tuple(heads))
+@dataclass(frozen=True)
+class _JobSource:
+    """Jobs of the experiments of a run folder."""
+
+    folder: RunFolder
+    call: str
+    robots_dir: Path | None
+
+    def fingerprint(self, cell: Cell) -> str:
+        """Fingerprint of all that a cell depends on now."""
+        suite = self.folder.suite
+        metrics = [entry.spec for entry in suite.metric]
+        return cell_fingerprint(cell, self.robots_dir, suite.folder, metrics)
+
+    def jobs(self, cells: Iterable[Cell], stored: Mapping[str, Row]) -> list[Job]:
+        """One job for each experiment."""
+        losses = {name: row["losses"] for name, row in stored.items() if row.get("losses")}
+        return [self._job(group, losses) for group in _by_experiment(cells)]
+
+    def _job(self, cells: Sequence[Cell], losses: Mapping[str, int]) -> Job:
+        fingerprints = {cell.id: self.fingerprint(cell) for cell in cells}
+        argument = job_of(cells, self.folder.suite, self.robots_dir) | {
+            "fingerprints": fingerprints,
+            "artifacts": str(self.folder.path.resolve() / "artifacts"),
+        }
+        heads = (
+            {**cell.head, "fingerprint": fingerprints[cell.id], "losses": losses.get(cell.id, 0)}
+            for cell in cells
+        )
+        return Job(self.call, argument, tuple(heads))
 
 
 def _announcement(

@@ -156,9 +156,8 @@ class RunFolder:
 
     def _lock_holder(self, written: str) -> str:
         """Processes that hold the lock; the one that wrote its number where they are not seen."""
-        others = [
-            text for text in processes_with(self.path / ".lock") if f"process {os.getpid()} " not in text
-        ]
+        ours = f"process {os.getpid()} "
+        others = [text for text in processes_with(self.path / ".lock") if ours not in text]
         return " and ".join(others[:3]) or f"process {written or 'unknown'}"
 
     def _read(self, name: str) -> str:

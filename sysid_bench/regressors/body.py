@@ -1,4 +1,4 @@
-"""Body regressor, printed by `python -m sysid_bench.regressors.derive`.
+"""Body regressor, printed by `python -m sysid_bench.regressors.symbolic_regressor`.
 
 Do not edit: `tests/regressors/test_derive.py` derives it again and compares.
 """

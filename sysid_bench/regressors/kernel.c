@@ -352,7 +352,7 @@ static inline __attribute__((always_inline)) void entries(V3 w, V3 alpha, V3 d, 
 {
     const V wx = w.x, wy = w.y, wz = w.z, ax = alpha.x, ay = alpha.y, az = alpha.z;
     const V dx = d.x, dy = d.y, dz = d.z, zero = {0};
-    /* as `python -m sysid_bench.regressors.derive c` prints them */
+    /* as `python -m sysid_bench.regressors.symbolic_regressor c` prints them */
     A->m[0] = dx;
     A->m[1] = dy;
     A->m[2] = dz;

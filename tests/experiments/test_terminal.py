@@ -19,8 +19,14 @@ from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.regressors.derive import DW, D, W, body_regressor, in_classical_acceleration
 from sysid_bench.regressors.regression import regression
+from sysid_bench.regressors.symbolic_regressor import (
+    DW,
+    D,
+    W,
+    body_regressor,
+    in_classical_acceleration,
+)
 from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, BaseMap, Trajectory
 from tests.experiments.experiment_world import argument, executed, ready, robot_of, spec

@@ -8,7 +8,7 @@ import pytest
 import sympy as sp
 
 from sysid_bench.regressors.body import entries
-from sysid_bench.regressors.derive import body_regressor, in_classical_acceleration
+from sysid_bench.regressors.symbolic_regressor import body_regressor, in_classical_acceleration
 
 PRINTED = r"""
 0 & 0 & \dot{v}_z + \omega_x v_y - \omega_y v_x & -\dot{v}_y + \omega_x v_z - \omega_z v_x & \dot{\omega}_x & \dot{\omega}_y - \omega_x\omega_z & \dot{\omega}_z + \omega_x\omega_y & -\omega_y\omega_z & \omega_y^2 - \omega_z^2 & \omega_y\omega_z \\

@@ -21,7 +21,6 @@ from pydantic import (
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
 from sysid_bench.harness.suite.checks import (
-    to_plugin,
     check_context,
     checked,
     condition,
@@ -31,6 +30,7 @@ from sysid_bench.harness.suite.checks import (
     one_of,
     optional_items,
     quantity_of,
+    to_plugin,
 )
 from sysid_bench.harness.suite.data_entries import Filters, Load, Noise, Prior, PriorChoice, Signals
 from sysid_bench.harness.suite.names import TaskInfo

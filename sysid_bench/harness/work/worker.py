@@ -24,10 +24,15 @@ from typing import Any, BinaryIO
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError, reason_of, status_of
 from sysid_bench.experiments.job_channel import Death, JobChannel, JobDeath
-from sysid_bench.harness.work.isolation import CAN_FORK, Message, Send, isolate
+from sysid_bench.harness.work.isolate import CAN_FORK, Message, Send, isolate
 from sysid_bench.harness.work.processes import with_parent
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
+
+try:
+    import resource
+except ImportError:  # Windows; the supervisor alone watches the memory of its workers there
+    resource = None  # type: ignore[assignment]
 
 Function = Callable[[Any, JobChannel], Any]
 
@@ -71,11 +76,9 @@ def _take_pipes() -> tuple[BinaryIO, BinaryIO]:
 
 def _limit_memory(limit: float | None) -> None:
     """Let allocations beyond the limit (bytes) raise MemoryError, in this process and its forks."""
-    if limit is None:
+    if limit is None or resource is None:
         return
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
+    with contextlib.suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_DATA, (int(limit), int(limit)))
 
 

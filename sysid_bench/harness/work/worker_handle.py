@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.harness.work.bounded_log import BoundedLog
-from sysid_bench.harness.work.isolation import end_of_process
-from sysid_bench.harness.work.processes import MARK, tree_of, kill_tree, memory_use
+from sysid_bench.harness.work.isolate import end_of_process
+from sysid_bench.harness.work.processes import MARK, kill_tree, memory_use, tree_of
 from sysid_bench.harness.work.row_files import new_row_file, stored_cells
 from sysid_bench.types import Row
 

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from sysid_bench.regressors import body
-from sysid_bench.regressors.derive import source
+from sysid_bench.regressors.symbolic_regressor import source
 
 
 def test_the_derivation_prints_the_module_that_is_there() -> None:
@@ -13,6 +13,6 @@ def test_the_derivation_prints_the_module_that_is_there() -> None:
 
 
 def test_the_command_in_the_docstring_prints_it() -> None:
-    command = [sys.executable, "-m", "sysid_bench.regressors.derive"]
+    command = [sys.executable, "-m", "sysid_bench.regressors.symbolic_regressor"]
     printed = subprocess.run(command, capture_output=True, check=True).stdout
     assert printed == Path(str(body.__file__)).read_bytes()

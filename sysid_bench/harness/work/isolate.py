@@ -28,9 +28,7 @@ _POLL_MILLISECONDS = 200
 """Interval of the check for a dead process whose pipe one of its children keeps open."""
 
 
-def isolate(
-    function: Callable[[Send], Any], receive: Callable[[Message], None]
-) -> Death | None:
+def isolate(function: Callable[[Send], Any], receive: Callable[[Message], None]) -> Death | None:
     """Fork, run `function(send)` in the child and hand its messages to `receive` in the parent.
 
     Return None where the function has returned, else its end: an exception is `failed` (or

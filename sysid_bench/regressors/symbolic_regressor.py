@@ -7,8 +7,8 @@ with the spatial inertia G = [[I, [h]x], [-[h]x, m 1]] and ad(V)^T = [[-[w]x, -[
 linear in phi, A = dF/dphi. In A the linear velocity occurs only in d = dv + w × v, the classical
 acceleration of the body's origin, so the kernel needs w, dw and d alone; gravity enters as d - g.
 
-    python -m sysid_bench.regressors.derive       prints sysid_bench/regressors/body.py
-    python -m sysid_bench.regressors.derive c     prints the entries in kernel.c
+    python -m sysid_bench.regressors.symbolic_regressor       prints sysid_bench/regressors/body.py
+    python -m sysid_bench.regressors.symbolic_regressor c     prints the entries in kernel.c
 """
 
 import sys
@@ -72,7 +72,7 @@ def source() -> str:
         terms = ", ".join(f"({row}, {sp.pycode(A[row, c])})" for row in rows)
         columns.append(f"        ({terms}),  # {NAMES[c]}")
     body = "\n".join(columns)
-    return f'''"""Body regressor, printed by `python -m sysid_bench.regressors.derive`.
+    return f'''"""Body regressor, printed by `python -m sysid_bench.regressors.symbolic_regressor`.
 
 Do not edit: `tests/regressors/test_derive.py` derives it again and compares.
 """
