@@ -181,12 +181,12 @@ class _Supervisor:
                 self._kill(worker, "memory", limit)
 
     def _check_row_files(self) -> None:
-        """Raise StorageError where a row file is gone: further rows would be lost without a word."""
+        """Raise StorageError where a row file is gone: its further rows would be lost."""
         for worker in self.workers:
             if not worker.rows_file.exists():
                 raise StorageError(
-                    f"{str(worker.rows_file)!r} was removed or moved while its run went on; rows of "
-                    "this run may be gone. Run again: only cells without a row run."
+                    f"{str(worker.rows_file)!r} was removed or moved while its run went on; rows "
+                    "may be gone. Run again: only cells without a row run."
                 )
 
     @contextmanager
