@@ -51,6 +51,25 @@ def kill(runner: "subprocess.Popen[str]", how: str, draw: random.Random) -> None
         time.sleep(draw.uniform(0.0, 0.01))
 
 
+@pytest.mark.parametrize("whom", ["runner", "worker"])
+def test_a_daemon_of_a_cell_ends_with_its_worker(tmp_path: Path, token: str, whom: str) -> None:
+    """It has a session, a clean environment and no parent of its own, and nobody is left to ask."""
+    suite, out = tmp_path / "suite.toml", tmp_path / "run"
+    suite.write_text(FULL.replace('use = "ols"', f'use = "ols"\ndo = "daemonize {token}"'))
+    with start(suite, out, 1) as runner:
+        assert wait_for(lambda: any(text.startswith("sh") for text in left_behind(token)))
+        guard, worker = tree_of(runner.pid)[:2]
+        assert guard != worker
+        os.kill(runner.pid if whom == "runner" else worker, signal.SIGKILL)
+        if whom == "worker":
+            assert wait_for(lambda: RunFolder(out).rows().rows)
+            runner.send_signal(signal.SIGINT)
+    assert wait_for(lambda: not left_behind(token)), left_behind(token)
+    assert [row["status"] for row in RunFolder(out).rows().rows.values()] == (
+        [] if whom == "runner" else ["lost"]
+    )
+
+
 def stored_lines(cells: Path) -> list[dict[str, Any]]:
     lines = [line for file in cells.glob("*.jsonl") for line in file.read_text().split("\n")]
     return [json.loads(line) for line in lines if line.endswith("}")]

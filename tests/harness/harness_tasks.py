@@ -67,6 +67,13 @@ def perform(do: str) -> None:  # noqa: C901 - a table of acts
             child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
             Path(born).write_text(str(child.pid))
             time.sleep(1000)
+        case ["daemonize", word]:
+            for _ in range(2):
+                if os.fork():
+                    time.sleep(1000)
+                os.setsid()
+            subprocess.Popen(["sh", "-c", "sleep 1000; true", word], env={}, start_new_session=True)
+            time.sleep(1000)
         case ["print"]:
             print("a plug-in talks")
             os.write(1, b"behind our back\n")
