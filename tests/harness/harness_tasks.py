@@ -3,6 +3,7 @@
 import ctypes
 import mmap
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -74,6 +75,15 @@ def perform(do: str) -> None:  # noqa: C901 - a table of acts
                 os.setsid()
             subprocess.Popen(["sh", "-c", "sleep 1000; true", word], env={}, start_new_session=True)
             time.sleep(1000)
+        case ["remove", folder]:
+            shutil.rmtree(folder)
+        case ["truncate", folder]:
+            for file in Path(folder).glob("*.jsonl"):
+                os.truncate(file, 0)
+        case ["garble", folder]:
+            for file in Path(folder).glob("*.jsonl"):
+                with file.open("a") as lines:
+                    lines.write("[" * 100_000 + '\n{"id": 5}\nnull\n{"id"')
         case ["print"]:
             print("a plug-in talks")
             os.write(1, b"behind our back\n")
