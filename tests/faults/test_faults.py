@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import left_behind
 
 from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.vocabulary import MACHINE_FIELDS
+from tests.faults.runners import left_behind
 
 FAULTY = Path(__file__).parent / "faulty.py"
 SOUND = ("ols", "wls", "ridge")

@@ -1,24 +1,20 @@
 """Law of kills: whatever ends at whatever moment, the same command completes the run exactly."""
 
-import json
 import os
 import random
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import pytest
-from conftest import left_behind, wait_for
 from harness_world import FULL
 
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.work.processes import tree_of
+from tests.faults.runners import left_behind, start, stored_lines, wait_for
 
-HERE = Path(__file__).parent
 KILLS = 10
 """Kills for each number of workers."""
 SIGNALS = {
@@ -29,15 +25,6 @@ SIGNALS = {
     "hang up": (signal.SIGHUP,),
 }
 WORKER = "worker"
-
-
-def start(suite: Path, out: Path, jobs: int) -> "subprocess.Popen[str]":
-    path = os.pathsep.join([str(HERE.parent / "harness"), str(HERE.parents[1])])
-    return subprocess.Popen(
-        [sys.executable, str(HERE / "kill_runner.py"), str(suite), str(out), str(jobs)],
-        env={**os.environ, "PYTHONPATH": path},
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
 
 
 def kill(runner: "subprocess.Popen[str]", how: str, draw: random.Random) -> None:
@@ -68,11 +55,6 @@ def test_a_daemon_of_a_cell_ends_with_its_worker(tmp_path: Path, token: str, who
     assert [row["status"] for row in RunFolder(out).rows().rows.values()] == (
         [] if whom == "runner" else ["lost"]
     )
-
-
-def stored_lines(cells: Path) -> list[dict[str, Any]]:
-    lines = [line for file in cells.glob("*.jsonl") for line in file.read_text().split("\n")]
-    return [json.loads(line) for line in lines if line.endswith("}")]
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 4])

@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import left_behind, wait_for
 from harness_world import FULL, NAMES
-from test_kills import start, stored_lines
 
 from sysid_bench.harness.run import RunResult, run
 from sysid_bench.harness.store import RunFolder
@@ -21,6 +19,7 @@ from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.harness.work.bounded_log import BoundedLog
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_rows
 from sysid_bench.vocabulary import MACHINE_FIELDS
+from tests.faults.runners import left_behind, start, stored_lines, wait_for
 
 CELLS = 56
 PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -130,7 +129,7 @@ def test_a_read_only_folder(tmp_path: Path, suite: Path) -> None:
 def test_the_row_writer_on_a_full_disk_writes_whole_rows_or_none(small_disk: Path) -> None:
     file = new_row_file(small_disk, "w")
     ballast = fill(small_disk, 2 * PAGE)
-    written = []
+    written = list[str]()
     with RowWriter(file) as writer:
         while "full" not in written:
             number = str(len(written))
