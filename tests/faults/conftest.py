@@ -1,6 +1,7 @@
 """Suites and tasks of the tests of the harness serve here too."""
 
 import sys
+import uuid
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "harness"))
 
 
 @pytest.fixture
-def token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A word in the environment of every process that a test starts."""
-    monkeypatch.setenv("SYSID_TEST_FAULT", tmp_path.name)
-    return tmp_path.name
+def token(monkeypatch: pytest.MonkeyPatch) -> str:
+    """A word in the environment of every process that a test starts; names of folders are cut."""
+    word = uuid.uuid4().hex
+    monkeypatch.setenv("SYSID_TEST_FAULT", word)
+    return word

@@ -6,6 +6,8 @@ import signal
 import time
 from typing import Any
 
+from sysid_bench.types import Metric
+
 
 def perform(act: str) -> None:
     match act:
@@ -34,7 +36,9 @@ class Effect(_Part):
         perform(self.act)
 
 
-class Metric(_Part):
-    def compute(self, cell: Any) -> float:
-        perform(self.act)
+def metric(act: str = "") -> Metric:
+    def compute(cell: Any) -> float:
+        perform(act)
         return 1.0
+
+    return Metric("mine", "Mine", compute=compute)

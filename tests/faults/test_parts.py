@@ -53,6 +53,6 @@ def test_a_part_of_an_experiment(
 
 def test_a_metric(tmp_path: Path) -> None:
     """It is computed in every cell: each has its own row."""
-    metric = f'[[metric]]\nuse = "file:{HERE}/faulty_parts.py:Metric"\nact = "kill"\n'
+    metric = f'[[metric]]\nuse = "file:{HERE}/faulty_parts.py:metric"\nact = "kill"\n'
     found = rows(tmp_path, {"excitation": [FOURIER, '"ptp"']}, metric)
     assert [row["status"] for row in found.values()] == ["lost"] * 2
