@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sysid_bench.errors import SysidBenchError
+from sysid_bench.harness.work.interrupts import on_interrupt, raise_interrupt
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from sysid_bench import Result
 
 OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
+_INTERRUPTION = "Interrupted; the same command starts again, and a run goes on where it was."
 
 Command = Callable[..., Any]
 
@@ -108,8 +110,10 @@ def report_errors(function: Callable[..., int]) -> Callable[..., None]:
     def guarded(*args: Any, **options: Any) -> None:
         context = click.get_current_context()
         try:
-            code = function(*args, **options)
+            with on_interrupt(raise_interrupt):
+                code = function(*args, **options)
         except KeyboardInterrupt:
+            click.echo(_INTERRUPTION, err=True)
             code = INTERRUPTED
         except BrokenPipeError:  # the reader of our output has closed it, as `head` does
             sys.stderr.close()

@@ -263,8 +263,17 @@ def _result(
         open=len(selected) - len(rows),
         asked=len(todo),
         exit_code=_exit_code(selected, rows, ending),
-        notes=(*_notes(stored.torn, stored.garbled), *more),
+        notes=(*_notes(stored.torn, stored.garbled), *_gone(selected, rows, ending), *more),
     )
+
+
+def _gone(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) -> Iterable[str]:
+    """Note on cells whose row was stored in this run, and removed since."""
+    if ending == "finished" and len(rows) < len(selected):
+        yield (
+            f"{len(selected) - len(rows)} stored rows are gone: something has changed the files of "
+            "this run. Run again: only cells without a row run."
+        )
 
 
 def _exit_code(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) -> int:
@@ -273,7 +282,7 @@ def _exit_code(selected: Sequence[Cell], rows: Sequence[Row], ending: Ending) ->
         return 130
     if not selected:
         return 4
-    if statuses.intersection(FAILURES):
+    if statuses.intersection(FAILURES) or (ending == "finished" and len(rows) < len(selected)):
         return 3
     if any(row.get("crosscheck") == "failed" for row in rows):
         return 1

@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -20,7 +21,13 @@ def ols(problem: Any) -> Estimate:
     return Estimate(np.linalg.lstsq(problem.W, problem.b, rcond=None)[0])
 
 
-class _Fault:
+class _Placed:
+    def __init__(self, place: int = 0) -> None:
+        """Take a setting, so that one suite can have a fault several times."""
+        self.place = place
+
+
+class _Fault(_Placed):
     def solve(self, problem: Any) -> Any:
         self.act(problem)
         return ols(problem)
@@ -69,47 +76,47 @@ class UnreadableError(_Fault):
 # Answers
 
 
-class AnswersNan:
+class AnswersNan(_Placed):
     def solve(self, problem: Any) -> Estimate:
         return Estimate(np.full(problem.base.rank, np.nan))
 
 
-class AnswersInf:
+class AnswersInf(_Placed):
     def solve(self, problem: Any) -> Estimate:
         return Estimate(np.full(problem.base.rank, np.inf))
 
 
-class AnswersHuge:
+class AnswersHuge(_Placed):
     def solve(self, problem: Any) -> Estimate:
         return Estimate(np.full(problem.base.rank, 1e300))
 
 
-class AnswersTooMany:
+class AnswersTooMany(_Placed):
     def solve(self, problem: Any) -> Estimate:
         return Estimate(np.zeros(problem.base.rank + 1))
 
 
-class AnswersMatrix:
+class AnswersMatrix(_Placed):
     def solve(self, problem: Any) -> Estimate:
         return Estimate(np.zeros((problem.base.rank, 1)))
 
 
-class AnswersComplex:
+class AnswersComplex(_Placed):
     def solve(self, problem: Any) -> Estimate:
         return Estimate(np.full(problem.base.rank, 1j))
 
 
-class AnswersText:
+class AnswersText(_Placed):
     def solve(self, problem: Any) -> Estimate:
         return Estimate(np.array(["a"] * problem.base.rank))
 
 
-class AnswersNone:
+class AnswersNone(_Placed):
     def solve(self, problem: Any) -> None:
         return None
 
 
-class AnswersObject:
+class AnswersObject(_Placed):
     def solve(self, problem: Any) -> Estimate:
         return Estimate(ols(problem).beta, stats={"x": object()})  # type: ignore[dict-item]
 
@@ -158,6 +165,20 @@ class Allocates(_Fault):
         kept = []
         while True:
             kept.append(np.ones(4_000_000))
+
+
+class RaisesLimit(_Fault):
+    """Allows itself any memory, and hides all errors."""
+
+    def act(self, problem: Any) -> None:
+        try:
+            resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY,) * 2)
+        except ValueError:  # only root may do so
+            raise MemoryError from None
+        kept = []
+        while True:
+            kept.append(np.ones(4_000_000))
+            time.sleep(0.01)
 
 
 class AllocatesQuietly(_Fault):
@@ -274,6 +295,48 @@ class StartsProgram(_Fault):
         token = os.environ["SYSID_TEST_FAULT"]
         command = ["sh", "-c", "sleep 3601; true", token]
         subprocess.Popen(command, start_new_session=True, env={})
+
+
+class DaemonizesTwice(_Fault):
+    """Starts a program from a grandchild in a session of its own; all in between ends."""
+
+    def act(self, problem: Any) -> None:
+        token = os.environ["SYSID_TEST_FAULT"]
+        child = os.fork()
+        if child == 0:
+            os.setsid()
+            if os.fork() == 0:
+                os.setsid()
+                command = ["sh", "-c", "sleep 3601; true", token]
+                subprocess.Popen(command, start_new_session=True, env={})
+            os._exit(0)
+        os.waitpid(child, 0)
+
+
+class KillsGroup(_Fault):
+    def act(self, problem: Any) -> None:
+        os.killpg(0, signal.SIGKILL)
+
+
+class KillsParent(_Fault):
+    def act(self, problem: Any) -> None:
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(3600)
+
+
+class ForgesMessages(_Fault):
+    """Writes messages of the harness into every open descriptor."""
+
+    def act(self, problem: Any) -> None:
+        lines = (
+            *(b'{"cell": []}', b'{"cell": "x"}', b'{"row": 5}', b'{"row": {"id": {}}}'),
+            *(b"[" * 100_000, b"5", b'{"end": 3}'),
+        )
+        for descriptor in range(3, 64):
+            try:
+                os.write(descriptor, b"\n".join(lines) + b"\n")
+            except OSError:
+                continue
 
 
 class WritesToDescriptors(_Fault):

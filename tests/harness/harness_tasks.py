@@ -3,6 +3,7 @@
 import ctypes
 import mmap
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -67,6 +68,22 @@ def perform(do: str) -> None:  # noqa: C901 - a table of acts
             child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
             Path(born).write_text(str(child.pid))
             time.sleep(1000)
+        case ["daemonize", word]:
+            for _ in range(2):
+                if os.fork():
+                    time.sleep(1000)
+                os.setsid()
+            subprocess.Popen(["sh", "-c", "sleep 1000; true", word], env={}, start_new_session=True)
+            time.sleep(1000)
+        case ["remove", folder]:
+            shutil.rmtree(folder)
+        case ["truncate", folder]:
+            for file in Path(folder).glob("*.jsonl"):
+                os.truncate(file, 0)
+        case ["garble", folder]:
+            for file in Path(folder).glob("*.jsonl"):
+                with file.open("a") as lines:
+                    lines.write("[" * 100_000 + '\n{"id": 5}\nnull\n{"id"')
         case ["print"]:
             print("a plug-in talks")
             os.write(1, b"behind our back\n")

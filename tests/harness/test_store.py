@@ -19,7 +19,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import data_frames
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_cells
+from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_rows
 
 
 def make(folder: Path, text: str = FULL) -> RunFolder:
@@ -92,7 +92,7 @@ def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
     writer = RowWriter(new_row_file(tmp_path, "w"))
     for number in range(5):
         writer.write({"id": str(number)})
-        assert stored_cells(writer.path) == {str(n) for n in range(number + 1)}
+        assert set(stored_rows(writer.path)) == {str(n) for n in range(number + 1)}
     writer.close()
     writer.close()
 
@@ -103,7 +103,7 @@ def test_a_row_that_is_no_json_leaves_no_trace(tmp_path: Path) -> None:
             writer.write({"id": "a", "value": object()})
         writer.write({"id": "b"})
     assert read_rows(tmp_path).garbled == ()
-    assert stored_cells(writer.path) == {"b"}
+    assert set(stored_rows(writer.path)) == {"b"}
 
 
 def test_numbers_that_are_none_become_none() -> None:

@@ -13,17 +13,20 @@ import sys
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from sysid_bench.errors import reason_of, status_of
 from sysid_bench.experiments.job_channel import Death
 from sysid_bench.harness.work.processes import kill_children, with_parent
+from sysid_bench.vocabulary import STATUSES
 
 Message = dict[str, Any]
 Send = Callable[[Message], None]
 CAN_FORK: Final = hasattr(os, "fork") and hasattr(select, "poll")
 _GRACE_SECONDS = 2.0
+_LONGEST = 1 << 26
+"""Bytes of a message; a plug-in that writes more without a line end is not heard any more."""
 _POLL_MILLISECONDS = 200
 """Interval of the check for a dead process whose pipe one of its children keeps open."""
 
@@ -34,29 +37,38 @@ def isolate(function: Callable[[Send], Any], receive: Callable[[Message], None])
     Return None where the function has returned, else its end: an exception is `failed` (or
     `memory`, `lost`), the death of the process `crash`, its SIGKILL from outside `lost`.
     """
-    read_end, write_end = os.pipe()
-    child = _fork()
-    if child == 0:
-        os.close(read_end)
-        _run_child(function, write_end)
-    os.close(write_end)
+    try:
+        child, pipe = _start_child(function)
+    except OSError as error:  # no process or descriptor is left on this machine
+        return Death("lost", f"its process could not be started ({reason_of(error)})")
     last: Message | None = None
     killed = True
     try:
-        for message in _messages(read_end, child):
+        for message in _messages(pipe, child):
             if "end" in message:
                 last = message
                 break
             receive(message)
         killed = last is None and not _ends_by_itself(child)
     finally:
-        os.close(read_end)
+        os.close(pipe)
         state = _end_child(child)
-    if last is None and killed:
+    if last is not None:
+        return _death(last["end"])
+    if killed:
         return Death("crash", "its process closed the pipe of its result")
-    if last is None:
-        return Death(*end_of_process(os.waitstatus_to_exitcode(state)))
-    return None if last["end"] is None else Death(*last["end"])
+    return Death(*end_of_process(os.waitstatus_to_exitcode(state)))
+
+
+def _death(end: Any) -> Death | None:
+    """The end that a child has sent; a plug-in may have written anything into its pipe."""
+    if end is None:
+        return None
+    match end:
+        case [str(status), str(reason), str(text)] if status in STATUSES:
+            return Death(status, reason, text)
+        case _:
+            return Death("crash", "its process wrote into the pipe of its result")
 
 
 def end_of_process(code: int) -> tuple[str, str]:
@@ -71,6 +83,23 @@ def end_of_process(code: int) -> tuple[str, str]:
     return status, f"its process was killed by {name}"
 
 
+def _start_child(function: Callable[[Send], Any]) -> tuple[int, int]:
+    """Fork; return the process that runs the function, and the end of its pipe to read."""
+    parent = os.getpid()
+    read_end, write_end = os.pipe()
+    try:
+        child = _fork()
+    except OSError:
+        os.close(read_end)
+        os.close(write_end)
+        raise
+    if child == 0:
+        os.close(read_end)
+        _run_child(function, write_end, parent)
+    os.close(write_end)
+    return child, read_end
+
+
 def _fork() -> int:
     with warnings.catch_warnings():
         # The other thread of a worker waits for its input and holds no lock that a child takes.
@@ -78,10 +107,11 @@ def _fork() -> int:
         return os.fork()
 
 
-def _run_child(function: Callable[[Send], Any], pipe: int) -> None:
+def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
     """Run the function, send its end and leave; the process never returns from here."""
     process = os.getpid()
-    with_parent(os.getppid())
+    os.setsid()  # it may end its process group, and not the worker with it
+    with_parent(parent)
     _close_others(pipe)
 
     def send(message: Message) -> None:
@@ -135,11 +165,18 @@ def _messages(pipe: int, child: int) -> Iterator[Message]:
         if not data:
             return
         *lines, rest = (rest + data).split(b"\n")
-        for line in lines:
-            with contextlib.suppress(ValueError):  # bytes of a plug-in that wrote to any descriptor
-                message = json.loads(line)
-                if isinstance(message, Mapping):
-                    yield dict(message)
+        yield from filter(None, map(_message, lines))
+        if len(rest) > _LONGEST:
+            return
+
+
+def _message(line: bytes) -> Message | None:
+    """A message; None for the bytes of a plug-in that writes to any descriptor."""
+    with contextlib.suppress(ValueError, RecursionError):
+        message = json.loads(line)
+        if isinstance(message, dict):
+            return message
+    return None
 
 
 def _has_ended(child: int) -> bool:

@@ -8,7 +8,8 @@ import ctypes
 import os
 import signal
 import sys
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final
 
@@ -17,35 +18,90 @@ MARK: Final = "SYSID_BENCH_WORKER"
 
 _PROC = Path("/proc")
 _PR_SET_PDEATHSIG = 1
+_PR_SET_DUMPABLE = 4
 _PR_SET_CHILD_SUBREAPER = 36
 _PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 _ROUNDS = 20
 """Rounds of killing: a process that forks while it is being killed needs more than one."""
+_KILL_SECONDS = 10.0
+"""Time of killing: processes that fork faster than they are killed, or that the kernel holds."""
 
 
-def with_parent(parent: int) -> None:
+def with_parent(parent: int, at_its_end: int = signal.SIGKILL) -> None:
     """Let Linux kill this process with its parent, also while compiled code runs; its orphaned
     descendants become its children."""
     if sys.platform != "linux":
         return
+    _prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    _prctl(_PR_SET_PDEATHSIG, at_its_end)
+    if os.getppid() != parent:  # it ended before the call
+        os._exit(1)
+
+
+def go_on_guarded(parent: int, close: Callable[[], None]) -> None:
+    """Go on in a fork of this process, on Linux; this process stays, as the guard of the fork.
+
+    When the fork or `parent` ends, however it does, the guard ends all that the fork has started,
+    in whatever session, and then itself as the fork did. `close` closes the pipes of the guard.
+    """
+    if sys.platform != "linux":
+        return
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    ends = {signal.SIGCHLD, signal.SIGTERM}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ends | {signal.SIGINT, signal.SIGHUP})
+    with_parent(parent, signal.SIGTERM)
+    guard = os.getpid()
+    fork = os.fork()
+    if fork == 0:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        with_parent(guard)
+        return
+    close()
+    codes = dict[int, int]()
+    while fork not in codes and signal.sigwait(ends) == signal.SIGCHLD:
+        codes |= _reap_ended()
+    codes |= kill_children()
+    _end_as(codes.get(fork, 1))
+
+
+def _reap_ended() -> dict[int, int]:
+    """Reap the children that have ended; return their (negative signal) codes."""
+    codes = dict[int, int]()
+    with contextlib.suppress(ChildProcessError):
+        while (ended := os.waitpid(-1, os.WNOHANG))[0]:
+            codes[ended[0]] = os.waitstatus_to_exitcode(ended[1])
+    return codes
+
+
+def _end_as(code: int) -> None:
+    """End this process with an exit code, or by the signal of a negative one, without a core."""
+    if code < 0:
+        _prctl(_PR_SET_DUMPABLE, 0)
+        with contextlib.suppress(OSError, ValueError):  # SIGKILL has no handler
+            signal.signal(-code, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {-code})
+        os.kill(os.getpid(), -code)
+    os._exit(code & 0xFF)
+
+
+def _prctl(option: int, value: int) -> None:
     with contextlib.suppress(OSError, AttributeError):
-        libc = ctypes.CDLL(None)
-        libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
-        libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:  # it ended before the call
-            os._exit(1)
+        ctypes.CDLL(None).prctl(option, value)
 
 
-def kill_children() -> None:
-    """End all children of this process, and what they leave behind to a subreaper."""
-    for _ in range(_ROUNDS):
-        children = children_of(os.getpid())
-        if not children:
-            return
-        kill(children)
-        for child in children:
+def kill_children() -> dict[int, int]:
+    """End all descendants of this process, as a subreaper also those that their parents left.
+
+    Return the (negative signal) code of each that became its child.
+    """
+    codes = dict[int, int]()
+    until = time.monotonic() + _KILL_SECONDS
+    while (below := tree_of(os.getpid())) and time.monotonic() < until:
+        kill(below)
+        for child in children_of(os.getpid()):
             with contextlib.suppress(ChildProcessError):
-                os.waitpid(child, 0)
+                codes[child] = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return codes
 
 
 def kill_tree(mark: str, also: Iterable[int] = ()) -> None:

@@ -1,5 +1,6 @@
 """Row files: append-only JSON lines, one writer per file; of rows with one id the last holds."""
 
+import contextlib
 import json
 import os
 import time
@@ -30,21 +31,32 @@ class RowWriter:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._file = path.open("ab")
+        self._file = path.open("ab", buffering=0)
         self._synced = time.monotonic()
 
     def write(self, row: Row) -> None:
         """Append one line. Raises TypeError before writing for values that are not JSON."""
-        self._file.write(json.dumps(plain(row)).encode() + b"\n")
-        self._file.flush()
+        self._append(json.dumps(plain(row)).encode() + b"\n")
         if time.monotonic() - self._synced > SYNC_SECONDS:
             self._sync()
 
+    def _append(self, line: bytes) -> None:
+        """Append all or nothing: a full disk may take a part of a line."""
+        start = self._file.tell()
+        try:
+            while line:
+                line = line[self._file.write(line) :]
+        except OSError:
+            self._file.truncate(start)
+            raise
+
     def close(self) -> None:
-        """Force the rest to the disk; closing twice is allowed."""
-        if not self._file.closed:
-            self._sync()
-            self._file.close()
+        """Force the rest to the disk; closing twice is allowed. What a full disk does not take has
+        been reported by `write`."""
+        with contextlib.suppress(OSError):
+            if not self._file.closed:
+                self._sync()
+        self._file.close()
 
     def __enter__(self) -> "RowWriter":
         return self
@@ -93,10 +105,12 @@ def read_rows(folder: Path) -> StoredRows:
     return StoredRows(rows, torn, tuple(garbled))
 
 
-def stored_cells(path: Path) -> set[str]:
-    """Return the ids of the complete rows of one file."""
+def stored_rows(path: Path) -> dict[str, Row]:
+    """Return the complete rows of one file, none where it is gone."""
+    if not path.is_file():
+        return {}
     rows = (_row(line) for _, line, _ in _lines(path))
-    return {row["id"] for row in rows if row is not None}
+    return {row["id"]: row for row in rows if row is not None}
 
 
 def _files(folder: Path) -> list[Path]:

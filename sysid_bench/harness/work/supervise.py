@@ -6,18 +6,17 @@ fresh worker. An end before the first cell, while the experiment was prepared, i
 them.
 """
 
+import contextlib
 import queue
-import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import FrameType
 from typing import Any, Literal
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.harness.work.interrupts import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_handle import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
@@ -49,13 +48,13 @@ def supervise(
     SIGTERM or SIGHUP: workers are killed, stored rows stay, and open cells have no row.
     """
     supervisor = _Supervisor(jobs, settings, max_workers, fail_fast, on_event or _ignore)
-    try:
-        with _signals_as_interrupt():
+    with on_interrupt(supervisor.interrupt):
+        try:
             return supervisor.run()
-    except KeyboardInterrupt:
-        return "interrupted"
-    finally:
-        supervisor.close()
+        except KeyboardInterrupt:
+            return "interrupted"
+        finally:
+            supervisor.close()
 
 
 @dataclass(eq=False)
@@ -72,6 +71,7 @@ class _Supervisor:
         self.inbox: Inbox = queue.SimpleQueue()
         self.writer: RowWriter | None = None
         self.failures = 0
+        self.interrupted = False
         self._next_look = 0.0
 
     def run(self) -> Ending:
@@ -80,12 +80,19 @@ class _Supervisor:
             self._assign_jobs()
             self._listen()
             self._check_workers()
+            if self.interrupted:
+                return "interrupted"
             if self.fail_fast and self.failures:
                 return "stopped"
         for worker in self.workers:
             worker.stop()
         self.workers.clear()
         return "finished"
+
+    def interrupt(self) -> None:
+        """End soon; a signal calls this at any moment, so that nothing is done here."""
+        self.interrupted = True
+        self.inbox.put((None, None))
 
     def close(self) -> None:
         """Kill the remaining workers."""
@@ -109,7 +116,8 @@ class _Supervisor:
         used = {worker.name for worker in self.workers}
         names = (f"worker{i}" for i in range(1, self.max_workers + 2))
         name = next(name for name in names if name not in used)
-        worker = Worker(name, self.settings, self.inbox)
+        with self._storing():
+            worker = Worker(name, self.settings, self.inbox)
         self.workers.append(worker)
         return worker
 
@@ -120,7 +128,7 @@ class _Supervisor:
         try:
             worker, notice = self.inbox.get(timeout=pause)
             while True:
-                if worker in self.workers:  # a worker that has ended may still have notices queued
+                if worker is not None and worker in self.workers:
                     self._handle_notice(worker, notice)
                 worker, notice = self.inbox.get_nowait()
         except queue.Empty:
@@ -144,10 +152,7 @@ class _Supervisor:
     def _handle_end(self, worker: Worker, notice: Mapping[str, Any]) -> None:
         """Handle the last notice of a job: {done}, {failed}, {dead} or {full}."""
         if "full" in notice:
-            raise StorageError(
-                f"A row cannot be stored in {str(self.settings.folder)!r} ({notice['full']}). Make "
-                "room and run again: stored rows stay, and only open cells run."
-            )
+            raise self._storage_error(notice["full"])
         if "dead" in notice:
             self._end_job(worker, notice["status"], notice["dead"])
         elif "done" in notice:
@@ -164,6 +169,7 @@ class _Supervisor:
         look = now >= self._next_look
         if look:
             self._next_look = now + _POLL_SECONDS
+            self._check_row_files()
         for worker in list(self.workers):
             if worker.deadline <= now:
                 limit = f"longer than the limit of {self.settings.timeout:g} s"
@@ -174,15 +180,57 @@ class _Supervisor:
                 limit = f"more than the limit of {(self.settings.memory or 0.0) / 1e9:g} GB"
                 self._kill(worker, "memory", limit)
 
+    def _check_row_files(self) -> None:
+        """Raise StorageError where a row file is gone: its further rows would be lost."""
+        for worker in self.workers:
+            if not worker.rows_file.exists():
+                raise StorageError(
+                    f"{str(worker.rows_file)!r} was removed or moved while its run went on; rows "
+                    "may be gone. Run again: only cells without a row run."
+                )
+
+    @contextmanager
+    def _storing(self) -> Iterator[None]:
+        """Report what the file system, or the machine, does not give."""
+        try:
+            yield
+        except OSError as error:
+            raise self._storage_error(reason_of(error)) from error
+
+    def _storage_error(self, reason: str) -> StorageError:
+        return StorageError(
+            f"A row cannot be stored in {str(self.settings.folder)!r} ({reason}). Make room and "
+            "run again: stored rows stay, and only open cells run."
+        )
+
     def _kill(self, worker: Worker, status: str, reason: str) -> None:
         worker.kill()
+        self._hear_rest(worker)
         self._end_job(worker, status, reason)
         self.workers.remove(worker)
 
     def _end_dead(self, worker: Worker) -> None:
         worker.kill()
+        self._hear_rest(worker)
         self._end_job(worker, *worker.end_of_process())
         self.workers.remove(worker)
+
+    def _hear_rest(self, worker: Worker) -> None:
+        """Handle the last notices of a process that is gone, and the rows that it did not announce:
+        each row is counted once."""
+        others = list[tuple[Worker | None, dict[str, Any] | None]]()
+        with contextlib.suppress(queue.Empty):
+            while True:
+                sender, notice = self.inbox.get_nowait()
+                if sender is not worker:
+                    others.append((sender, notice))
+                elif notice is not None:
+                    self._handle_notice(worker, notice)
+        for item in others:
+            self.inbox.put(item)
+        for row in worker.unannounced_rows():
+            worker.close_cell(row["id"])
+            self._count(row["id"], row.get("status"), row.get("reason"))
 
     def _end_job(self, worker: Worker, status: str, reason: str) -> None:
         """End the job of a process that is gone: its present cell is settled, the others go on.
@@ -224,9 +272,10 @@ class _Supervisor:
             )
 
     def _write(self, row: Row) -> None:
-        if self.writer is None:
-            self.writer = RowWriter(new_row_file(self.settings.folder / "cells", "supervisor"))
-        self.writer.write(row)
+        with self._storing():
+            if self.writer is None:
+                self.writer = RowWriter(new_row_file(self.settings.folder / "cells", "supervisor"))
+            self.writer.write(row)
         self._count(row["id"], row["status"], row["reason"])
 
     def _count(self, cell: str, status: Any, reason: Any) -> None:
@@ -243,25 +292,3 @@ def _row_head(head: Row, status: str) -> Row:
 
 def _ignore(kind: str, data: Mapping[str, Any]) -> None:
     pass
-
-
-@contextmanager
-def _signals_as_interrupt() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP as Ctrl-C; handlers can be set in the main thread alone."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    names = ("SIGTERM", "SIGHUP")  # Windows has no SIGHUP
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    # A process started by nohup ignores SIGHUP, and goes on doing so.
-    taken = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
-    before = [signal.signal(number, interrupt) for number in taken]
-    try:
-        yield
-    finally:
-        for number, handler in zip(taken, before, strict=True):
-            signal.signal(number, handler)

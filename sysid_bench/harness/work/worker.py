@@ -4,7 +4,8 @@ In: settings {parent, path, rows, memory}, then jobs {number, call, argument, ce
 ends the worker. Out, each with the number of its job: {begin}, {cell: id} before a cell,
 {row: id, status, reason}, and at the end {done: value}, {failed: reason, status, traceback},
 {dead: reason, status}, or {full: reason} where a row cannot be stored. A row is stored before it is
-announced, so that it survives the supervisor. The worker ends at once when its input ends.
+announced, so that it survives the supervisor. The worker ends at once when its input ends. On Linux
+it is the fork of a guard, which leaves nothing of it behind (see processes.py).
 """
 
 import contextlib
@@ -18,6 +19,7 @@ import threading
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -25,7 +27,7 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError, reason_of, status_of
 from sysid_bench.experiments.job_channel import Death, JobChannel, JobDeath
 from sysid_bench.harness.work.isolate import CAN_FORK, Message, Send, isolate
-from sysid_bench.harness.work.processes import with_parent
+from sysid_bench.harness.work.processes import go_on_guarded
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
 
@@ -49,7 +51,7 @@ def main() -> None:
     settings = json.loads(jobs_in.readline() or b"null")
     if settings is None:
         return
-    with_parent(settings["parent"])
+    go_on_guarded(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
     _limit_memory(settings["memory"])
     threading.Thread(target=_listen, args=(jobs_in, inbox), daemon=True).start()
     sys.path[:] = list(dict.fromkeys([*settings["path"], *sys.path]))
@@ -72,6 +74,16 @@ def _take_pipes() -> tuple[BinaryIO, BinaryIO]:
     os.dup2(2, 1)
     sys.stdout = sys.stderr
     return jobs_in, notices_out
+
+
+def _close_pipes(jobs_in: BinaryIO, notices_out: BinaryIO) -> None:
+    """Leave the pipes to the worker: they end with it."""
+    jobs_in.close()
+    notices_out.close()
+    null_device = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(null_device, stream)
+    os.close(null_device)
 
 
 def _limit_memory(limit: float | None) -> None:
@@ -164,10 +176,14 @@ class _Channel:
 
     def _receive(self, message: Message) -> None:
         """Take a message of a forked channel as if it were a call."""
-        if "cell" in message:
-            self.begin(message["cell"])
-        elif "row" in message and message["row"].get("id") in self.open_cells:
-            self.emit(message["row"])  # a row of any other cell is forged: the child refuses it too
+        row = message.get("row")
+        cell = row.get("id") if isinstance(row, dict) else message.get("cell")
+        if not isinstance(cell, str) or cell not in self.open_cells:
+            return  # forged: the child refuses it too
+        if isinstance(row, dict):
+            self.emit(row)
+        else:
+            self.begin(cell)
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,14 @@ from typing import Any
 from sysid_bench.harness.work.bounded_log import BoundedLog
 from sysid_bench.harness.work.isolate import end_of_process
 from sysid_bench.harness.work.processes import MARK, kill_tree, memory_use, tree_of
-from sysid_bench.harness.work.row_files import new_row_file, stored_cells
+from sysid_bench.harness.work.row_files import new_row_file, stored_rows
 from sysid_bench.types import Row
 
-Inbox = queue.SimpleQueue[tuple["Worker", dict[str, Any] | None]]
-"""(worker, notice); None at the end of its output."""
+Inbox = queue.SimpleQueue[tuple["Worker | None", dict[str, Any] | None]]
+"""(worker, notice); None at the end of its output. (None, None) wakes the supervisor."""
 
+_GUARD_SECONDS = 15.0
+"""Time for a guard to end a worker and all that it has started."""
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -145,9 +147,11 @@ class Worker:
         return limit is not None and memory_use(self.process.pid, limit) > limit
 
     def kill(self) -> None:
-        """Kill the process and all that it has started; cells whose rows it stored are not open any
-        more."""
+        """Kill the process and all that it has started; its last notices are in the inbox then."""
         below = tree_of(self.process.pid)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.terminate()  # its guard ends all that it has started
+            self.process.wait(timeout=_GUARD_SECONDS)
         _kill_group(self.process)
         self.process.wait()
         kill_tree(self._mark, below)
@@ -159,9 +163,11 @@ class Worker:
             self._close_pipes()
         self._log.close()
         shutil.rmtree(self._scratch, ignore_errors=True)
-        if self.open_cells:
-            for done in stored_cells(self.rows_file):
-                self.open_cells.pop(done, None)
+
+    def unannounced_rows(self) -> list[Row]:
+        """Return the stored rows of open cells: the process has ended before their notices."""
+        stored = stored_rows(self.rows_file) if self.open_cells else {}
+        return [row for cell, row in stored.items() if cell in self.open_cells]
 
     def stop(self) -> None:
         """Let an idle worker store its rows and end; kill one that does not within 5 s."""

@@ -1,0 +1,49 @@
+"""SIGTERM and SIGHUP as Ctrl-C."""
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+
+def raise_interrupt() -> None:
+    """Do what Ctrl-C does in Python."""
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
+    """Call `act` for SIGINT, SIGTERM and SIGHUP; Python lets the main thread alone set handlers.
+
+    Signals that this process ignores, as SIGHUP under nohup, stay ignored.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        act()
+
+    before = {number: signal.getsignal(number) for number in _numbers()}
+    taken = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
+    try:
+        for number in taken:
+            signal.signal(number, handle)
+        yield
+    finally:
+        for number in taken:
+            _restore(number, before[number])
+
+
+def _numbers() -> Iterator[int]:
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
+        if hasattr(signal, name):
+            yield getattr(signal, name)
+
+
+def _restore(number: int, handler: Any) -> None:
+    with contextlib.suppress(TypeError):  # None: not set from Python, and not to be set again
+        signal.signal(number, handler)
