@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from sysid_bench.errors import UsageError
+
 if TYPE_CHECKING:
     from sysid_bench.experiments.job_channel import JobChannel
 
@@ -16,6 +18,10 @@ ARGUMENTS: Final = "arguments"
 SECONDS: Final = 600.0
 """Time limit of a command that runs third-party code."""
 
+_ADVICE: Final[Mapping[str, str]] = {
+    "timeout": "A call from Python has no time limit.",
+    "failed": "(sysid-bench --debug shows where.)",
+}
 _apart: ContextVar[bool] = ContextVar("apart", default=False)
 
 
@@ -29,18 +35,19 @@ def supervised(plugins: Iterable[tuple[str, str | None]]) -> int | None:
         return None
     from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 
-    root = click.get_current_context().find_root()
+    context = click.get_current_context()
+    root = context.find_root()
     worker = CallWorker(SECONDS)
     try:
         with worker:
-            title = f"sysid-bench {click.get_current_context().command.name}"
-            answer = worker.call(f"{__name__}:execute", list(root.meta[ARGUMENTS]), title)
+            arguments, title = list(root.meta[ARGUMENTS]), f"sysid-bench {context.info_name}"
+            answer = worker.call(f"{__name__}:execute", arguments, title)
     except WorkerError as error:
-        if error.status == "timeout":
-            error.args = (f"{error} A call from Python has no time limit.",)
-        raise
-    finally:
-        click.echo(worker.output, err=True, nl=False)
+        if root.obj:  # --debug
+            click.echo(worker.output, err=True, nl=False)
+            raise
+        raise UsageError(f"{error} {_ADVICE.get(error.status, '')}".rstrip()) from error
+    click.echo(worker.output, err=True, nl=False)
     click.echo(answer["output"], nl=False)
     return int(answer["code"])
 
