@@ -216,5 +216,20 @@ def test_shards_merge_into_the_run(tmp_path: Path) -> None:
     assert merged.exit_code == 1
     assert row["id"] in merged.output
     assert not Path("again").exists()
-    status = _command("status", "whole", "--json")
-    assert '"other_code": 0' in status.stdout
+    _check_other_code(0)
+    old = json.dumps({**row, "fingerprint": "0" * 16}) + "\n"
+    Path("whole/cells/999999-other.jsonl").write_text(old)
+    _check_other_code(1)
+
+
+def _check_other_code(count: int) -> None:
+    """The run `whole` reports so many rows of other code, wherever a reader may look."""
+    note = "1 row is from other code, models or libraries than now"
+    assert json.loads(_command("status", "whole", "--json").stdout)["other_code"] == count
+    texts = [_command("status", "whole").stdout]
+    assert _command("report", "whole").exit_code == 0
+    texts += [Path("whole", name).read_text() for name in ("report.html", "tables/main.tex")]
+    texts += [Path("whole/tables/numbers.tex").read_text()]
+    texts += [_command("table", "whole", "main", "--format", "latex").stdout]
+    assert [note in text for text in texts] == [count > 0] * 5
+    assert note not in Path("whole/tables/main.md").read_text()
