@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.identify_result import IdentifyResult
     from sysid_bench.verbs.identify_simulated import SimulatedRequest, SimulatedResult
     from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
+    from sysid_bench.verbs.merge import MergeResult, merge
     from sysid_bench.verbs.recordings import record, view
     from sysid_bench.verbs.report import report, table
     from sysid_bench.verbs.result import Result
@@ -60,6 +61,7 @@ _PUBLIC: Final = {
     "verbs.identify_result": ("IdentifyResult",),
     "verbs.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
     "verbs.init_robot": ("InitRobotResult", "init_robot"),
+    "verbs.merge": ("MergeResult", "merge"),
     "verbs.recordings": ("record", "view"),
     "verbs.report": ("report", "table"),
     "verbs.result": ("Result",),
@@ -74,12 +76,12 @@ _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in 
 
 __all__ = [
     "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult", "DoctorResult",
-    "ExciteRequest", "ExciteResult", "IdentifyResult", "InitRobotResult", "PlanResult",
-    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
-    "SimulatedResult", "StatusResult",
+    "ExciteRequest", "ExciteResult", "IdentifyResult", "InitRobotResult", "MergeResult",
+    "PlanResult", "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult",
+    "SimulatedRequest", "SimulatedResult", "StatusResult",
     "basis", "cell", "check_plugin", "crosscheck", "doctor", "excite", "identify", "init_robot",
-    "list_", "load_robot", "open_run", "paper_table", "plan", "record", "report", "run", "show",
-    "status", "table", "view",
+    "list_", "load_robot", "merge", "open_run", "paper_table", "plan", "record", "report",
+    "run", "show", "status", "table", "view",
 ]  # fmt: skip
 
 

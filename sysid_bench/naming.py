@@ -13,6 +13,7 @@ import inspect
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache, lru_cache
+from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
@@ -113,6 +114,34 @@ def known(kind: str) -> dict[str, str]:
 def is_builtin(kind: str, name: str) -> bool:
     """Return True for a name of this package: its code is not third-party."""
     return name in BUILTIN.get(kind, {}) or name.startswith("sysid_bench.")
+
+
+def is_third_party(kind: str, name: str) -> bool:
+    """Return True for a name whose code is not of this package; an unknown name has no code."""
+    key = kind.replace("-", "_")
+    return not is_builtin(key, name) and ":" in known(key).get(name, name)
+
+
+def source_file(kind: str, name: str) -> Path | None:
+    """Return the file of a plug-in without importing it or its package; None where there is none.
+
+    Compiled modules are files, too.
+    """
+    path = known(kind).get(name, name).rpartition(":")[0]
+    if path.startswith("file:"):
+        file = Path(path.removeprefix("file:"))
+        return file if file.is_file() else None
+    root, *parts = path.split(".")
+    try:
+        spec = importlib.util.find_spec(root) if root else None
+    except (ImportError, ValueError):
+        return None
+    for depth in range(2, len(parts) + 2):
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        name_so_far = ".".join([root, *parts][:depth])
+        spec = PathFinder.find_spec(name_so_far, spec.submodule_search_locations)
+    return Path(spec.origin) if spec is not None and spec.origin else None
 
 
 def resolve(kind: str, name: str) -> Any:

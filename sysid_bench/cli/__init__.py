@@ -17,6 +17,7 @@ from sysid_bench.cli import motion_commands as motions
 from sysid_bench.cli import robot_commands as robots
 from sysid_bench.cli import run_commands as results
 from sysid_bench.cli import suite_commands as suites
+from sysid_bench.cli.supervise import ARGUMENTS
 
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Numbers of threads that a user may set; one by default. The matrices of a command are small, and
@@ -26,6 +27,10 @@ two and 2.7 s with one, and a search of excite a hundred times longer."""
 
 class _Group(click.Group):
     """Commands in the order in which a user needs them."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        ctx.meta[ARGUMENTS] = tuple(args)
+        return super().parse_args(ctx, args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -47,7 +52,7 @@ def main(ctx: click.Context, debug: bool) -> None:
 for _command in (
     robots.crosscheck, robots.basis, identification.identify, motions.excite, start.init,
     catalogue.list_, catalogue.show,
-    suites.plan, suites.run,
+    suites.plan, suites.run, suites.merge,
     results.status, results.cell, results.table, results.report, results.record, results.view,
     catalogue.check_plugin, catalogue.doctor,
 ):  # fmt: skip

@@ -14,6 +14,7 @@ from sysid_bench.cli.options import (
     report_errors,
     robots_option,
 )
+from sysid_bench.cli.supervise import supervised
 
 _CHECKED = ("estimator", "excitation", "plant", "simulation", "metric", "log-reader", "task")
 """Kinds with a conformance kit; spelled out, because the kits take a second to load."""
@@ -75,6 +76,9 @@ def check_plugin(
 
     Exit code 1 where it breaks one.
     """
+    code = supervised([(kind, name)])
+    if code is not None:
+        return code
     result = sysid_bench.check_plugin(name, robots_dir, kind, file)
     print_result(result, as_json)
     return OK if result.ok else FAILED

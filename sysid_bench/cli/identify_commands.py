@@ -1,5 +1,6 @@
 """Command that identifies one robot: identify."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -18,6 +19,7 @@ from sysid_bench.cli.options import (
     task_option,
     terms_option,
 )
+from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import (
     parse_contacts,
     parse_names,
@@ -209,6 +211,9 @@ def identify(
     robots_dir: Path | None,
 ) -> int:
     """Identify one robot: excite and simulate it, or read recordings; estimate; export."""
+    code = supervised(_plugins(source, of_logs, unknowns, method))
+    if code is not None:
+        return code
     result = sysid_bench.identify(
         _given(model),
         task=unknowns.task,
@@ -237,6 +242,19 @@ def identify(
     )
     print_result(result, output.as_json)
     return OK
+
+
+def _plugins(
+    source: _Source, of_logs: _LogOptions, unknowns: _Unknowns, method: _Method
+) -> Iterator[tuple[str, str | None]]:
+    """Yield (kind, name) of the plug-ins in use."""
+    yield from (("estimator", method.estimator), ("task", unknowns.task))
+    for name in parse_names(of_logs.candidates):
+        yield "term", name.removeprefix("motor.")
+    if source.logs:
+        from sysid_bench.experiments.third_party import readers_of_logs
+
+        yield from readers_of_logs((*source.logs, *source.tests))
 
 
 def _given(model: str | None) -> str:

@@ -21,6 +21,7 @@ from sysid_bench.cli.options import (
     terms_option,
 )
 from sysid_bench.cli.progress import search_progress
+from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import (
     parse_limits,
     parse_motors,
@@ -183,6 +184,9 @@ def excite(
     Exit code 1 where a limit is violated, 130 after an interrupt (the best motion so far is
     written).
     """
+    code = supervised([("task", unknowns.task)])
+    if code is not None:
+        return code
     from sysid_bench.units import quantity
 
     request = sysid_bench.ExciteRequest(

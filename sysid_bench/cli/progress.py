@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def run_progress() -> Iterator["OnEvent"]:
     """Yield a listener for a run's events."""
     if not sys.stderr.isatty():
-        yield _silent
+        yield _print_code
         return
     from rich.console import Console
     from rich.progress import (
@@ -39,6 +39,7 @@ def run_progress() -> Iterator["OnEvent"]:
         cells = {"done": 0, "failed": 0}
 
         def listen(kind: str, data: Mapping[str, Any]) -> None:
+            _print_code(kind, data)
             if kind == "plan":
                 costs.update(data["seconds"])
                 bar.update(task, total=sum(costs.values()) or 1.0, cells=data["open"])
@@ -69,5 +70,7 @@ def search_progress() -> Iterator[Callable[[int, float], None]]:
     sys.stderr.write("\r\x1b[K")
 
 
-def _silent(kind: str, data: Mapping[str, Any]) -> None:
-    pass
+def _print_code(kind: str, data: Mapping[str, Any]) -> None:
+    """Print which third-party code a run executes."""
+    if kind == "code":
+        print(data["note"], file=sys.stderr)

@@ -21,6 +21,7 @@ from sysid_bench.cli.options import (
     task_option,
     terms_option,
 )
+from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import parse_terms
 from sysid_bench.errors import UsageError
 
@@ -119,6 +120,9 @@ def basis(
 ) -> int:
     """Print the base parameters: number, combinations, identifiability of each parameter."""
     _check_paper(printing)
+    code = supervised([("task", task)])
+    if code is not None:
+        return code
     whole = free_base is None and sensor is None
     if printing.paper and whole and sysid_bench.show(task)["identifies_whole_robot"]:
         _print_paper(robot, parse_terms(terms), printing, robots_dir, as_json)

@@ -28,10 +28,15 @@ _set_option = click.option(
 _select_option = click.option("--select", help="Only cells that meet this expression.")
 
 
+_large_option = click.option("--large", is_flag=True, help="Admit more than a million cells.")
+
+
 @click.command()
 @click.argument("suite")
 @_select_option
 @_set_option
+@click.option("--no-code", is_flag=True, help="Import no third-party plug-in.")
+@_large_option
 @robots_option
 @json_option
 @report_errors
@@ -39,13 +44,23 @@ def plan(
     suite: str,
     select: str | None,
     settings: tuple[str, ...],
+    no_code: bool,
+    large: bool,
     robots_dir: Path | None,
     as_json: bool,
 ) -> int:
-    """Validate a suite and count its cells; nothing runs."""
+    """Validate a suite and count its cells; none of them runs.
+
+    Third-party plug-ins are imported and made in a process of their own, unless --no-code.
+    """
     try:
         result = sysid_bench.plan(
-            suite, parse_condition(select), dict(parse_entries(settings)), robots_dir
+            suite,
+            parse_condition(select),
+            dict(parse_entries(settings)),
+            robots_dir,
+            no_code=no_code,
+            large=large,
         )
     except SysidBenchError as error:
         if not as_json:
@@ -53,6 +68,8 @@ def plan(
         counts = {"cells": 0, "experiments": 0, "excluded": {}, "seconds": 0}
         print_json({**counts, "errors": str(error).splitlines()})
         return USAGE
+    if result.code:
+        click.echo(result.code, err=True)
     print_result(result, as_json)
     return OK
 
@@ -68,6 +85,8 @@ class _Execution(OptionsRecord):
 class _Selection(OptionsRecord):
     select: str | None
     limit: int | None
+    shard: str | None
+    large: bool
     record: str | None
 
 
@@ -86,7 +105,7 @@ class _Selection(OptionsRecord):
         click.option(
             "-j", "--jobs", type=click.IntRange(min=1), help="Workers; default one per core."
         ),
-        click.option("--timeout", metavar="60s", help="Hard limit per experiment."),
+        click.option("--timeout", metavar="60s", help="Hard limit per cell."),
         click.option(
             "--rerun", type=click.Choice(["failed", "stale", "all"]), help="Run these cells again."
         ),
@@ -99,6 +118,8 @@ class _Selection(OptionsRecord):
     [
         _select_option,
         click.option("--limit", type=click.IntRange(min=1), help="Only the first N cells."),
+        click.option("--shard", metavar="I/N", help="Only part I of N, for one of N machines."),
+        _large_option,
         click.option("--record", metavar="SPEC", help="Record cells that meet this expression."),
     ],
 )
@@ -131,7 +152,27 @@ def run(
             overrides=dict(parse_entries(settings)),
             robots_dir=robots_dir,
             on_event=on_event,
+            shard=selection.shard,
+            large=selection.large,
         )
     nothing = result.exit_code == INTERRUPTED or not result.counts
     click.echo(result.summary(), err=nothing)
+    return int(result.exit_code)
+
+
+@click.command()
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True)
+@click.option(
+    "-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder of the merged run."
+)
+@click.option("--mixed", is_flag=True, help="Merge rows of different code, too.")
+@json_option
+@report_errors
+def merge(runs: tuple[str, ...], out: Path, mixed: bool, as_json: bool) -> int:
+    """Merge runs of one plan, such as shards, into one.
+
+    Exit code 1 where they contradict each other: nothing is written then.
+    """
+    result = sysid_bench.merge(runs, out, mixed=mixed)
+    print_result(result, as_json)
     return int(result.exit_code)

@@ -1,6 +1,6 @@
 """Third-party code of an experiment: plug-ins that are not of this package."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,12 +45,22 @@ def _log_plugins(spec: Mapping[str, Any], folder: Path) -> Iterator[tuple[str, s
             yield "term", name.removeprefix(f"{MOTOR}.")
     for written in (*log["train"], *log["test"]):
         try:
-            yield from _readers(log_description(written, folder))
+            yield from log_readers(log_description(written, folder))
         except UsageError:  # reported by the preparation
             continue
 
 
-def _readers(log: LogDescription) -> Iterator[tuple[str, str]]:
+def readers_of_logs(files: Iterable[Path]) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of the readers of described recordings; invalid descriptions have none."""
+    for file in files:
+        try:
+            yield from log_readers(log_description(str(file), Path()))
+        except UsageError:  # reported by their reading
+            continue
+
+
+def log_readers(log: LogDescription) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of the readers of a log's files; the suffix where none is known."""
     for part in (log.q, log.v, log.tau, log.time):
         if part is not None:
             reader = log.reader_of(part) or {"use": _builtin_reader(log.file_of(part))}

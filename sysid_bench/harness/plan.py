@@ -12,7 +12,6 @@ from typing import Any
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.experiments.spec import (
-    REDRAWN,
     ExperimentSpec,
     normal_noise,
     normal_payload,
@@ -20,7 +19,8 @@ from sysid_bench.experiments.spec import (
 )
 from sysid_bench.harness.labels import BASES, labels_of, robot_key
 from sysid_bench.harness.log_specs import log_labels, log_specs
-from sysid_bench.harness.suite.data_entries import Prior, Signals
+from sysid_bench.harness.plan_size import check_size, is_redrawn, prior_table
+from sysid_bench.harness.suite.data_entries import Signals
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, installed_names
@@ -143,8 +143,13 @@ def _check_rankings(suite: Suite, cells: Sequence[Cell]) -> None:
             raise unknown_name("estimator of this suite", entry.against, methods, where)
 
 
-def expand(suite: Suite, names: Names | None = None) -> Plan:
-    """Return all cells of a suite, without those of an [[exclude]] and without duplicates."""
+def expand(suite: Suite, names: Names | None = None, *, large: bool = False) -> Plan:
+    """Return all cells of a suite, without those of an [[exclude]] and without duplicates.
+
+    Raises UsageError for more than MANY cells, unless `large`.
+    """
+    if not large:
+        check_size(suite)
     cells = _cells(suite, names or installed_names())
     _check_rankings(suite, cells)
     kept, excluded = _exclude(suite, cells)
@@ -235,9 +240,8 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
 
 
 def _repeats_nothing(spec: ExperimentSpec) -> bool:
-    redrawn = not isinstance(spec.prior, str) and bool(spec.prior.get(REDRAWN))
     simulated = spec.log is None and spec.simulation["use"] == "inverse"
-    return simulated and not spec.noise and not redrawn
+    return simulated and not spec.noise and not is_redrawn(spec.prior)
 
 
 def _cells(suite: Suite, names: Names) -> list[Cell]:
@@ -293,7 +297,7 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
             task=task,
             terms=terms,
             plant=plant.spec,
-            prior=normal_prior(_written(prior)),
+            prior=normal_prior(prior_table(prior)),
             excitation=excitation.spec,
             held_out=tuple(motion.spec for motion in held_out),
             simulation=simulation.spec,
@@ -315,10 +319,6 @@ def _signals(signals: Signals) -> dict[str, Any]:
     if signals.calibration is not None:
         written["calibration"] = [normal_payload(load) for load in signals.calibration]
     return written
-
-
-def _written(prior: Prior | str) -> str | dict[str, Any]:
-    return prior if isinstance(prior, str) else prior.model_dump(exclude_none=True)
 
 
 def _labelled(

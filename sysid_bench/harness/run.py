@@ -9,22 +9,25 @@ import os
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
 from sysid_bench import places
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Cell, Plan, expand
 from sysid_bench.harness.shard import Shard
-from sysid_bench.harness.stale_rows import is_stale, stale_cells, stale_note
+from sysid_bench.harness.stale_rows import fingerprints, is_stale, stale_cells, stale_note
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
-from sysid_bench.harness.suite.names import Names, installed_names
-from sysid_bench.harness.work.supervise import Ending, OnEvent, supervise
+from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.suite.third_party_code import code_note, third_party_plugins
+from sysid_bench.harness.supervised_names import supervised_names
+from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore, supervise
 from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
@@ -65,17 +68,24 @@ def run(
     names: Names | None = None,
     robots_dir: Path | None = None,
     overrides: Mapping[str, str] | None = None,
+    large: bool = False,
 ) -> RunResult:
     """Execute the selected cells that have no row; a run folder holds its own suite.
 
     `limit` takes the first selected cells in the order of the plan, with a row or without, `shard`
     a part of the plan for one of several machines (see harness/merge.py);
-    `timeout` (s) and `jobs` (default: the cores) change no cell. `on_event` gets ("plan", {cells,
-    open, tasks, seconds}), then the events of the supervisor. Raises UsageError before any run.
+    `timeout` (s) and `jobs` (default: the cores) change no cell; `large` admits more than a million
+    cells. `on_event` gets ("code", {note}) where third-party code will run, ("plan", {cells, open,
+    tasks, seconds}), then the events of the supervisor. Raises UsageError before any run.
     """
     _check(rerun, limit, jobs, timeout)
-    names = names or installed_names(robots_dir)
-    folder = _run_folder(suite_or_folder, out, names, overrides, robots_dir)
+    on_event = on_event or ignore
+    with nullcontext(names) if names else supervised_names(robots_dir) as known:
+        options = _SuiteOptions(known, overrides or {}, robots_dir, large)
+        folder = _run_folder(suite_or_folder, out, options)
+    note = code_note(third_party_plugins(folder.suite))
+    if note:
+        on_event("code", {"note": note})
     selected = _selected(folder.plan, select, shard)[:limit]
     source = _JobSource(folder, call, robots_dir or folder.suite.robots_dir)
     with folder.lock() as descriptor:
@@ -84,8 +94,7 @@ def run(
         work = source.jobs(todo, stored)
         if work:
             folder.write_env(environment())
-        if on_event is not None:
-            on_event("plan", _announcement(selected, todo, work))
+        on_event("plan", _announcement(selected, todo, work))
         settings = _worker_settings(folder, timeout, descriptor)
         ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, on_event)
         folder.write_frames()
@@ -137,30 +146,33 @@ def _seconds(timeout: float | str) -> float:
     return seconds
 
 
-def _run_folder(
-    source: Suite | str | Path,
-    out: Path | None,
-    names: Names,
-    overrides: Mapping[str, str] | None,
-    robots_dir: Path | None,
-) -> RunFolder:
+@dataclass(frozen=True)
+class _SuiteOptions:
+    """Options of reading and expanding a suite."""
+
+    names: Names
+    overrides: Mapping[str, str]
+    robots_dir: Path | None
+    large: bool
+
+
+def _run_folder(source: Suite | str | Path, out: Path | None, options: _SuiteOptions) -> RunFolder:
     """Open the run folder `source`, or make one of a suite."""
     if not isinstance(source, Suite) and Path(source).is_dir():
         if out is not None and out.resolve() != Path(source).resolve():
             raise UsageError(
                 f"{str(source)!r} is a run itself; it continues in its own folder, without -o."
             )
-        if overrides:
+        if options.overrides:
             raise UsageError(f"{str(source)!r} is a run: its suite is frozen; --set needs a suite.")
         return RunFolder.open(Path(source))
     if isinstance(source, Suite):
         suite = source
     else:
-        suite = load_suite(places.suite(str(source)), names, overrides)
-        suite = _signed(suite, str(source), robots_dir, overrides or {})
-    return RunFolder.make(
-        out or Path("reports") / suite.name, suite, expand(suite, names), environment()
-    )
+        suite = load_suite(places.suite(str(source)), options.names, options.overrides)
+        suite = _signed(suite, str(source), options.robots_dir, options.overrides)
+    plan = expand(suite, options.names, large=options.large)
+    return RunFolder.make(out or Path("reports") / suite.name, suite, plan, environment())
 
 
 def _signed(
@@ -210,11 +222,13 @@ class _JobSource:
     call: str
     robots_dir: Path | None
 
+    @cached_property
+    def _fingerprint(self) -> Callable[[Cell], str]:
+        return fingerprints(self.folder.suite, self.robots_dir)
+
     def fingerprint(self, cell: Cell) -> str:
         """Fingerprint of all that a cell depends on now."""
-        suite = self.folder.suite
-        metrics = [entry.spec for entry in suite.metric]
-        return cell_fingerprint(cell, self.robots_dir, suite.folder, metrics)
+        return self._fingerprint(cell)
 
     def jobs(self, cells: Iterable[Cell], stored: Mapping[str, Row]) -> list[Job]:
         """One job for each experiment."""

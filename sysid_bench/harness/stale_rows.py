@@ -1,9 +1,13 @@
 """Rows from other code: compare what a row depended on with what is there now."""
 
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 
+from sysid_bench.canonical_json import canonical
 from sysid_bench.experiments.loaded_sources import stale_sources
+from sysid_bench.harness.fingerprint import cell_fingerprint
 from sysid_bench.harness.plan import Cell
+from sysid_bench.harness.suite.model import Suite
 from sysid_bench.types import Row
 
 
@@ -24,6 +28,30 @@ def stale_cells(
     return [
         cell.id for cell in cells if cell.id in rows and is_stale(rows[cell.id], fingerprint(cell))
     ]
+
+
+def fingerprints(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]:
+    """Return a function that gives the fingerprint of a cell now; cells share it by their parts."""
+    metrics = [entry.spec for entry in suite.metric]
+    known: dict[str, str] = {}
+
+    def fingerprint(cell: Cell) -> str:
+        spec = cell.spec
+        parts = [
+            spec.robot, spec.task, spec.plant, spec.excitation, spec.held_out, spec.simulation,
+            spec.log, cell.estimator,
+        ]  # fmt: skip
+        key = canonical(parts)
+        if key not in known:
+            known[key] = cell_fingerprint(cell, robots_dir, suite.folder, metrics)
+        return known[key]
+
+    return fingerprint
+
+
+def other_code(suite: Suite, cells: Iterable[Cell], rows: Mapping[str, Row]) -> int:
+    """Return the number of rows of a run that are from other code, models or libraries than now."""
+    return len(stale_cells(cells, rows, fingerprints(suite, suite.robots_dir)))
 
 
 def stale_note(count: int) -> str:

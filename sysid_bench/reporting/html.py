@@ -54,6 +54,7 @@ class RunView:
     recordings: Mapping[str, str]
     command: str
     listings: tuple[Listing, ...] = ()
+    notes: tuple[str, ...] = ()  # on rows of other code, and on recordings that are absent
     pictures: tuple[tuple[str, str], ...] = ()  # title and <svg> of figures drawn elsewhere
     rankings: tuple[Ranking, ...] = ()
     metrics: Mapping[str, Metric] = field(default_factory=lambda: METRICS)
@@ -78,6 +79,7 @@ def report_html(run: RunView) -> str:
         title=run.suite.get("title") or name,
         command=run.command,
         cell_command=f"sysid-bench cell {shlex.quote(_short_path(run.folder))} ",
+        notes=run.notes,
         summary=run_summary(run.cells),
         crosschecks=crosscheck_rows(run.cells),
         tolerance=_tolerance(run.suite),

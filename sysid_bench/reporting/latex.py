@@ -24,11 +24,13 @@ _HEAD_LETTERS: Final = 16
 
 @dataclass(frozen=True)
 class Origin:
-    """Origin of the numbers: the run, a hash of its suite, the command that prints them."""
+    """Origin of the numbers: the run, a hash of its suite, the command that prints them, and a
+    note on rows of other code ("")."""
 
     run: str
     suite_hash: str
     command: str
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ def to_latex(table: Table, origin: Origin) -> str:
 def origin_text(origin: Origin) -> str:
     """The origin as comments above a table."""
     pairs = (("run", origin.run), ("suite", origin.suite_hash), ("made by", origin.command))
-    return "".join(f"% {name}: {' '.join(text.split())}\n" for name, text in pairs)
+    lines = [f"% {name}: {' '.join(text.split())}\n" for name, text in pairs]
+    return "".join([*lines, f"% {origin.note}\n" if origin.note else ""])
 
 
 def notes_text(notes: Sequence[str]) -> str:

@@ -1,6 +1,5 @@
 """Choice of a log reader, by the suffix of a file or by name, and the reading of one file."""
 
-import inspect
 import json
 from collections.abc import Mapping
 from functools import lru_cache
@@ -106,10 +105,7 @@ def plugin_file(path: Path, reader: ReaderSpec | None = None) -> Path | None:
 
     What it returns depends on its code, so rows made with it are stale when that changes.
     """
+    if reader is None:  # of a suffix: rows name the sources that such a reader loads
+        return None
     use = _reader_spec(path, reader)["use"]
-    if use in naming.BUILTIN[KIND]:
-        return None
-    try:
-        return Path(inspect.getfile(naming.resolve(KIND, use)))
-    except TypeError:  # compiled, or an instance
-        return None
+    return None if naming.is_builtin(KIND, use) else naming.source_file(KIND, use)

@@ -1,17 +1,23 @@
-"""Recordings: execute a cell again and write it for the Rerun viewer."""
+"""Recordings: execute a cell again and write it for the Rerun viewer.
+
+Cells with third-party code are executed in a worker process, as in a run: what goes wrong there
+costs the one recording, and its reason is kept in its place.
+"""
 
 import subprocess
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.cell_data import cell_data
+from sysid_bench.experiments.job_channel import JobChannel
+from sysid_bench.experiments.third_party import is_third_party_cell, uses_third_party_data
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import fields
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.harness.work.worker_call import WorkerError, worker_call
 from sysid_bench.reporting.cell_recording import record as write_recording
 from sysid_bench.reporting.cell_recording import view as open_viewer
 from sysid_bench.units import quantity
@@ -24,10 +30,14 @@ MOST: Final = 20
 MAX_HZ: Final = 50.0
 """Default sampling rate of recordings."""
 
+_REASON: Final = "no_recording.txt"
+_EXECUTE: Final = "sysid_bench.verbs.recordings:write_cell"
+
 
 def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> list[Path]:
     """Write recordings of the cell with the id `what`, or of all that meet the expression `what`;
-    return their paths. Raises UsageError for cells that have not run or that ended their process.
+    return their paths. Raises UsageError for cells that have not run or that ended their process,
+    and, when all others are written, for those that cannot be recorded.
     """
     run_folder = open_run(folder)
     stored = run_folder.rows().rows
@@ -36,7 +46,12 @@ def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> lis
         raise UsageError(f"No finished cell of {str(folder)!r} meets {what!r}; nothing to record.")
     for cell in chosen:
         _check_row(cell, stored.get(cell))
-    return [_write(run_folder, cell, stored[cell], robots_dir) for cell in chosen]
+    attempts = [_attempt(run_folder, cell, stored[cell], robots_dir) for cell in chosen]
+    failures = [text for text in attempts if text]
+    if failures:
+        written = len(attempts) - len(failures)
+        raise UsageError("\n".join([*failures, *([f"{written} written."] if written else [])]))
+    return [_path(run_folder, cell) for cell in chosen]
 
 
 def _is_id(what: str) -> bool:
@@ -48,10 +63,10 @@ def _check_row(cell: str, row: Mapping[str, Any] | None) -> None:
     """Raise UsageError for a cell that has not run, or that ended its process."""
     if row is None:
         raise UsageError(f"The cell {cell} has not run yet; run it first, then record it.")
-    if row.get("status") in ("crash", "timeout"):
+    if row.get("status") in ("crash", "timeout", "memory"):
         raise UsageError(
-            f"The cell {cell} ended as {row['status']}; executed again here it would "
-            "take this command with it. Record another cell of its experiment."
+            f"The cell {cell} ended as {row['status']}; executed again it would end the same way, "
+            "without a recording. Record another cell of its experiment."
         )
 
 
@@ -66,12 +81,18 @@ def record_selected(
     newest = _newest_row(run_folder)
     written = []
     for cell in with_data[:MOST]:
-        if _written_at(_path(run_folder, cell)) > newest:
+        path = _path(run_folder, cell)
+        if max(_written_at(path), _written_at(_reason_file(path))) > newest:
             continue
-        # The row states why; a missing recording does not fail a run.
-        with suppress(SysidBenchError):
-            written.append(_write(run_folder, cell, stored[cell], robots_dir))
+        if not _attempt(run_folder, cell, stored[cell], robots_dir):
+            written.append(path)
     return written
+
+
+def recording_notes(run_folder: RunFolder) -> tuple[str, ...]:
+    """Return the reasons of the recordings that could not be written."""
+    files = sorted((run_folder.path / "artifacts").glob(f"*/{_REASON}"))
+    return tuple(file.read_text(encoding="utf-8").strip() for file in files)
 
 
 def _written_at(file: Path) -> float:
@@ -130,14 +151,61 @@ def _path(run_folder: RunFolder, cell: str) -> Path:
     return run_folder.path / "artifacts" / cell / "recording.rrd"
 
 
+def _reason_file(recording: Path) -> Path:
+    return recording.with_name(_REASON)
+
+
+def _attempt(
+    run_folder: RunFolder, cell: str, row: Mapping[str, Any], robots_dir: Path | None
+) -> str:
+    """Write the recording of a cell, or the reason why it cannot be; return the reason, else ""."""
+    path = _path(run_folder, cell)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    reason = ""
+    try:
+        _write(run_folder, cell, row, robots_dir)
+    except WorkerError as error:
+        reason = str(error)
+    except Exception as error:  # a missing recording does not fail a run
+        reason = f"The recording of {cell} could not be written: {reason_of(error)}"
+    if reason:
+        _reason_file(path).write_text(f"{reason}\n", encoding="utf-8")
+        for old in path.parent.glob(f"{path.name}*"):  # of an older row, or unfinished
+            old.unlink()
+    else:
+        _reason_file(path).unlink(missing_ok=True)
+    return reason
+
+
 def _write(
     run_folder: RunFolder, cell: str, row: Mapping[str, Any], robots_dir: Path | None
-) -> Path:
+) -> None:
     rule = run_folder.suite.record
     max_hz = rule.max_hz if rule else MAX_HZ
     # A recording needs the signals, which rows do not hold: the cell is executed again.
     (planned,) = [c for c in run_folder.plan.cells if c.id == cell]
     job = job_of([planned], run_folder.suite, robots_dir or run_folder.suite.robots_dir)
-    path = _path(run_folder, cell)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return write_recording(cell_data(job, dict(row)), path, quantity(max_hz, "Hz"))
+    argument = {
+        "job": job,
+        "row": dict(row),
+        "path": str(_path(run_folder, cell).resolve()),
+        "max_hz": quantity(max_hz, "Hz"),
+    }
+    if _runs_third_party_code(job):
+        limits = run_folder.suite.run
+        title = f"The recording of {cell} ({row.get('estimator')}) could not be written"
+        timeout, memory = quantity(limits.timeout, "s"), quantity(limits.memory, "B")
+        worker_call(_EXECUTE, argument, title, timeout, memory)
+    else:
+        write_cell(argument)
+
+
+def _runs_third_party_code(job: Mapping[str, Any]) -> bool:
+    entries = job["estimators"]
+    return uses_third_party_data(job) or any(is_third_party_cell(job, entry) for entry in entries)
+
+
+def write_cell(argument: Mapping[str, Any], channel: JobChannel | None = None) -> None:
+    """Execute a cell and write its recording."""
+    data = cell_data(argument["job"], argument["row"])
+    write_recording(data, Path(argument["path"]), argument["max_hz"])

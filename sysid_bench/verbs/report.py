@@ -4,11 +4,13 @@ import shlex
 import tomllib
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.figures import figure, svg_element
@@ -23,6 +25,7 @@ from sysid_bench.reporting.rankings import Ranking, rankings
 from sysid_bench.reporting.tables import Table
 from sysid_bench.verbs.folders import open_run
 from sysid_bench.verbs.paper_output import draw_paper_figures, paper_tables, text_of
+from sysid_bench.verbs.recordings import recording_notes
 from sysid_bench.vocabulary import JOINT, PARAMETER, STD_FROM
 
 if TYPE_CHECKING:
@@ -58,7 +61,8 @@ def report(folder: str | Path) -> Path:
     if len(frames.cells) == 0:
         raise UsageError(f"{str(folder)!r} has no rows yet; run it first.")
     tables, ranked = tuple(_tables(run_folder)), _rankings(run_folder)
-    listings, origin = paper_tables(run_folder), _origin(run_folder)
+    note = _stale_note(run_folder)
+    listings, origin = paper_tables(run_folder), replace(_origin(run_folder), note=note)
     for name in ("tables", "figures"):
         (run_folder.path / name).mkdir(exist_ok=True)
     _write_tables(run_folder.path / "tables", tables, ranked, listings, origin)
@@ -77,9 +81,15 @@ def report(folder: str | Path) -> Path:
             recordings=recordings(run_folder),
             command=origin.command,
             listings=listings,
+            notes=(*filter(None, [note]), *recording_notes(run_folder)),
             pictures=tuple((title, svg_element(path.read_bytes())) for title, path in drawn),
         )
     )
+
+
+def _stale_note(run_folder: "RunFolder") -> str:
+    """Sentence on the rows that are from other code than now; empty for none."""
+    return stale_note(other_code(run_folder.suite, run_folder.plan.cells, run_folder.rows().rows))
 
 
 def table(folder: str | Path, name: str, form: str = "md") -> str:
@@ -88,6 +98,8 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
     origin = _origin(run_folder)
+    if form == "latex":
+        origin = replace(origin, note=_stale_note(run_folder))
     tables = _by_name(_tables(run_folder))
     if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
         return text_of(_listing(run_folder, name), form, origin)

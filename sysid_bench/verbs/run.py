@@ -4,6 +4,7 @@ import json
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,16 @@ from sysid_bench.harness.plan import Cell, expand
 from sysid_bench.harness.run import Rerun
 from sysid_bench.harness.run import RunResult as Outcome
 from sysid_bench.harness.run import run as execute
+from sysid_bench.harness.shard import Shard
+from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
-from sysid_bench.harness.suite.names import installed_names
+from sysid_bench.harness.suite.static_names import static_names
+from sysid_bench.harness.suite.third_party_code import code_note, third_party_plugins
+from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.verbs.folders import find_cell, open_run
-from sysid_bench.verbs.recordings import record_selected
+from sysid_bench.verbs.recordings import record_selected, recording_notes
 from sysid_bench.verbs.report import printed_tables, report
 from sysid_bench.verbs.result import Result
 
@@ -32,13 +37,14 @@ class PlanResult(Result):
     """Cells of a suite. The attributes `cells` (in the order of the suite) and `experiments` (in
     the order of their first cell) hold the specifications; as a mapping and in JSON they are
     counts. `excluded`: cells by reason; `seconds`: expected cost on one worker; `notes` on the
-    selection."""
+    selection. The attribute `code` names the third-party code that the suite runs ("")."""
 
     cells: tuple[Cell, ...]
     experiments: tuple[ExperimentSpec, ...]
     excluded: Mapping[str, int]
     seconds: float
     notes: tuple[str, ...]
+    code: str = ""
 
     def summary(self) -> str:
         """Counts, exclusions and notes."""
@@ -99,20 +105,22 @@ def _counts_text(counts: Mapping[str, int]) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StatusResult(Result):
-    """Progress of a run: planned cells, rows by status, and reasons with their counts."""
+    """Progress of a run: planned cells, rows by status, reasons with their counts, and the number
+    of rows from `other_code`, models or libraries than there are now."""
 
     folder: str
     cells: int
     open: int
     statuses: dict[str, int]
     reasons: list[dict[str, Any]]
+    other_code: int
 
     def summary(self) -> str:
         """Counts, then one line for each reason."""
         counts = _counts_text(self.statuses) or "no rows"
         lines = [f"{self.cells} cells: {counts}, {self.open} open"]
         lines += [f"  {r['cells']} {r['status']}: {r['reason']}" for r in self.reasons]
-        return "\n".join(lines)
+        return "\n".join([*lines, *filter(None, [stale_note(self.other_code)])])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,14 +152,23 @@ def plan(
     select: str | None = None,
     overrides: Mapping[str, str] | None = None,
     robots_dir: Path | None = None,
+    *,
+    no_code: bool = False,
+    large: bool = False,
 ) -> PlanResult:
-    """Return the cells of a suite with every name resolved; nothing runs.
+    """Return the cells of a suite with every name resolved; no cell runs.
 
-    `select`: an expression of cells; `overrides`: {key: value} of the suite. Raises UsageError with
-    all errors of the suite.
+    `select`: an expression of cells; `overrides`: {key: value} of the suite; `large` admits more
+    than a million cells. Third-party plug-ins are imported and built in a process of their own, or
+    under `no_code` not at all: only that their file defines them is checked then, and a note names
+    them. Raises UsageError with all errors of the suite.
     """
-    names = installed_names(robots_dir)
-    whole = expand(load_suite(places.suite(str(suite)), names, overrides), names)
+    own = nullcontext(static_names(robots_dir)) if no_code else supervised_names(robots_dir)
+    with own as names:
+        loaded = load_suite(places.suite(str(suite)), names, overrides)
+    whole = expand(loaded, names, large=large)
+    plugins = third_party_plugins(loaded)
+    unseen = [f"{kind} {name}" for kind, name in plugins if no_code]
     selected = replace(whole, cells=whole.select(select))
     why = whole.missing_values(select) if select and not selected.cells else ()
     return PlanResult(
@@ -159,8 +176,16 @@ def plan(
         experiments=selected.experiments,
         excluded=whole.excluded,
         seconds=selected.seconds,
-        notes=(*whole.notes, *why),
+        notes=(*whole.notes, *why, *_not_imported(unseen)),
+        code="" if no_code else code_note(plugins),
     )
+
+
+def _not_imported(plugins: Sequence[str]) -> list[str]:
+    """Note on plug-ins of which only the source was looked at."""
+    if not plugins:
+        return []
+    return [f"Not imported, so that their settings are not checked: {', '.join(plugins)}."]
 
 
 def run(
@@ -177,12 +202,16 @@ def run(
     overrides: Mapping[str, str] | None = None,
     robots_dir: Path | None = None,
     on_event: OnEvent | None = None,
+    shard: str | None = None,
+    large: bool = False,
 ) -> RunResult:
     """Run a suite (or resume a run folder), then write its tables, figures, recordings and report.
 
     `jobs`: workers (default: one per core); `limit`: the first selected cells; `timeout` per
-    experiment; `rerun`: "failed", "stale" or "all"; `record`: an expression of cells to record
-    instead of the suite's own choice. Raises UsageError before anything runs.
+    cell; `rerun`: "failed", "stale" or "all"; `record`: an expression of cells to record instead of
+    the suite's own choice; `shard`: "2/8", a part of the plan for one of several machines, whose
+    runs `merge` joins; `large` admits more than a million cells. Raises UsageError before anything
+    runs.
     """
     outcome = execute(
         Path(suite) if Path(suite).is_dir() else str(suite),
@@ -190,32 +219,37 @@ def run(
         jobs=jobs,
         select=select,
         limit=limit,
+        shard=None if shard is None else Shard.parse(shard),
         timeout=timeout,
         rerun=rerun,
         fail_fast=fail_fast,
         on_event=on_event,
         robots_dir=robots_dir,
         overrides=overrides,
+        large=large,
     )
-    _write_reports(outcome, record, robots_dir)
-    return _run_result(outcome)
+    return _run_result(outcome, _write_reports(outcome, record, robots_dir))
 
 
-def _write_reports(outcome: Outcome, record: str | None, robots_dir: Path | None) -> None:
-    """Write recordings and report of a run that has rows and was not interrupted."""
-    if outcome.counts and outcome.exit_code != INTERRUPTED:
-        record_selected(outcome.folder, record, robots_dir)
-        report(outcome.folder.path)
+def _write_reports(
+    outcome: Outcome, record: str | None, robots_dir: Path | None
+) -> tuple[str, ...]:
+    """Write recordings and report of a run that has rows and was not interrupted; return notes."""
+    if not outcome.counts or outcome.exit_code == INTERRUPTED:
+        return ()
+    record_selected(outcome.folder, record, robots_dir)
+    report(outcome.folder.path)
+    return recording_notes(outcome.folder)
 
 
-def _run_result(outcome: Outcome) -> RunResult:
+def _run_result(outcome: Outcome, more: Sequence[str]) -> RunResult:
     return RunResult(
         folder=outcome.folder,
         counts=outcome.counts,
         open=outcome.open,
         asked=outcome.asked,
         exit_code=outcome.exit_code,
-        notes=outcome.notes,
+        notes=(*outcome.notes, *more),
     )
 
 
@@ -231,6 +265,7 @@ def status(folder: str | Path) -> StatusResult:
         open=len(planned) - len(rows),
         statuses=dict(Counter(row["status"] for row in rows)),
         reasons=_reasons(rows),
+        other_code=other_code(run_folder.suite, run_folder.plan.cells, stored),
     )
 
 

@@ -247,6 +247,13 @@ class Crosscheck(Section):
     ] = "skip-robot"
 
 
+def _metric(thing: object, record: Mapping[str, Any] | None) -> Metric:
+    """Metric of a look-up, which gives its record where its code runs in another process."""
+    if thing is None or isinstance(thing, Mapping):
+        return metric_from_record(thing or record or {})
+    return checked_metric(thing)
+
+
 class MetricEntry(Plugin):
     """A metric of the user's own; `record` (title, unit, direction) is written when the suite is
     frozen, so that reports need no plug-in."""
@@ -267,8 +274,7 @@ class MetricEntry(Plugin):
             thing = None
             if record is None or not context.names.frozen:
                 thing = context.names.plugin("metric", resolve_files(spec, context.folder))
-            metric = metric_from_record(record or {}) if thing is None else checked_metric(thing)
-            found.append(context.add_metric(metric))
+            found.append(context.add_metric(_metric(thing, record)))
 
         checked(register)
         return {**value, "record": metric_record(found[0])}

@@ -48,8 +48,8 @@ class Names:
     """Functions that look names up, and raise an error of sysid_bench.errors for unknown ones.
 
     `robot(source, folder)`, `payload(name or table)`, `plugin(kind, {use, settings})`, which builds
-    the object and so checks its settings, `sensor(source, folder, text)`, which cuts the robot at
-    each of the named sensors, and `task(name, folder)`.
+    the object and so checks its settings (a metric is returned, or its record), `sensor(source,
+    folder, text)`, which cuts the robot at each of the named sensors, and `task(name, folder)`.
     """
 
     robot: Callable[[str, Path | None], Robot]

@@ -182,9 +182,13 @@ class Worker:
         text = self._error_text()
         return status, reason + (f"; its last output: {text}" if text else "")
 
+    def output(self) -> str:
+        """Return what the job has printed since it or its present cell began, at most 64 kB."""
+        return self._log.output(self._log_start)
+
     def _error_text(self) -> str:
         """Return the fatal error in the log since the cell began, or else its last line."""
-        lines = self._log.output(self._log_start).split("\n")
+        lines = self.output().split("\n")
         written = [line.strip() for line in lines if line.strip()]
         fatal = [line for line in written if line.startswith("Fatal Python error")]
         return (fatal or written[-1:] or [""])[0][:300]

@@ -1,0 +1,82 @@
+"""Number of cells of a suite, counted without making them."""
+
+from collections.abc import Mapping, Sequence
+from math import prod
+from typing import Any, Final
+
+from sysid_bench.errors import UsageError
+from sysid_bench.experiments.spec import REDRAWN, normal_noise, normal_prior
+from sysid_bench.harness.suite.data_entries import Prior
+from sysid_bench.harness.suite.model import LogEntry, Suite
+
+MANY: Final = 1_000_000
+"""Most cells of a plan that nobody has to ask for: more are a mistake more often than a wish."""
+
+_AXES: Final = ("task", "terms", "plant", "excitation", "held_out", "rate", "signals")
+_NOISY_AXES: Final = ("noise", "prior", "simulation")
+"""Axes that decide on repeats: an experiment that draws nothing is not repeated."""
+
+
+def check_size(suite: Suite) -> None:
+    """Raise UsageError with the product that makes a suite too large."""
+    products = [_simulated(suite), *(_recorded(suite, log) for log in suite.log)]
+    total = sum(count for count, _ in products)
+    if total > MANY:
+        terms = " + ".join(text for count, text in products if count)
+        raise UsageError(
+            f"{suite.name!r} has {total:,} cells before any [[exclude]], more than {MANY:,}: "
+            f"{terms} = {total:,}. Make a sweep shorter, or plan and run it with --large."
+        )
+
+
+def is_redrawn(prior: str | Mapping[str, Any]) -> bool:
+    """True for a normal prior that each repeat draws again."""
+    return not isinstance(prior, str) and bool(prior.get(REDRAWN))
+
+
+def prior_table(prior: Prior | str) -> str | dict[str, Any]:
+    """Return a prior as its words or keys."""
+    return prior if isinstance(prior, str) else prior.model_dump(exclude_none=True)
+
+
+def _simulated(suite: Suite) -> tuple[int, str]:
+    axes = suite.defaults
+    sizes = {**_robots(suite), "estimators": len(suite.estimator)}
+    sizes |= {axis: len(getattr(axes, axis)) for axis in _AXES}
+    noisy = {axis: len(getattr(axes, axis)) for axis in _NOISY_AXES}
+    fixed, repeats = _fixed(suite), suite.run.repeats
+    drawn = prod(noisy.values()) - fixed
+    count = prod(sizes.values()) * (drawn * repeats + fixed)
+    text = _product({**sizes, **noisy, "repeats": repeats})
+    if fixed and repeats > 1:
+        text += f" (repeats of {drawn} of {drawn + fixed} kinds of noise, prior and simulation)"
+    return count, text
+
+
+def _robots(suite: Suite) -> dict[str, int]:
+    if len(suite.robot) == 1:
+        (entry,) = suite.robot
+        return {"robots": len(entry.use), "payloads": len(entry.payloads)}
+    return {"robots with payloads": sum(len(e.use) * len(e.payloads) for e in suite.robot)}
+
+
+def _fixed(suite: Suite) -> int:
+    """Number of combinations of the axes of noise that draw nothing."""
+    axes = suite.defaults
+    exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in axes.noise)
+    given = sum(not is_redrawn(normal_prior(prior_table(prior))) for prior in axes.prior)
+    return exact * given * sum(entry.use == "inverse" for entry in axes.simulation)
+
+
+def _recorded(suite: Suite, log: LogEntry) -> tuple[int, str]:
+    sweeps: Mapping[str, Sequence[Any]] = {
+        "terms": log.terms, "choose": log.choose, "filter": log.filter, "moving": log.moving,
+        "estimators": suite.estimator,
+    }  # fmt: skip
+    sizes = {name: len(values) for name, values in sweeps.items()}
+    return prod(sizes.values()), _product(sizes)
+
+
+def _product(sizes: Mapping[str, int]) -> str:
+    """Return "3 robots x payloads x 4 rate"; axes of one value are left out."""
+    return " x ".join(f"{size:,} {name}" for name, size in sizes.items() if size != 1) or "1"

@@ -1,0 +1,44 @@
+"""Third-party code of a suite: the modules and files of plug-ins that are not of this package."""
+
+from collections.abc import Iterable, Iterator
+
+from sysid_bench.errors import UsageError
+from sysid_bench.experiments.third_party import log_readers
+from sysid_bench.harness.suite.model import LogEntry, Plugin, Suite
+from sysid_bench.naming import is_third_party, known
+from sysid_bench.signals.log_description import log_description
+
+
+def third_party_plugins(suite: Suite) -> tuple[tuple[str, str], ...]:
+    """Return (kind, name) of each third-party plug-in that a suite names, once each."""
+    return tuple(dict.fromkeys(used for used in _plugins(suite) if is_third_party(*used)))
+
+
+def code_note(plugins: Iterable[tuple[str, str]]) -> str:
+    """Return "runs code: file:x.py, mylab.methods"; empty without third-party plug-ins."""
+    modules = (known(kind).get(name, name).rpartition(":")[0] for kind, name in plugins)
+    text = ", ".join(dict.fromkeys(modules))
+    return f"runs code: {text}" if text else ""
+
+
+def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
+    axes = suite.defaults
+    held_out = (motion for motions in axes.held_out for motion in motions)
+    entries: Iterable[Plugin] = (
+        *suite.estimator, *suite.metric, *axes.plant, *axes.excitation, *held_out, *axes.simulation
+    )  # fmt: skip
+    yield from ((entry.kind, entry.use) for entry in entries)
+    yield from (("task", task) for task in axes.task)
+    for log in suite.log:
+        yield from _log_plugins(suite, log)
+
+
+def _log_plugins(suite: Suite, log: LogEntry) -> Iterator[tuple[str, str]]:
+    yield "task", log.task
+    words = (word for sweep in (log.terms, log.choose) for words in sweep for word in words or ())
+    yield from (("term", word.removeprefix("motor.")) for word in words)
+    for written in (*log.train, *log.test):
+        try:
+            yield from log_readers(log_description(written, suite.folder))
+        except UsageError:  # a frozen suite whose files are gone: reported by its cells
+            continue
