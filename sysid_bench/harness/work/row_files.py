@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 from sysid_bench.canonical_json import plain
+from sysid_bench.harness.work.row_check import is_row
 from sysid_bench.types import Row
 
 SYNC_SECONDS = 1.0
@@ -121,4 +122,4 @@ def _row(line: bytes) -> Row | None:
         row = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    return row if isinstance(row, dict) and isinstance(row.get("id"), str) else None
+    return row if is_row(row) else None
