@@ -14,6 +14,8 @@ from typing import Any, Final
 LARGEST: Final = 64 * 2**20
 """Bytes of a text that people write; a larger one is a mistake."""
 
+_PART: Final = 2**20
+
 _DEEPEST: Final = 100
 """Levels of nested tables and lists; Python's recursion ends at a few hundred."""
 
@@ -33,7 +35,9 @@ def read_bytes(path: Path, largest: int = LARGEST) -> bytes:
     """Return the content of a file; raises OSError as `check_file` does."""
     check_file(path, largest)
     with path.open("rb") as file:
-        content = file.read(largest + 1)  # files of the system state no size
+        content = file.read(path.stat().st_size + 1)
+        while 0 < len(content) <= largest and (more := file.read(_PART)):
+            content += more  # files of the system state no size
     if len(content) > largest:
         raise OSError(_size_text(path, len(content), largest))
     return content

@@ -112,7 +112,7 @@ def parse_motors(text: str) -> dict[str, dict[str, Any]]:
     if not text.endswith(".toml"):
         return {str(k): {"motor": name.strip()} for k, name in enumerate(text.split(","), 1)}
     table = _motor_file(text)
-    if not all(isinstance(value, dict) for value in table.values()):
+    if not (table and all(isinstance(value, dict) for value in table.values())):
         raise UsageError(f"{text}: write a table for each joint: [joint1] motor = 'DM4340'.")
     return table
 

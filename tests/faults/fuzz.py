@@ -6,6 +6,7 @@ python -m tests.faults.fuzz [--seed 0] [--count 100] [--kind urdf] [--show refus
 import argparse
 import contextlib
 import json
+import math
 import os
 import random
 import resource
@@ -55,15 +56,15 @@ def fuzz(kind: Kind, cases: range, seed: int) -> Iterator[Verdict]:
     with tempfile.TemporaryDirectory() as temporary:
         sound = Path(temporary) / "sound"
         sound.mkdir()
-        made = _isolated(lambda: kind.make(sound))
+        made = isolated(lambda: kind.make(sound))
         assert made[0] == "accepted", made
-        verdict = _isolated(lambda: kind.read(_copied(sound)))
+        verdict = isolated(lambda: kind.read(_copied(sound)))
         assert verdict[0] == "accepted", f"{kind.name}: the sound input gives {verdict}"
         for case in cases:
             folder = _copied(sound)
             damage(kind, folder, random.Random(f"{seed} {kind.name} {case}"))
             start = time.monotonic()
-            outcome, text = _isolated(lambda: kind.read(folder))  # noqa: B023 - called at once
+            outcome, text = isolated(lambda: kind.read(folder))  # noqa: B023 - called at once
             yield Verdict(kind.name, case, outcome, text, time.monotonic() - start)
 
 
@@ -84,13 +85,13 @@ def damage(kind: Kind, folder: Path, rng: random.Random) -> None:
         path.write_bytes(mutated(path.read_bytes(), rng))
 
 
-def _isolated(work: Callable[[], object]) -> tuple[str, str]:
-    """Return outcome and message of work done in a process with limits."""
+def isolated(work: Callable[[], object], seconds: int = SECONDS) -> tuple[str, str]:
+    """Return outcome and message of work done in a process with limits of CPU time and memory."""
     source, sink = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(source)
-        _settle(work, sink)
+        _settle(work, sink, seconds)
     os.close(sink)
     answer = _answer(source)
     os.close(source)
@@ -117,11 +118,12 @@ def _answer(source: int) -> bytes | None:
     return None
 
 
-def _settle(work: Callable[[], object], sink: int) -> None:
+def _settle(work: Callable[[], object], sink: int, seconds: int) -> None:
     """Do the work in this process and end it."""
+    used_seconds = math.ceil(time.process_time())
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
-    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
+    resource.setrlimit(resource.RLIMIT_CPU, (used_seconds + seconds,) * 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     quiet = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):

@@ -220,6 +220,6 @@ estimator ols
 excitation fourier
 log_reader delimited-text
 plant stribeck
-estimator sysid_bench.identification.estimators.ols:Ols
+estimator sysid_bench.identification.estimators.ols:OLS
 log_reader parquet
 """

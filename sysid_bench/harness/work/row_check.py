@@ -1,5 +1,7 @@
-"""Check of a row that was read: a damaged one is skipped and counted, never used in part."""
+"""Check of what stands in a folder of rows: damaged rows are skipped and counted, never used in
+part."""
 
+from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.vocabulary import STATUSES
@@ -15,5 +17,12 @@ def is_row(value: Any) -> bool:
 
 
 def _is_table(value: Any) -> bool:
+    if isinstance(value, dict):
+        return "columns" in value  # written by column, and checked where it is read so
     entries = [] if value is None else value
     return isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
+
+
+def not_files(folder: Path, pattern: str) -> list[str]:
+    """Return the names of folders, devices, pipes and dangling links: they are not read."""
+    return sorted(path.name for path in folder.glob(pattern) if not path.is_file())

@@ -37,6 +37,10 @@ def _load(path: Path) -> dict[str, Any]:
         raise UsageError(
             f"{path} is a MATLAB 7.3 file; save it with -v7 (save('log.mat', '-v7'))."
         ) from error
+    except MemoryError as error:
+        raise UsageError(
+            f"{path} states more data than memory holds: it is damaged, or too large; save it again."
+        ) from error
     except Exception as error:  # SciPy's parser raises many types on damaged files
         raise UsageError(
             f"{path} is not a MATLAB file that can be read: {reason_of(error)}."
