@@ -1,5 +1,5 @@
 """Law: damaged input of every kind is accepted or refused in a sentence: no traceback, hang, crash
-or unbounded memory. The fuzzer itself (`python -m tests.faults.fuzz`) tries as many as are wanted."""
+or unbounded memory. `python -m tests.faults.fuzz` tries as many inputs as are wanted."""
 
 from pathlib import Path
 

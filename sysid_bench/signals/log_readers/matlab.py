@@ -39,7 +39,7 @@ def _load(path: Path) -> dict[str, Any]:
         ) from error
     except MemoryError as error:
         raise UsageError(
-            f"{path} states more data than memory holds: it is damaged, or too large; save it again."
+            f"{path} states more data than memory holds: it is damaged or too large; save it again."
         ) from error
     except Exception as error:  # SciPy's parser raises many types on damaged files
         raise UsageError(
