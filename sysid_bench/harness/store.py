@@ -16,7 +16,7 @@ from sysid_bench.harness.plan import Plan
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.processes import processes_with
 from sysid_bench.harness.work.row_files import RowWriter, StoredRows, new_row_file, read_rows
-from sysid_bench.input_files import parse_json, read_text
+from sysid_bench.input_files import LARGEST, parse_json, read_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,8 +26,8 @@ try:
 except ImportError:  # Windows has no flock: two runners on one folder are not detected there
     fcntl = None  # type: ignore[assignment]
 
-_LARGEST_PLAN: Final = 4 * 2**30
-"""Bytes of a file of a run folder: a plan of a million cells has 2 GB."""
+_LARGEST: Final = {"plan.jsonl": 2**31}
+"""Bytes of a file of a run folder: 2 kB for each of a million cells."""
 
 ORPHAN_SECONDS = 10.0
 """Time for the workers of a killed runner to end; they hold its lock until then."""
@@ -173,7 +173,7 @@ class RunFolder:
 
     def _read(self, name: str) -> str:
         try:
-            return read_text(self.path / name, largest=_LARGEST_PLAN)
+            return read_text(self.path / name, largest=_LARGEST.get(name, LARGEST))
         except (OSError, UnicodeDecodeError) as error:
             raise self._unreadable(name, error) from error
 
