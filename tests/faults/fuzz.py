@@ -123,7 +123,7 @@ def _settle(work: Callable[[], object], sink: int, seconds: int) -> None:
     used_seconds = math.ceil(time.process_time())
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
-    resource.setrlimit(resource.RLIMIT_CPU, (used_seconds + seconds,) * 2)
+    resource.setrlimit(resource.RLIMIT_CPU, (used_seconds + seconds, used_seconds + seconds + 5))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     quiet = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
