@@ -10,6 +10,9 @@ _MACHINE_ERRORS: Final = frozenset(
     (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ENFILE, errno.ENOMEM)
 )
 
+_LONGEST_LINE: Final = 1500
+"""Letters of one line of a message."""
+
 NEAR: Final = 0.5
 """Least similarity (difflib: 2 x common letters / all letters) of a name that is suggested."""
 
@@ -30,7 +33,14 @@ LISTINGS: Final = {
 
 
 class SysidBenchError(Exception):
-    """Root of all errors of this package; `str(error)` is one readable paragraph."""
+    """Root of all errors of this package; `str(error)` is one readable paragraph.
+
+    Lines that quote too much of a file are shortened, and letters that a terminal would obey are
+    escaped.
+    """
+
+    def __str__(self) -> str:
+        return "\n".join(map(_readable, super().__str__().split("\n")))
 
 
 class UsageError(SysidBenchError):
@@ -51,6 +61,15 @@ class SimulationError(SysidBenchError):
 
 class EstimationError(SysidBenchError):
     """An estimator without result, with the reason; its cell becomes `failed`."""
+
+
+def _readable(line: str) -> str:
+    if len(line) > _LONGEST_LINE:
+        kept = _LONGEST_LINE // 2
+        line = f"{line[:kept]} ... {line[-kept:]}"
+    if line.isprintable():
+        return line
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], advice: str = "") -> UsageError:

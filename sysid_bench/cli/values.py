@@ -112,17 +112,21 @@ def parse_motors(text: str) -> dict[str, dict[str, Any]]:
     if not text.endswith(".toml"):
         return {str(k): {"motor": name.strip()} for k, name in enumerate(text.split(","), 1)}
     table = _motor_file(text)
-    if not all(isinstance(value, dict) for value in table.values()):
+    if not (table and all(isinstance(value, dict) for value in table.values())):
         raise UsageError(f"{text}: write a table for each joint: [joint1] motor = 'DM4340'.")
     return table
 
 
 def _motor_file(file: str) -> dict[str, Any]:
     """Tables of a TOML file; raise UsageError where it is absent or not TOML."""
+    from sysid_bench.input_files import read_text
+
     try:
-        return _toml(Path(file).read_text(encoding="utf-8"))
+        return _toml(read_text(Path(file)))
     except FileNotFoundError as error:
         raise UsageError(f"There is no file {file!r} of motors.") from error
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {error.strerror or error}.") from error
     except ValueError as error:
         raise UsageError(f"{file}: {error}.") from error
 
@@ -140,10 +144,10 @@ def _entry(word: str) -> tuple[str, str]:
 
 
 def _toml(text: str) -> dict[str, Any]:
-    """Tables of a TOML text; raise ValueError (TOMLDecodeError) for another text."""
-    import tomllib
+    """Tables of a TOML text; raise ValueError for another text."""
+    from sysid_bench.input_files import parse_toml
 
-    return tomllib.loads(text)
+    return parse_toml(text)
 
 
 def _box(body: str, text: str) -> list[list[float]]:

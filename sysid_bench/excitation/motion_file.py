@@ -10,6 +10,7 @@ from scipy.interpolate import make_interp_spline
 
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import DesignProblem, is_count
+from sysid_bench.input_files import read_text
 from sysid_bench.types import Array, Trajectory
 
 _NEGLIGIBLE: Final = 1e-8
@@ -79,10 +80,10 @@ def _read(path: Path, names: list[str]) -> tuple[Array, Array]:
 def _read_table(path: Path) -> tuple[list[str], Array]:
     """Return the header and the numbers below it; raises UsageError for another file."""
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            header, *rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+        lines = csv.reader(read_text(path).splitlines())
+        header, *rows = [row for row in lines if row and not row[0].startswith("#")]
         return [name.strip() for name in header], np.array(rows, dtype=float)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise UsageError(f"{path} is not a table of numbers with a header: {error}.") from error
 
 

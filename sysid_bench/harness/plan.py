@@ -372,12 +372,12 @@ def _cell_of(number: int, line: str) -> Cell:
         data = json.loads(line)
         spec = ExperimentSpec.from_json(data["spec"])
         cell = Cell(spec, data["estimator"], data["labels"], data["facts"], data["seconds"])
-        written_id = data["id"]
-    except (ValueError, KeyError, TypeError) as error:
+        written_id, read_id = data["id"], cell.id
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise UsageError(f"plan.jsonl:{number}: not a valid cell ({error!r}).") from error
-    if cell.id != written_id:
+    if read_id != written_id:
         raise UsageError(
-            f"plan.jsonl:{number}: the cell {written_id} reads as {cell.id} with this version of "
+            f"plan.jsonl:{number}: the cell {written_id} reads as {read_id} with this version of "
             "sysid_bench; run the suite into another folder (-o)."
         )
     return cell

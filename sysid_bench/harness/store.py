@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import Frames, data_frames
@@ -16,6 +16,7 @@ from sysid_bench.harness.plan import Plan
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.processes import processes_with
 from sysid_bench.harness.work.row_files import RowWriter, StoredRows, new_row_file, read_rows
+from sysid_bench.input_files import LARGEST, parse_json, read_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,6 +25,9 @@ try:
     import fcntl
 except ImportError:  # Windows has no flock: two runners on one folder are not detected there
     fcntl = None  # type: ignore[assignment]
+
+_LARGEST: Final = {"plan.jsonl": 2**31}
+"""Bytes of a file of a run folder: 2 kB for each of a million cells."""
 
 ORPHAN_SECONDS = 10.0
 """Time for the workers of a killed runner to end; they hold its lock until then."""
@@ -75,7 +79,14 @@ class RunFolder:
     @property
     def env(self) -> dict[str, Any]:
         """Versions, CPU, BLAS and git of the machine that last ran cells."""
-        return dict(json.loads(self._read("env.json")))
+        text = self._read("env.json")
+        try:
+            found = parse_json(text)
+        except ValueError as error:
+            raise self._unreadable("env.json", error) from error
+        if not isinstance(found, dict):
+            raise self._unreadable("env.json", "it is not a JSON object")
+        return found
 
     @property
     def cells(self) -> "pd.DataFrame":
@@ -162,12 +173,15 @@ class RunFolder:
 
     def _read(self, name: str) -> str:
         try:
-            return (self.path / name).read_text(encoding="utf-8")
+            return read_text(self.path / name, largest=_LARGEST.get(name, LARGEST))
         except (OSError, UnicodeDecodeError) as error:
-            raise UsageError(
-                f"{str(self.path / name)!r} cannot be read ({error}); a run needs it. Run the "
-                "suite again with another -o."
-            ) from error
+            raise self._unreadable(name, error) from error
+
+    def _unreadable(self, name: str, reason: object) -> UsageError:
+        return UsageError(
+            f"{str(self.path / name)!r} cannot be read ({reason}); a run needs it. Run the suite "
+            "again with another -o."
+        )
 
     def _check_same(self, suite: Suite, plan: Plan) -> None:
         stored = {cell.id for cell in self.plan.cells}

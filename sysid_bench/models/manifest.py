@@ -2,7 +2,6 @@
 
 import math
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from sysid_bench import places
 from sysid_bench.errors import ModelError, UsageError, unknown_name
+from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
 from sysid_bench.models.random.random_mechanism import random_mechanism
 from sysid_bench.models.random.random_tree import random_robot
@@ -224,12 +224,14 @@ def read_manifest(file: Path) -> Manifest:
 
 def _read_keys(file: Path) -> _Text:
     try:
-        return _Text.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{file} is not valid TOML: {error}.") from error
+        return _Text.model_validate(parse_toml(read_text(file)))
+    except OSError as error:
+        raise ModelError(f"{file} cannot be read: {error.strerror or error}.") from error
     except ValidationError as error:
         lines = "; ".join(_line(problem) for problem in error.errors())
         raise ModelError(f"{file}: {lines}.") from error
+    except ValueError as error:
+        raise ModelError(f"{file} is not valid TOML: {error}.") from error
 
 
 def _check_terms(written: _Text, file: Path) -> None:

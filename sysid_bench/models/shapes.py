@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.models.xml_file import parse_xml
+from sysid_bench.models.xml_file import parse_xml, read_file
 from sysid_bench.spatial.rotation import product
 from sysid_bench.types import Array, Shape, ShapeKind
 
@@ -34,7 +34,7 @@ def _urdf_shapes(robot: RobotModel, tag: str) -> Iterator[Shape]:
     """Shapes of the <collision> or <visual> elements of all bodies."""
     path = robot.manifest.path
     bodies = {name: i for i, name in enumerate(robot.body_names)}
-    for link in parse_xml(path.read_bytes(), path.name).findall("link"):
+    for link in parse_xml(read_file(path), path.name).findall("link"):
         name = str(link.get("name"))
         if name in bodies:
             for element in link.findall(tag):

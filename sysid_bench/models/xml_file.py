@@ -6,6 +6,7 @@ from typing import Final
 from xml.parsers import expat
 
 from sysid_bench.errors import ModelError
+from sysid_bench.input_files import read_bytes
 
 LARGEST_FILE: Final = 64 * 2**20
 """Bytes; a larger model text is a mistake."""
@@ -15,12 +16,12 @@ DEEPEST: Final = 400
 
 
 def read_file(path: Path) -> bytes:
-    """Return the bytes of a model file; raises ModelError for a file larger than `LARGEST_FILE`."""
-    if path.stat().st_size > LARGEST_FILE:
-        raise ModelError(
-            f"{path.name} has {path.stat().st_size} bytes; {LARGEST_FILE} are allowed at most."
-        )
-    return path.read_bytes()
+    """Return the bytes of a model file; raises ModelError for a file that cannot be read, or is
+    larger than `LARGEST_FILE`."""
+    try:
+        return read_bytes(path, LARGEST_FILE)
+    except OSError as error:
+        raise ModelError(f"{path.name} cannot be read: {error.strerror or error}.") from error
 
 
 def parse_xml(text: str | bytes, name: str) -> ET.Element:

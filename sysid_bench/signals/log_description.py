@@ -2,7 +2,6 @@
 
 import os
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.naming import resolve_files
 from sysid_bench.signals.log_reader import ReaderSpec, plugin_file
 from sysid_bench.types import Array
@@ -206,15 +206,15 @@ def name_of(written: str | Mapping[str, Any]) -> str:
 def _read_keys(source: Path) -> dict[str, Any]:
     """Return the keys of a description as written; raises UsageError for a missing file."""
     try:
-        return tomllib.loads(source.read_text(encoding="utf-8"))
+        return parse_toml(read_text(source))
     except FileNotFoundError as error:
         raise UsageError(
             f"There is no log description {str(source)!r}; write one as `file = 'run1.csv'`, "
             "`rate = '200 Hz'`, joints, q and tau."
         ) from error
-    except (IsADirectoryError, PermissionError) as error:
-        raise UsageError(f"{source} cannot be read: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise UsageError(f"{source} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:
         raise UsageError(f"{source} is not valid TOML: {error}.") from error
 
 

@@ -3,12 +3,15 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.types import Array
+
+LARGEST_LOG: Final = 2**30
+"""Bytes of a recorded file, and of its numbers once they are unpacked."""
 
 
 @dataclass(frozen=True, eq=False)

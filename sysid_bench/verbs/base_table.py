@@ -1,12 +1,12 @@
 """The command `basis --paper`: base parameters in the print of a paper, with values of a file."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.base_table import base_table
+from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.models.load import load_robot
 from sysid_bench.verbs.result import value_text
 
@@ -60,8 +60,8 @@ def _line(row: Mapping[str, Any]) -> str:
 
 def _read(file: Path) -> dict[str, Any]:
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        content = parse_json(read_text(file))
+    except (OSError, ValueError) as error:
         raise UsageError(f"{str(file)!r} cannot be read as JSON: {error}.") from error
     if not isinstance(content, dict):
         raise UsageError(f"{file}: expected a JSON object, {{row: value}}.")

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import re
-import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +10,8 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from sysid_bench import naming, places
-from sysid_bench.errors import SysidBenchError, unknown_name
+from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
+from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.payload import PAYLOADS
@@ -188,14 +188,17 @@ def _suites(robots_dir: Path | None) -> list[Entry]:
 
 def _suite_title(file: Path) -> str:
     try:
-        return str(tomllib.loads(file.read_text(encoding="utf-8")).get("title", ""))
-    except (tomllib.TOMLDecodeError, OSError, UnicodeDecodeError) as error:
+        return str(parse_toml(read_text(file)).get("title", ""))
+    except (OSError, ValueError) as error:
         return f"cannot be read: {error}"
 
 
 def _suite(name: str) -> Entry:
     file = places.suite_files()[name]
-    return {"name": name, "file": str(file), **tomllib.loads(file.read_text(encoding="utf-8"))}
+    try:
+        return {"name": name, "file": str(file), **parse_toml(read_text(file))}
+    except (OSError, ValueError) as error:
+        raise UsageError(f"The suite {str(file)!r} cannot be read: {error}.") from error
 
 
 def _task(name: str) -> Entry:

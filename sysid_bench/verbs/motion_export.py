@@ -1,5 +1,6 @@
 """Files of motions: exports for controllers, and recorded motions read again."""
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from sysid_bench.excitation.export import damiao, ros2
 from sysid_bench.excitation.export.commands import Commands, commands_of, csv_text
 from sysid_bench.excitation.information import torque_model
 from sysid_bench.excitation.optimised import Optimised
+from sysid_bench.input_files import read_text
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Trajectory
 
@@ -107,14 +109,33 @@ def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
 
     if not file.is_file():
         raise UsageError(f"There is no file {str(file)!r} of a recorded motion.")
-    table = pd.read_csv(file)
+    try:
+        table = pd.read_csv(io.StringIO(read_text(file)))
+    except (OSError, ValueError) as error:  # those of pandas are ValueErrors
+        raise UsageError(f"{file} is not a table of a recorded motion: {error}.") from error
     missing = [column for column in columns if column not in table]
     if missing:
         raise UsageError(
             f"{file.name} has no columns {', '.join(missing[:8])}; a recorded motion is a CSV file "
             "as excite writes it."
         )
-    return table
+    return _finite(table[[*columns, *{"t"}.intersection(table)]], file)
+
+
+def _finite(table: "pd.DataFrame", file: Path) -> "pd.DataFrame":
+    """The table as floats; raise UsageError for a cell that is not a finite number."""
+    import pandas as pd
+
+    numbers: pd.DataFrame = table.apply(pd.to_numeric, errors="coerce").astype(float)
+    wrong = np.argwhere(~np.isfinite(numbers.to_numpy()))
+    if len(wrong):
+        row, column = wrong[0]
+        raise UsageError(
+            f"{file}, row {row + 1}, column {table.columns[column]!r}: "
+            f"{str(table.iloc[row, column])!r} is not a finite number; record the motion again, or "
+            "correct the row."
+        )
+    return numbers
 
 
 def joint_commands(robot: RobotModel, motion: Trajectory, joints: tuple[str, ...]) -> Commands:

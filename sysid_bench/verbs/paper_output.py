@@ -1,15 +1,15 @@
 """Tables and figures of a suite's [[paper]] entries, from the data that cells stored."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.plan import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
 from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.verbs.base_table import ROUNDING
@@ -49,9 +49,14 @@ def draw_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]
 
 def _draw(data: Path, drawings: Iterable[Path]) -> None:
     """Draw the stored torques of a cell to each of several files."""
-    with np.load(data) as arrays:
-        t, measured, predicted = arrays["t"], arrays["measured"], arrays["predicted"]
-        rows, units = arrays["rows"].tolist(), arrays["units"].tolist()
+    try:
+        with np.load(data, allow_pickle=False) as arrays:
+            t, measured, predicted = arrays["t"], arrays["measured"], arrays["predicted"]
+            rows, units = arrays["rows"].tolist(), arrays["units"].tolist()
+    except Exception as error:  # NumPy and zipfile raise many types on damaged files
+        raise UsageError(
+            f"{data} cannot be read ({reason_of(error)}); run its cell again (--rerun all)."
+        ) from error
     for drawing in drawings:
         torque_figure(drawing, t, rows, measured, predicted, units)
 
@@ -100,7 +105,13 @@ def _stored(run: "RunFolder", entry: "Paper", cell: "Cell") -> dict[str, Any]:
             f"[[paper]] {entry.name!r}: the cell {cell.id} has stored no data for it; run it again "
             f"with: sysid-bench run {run.path} --select 'id == \"{cell.id}\"' --rerun all"
         )
-    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        content: dict[str, Any] = dict(parse_json(read_text(path)))
+    except (OSError, ValueError, TypeError) as error:
+        raise UsageError(
+            f"{path} cannot be read ({error}); run the cell again with: sysid-bench run {run.path} "
+            f"--select 'id == \"{cell.id}\"' --rerun all"
+        ) from error
     if "error" in content:
         raise UsageError(f"[[paper]] {entry.name!r}: {content['error']}")
     return content

@@ -1,7 +1,6 @@
 """The commands `report` and `table`: from the rows of a run to paper and screen."""
 
 import shlex
-import tomllib
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,6 +11,7 @@ from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
+from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.figures import figure, svg_element
 from sysid_bench.reporting.html import RunView, write_report
@@ -71,7 +71,7 @@ def report(folder: str | Path) -> Path:
     return write_report(
         RunView(
             folder=run_folder.path,
-            suite=tomllib.loads((run_folder.path / "run.toml").read_text(encoding="utf-8")),
+            suite=parse_toml(read_text(run_folder.path / "run.toml")),
             env=run_folder.env,
             cells=frames.cells,
             joints=frames.joints,

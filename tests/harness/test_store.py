@@ -60,16 +60,26 @@ def test_the_last_row_of_an_id_wins_over_all_files(tmp_path: Path) -> None:
     for turn in range(3):
         for name in ("worker2", "worker1"):
             with RowWriter(new_row_file(tmp_path, name)) as writer:
-                writer.write({"id": "a", "turn": turn, "by": name})
-                writer.write({"id": name, "turn": turn})
+                writer.write({"id": "a", "status": "ok", "turn": turn, "by": name})
+                writer.write({"id": name, "status": "ok", "turn": turn})
     stored = read_rows(tmp_path)
-    assert stored.rows["a"] == {"id": "a", "turn": 2, "by": "worker1"}
+    assert stored.rows["a"] == {"id": "a", "status": "ok", "turn": 2, "by": "worker1"}
     assert {row["turn"] for row in stored.rows.values()} == {2}
     assert len(list(tmp_path.iterdir())) == 6
 
 
 lines = st.sampled_from(
-    [b'{"id": "x"}', b'{"id": 3}', b"[1]", b"{", b"\xff\xfe", b"null", b'"id"', b"[" * 9999]
+    [
+        b'{"id": "x", "status": "ok"}',
+        b'{"id": "x"}',
+        b'{"id": 3}',
+        b"[1]",
+        b"{",
+        b"\xff\xfe",
+        b"null",
+        b'"id"',
+        b"[" * 9999,
+    ]
 )
 
 
@@ -78,12 +88,12 @@ def test_whole_rows_survive_whatever_stands_between_them(junk: list[bytes], cut:
     import tempfile
 
     with tempfile.TemporaryDirectory() as name:
-        row = json.dumps({"id": "kept", "value": 1}).encode()
+        row = json.dumps({"id": "kept", "status": "ok", "value": 1}).encode()
         text = b"\n".join([*junk, row]) + b"\n" + row.replace(b"kept", b"torn")[:cut]
         (Path(name) / "000001-w.jsonl").write_bytes(text)
         stored = read_rows(Path(name))
-        bad = [line for line in junk if line != b'{"id": "x"}']
-        assert stored.rows["kept"] == {"id": "kept", "value": 1}
+        bad = [line for line in junk if line != b'{"id": "x", "status": "ok"}']
+        assert stored.rows["kept"] == {"id": "kept", "status": "ok", "value": 1}
         assert len(stored.garbled) == len(bad)
         assert stored.torn == (cut > 0 and "torn" not in stored.rows)
 
@@ -91,7 +101,7 @@ def test_whole_rows_survive_whatever_stands_between_them(junk: list[bytes], cut:
 def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
     writer = RowWriter(new_row_file(tmp_path, "w"))
     for number in range(5):
-        writer.write({"id": str(number)})
+        writer.write({"id": str(number), "status": "ok"})
         assert set(stored_rows(writer.path)) == {str(n) for n in range(number + 1)}
     writer.close()
     writer.close()
@@ -101,7 +111,7 @@ def test_a_row_that_is_no_json_leaves_no_trace(tmp_path: Path) -> None:
     with RowWriter(new_row_file(tmp_path, "w")) as writer:
         with pytest.raises(TypeError, match="cannot be stored as JSON"):
             writer.write({"id": "a", "value": object()})
-        writer.write({"id": "b"})
+        writer.write({"id": "b", "status": "ok"})
     assert read_rows(tmp_path).garbled == ()
     assert set(stored_rows(writer.path)) == {"b"}
 

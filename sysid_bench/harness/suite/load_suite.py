@@ -1,6 +1,5 @@
 """Reading and writing of suite files; all mistakes are reported together."""
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -14,6 +13,7 @@ from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, installed_names, no_names
 from sysid_bench.harness.suite.toml_lines import Key, key_lines, toml_line
 from sysid_bench.harness.suite.toml_text import toml_text
+from sysid_bench.input_files import parse_toml, read_text
 
 __all__ = ["Suite", "load_suite", "override", "parse_stored", "parse_suite", "suite_text"]
 
@@ -23,7 +23,7 @@ def load_suite(
 ) -> Suite:
     """Read the suite of a file; raises one UsageError with a line per mistake (`parse_suite`)."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"The suite {str(path)!r} cannot be read: {error}.") from error
     return parse_suite(text, str(path), path.resolve().parent, names, overrides)
@@ -60,7 +60,7 @@ def override(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> dic
 
     Values are TOML, or else strings. List elements go by number: "robot.0.use".
     """
-    data = tomllib.loads(suite) if isinstance(suite, str) else dict(suite)
+    data = parse_toml(suite) if isinstance(suite, str) else dict(suite)
     for dotted, text in settings.items():
         data = _put(data, dotted.split("."), _toml_value(text), dotted)
     return data
@@ -73,8 +73,8 @@ def suite_text(suite: Suite) -> str:
 
 def _read(text: str, file: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        return parse_toml(text)
+    except ValueError as error:
         raise UsageError(f"{file}: not valid TOML: {error}.") from error
 
 
@@ -183,8 +183,8 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
 
 def _toml_value(text: str) -> Any:
     try:
-        parsed = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
+        parsed = parse_toml(f"value = {text}")
+    except ValueError:
         return text
     return parsed["value"] if len(parsed) == 1 else text
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 
 from sysid_bench.canonical_json import plain
+from sysid_bench.harness.work.row_check import is_row, not_files
 from sysid_bench.types import Row
 
 SYNC_SECONDS = 1.0
@@ -91,7 +92,7 @@ def new_row_file(folder: Path, writer: str) -> Path:
 def read_rows(folder: Path) -> StoredRows:
     """Return all rows of a folder of row files; no content of a file raises."""
     rows: dict[str, Row] = {}
-    torn, garbled = 0, []
+    torn, garbled = 0, not_files(folder, "*.jsonl")
     for path in _files(folder):
         for number, line, last in _lines(path):
             row = _row(line)
@@ -114,7 +115,8 @@ def stored_rows(path: Path) -> dict[str, Row]:
 
 
 def _files(folder: Path) -> list[Path]:
-    return sorted(folder.glob("*.jsonl"), key=lambda path: (_number(path), path.name))
+    files = filter(Path.is_file, folder.glob("*.jsonl"))
+    return sorted(files, key=lambda path: (_number(path), path.name))
 
 
 def _number(path: Path) -> int:
@@ -135,4 +137,4 @@ def _row(line: bytes) -> Row | None:
         row = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    return row if isinstance(row, dict) and isinstance(row.get("id"), str) else None
+    return row if is_row(row) else None

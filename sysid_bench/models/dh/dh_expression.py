@@ -22,6 +22,9 @@ _OPERATORS: Final[dict[type[ast.operator], "_Operator"]] = {
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
+_NOT_READ: Final = (
+    *(ArithmeticError, RecursionError, MemoryError, SyntaxError, TypeError, ValueError),
+)
 _NOT_LINEAR: Final = "it is not linear in the joint variables"
 
 
@@ -79,8 +82,8 @@ def read_expression(
         # In Python ^ is the exclusive or of bits.
         tree = ast.parse(text.strip().replace("^", "**"), mode="eval").body
         value = _value(tree, {**CONSTANTS, **symbols}, variables)
-    # TypeError: a root of a negative number is complex.
-    except (ArithmeticError, RecursionError, SyntaxError, TypeError, ValueError) as error:
+    # TypeError: a root of a negative number is complex. MemoryError: Python's parser refuses depth.
+    except _NOT_READ as error:
         known = ", ".join([*sorted(variables), *symbols, *CONSTANTS])
         reason = str(error) if isinstance(error, ValueError) else "it is not a sum or product"
         raise UsageError(

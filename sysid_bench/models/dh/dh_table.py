@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.input_files import read_text
 from sysid_bench.models.dh.dh_expression import CONSTANTS, LinearExpression, read_expression
 
 NEEDED: Final = ("link", "joint", "a", "alpha", "d", "theta")
@@ -103,7 +104,7 @@ def _numbered_lines(path: Path) -> list[tuple[int, str]]:
     """The lines of a file that are not blank, with their numbers from 1."""
     try:
         # utf-8-sig: spreadsheets begin a file with a byte order mark.
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path, "utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"There is no readable table {str(path)!r}: {error}.") from error
     return [(number, line.strip()) for number, line in enumerate(lines, start=1) if line.strip()]

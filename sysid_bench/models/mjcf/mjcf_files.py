@@ -15,7 +15,7 @@ from typing import Final
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.checks.finite_checks import LARGEST_TREE
-from sysid_bench.models.xml_file import LARGEST_FILE, parse_xml
+from sysid_bench.models.xml_file import LARGEST_FILE, parse_xml, read_file
 
 MOST_ELEMENTS: Final = 20_000
 """After <replicate> and the like; of 295 public models the largest has 902."""
@@ -147,7 +147,7 @@ class _Reading:
 
     def _parse(self, path: Path) -> ET.Element:
         self._add_size(path)
-        return parse_xml(path.read_bytes(), path.name)
+        return parse_xml(read_file(path), path.name)
 
     def _add_size(self, path: Path) -> None:
         self.bytes += path.stat().st_size

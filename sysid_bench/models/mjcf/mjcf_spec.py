@@ -9,6 +9,7 @@ from sysid_bench.errors import ModelError
 from sysid_bench.models.mjcf.mjcf_files import check_files
 from sysid_bench.models.mjcf.mjcf_inertia import compiled_inertia
 from sysid_bench.models.mjcf.mjcf_terms import AT_JOINT, joint_terms_of
+from sysid_bench.models.xml_file import read_file
 
 _LOOKS = ("hfields", "skins", "textures", "materials")
 _UNUSED = ("keys", "pairs", "excludes", "sensors", "tuples")
@@ -53,7 +54,7 @@ def _delete_unused(spec: mujoco.MjSpec) -> None:
 
 
 def _read(path: Path, text: bytes | None, folder: Path) -> mujoco.MjSpec:
-    check_files(path, path.read_bytes() if text is None else text, folder)
+    check_files(path, read_file(path) if text is None else text, folder)
     try:
         if text is None:
             return mujoco.MjSpec.from_file(str(path))

@@ -57,6 +57,7 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     removed += _rename_worlds(robot, tree, free_base)
     tree = link_tree(robot, name)
     robot.attrib.setdefault("name", "robot")  # Pinocchio insists
+    _check_origins(robot, name)
     limits = canonical_joints(robot, tree.root, name)
     repairs = repair_inertias(robot, tree, name, free_base)
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
@@ -146,13 +147,20 @@ def _free_name(name: str, tree: LinkTree) -> str:
     return name
 
 
+def _check_origins(robot: ET.Element, name: str) -> None:
+    """Raise ModelError for an origin of a link or joint that is not two times three numbers."""
+    for part in (*robot.findall("link"), *robot.findall("joint")):
+        label = f"{name}: {part.tag} {part.get('name')!r}"
+        for origin in (*part.findall("origin"), *part.findall("inertial/origin")):
+            check_origin(origin, label)
+
+
 def _velocity_limits(robot: ET.Element, name: str) -> dict[str, float]:
-    """Velocity limits by joint (rad/s, m/s): MuJoCo knows none. Checks all limits and origins."""
+    """Velocity limits by joint (rad/s, m/s): MuJoCo knows none. Checks all limits."""
     found = {}
     for joint in robot.findall("joint"):
         label = f"{name}: joint {joint.get('name')!r}"
         velocity = _velocity_limit(joint.find("limit"), label)
-        check_origin(joint.find("origin"), label)
         if velocity > 0:  # zero means "no limit" to both engines
             found[str(joint.get("name"))] = velocity
     return found

@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.urdf.link_tree import LinkTree
-from sysid_bench.models.urdf.xml_values import check_origin, finite_value
+from sysid_bench.models.urdf.xml_values import finite_value
 from sysid_bench.spatial.inertia import matrix_of_six, six_of_matrix
 from sysid_bench.types import Array
 
@@ -61,7 +61,6 @@ def _checked(inertial: ET.Element, label: str) -> tuple[float, ET.Element]:
     if written is None:
         raise ModelError(f"{label} has an <inertial> without <mass>; give it a mass in kg.")
     mass = finite_value(written, "value", label)
-    check_origin(inertial.find("origin"), label)
     if mass < 0:
         raise ModelError(f"{label} has the negative mass {mass}; a mass is in kg and at least 0.")
     return mass, _complete_inertia(inertial, label)

@@ -32,7 +32,7 @@ def _check_vector(origin: ET.Element, key: str, label: str) -> None:
     numbers = _parsed(text.split())
     if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
         raise ModelError(
-            f"{label}: the inertial origin's {key} is {text!r}; write three finite numbers."
+            f"{label}: the {key} of an <origin> is {text!r}; write three finite numbers."
         )
 
 

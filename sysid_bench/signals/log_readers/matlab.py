@@ -1,14 +1,16 @@
 """MATLAB files up to version 7: variables, and fields of structs as "struct.field"."""
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
-from sysid_bench.signals.log_table import LogTable, table_of_arrays
+from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.input_files import check_file
+from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, table_of_arrays
 from sysid_bench.types import Array
 
 
@@ -25,17 +27,32 @@ class Matlab:
 
 
 def _load(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat  # 0.1 s, spent only where such a file is read
+    from scipy.io import loadmat, whosmat  # 0.1 s, spent only where such a file is read
 
     try:
+        check_file(path, LARGEST_LOG)
+        _check_size(whosmat(path))
         found: dict[str, Any] = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError as error:
         raise UsageError(
             f"{path} is a MATLAB 7.3 file; save it with -v7 (save('log.mat', '-v7'))."
         ) from error
+    except MemoryError as error:
+        raise UsageError(
+            f"{path} states more data than memory holds: it is damaged or too large; save it again."
+        ) from error
     except Exception as error:  # SciPy's parser raises many types on damaged files
-        raise UsageError(f"{path} is not a MATLAB file that can be read: {error}.") from error
+        raise UsageError(
+            f"{path} is not a MATLAB file that can be read: {reason_of(error)}."
+        ) from error
     return found
+
+
+def _check_size(variables: Iterable[tuple[str, tuple[int, ...], str]]) -> None:
+    """Raise ValueError for more numbers than a log may have, as the headers of the file state."""
+    size = sum(8 * math.prod(shape) for _, shape, _ in variables)
+    if size > LARGEST_LOG:
+        raise ValueError(f"it unpacks to {size} bytes; {LARGEST_LOG} are allowed at most")
 
 
 def _variables(found: dict[str, Any]) -> Iterator[tuple[str, Array]]:

@@ -1,14 +1,17 @@
 """NumPy array files: npz by the names of its arrays, npy by the index of its columns."""
 
+import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
-from zipfile import BadZipFile
+from typing import IO, Any, ClassVar
 
 import numpy as np
+from numpy.lib import format as npy
 
-from sysid_bench.errors import UsageError
-from sysid_bench.signals.log_table import LogTable, table_of_arrays
+from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.input_files import check_file
+from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, table_of_arrays
 
 
 @dataclass(frozen=True)
@@ -18,15 +21,64 @@ class NumpyArrays:
     suffixes: ClassVar[tuple[str, ...]] = (".npz", ".npy")
 
     def read(self, path: Path) -> LogTable:
-        """Return the arrays as columns; raises UsageError for a damaged file, or one with pickled
-        objects."""
+        """Return the arrays as columns; raises UsageError for a damaged file, one with pickled
+        objects, and one with more numbers than LARGEST_LOG."""
         try:
+            check_file(path, LARGEST_LOG)
             with path.open("rb") as file:
-                # Unpickling runs code of whoever wrote the file.
-                found = np.load(file, allow_pickle=False)
-                arrays = dict(found) if hasattr(found, "files") else {"": found}
-        except (ValueError, EOFError, BadZipFile) as error:
+                arrays = _arrays(file)
+        except OSError:
+            raise
+        except Exception as error:  # NumPy and zipfile raise many types on damaged files
             raise UsageError(
-                f"{path} is not an array file that can be read safely: {error}."
+                f"{path} is not an array file that can be read safely: {reason_of(error)}."
             ) from error
         return table_of_arrays(path, arrays)
+
+
+def _arrays(file: IO[bytes]) -> dict[str, Any]:
+    """Return the arrays of a file by their names; raises ValueError for pickled ones."""
+    # Unpickling runs code of whoever wrote the file.
+    if file.read(2) != b"PK":
+        size = file.seek(0, os.SEEK_END)
+        file.seek(0)
+        _check_array(file, size)
+        file.seek(0)
+        return {"": np.load(file, allow_pickle=False)}
+    file.seek(0)
+    with np.load(file, allow_pickle=False) as found:
+        _check_members(found.zip)
+        return dict(found)
+
+
+def _check_members(archive: Any) -> None:
+    """Raise ValueError where the directory, or the header of an array, states too much data."""
+    members = archive.infolist()
+    total = sum(member.file_size for member in members)
+    if total > LARGEST_LOG:
+        raise ValueError(_size_text(total))
+    for member in members:
+        with archive.open(member) as part:
+            _check_array(part, member.file_size)
+
+
+def _check_array(part: IO[bytes], most: int) -> None:
+    """Raise ValueError where the header states more bytes than there can be: NumPy would reserve
+    them before reading."""
+    if part.read(6) != npy.MAGIC_PREFIX:
+        return  # left to NumPy, which skips it or refuses it
+    version = tuple(part.read(2))
+    read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    if version not in read_header:  # 3.0 is for records with names in other scripts
+        raise ValueError(f"arrays of the format {version} are not numbers of a log")
+    shape, _, dtype = read_header[version](part)
+    size = math.prod(shape) * dtype.itemsize
+    if size > most or min(shape, default=0) < 0:
+        raise ValueError(_size_text(size))
+
+
+def _size_text(size: int) -> str:
+    return (
+        f"its headers state {size} bytes, more than there are or than the {LARGEST_LOG} that a "
+        "log may have; write it again, or in parts"
+    )

@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.signals.log_table import LogTable, column_names
+from sysid_bench.input_files import check_file
+from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, column_names
 from sysid_bench.types import Array
 
 
@@ -25,6 +26,8 @@ class Parquet:
         import pyarrow.parquet
 
         try:
+            check_file(path, LARGEST_LOG)
+            _check_size(pyarrow.parquet.read_metadata(path))
             table = pyarrow.parquet.read_table(path)
         except (pyarrow.ArrowException, ValueError) as error:
             raise UsageError(f"{path} is not a parquet file that can be read: {error}.") from error
@@ -33,6 +36,17 @@ class Parquet:
             raise UsageError(f"{path} holds no column of numbers.")
         names, parts = zip(*found, strict=True)
         return LogTable(path, np.stack(parts, axis=1), column_names(path, names))
+
+
+def _check_size(metadata: Any) -> None:
+    """Raise ValueError for more data than a log may have: repeated values take next to no place in
+    the file."""
+    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    size = max(
+        8 * metadata.num_rows * metadata.num_columns, sum(group.total_byte_size for group in groups)
+    )
+    if size > LARGEST_LOG:
+        raise ValueError(f"it unpacks to {size} bytes; {LARGEST_LOG} are allowed at most")
 
 
 def _numeric_columns(arrow: Any, table: Any) -> Iterator[tuple[str, Array]]:

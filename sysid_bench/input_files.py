@@ -1,0 +1,95 @@
+"""Input files: regular files of a bounded size, and TOML and JSON of bounded depth.
+
+A device, a pipe or a folder in place of a file would be read without end, or not at all.
+"""
+
+import errno
+import json
+import stat
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+LARGEST: Final = 64 * 2**20
+"""Bytes of a text that people write; a larger one is a mistake."""
+
+_PART: Final = 2**20
+
+_DEEPEST: Final = 100
+"""Levels of nested tables and lists; Python's recursion ends at a few hundred."""
+
+
+def check_file(path: Path, largest: int = LARGEST) -> None:
+    """Raise OSError unless the file exists, is a regular one, and has `largest` bytes at most."""
+    status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(f"{str(path)!r} is a device or a pipe, not a file")
+    if status.st_size > largest:
+        raise OSError(_size_text(path, status.st_size, largest))
+
+
+def read_bytes(path: Path, largest: int = LARGEST) -> bytes:
+    """Return the content of a file; raises OSError as `check_file` does."""
+    check_file(path, largest)
+    with path.open("rb") as file:
+        content = file.read(path.stat().st_size + 1)
+        while 0 < len(content) <= largest and (more := file.read(_PART)):
+            content += more  # files of the system state no size
+    if len(content) > largest:
+        raise OSError(_size_text(path, len(content), largest))
+    return content
+
+
+def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST) -> str:
+    """Return the text of a file; raises OSError as `check_file` does, UnicodeDecodeError for
+    another encoding."""
+    text = read_bytes(path, largest).decode(encoding)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text; raises ValueError for another text, also one with numbers
+    or nesting beyond Python's limits."""
+    try:
+        tables = tomllib.loads(text)
+    except RecursionError as error:
+        raise ValueError(_DEPTH_TEXT) from error
+    _check_depth(tables)
+    return tables
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return the value of a JSON text; raises ValueError for another text, also one with numbers or
+    nesting beyond Python's limits."""
+    try:
+        value = json.loads(text)
+    except RecursionError as error:
+        raise ValueError(_DEPTH_TEXT) from error
+    _check_depth(value)
+    return value
+
+
+_DEPTH_TEXT: Final = f"tables or lists are nested more than {_DEEPEST} levels deep"
+
+
+def _check_depth(value: Any) -> None:
+    """Raise ValueError for a value that is nested too deeply."""
+    # Level by level: recursion would overflow on the values that this is to refuse.
+    level: list[Any] = [value]
+    for _ in range(_DEEPEST):
+        level = [inner for outer in level for inner in _inner(outer)]
+    if level:
+        raise ValueError(_DEPTH_TEXT)
+
+
+def _inner(value: Any) -> list[Any]:
+    if isinstance(value, Mapping):
+        return list(value.values())
+    return value if isinstance(value, list) else []
+
+
+def _size_text(path: Path, size: int, largest: int) -> str:
+    return f"{str(path)!r} has {size} bytes or more; {largest} are allowed at most"
