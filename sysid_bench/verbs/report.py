@@ -192,7 +192,7 @@ def _incomplete_run(run_folder: "RunFolder") -> Iterator[None]:
 
 def _is_complete(run_folder: "RunFolder") -> bool:
     """Test whether every cell has a row."""
-    return len(run_folder.frames().cells) == len(run_folder.plan.cells)
+    return len(run_folder.frames().cells) == len(run_folder.planned)
 
 
 def _choose(expression: str, cell: Mapping[str, Any]) -> bool:
@@ -214,7 +214,7 @@ def _put(path: Path, text: str) -> None:
 
 
 def _origin(run_folder: "RunFolder") -> Origin:
-    cells = sorted(cell.id for cell in run_folder.plan.cells)
+    cells = sorted(run_folder.planned)
     return Origin(run_folder.path.name, canonical_hash(cells)[:12], _command(run_folder.suite))
 
 

@@ -222,8 +222,7 @@ def _run_result(outcome: Outcome) -> RunResult:
 def status(folder: str | Path) -> StatusResult:
     """Return the progress of a run and the reasons of cells that are not `ok`."""
     run_folder = open_run(folder)
-    stored = run_folder.rows().rows
-    planned = [cell.id for cell in run_folder.plan.cells]
+    stored, planned = run_folder.heads().rows, run_folder.planned
     rows = [stored[cell] for cell in planned if cell in stored]
     return StatusResult(
         folder=str(run_folder.path),
@@ -251,6 +250,6 @@ def cell(folder: str | Path, identifier: str) -> CellResult:
     missing = {"id": full, "status": "open", "reason": "has not run yet"}
     path = shlex.quote(str(run_folder.path))
     return CellResult(
-        row=run_folder.rows().rows.get(full, missing),
+        row=run_folder.row(full) or missing,
         command=f"sysid-bench run {path} --select 'id == \"{full}\"' --rerun all",
     )
