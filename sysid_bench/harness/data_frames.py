@@ -132,7 +132,7 @@ def flat(row: Mapping[str, Any], prefix: str = "") -> Row:
     """Return a row without nesting: names with dots for mappings, JSON texts for lists."""
     fields: Row = {}
     for key, value in row.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, dict):
             fields |= flat(value, f"{prefix}{key}.")
         else:
             # Lists are stored as JSON, which DuckDB and people both read.

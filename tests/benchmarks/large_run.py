@@ -5,8 +5,8 @@ prints a line for each command. Each command runs in a process of its own. The r
 of a robot with 21 joints and 81 parameters.
 """
 
+import os
 import random
-import resource
 import subprocess
 import sys
 import tempfile
@@ -102,37 +102,29 @@ def _write_suite(folder: Path, repeats: int, estimators: tuple[str, ...]) -> Pat
     return path
 
 
-def measured(command: list[str]) -> tuple[float, float]:
-    """Return the seconds and the peak memory (MB) of a command of the product."""
-    code = f"from sysid_bench.cli import main; main({command!r})"
+def measured(code: str) -> tuple[float, float]:
+    """Return the seconds and the peak memory (MB) of a process that runs some code."""
     start = time.perf_counter()
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL)
-    _, status, usage = _wait(process.pid)
+    _, status, usage = os.wait4(process.pid, 0)
     if status:
-        raise RuntimeError(f"{' '.join(command)} ended with {status}.")
+        raise RuntimeError(f"{code} ended with {status}.")
     return time.perf_counter() - start, usage.ru_maxrss / 1024
-
-
-def _wait(process: int) -> tuple[int, int, resource.struct_rusage]:
-    import os
-
-    return os.wait4(process, 0)
 
 
 def main(folder: str, cells: str = "50000") -> None:
     """Make the run where it is absent, then measure."""
-    path = Path(folder)
-    if not (path / "plan.jsonl").is_file():
-        start = time.perf_counter()
-        run = make_run(path, int(cells))
-        print(f"{'rows':<8} {time.perf_counter() - start:7.1f} s", flush=True)
-        start = time.perf_counter()
-        run.write_frames()
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(f"{'frames':<8} {time.perf_counter() - start:7.1f} s {peak:7.0f} MB", flush=True)
-    for words in COMMANDS:
-        seconds, memory = measured([words[0], folder, *words[1:]])
-        print(f"{words[0]:<8} {seconds:7.1f} s {memory:7.0f} MB", flush=True)
+    here = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import large_run as l; "
+    steps = {
+        words[0]: f"from sysid_bench.cli import main; main({[words[0], folder, *words[1:]]!r})"
+        for words in COMMANDS
+    }
+    if not (Path(folder) / "plan.jsonl").is_file():
+        made = {"rows": f"{here}l.make_run(l.Path({folder!r}), {int(cells)})"}
+        steps = {**made, "frames": f"{here}l.RunFolder(l.Path({folder!r})).write_frames()", **steps}
+    for name, code in steps.items():
+        seconds, memory = measured(code)
+        print(f"{name:<8} {seconds:7.1f} s {memory:7.0f} MB", flush=True)
 
 
 if __name__ == "__main__":
