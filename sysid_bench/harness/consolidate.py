@@ -22,11 +22,11 @@ from sysid_bench.harness.data_frames import FIRST, flat
 from sysid_bench.harness.frame_files import (
     COVERAGE_FILE,
     FRAMES,
-    MARK,
-    CoveredFile,
     Coverage,
+    CoveredFile,
     covered_file,
     file_hash,
+    footer_hash,
 )
 from sysid_bench.harness.work.row_files import (
     TABLES,
@@ -51,13 +51,13 @@ _Types = tuple[tuple[str, frozenset[type]], ...]
 """Types of the values of each column of a part of a frame."""
 
 
-def consolidate(folder: Path, heads: Mapping[str, Row], out: Path | None = None) -> None:
+def consolidate(folder: Path, heads: Mapping[str, Row], out: Path | None = None) -> Coverage:
     """Write the Parquet files of a run and what they cover, to another folder where `out` is given.
 
     `heads` are the first fields of every cell, in the order of the plan. Files are replaced whole;
     for the folder of the run the caller holds its lock. Raises OSError.
     """
-    target, mark = out or folder, secrets.token_hex(8)
+    target = out or folder
     plan = file_hash(folder / "plan.jsonl")
     with ExitStack() as stack:
         copy = stack.enter_context(tempfile.TemporaryFile(dir=target))
@@ -66,13 +66,15 @@ def consolidate(folder: Path, heads: Mapping[str, Row], out: Path | None = None)
         parts = {name: _part_file(target, f"{name}.parquet") for name in FRAMES}
         for part in parts.values():
             stack.callback(part.unlink, missing_ok=True)
-        _write_parts(rows, parts, mark)
-        coverage = Coverage(mark, plan, rows.covered, tuple(rows.garbled))
+        _write_parts(rows, parts)
+        footers = {name: footer_hash(part) for name, part in parts.items()}
+        coverage = Coverage(footers, plan, rows.covered, tuple(rows.garbled))
         text = _part_file(target, COVERAGE_FILE)
         text.write_text(coverage.to_json(), encoding="utf-8")
         for name, part in parts.items():
             part.replace(target / f"{name}.parquet")
         text.replace(target / COVERAGE_FILE)
+    return coverage
 
 
 def _part_file(folder: Path, name: str) -> Path:
@@ -183,15 +185,16 @@ def _extend(group: _Columns, part: _Columns) -> None:
         values += part.get(name) or [None] * size
 
 
-def _write_parts(rows: _Scan, parts: Mapping[str, Path], mark: str) -> None:
+def _write_parts(rows: _Scan, parts: Mapping[str, Path]) -> None:
     """Write the frames to their files, a group of rows at a time."""
     import pyarrow
     from pyarrow import parquet
 
+    number = secrets.token_hex(8)  # files with equal footers are of one consolidation
     schemas = {
         frame: pyarrow.schema(
             [(name, _arrow_type(kinds)) for name, kinds in rows.columns(frame).items()],
-            metadata={MARK: mark.encode()},
+            metadata={"sysid_bench": number},
         )
         for frame in FRAMES
     }

@@ -1,12 +1,13 @@
 """The files cells.parquet, parameters.parquet and joints.parquet of a run, and what they cover.
 
 consolidated.json states up to which byte of each row file the three files hold the rows, and the
-mark that all three carry. Readers use them where all of that is true; else the row files decide.
+hashes of their footers. Readers use them where all of that is true; else the row files decide.
 """
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 
 FRAMES: Final = ("cells", "parameters", "joints")
 COVERAGE_FILE: Final = "consolidated.json"
-MARK: Final = b"sysid_bench"
-"""Key of the mark in the metadata of a Parquet file."""
 
 UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError, NotImplementedError)
 """Errors of reading a Parquet file that is absent or damaged."""
@@ -51,9 +50,10 @@ class CoveredFile:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Rows that the Parquet files hold: the plan, and a part of each row file."""
+    """Rows that the Parquet files hold: a part of each row file, with the labels of a plan.
+    `footers` are the sha256 of the ends of the files, which describe and number their contents."""
 
-    mark: str
+    footers: Mapping[str, str]
     plan: str
     files: Mapping[str, CoveredFile]
     garbled: tuple[str, ...]
@@ -84,9 +84,14 @@ def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
     return coverage if is_true else None
 
 
-def mark_of(folder: Path) -> str:
-    """Return the mark of the Parquet files that have just been written."""
-    return str(json.loads((folder / COVERAGE_FILE).read_text(encoding="utf-8"))["mark"])
+def footer_hash(path: Path) -> str:
+    """Return the sha256 of the footer of a Parquet file, with its length and the magic number."""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - 8, 0))
+        length = int.from_bytes(file.read(4), "little") + 8
+        file.seek(max(size - length, 0))
+        return hashlib.sha256(file.read(length)).hexdigest()
 
 
 def file_hash(path: Path) -> str:
@@ -112,18 +117,16 @@ def _hash_of_start(path: Path, size: int) -> str:
 class FrameFiles:
     """Open Parquet files of one consolidation; they stay readable when others replace them."""
 
-    def __init__(self, folder: Path, mark: str) -> None:
-        """Raise OSError or ValueError where a file is absent, damaged or of another mark."""
+    def __init__(self, folder: Path, coverage: Coverage) -> None:
+        """Raise OSError or ValueError where a file is absent, damaged or of another one."""
         import pyarrow.parquet
 
         self._files: dict[str, Any] = {}
         for name in FRAMES:
-            file = pyarrow.parquet.ParquetFile(
-                (folder / f"{name}.parquet").open("rb"), page_checksum_verification=True
-            )
-            if (file.schema_arrow.metadata or {}).get(MARK) != mark.encode():
-                raise ValueError(f"{name}.parquet is not of this consolidation.")
-            self._files[name] = file
+            path = folder / f"{name}.parquet"
+            self._files[name] = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True)
+            if footer_hash(path) != coverage.footers.get(name):
+                raise ValueError(f"{path} is not of this consolidation.")
 
     def read(self, name: str, columns: Sequence[str] | None = None) -> "pd.DataFrame":
         """Return a frame, or those of its columns that are there, as rows give it."""

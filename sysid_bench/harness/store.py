@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.consolidate import consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
-from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, mark_of, read_coverage
+from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
 from sysid_bench.harness.plan import Plan, planned_heads, planned_ids
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.processes import processes_with
@@ -132,10 +132,12 @@ class RunFolder:
         garbled: tuple[str, ...] = ()
         if (coverage := read_coverage(self.path, row_files(self._cells))) is not None:
             with suppress(*UNREADABLE):
-                rows = FrameFiles(self.path, coverage.mark).heads(HEAD)
+                rows = FrameFiles(self.path, coverage).heads(HEAD)
                 start, garbled = coverage.start, coverage.garbled
         rest = read_rows(self._cells, start=start, tables=False)
-        more = {cell: {key: row[key] for key in HEAD if key in row} for cell, row in rest.rows.items()}
+        more = {
+            cell: {key: row[key] for key in HEAD if key in row} for cell, row in rest.rows.items()
+        }
         return StoredRows(rows | more, rest.torn, (*garbled, *rest.garbled))
 
     def frames(self) -> Frames:
@@ -146,7 +148,7 @@ class RunFolder:
         coverage = read_coverage(self.path, row_files(self._cells))
         if coverage is not None and not self._has_rows_behind(coverage.start):
             with suppress(*UNREADABLE):
-                return self._frames_of(FrameFiles(self.path, coverage.mark))
+                return self._frames_of(FrameFiles(self.path, coverage))
         return self._frames_of_rows()
 
     def write_frames(self) -> None:
@@ -169,15 +171,11 @@ class RunFolder:
             stored, heads = self.rows().rows, self._heads
             return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
         with suppress(UsageError, OSError), self.lock():
-            self.write_frames()
-            return self._opened(self.path)
+            coverage = consolidate(self.path, self._heads)
+            return Frames(FrameFiles(self.path, coverage).read)
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
-            consolidate(self.path, self._heads, Path(name))
-            return self._opened(Path(name))
-
-    def _opened(self, folder: Path) -> Frames:
-        """Frames of the Parquet files that this process has written just now."""
-        return Frames(FrameFiles(folder, mark_of(folder)).read)
+            coverage = consolidate(self.path, self._heads, Path(name))
+            return Frames(FrameFiles(Path(name), coverage).read)
 
     def _has_rows_behind(self, start: Mapping[str, tuple[int, int]]) -> bool:
         """True where planned cells have rows that the Parquet files do not cover."""

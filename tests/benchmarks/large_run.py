@@ -114,7 +114,9 @@ def measured(code: str) -> tuple[float, float]:
 
 def main(folder: str, cells: str = "50000") -> None:
     """Make the run where it is absent, then measure."""
-    here = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import large_run as l; "
+    here = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import large_run as l; "
+    )
     steps = {
         words[0]: f"from sysid_bench.cli import main; main({[words[0], folder, *words[1:]]!r})"
         for words in COMMANDS

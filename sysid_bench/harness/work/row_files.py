@@ -176,7 +176,9 @@ def with_entries(row: Row) -> Row:
 
 
 def _entries(columns: Mapping[str, list[Any]]) -> list[Row]:
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    return [
+        dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
+    ]
 
 
 def _is_table(value: Any) -> bool:
