@@ -12,6 +12,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -170,7 +172,6 @@ def _whole(value: float) -> float | int | None:
 
 def _values(column: Any) -> Any:
     """A column as `data_frames` types it: numbers, else objects with None for what is absent."""
-    import numpy as np
     import pyarrow
 
     if pyarrow.types.is_floating(column.type) or pyarrow.types.is_integer(column.type):

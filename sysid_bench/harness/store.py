@@ -135,10 +135,9 @@ class RunFolder:
                 rows = FrameFiles(self.path, coverage).heads(HEAD)
                 start, garbled = coverage.start, coverage.garbled
         rest = read_rows(self._cells, start=start, tables=False)
-        more = {
-            cell: {key: row[key] for key in HEAD if key in row} for cell, row in rest.rows.items()
-        }
-        return StoredRows(rows | more, rest.torn, (*garbled, *rest.garbled))
+        for cell, row in rest.rows.items():
+            rows[cell] = {key: value for key, value in row.items() if key in HEAD}
+        return StoredRows(rows, rest.torn, (*garbled, *rest.garbled))
 
     def frames(self) -> Frames:
         """Return data frames of the planned cells that have a row, with the labels of the plan.
