@@ -35,16 +35,8 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.recordings import record, view
     from sysid_bench.verbs.report import report, table
     from sysid_bench.verbs.result import Result
-    from sysid_bench.verbs.run import (
-        CellResult,
-        PlanResult,
-        RunResult,
-        StatusResult,
-        cell,
-        plan,
-        run,
-        status,
-    )
+    from sysid_bench.verbs.run import PlanResult, RunResult, plan, run
+    from sysid_bench.verbs.status import CellResult, StatusResult, cell, status
 
 _PUBLIC: Final = {
     "models.load": ("load_robot",),
@@ -65,10 +57,8 @@ _PUBLIC: Final = {
     "verbs.recordings": ("record", "view"),
     "verbs.report": ("report", "table"),
     "verbs.result": ("Result",),
-    "verbs.run": (
-        *("CellResult", "PlanResult", "RunResult", "StatusResult"),
-        *("cell", "plan", "run", "status"),
-    ),
+    "verbs.run": ("PlanResult", "RunResult", "plan", "run"),
+    "verbs.status": ("CellResult", "StatusResult", "cell", "status"),
 }
 """Module of each public name."""
 

@@ -1,11 +1,9 @@
 """Data frames of rows: one of cells, and long ones of parameters and joints."""
 
 import json
-import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.metrics import METRICS, names_of
@@ -15,42 +13,61 @@ from sysid_bench.vocabulary import COVERAGE, JOINT, LABELS, PARAMETER, STD_FROM,
 if TYPE_CHECKING:
     import pandas as pd
 
-FIRST_COLUMNS: Final = ("id", "experiment", *LABELS, "repeat", "status", "reason")
 _JOINT_COLUMNS: Final = {
     "name": JOINT,
     **{METRICS[name].key: name for name in names_of("joint")},
 }
-_LONG: Final[Mapping[str, tuple[str, ...]]] = {
-    "joints": ("id", "name"),
-    "parameters_table": (
+_TABLE_OF: Final[Mapping[str, str]] = {"parameters": "parameters_table", "joints": "joints"}
+"""Field of a row by the frame that its entries make."""
+FIRST: Final[Mapping[str, tuple[str, ...]]] = {
+    "cells": ("id", "experiment", *LABELS, "repeat", "status", "reason"),
+    "parameters": (
         *("id", "body", "name", "true", "estimate", "std", "std_from", "identifiable"),
         *("base_error", "bound"),
     ),
+    "joints": ("id", "name"),
 }
+"""Columns that a frame has in any case, by its name."""
+
+ReadFrame = Callable[[str, Sequence[str] | None], "pd.DataFrame"]
+"""(frame, columns or None for all) -> the frame with those of the columns that it has."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
     """`cells` has a line per row; `parameters` and `joints` have one per parameter or joint of the
-    cell `id`."""
+    cell `id`. Each is read when it is used first."""
 
-    cells: "pd.DataFrame"
-    parameters: "pd.DataFrame"
-    joints: "pd.DataFrame"
+    read: ReadFrame
+
+    @cached_property
+    def cells(self) -> "pd.DataFrame":
+        """One line per row."""
+        return self.read("cells", None)
+
+    @cached_property
+    def parameters(self) -> "pd.DataFrame":
+        """One line per cell and parameter."""
+        return self.read("parameters", None)
+
+    @cached_property
+    def joints(self) -> "pd.DataFrame":
+        """One line per cell and joint."""
+        return self.read("joints", None)
 
     @cached_property
     def by_parameter(self) -> "pd.DataFrame":
         """`cells` with a line per parameter (m, ..., fc) and its verdict; a cell without any has a
         line for each parameter of the others."""
         names = {"name": PARAMETER, "identifiable": VERDICT}
-        verdicts = self.parameters[["id", *names]].rename(columns=names)
+        verdicts = self.read("parameters", ["id", *names]).rename(columns=names)
         return self._merged(verdicts, PARAMETER)
 
     @cached_property
     def by_joint(self) -> "pd.DataFrame":
         """`cells` with a line per joint and its errors; a cell without any has a line for each
         joint of the others."""
-        errors = self.joints.rename(columns=_JOINT_COLUMNS)
+        errors = self.read("joints", ["id", *_JOINT_COLUMNS]).rename(columns=_JOINT_COLUMNS)
         return self._merged(errors.reindex(columns=["id", *_JOINT_COLUMNS.values()]), JOINT)
 
     def _merged(self, entries: "pd.DataFrame", label: str) -> "pd.DataFrame":
@@ -88,41 +105,39 @@ class Frames:
             lines.append(line)
         return pd.concat(lines).sort_index(kind="stable", ignore_index=True)
 
-    def write(self, folder: Path) -> None:
-        """Write cells.parquet, parameters.parquet and joints.parquet, each atomically."""
-        for name in ("cells", "parameters", "joints"):
-            path = folder / f"{name}.parquet"
-            temporary = path.with_name(f".{path.name}.{os.getpid()}")
-            getattr(self, name).to_parquet(temporary, compression="zstd", index=False)
-            temporary.replace(path)
-
 
 def data_frames(rows: Iterable[Row]) -> Frames:
     """Return the frames of rows; nested tables of a cell become columns with dotted names."""
     rows = list(rows)
-    cells = [_flat({key: value for key, value in row.items() if key not in _LONG}) for row in rows]
-    return Frames(
-        _frame(cells, FIRST_COLUMNS),
-        _frame(_long(rows, "parameters_table"), _LONG["parameters_table"]),
-        _frame(_long(rows, "joints"), _LONG["joints"]),
-    )
+    tables = _TABLE_OF.values()
+    cells = [flat({key: value for key, value in row.items() if key not in tables}) for row in rows]
+    made = {"cells": _frame(cells, FIRST["cells"])}
+    for name, table in _TABLE_OF.items():
+        made[name] = _frame(_long(rows, table), FIRST[name])
+
+    def read(name: str, columns: Sequence[str] | None) -> "pd.DataFrame":
+        frame = made[name]
+        return frame if columns is None else frame[[c for c in columns if c in frame.columns]]
+
+    return Frames(read)
 
 
 def _long(rows: Iterable[Row], field: str) -> Iterator[Row]:
     for row in rows:
         for entry in row.get(field) or ():
-            yield {"id": row["id"], **_flat(entry)}
+            yield {"id": row["id"], **flat(entry)}
 
 
-def _flat(row: Mapping[str, Any], prefix: str = "") -> Row:
-    flat: Row = {}
+def flat(row: Mapping[str, Any], prefix: str = "") -> Row:
+    """Return a row without nesting: names with dots for mappings, JSON texts for lists."""
+    fields: Row = {}
     for key, value in row.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{key}.")
+        if isinstance(value, dict):
+            fields |= flat(value, f"{prefix}{key}.")
         else:
             # Lists are stored as JSON, which DuckDB and people both read.
-            flat[prefix + key] = json.dumps(value) if isinstance(value, list) else value
-    return flat
+            fields[prefix + key] = json.dumps(value) if isinstance(value, list) else value
+    return fields
 
 
 def _frame(rows: Iterable[Row], first: tuple[str, ...]) -> "pd.DataFrame":

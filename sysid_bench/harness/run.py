@@ -89,7 +89,7 @@ def run(
     selected = _selected(folder.plan, select, shard)[:limit]
     source = _JobSource(folder, call, robots_dir or folder.suite.robots_dir)
     with folder.lock() as descriptor:
-        stored = folder.rows().rows
+        stored = folder.heads().rows
         todo = _todo(selected, stored, rerun, source.fingerprint)
         work = source.jobs(todo, stored)
         if work:
@@ -267,7 +267,7 @@ def _result(
     ending: Ending,
     more: Iterable[str],
 ) -> RunResult:
-    stored = folder.rows()
+    stored = folder.heads()
     rows = [stored.rows[cell.id] for cell in selected if cell.id in stored.rows]
     number = Counter(str(row.get("status")) for row in rows)
     counts = {name: number[name] for name in dict.fromkeys((*STATUSES, *number)) if number[name]}

@@ -2,21 +2,32 @@
 
 import json
 import os
+import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.consolidate import consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
-from sysid_bench.harness.plan import Plan
+from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
+from sysid_bench.harness.plan import Plan, planned_heads, planned_ids
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.processes import processes_with
-from sysid_bench.harness.work.row_files import RowWriter, StoredRows, new_row_file, read_rows
+from sysid_bench.harness.work.row_files import (
+    RowWriter,
+    StoredRows,
+    find_row,
+    new_row_file,
+    read_rows,
+    row_files,
+)
 from sysid_bench.input_files import LARGEST, parse_json, read_text
+from sysid_bench.types import Row
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,6 +39,11 @@ except ImportError:  # Windows has no flock: two runners on one folder are not d
 
 _LARGEST: Final = {"plan.jsonl": 2**31}
 """Bytes of a file of a run folder: 2 kB for each of a million cells."""
+HEAD: Final = ("id", "status", "reason", "crosscheck", "fingerprint", "losses", "sources")
+"""Fields of a row on which the next run, its result and the status of a run depend."""
+
+FEW_BYTES: Final = 20_000_000
+"""Size of row files from which on frames are made in bounded memory."""
 
 ORPHAN_SECONDS = 10.0
 """Time for the workers of a killed runner to end; they hold its lock until then."""
@@ -76,6 +92,11 @@ class RunFolder:
         """Every cell of the run."""
         return Plan.from_json_lines(self._read("plan.jsonl"))
 
+    @cached_property
+    def planned(self) -> tuple[str, ...]:
+        """Ids of the cells of the plan, which is not read as a whole."""
+        return planned_ids(self._read("plan.jsonl"))
+
     @property
     def env(self) -> dict[str, Any]:
         """Versions, CPU, BLAS and git of the machine that last ran cells."""
@@ -105,21 +126,83 @@ class RunFolder:
 
     def rows(self) -> StoredRows:
         """Read the rows stored so far."""
-        return read_rows(self.path / "cells")
+        return read_rows(self._cells)
+
+    def row(self, cell: str) -> Row | None:
+        """Read the row of one cell; None where it has none."""
+        return find_row(self._cells, cell)
+
+    def heads(self) -> StoredRows:
+        """Read the fields HEAD of the rows stored so far, as far as a row has them.
+
+        They come from cells.parquet as far as it covers the row files.
+        """
+        rows: dict[str, Row] = {}
+        start: Mapping[str, tuple[int, int]] = {}
+        garbled: tuple[str, ...] = ()
+        if (coverage := read_coverage(self.path, row_files(self._cells))) is not None:
+            with suppress(*UNREADABLE):
+                rows = FrameFiles(self.path, coverage).heads(HEAD)
+                start, garbled = coverage.start, coverage.garbled
+        rest = read_rows(self._cells, start=start, tables=False)
+        for cell, row in rest.rows.items():
+            rows[cell] = {key: value for key, value in row.items() if key in HEAD}
+        return StoredRows(rows, rest.torn, (*garbled, *rest.garbled))
 
     def frames(self) -> Frames:
-        """Return data frames of the planned cells that have a row, with the labels of the plan."""
-        stored = self.rows().rows
-        planned = (cell for cell in self.plan.cells if cell.id in stored)
-        return data_frames({**stored[cell.id], **cell.head} for cell in planned)
+        """Return data frames of the planned cells that have a row, with the labels of the plan.
+
+        They are read from the Parquet files where these hold all rows, else made from the rows.
+        """
+        coverage = read_coverage(self.path, row_files(self._cells))
+        if coverage is not None and not self._has_rows_behind(coverage.start):
+            with suppress(*UNREADABLE):
+                return self._frames_of(FrameFiles(self.path, coverage))
+        return self._frames_of_rows()
 
     def write_frames(self) -> None:
         """Write cells.parquet, parameters.parquet and joints.parquet."""
-        self.frames().write(self.path)
+        consolidate(self.path, self._heads)
+
+    def _frames_of(self, files: FrameFiles) -> Frames:
+        def read(name: str, columns: Sequence[str] | None) -> "pd.DataFrame":
+            try:
+                return files.read(name, columns)
+            except UNREADABLE:  # a damaged page: the row files decide
+                return self._frames_of_rows().read(name, columns)
+
+        return Frames(read)
+
+    def _frames_of_rows(self) -> Frames:
+        """Frames without the Parquet files; many rows are consolidated, here where that is allowed,
+        else in a temporary folder."""
+        if sum(path.stat().st_size for path in row_files(self._cells)) <= FEW_BYTES:
+            stored, heads = self.rows().rows, self._heads
+            return data_frames(stored[cell] | heads[cell] for cell in heads if cell in stored)
+        with suppress(UsageError, OSError), self.lock():
+            coverage = consolidate(self.path, self._heads)
+            return Frames(FrameFiles(self.path, coverage).read)
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
+            coverage = consolidate(self.path, self._heads, Path(name))
+            return Frames(FrameFiles(Path(name), coverage).read)
+
+    def _has_rows_behind(self, start: Mapping[str, tuple[int, int]]) -> bool:
+        """True where planned cells have rows that the Parquet files do not cover."""
+        rest = read_rows(self._cells, start=start, tables=False).rows
+        return bool(rest) and any(cell in rest for cell in self.planned)
+
+    @property
+    def _cells(self) -> Path:
+        return self.path / "cells"
+
+    @cached_property
+    def _heads(self) -> dict[str, Row]:
+        """First fields of every planned cell, by id."""
+        return {head["id"]: head for head in planned_heads(self._read("plan.jsonl"))}
 
     def new_writer(self, writer: str) -> RowWriter:
         """Open a writer with a new file, for rows that no worker can write."""
-        return RowWriter(new_row_file(self.path / "cells", writer))
+        return RowWriter(new_row_file(self._cells, writer))
 
     def write_env(self, env: Mapping[str, Any]) -> None:
         """Replace env.json."""

@@ -2,6 +2,9 @@
 
 import csv
 import io
+import math
+from collections.abc import Iterable, Sequence
+from typing import Final
 
 from sysid_bench.reporting.tables import METRIC, Entry, Key, Table
 
@@ -10,19 +13,43 @@ _HEAD = (
     *("missing", "best", "better"),
 )
 
+_FORMULAS: Final = ("=", "+", "-", "@", "\t", "\r")
+"""Beginnings of texts that spreadsheets evaluate."""
+
 
 def to_csv(table: Table) -> str:
     """One line per entry and metric: fields, metric, value, low, high (17 digits where needed),
     counts, marks."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
     # The name of the metric is in the column "metric" in any case.
     fields = [field for field in table.column_fields if field != METRIC]
-    writer.writerow([*table.row_fields, *fields, *_HEAD])
-    for row, column in filter(table.entries.__contains__, table.indices):
-        entry = table.entries[row, column]
-        writer.writerow([*row, *column[: len(fields)], *_values(table, column, entry)])
+    entries = ((row, column, table.entries.get((row, column))) for row, column in table.indices)
+    lines = (
+        [*row, *column[: len(fields)], *_values(table, column, entry)]
+        for row, column, entry in entries
+        if entry is not None
+    )
+    return csv_text([[*table.row_fields, *fields, *_HEAD], *lines])
+
+
+def csv_text(lines: Iterable[Sequence[object]]) -> str:
+    """Return lines of cells as CSV. A text that a spreadsheet would evaluate begins with ' there;
+    numbers, also as texts, stay numbers."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerows([_without_formula(cell) for cell in line] for line in lines)
     return out.getvalue()
+
+
+def _without_formula(cell: object) -> object:
+    is_formula = isinstance(cell, str) and cell.startswith(_FORMULAS) and not _is_number(cell)
+    return f"'{cell}" if is_formula else cell
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 def _values(table: Table, column: Key, entry: Entry) -> list[object]:

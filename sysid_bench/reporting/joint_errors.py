@@ -1,13 +1,16 @@
 """Relative torque errors per joint of every robot, as tables of the HTML report."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.reporting.notation import ABSENT, notation
 from sysid_bench.reporting.selection import label
 
 if TYPE_CHECKING:
     import pandas as pd
+
+JOINT_COLUMNS: Final = ("id", "name", "relative", "small")
+"""Columns of the joints that are read here."""
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
 """Texts in columns, as papers print a model or its parameters: Markdown, CSV, LaTeX."""
 
-import csv
-import io
 from dataclasses import dataclass
 
 from sysid_bench.reporting import latex
+from sysid_bench.reporting.csv_table import csv_text
 from sysid_bench.reporting.latex_text import escape as escape_latex
 from sysid_bench.reporting.latex_text import label_name
 from sysid_bench.reporting.markdown import escape, table_line
@@ -30,9 +29,7 @@ def to_markdown(listing: Listing) -> str:
 
 def to_csv(listing: Listing) -> str:
     """The head, then a line per row."""
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows([listing.head, *listing.rows])
-    return out.getvalue()
+    return csv_text([listing.head, *listing.rows])
 
 
 def to_latex(listing: Listing, origin: latex.Origin) -> str:

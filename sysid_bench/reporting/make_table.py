@@ -3,9 +3,10 @@
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from sysid_bench.metrics import METRICS
+from sysid_bench.metrics import METRICS, REASONS
 from sysid_bench.reporting.best_entries import with_best
-from sysid_bench.reporting.selection import Choose, label, selected, with_labels
+from sysid_bench.reporting.repeat_errors import SETTING
+from sysid_bench.reporting.selection import SWEEPABLE, Choose, label, selected, with_labels
 from sysid_bench.reporting.table_entries import table_entries
 from sysid_bench.reporting.table_layout import TableLayout, layout_of
 from sysid_bench.reporting.table_notes import table_notes
@@ -31,7 +32,7 @@ def make_table(
     statistics, and where no cell is left.
     """
     layout = layout_of(spec, cells, metrics)
-    chosen = with_labels(selected(cells, spec, choose))
+    chosen = with_labels(_used(selected(cells, spec, choose), layout))
     entries = table_entries(chosen, layout, parameters)
     table = Table(
         name=layout.name,
@@ -47,6 +48,14 @@ def make_table(
         notes=tuple(table_notes(chosen, layout, entries)),
     )
     return with_best(table, spec.get("best", "none"))
+
+
+def _used(cells: "pd.DataFrame", layout: TableLayout) -> "pd.DataFrame":
+    """Cells with the columns alone that a table can show or explain."""
+    names = [metric.name for metric in layout.metrics]
+    more = [text for name in names for text in (f"{name}_names", f"{REASONS}.{name}")]
+    fields = {"id", "status", "repeat", *SWEEPABLE, *SETTING, *layout.fields, *names, *more}
+    return cells[[name for name in cells.columns if name in fields]]
 
 
 def _columns(cells: "pd.DataFrame", layout: TableLayout, keys: Iterable[Key]) -> tuple[Key, ...]:

@@ -1,6 +1,6 @@
 """Cells that repeat one experiment become the errors of each parameter in each repeat."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -10,10 +10,12 @@ from sysid_bench.types import Array
 if TYPE_CHECKING:
     import pandas as pd
 
-_SETTING = (
+SETTING: Final = (
     *("robot", "payload", "task", "terms", "plant", "prior", "excitation", "held_out"),
     *("simulation", "rate", "noise", "signals", "estimator"),
 )
+PARAMETER_COLUMNS: Final = ("id", "body", "name", "base_error", "bound")
+"""Columns of the parameters that are read here."""
 
 
 def repeat_statistic(
@@ -41,7 +43,7 @@ def repeat_errors(cells: "pd.DataFrame", parameters: "pd.DataFrame") -> tuple[Ar
     """Errors (n, r) of each base parameter of each setting (r) in the repeats (n) that all of them
     have, and the bound (r,), NaN where there is none: the root mean square of those of single
     repeats, which differ where noise disturbs the motion."""
-    settings = [name for name in _SETTING if name in cells.columns]
+    settings = [name for name in SETTING if name in cells.columns]
     lines = parameters[parameters["id"].isin(cells["id"]) & parameters["base_error"].notna()]
     lines = lines.merge(cells[["id", "repeat", *settings]], on="id")
     if len(lines) == 0:

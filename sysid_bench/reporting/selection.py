@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 Choose = Callable[[str, Mapping[str, Any]], bool]
 """(expression, cell) -> whether the cell meets it."""
 
+_BLOCK: Final = 1000  # cells that are mappings at a time
 SWEEPABLE: Final = (
     "robot", "payload", "task", "plant", "excitation", "simulation", "noise", "estimator",
 )  # fmt: skip
@@ -45,7 +46,11 @@ def _float_label(value: "float | np.floating[Any]") -> str:
 def with_labels(cells: "pd.DataFrame") -> "pd.DataFrame":
     """The same cells with text in every field that can make a row or column."""
     texts = [name for name in cells.columns if _has_labels(cells[name])]
-    return cells.assign(**{name: list(map(label, cells[name])) for name in texts})
+    return cells.assign(**{name: list(map(_text, cells[name])) for name in texts})
+
+
+def _text(value: Any) -> str:
+    return value if type(value) is str else label(value)
 
 
 def _has_labels(column: "pd.Series") -> bool:
@@ -79,7 +84,8 @@ def _matching(cells: "pd.DataFrame", expression: str, choose: Choose | None) -> 
     """Cells that meet an expression."""
     if choose is None:
         raise UsageError(f"Give `choose` to evaluate the expression {expression!r}.")
-    rows = cells.to_dict("records")
+    blocks = (cells[start : start + _BLOCK] for start in range(0, len(cells), _BLOCK))
+    rows = (row for block in blocks for row in block.to_dict("records"))
     return cells[[choose(expression, {str(k): v for k, v in row.items()}) for row in rows]]
 
 

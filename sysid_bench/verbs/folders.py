@@ -13,7 +13,7 @@ def open_run(folder: str | Path) -> RunFolder:
 
 def find_cell(run_folder: RunFolder, identifier: str) -> str:
     """Return the id that begins with `identifier`; raise UsageError for none or several."""
-    ids = [cell.id for cell in run_folder.plan.cells]
+    ids = run_folder.planned
     found = [i for i in ids if identifier and i.startswith(identifier)]
     if len(found) == 1:
         return found[0]

@@ -77,7 +77,7 @@ def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":
 
 def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
     """The first cell with an ok row that an entry selects."""
-    rows = run.rows().rows
+    rows = run.heads().rows
     found = _selected(run, entry.select)
     if not found:
         raise UsageError(f"[[paper]] {entry.name!r}: no cell meets {entry.select!r}.")

@@ -75,7 +75,9 @@ def record_selected(
 ) -> list[Path]:
     """Write the recordings that a suite's [record] (or `expression`) selects, at most `MOST`, where
     they are absent or old. Cells without data (skipped, crash, timeout) are left out."""
-    chosen = _matching(run_folder, expression) if expression else _by_rule(run_folder)
+    chosen = list(_matching(run_folder, expression) if expression else _by_rule(run_folder))
+    if not chosen:
+        return []
     stored = run_folder.rows().rows
     with_data = [c for c in dict.fromkeys(chosen) if stored[c].get("data_rank") is not None]
     newest = _newest_row(run_folder)

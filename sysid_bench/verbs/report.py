@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,9 +13,11 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_toml, read_text
+from sysid_bench.metrics import METRICS
 from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.figures import figure, svg_element
 from sysid_bench.reporting.html import RunView, write_report
+from sysid_bench.reporting.joint_errors import JOINT_COLUMNS
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.latex_macros import to_macros
 from sysid_bench.reporting.listing import Listing
@@ -22,6 +25,7 @@ from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.performance_profile import profile
 from sysid_bench.reporting.rankings import Ranking, rankings
+from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS
 from sysid_bench.reporting.tables import Table
 from sysid_bench.verbs.folders import open_run
 from sysid_bench.verbs.paper_output import draw_paper_figures, paper_tables, text_of
@@ -60,7 +64,7 @@ def report(folder: str | Path) -> Path:
     frames = run_folder.frames()
     if len(frames.cells) == 0:
         raise UsageError(f"{str(folder)!r} has no rows yet; run it first.")
-    tables, ranked = tuple(_tables(run_folder)), _rankings(run_folder)
+    tables, ranked = tuple(_tables(run_folder, frames)), _rankings(run_folder, frames)
     note = _stale_note(run_folder)
     listings, origin = paper_tables(run_folder), replace(_origin(run_folder), note=note)
     for name in ("tables", "figures"):
@@ -74,7 +78,7 @@ def report(folder: str | Path) -> Path:
             suite=parse_toml(read_text(run_folder.path / "run.toml")),
             env=run_folder.env,
             cells=frames.cells,
-            joints=frames.joints,
+            joints=frames.read("joints", JOINT_COLUMNS),
             tables=tables,
             rankings=ranked,
             metrics=run_folder.suite.metrics,
@@ -97,14 +101,14 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     if form not in FORMATS:
         raise unknown_name("format", form, FORMATS)
     run_folder = open_run(folder)
-    origin = _origin(run_folder)
+    origin, frames = _origin(run_folder), run_folder.frames()
     if form == "latex":
         origin = replace(origin, note=_stale_note(run_folder))
-    tables = _by_name(_tables(run_folder))
+    tables = _by_name(_tables(run_folder, frames))
     if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
         return text_of(_listing(run_folder, name), form, origin)
     if name not in tables:  # rankings resample thousands of times: made only where one is named
-        tables |= _by_name(_ranking_tables(_rankings(run_folder)))
+        tables |= _by_name(_ranking_tables(_rankings(run_folder, frames)))
     if name not in tables:
         raise unknown_name("table", name, tables)
     return _text(tables[name], form, origin)
@@ -130,8 +134,9 @@ def _ranking_tables(ranked: Iterable[Ranking]) -> Iterator[Table]:
 def printed_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
-    orders = (ranking.summary_table for ranking in _rankings(run))
-    return [_text(made, "md", _origin(run)) for made in (*_tables(run), *orders)]
+    origin, frames = _origin(run), run.frames()
+    orders = (ranking.summary_table for ranking in _rankings(run, frames))
+    return [_text(made, "md", origin) for made in (*_tables(run, frames), *orders)]
 
 
 def recordings(run_folder: "RunFolder") -> dict[str, str]:
@@ -166,13 +171,20 @@ def _draw(folder: Path, tables: tuple[Table, ...], ranked: tuple[Ranking, ...]) 
             profile(ranking, folder / f"{ranking.name}.{suffix}")
 
 
-def _tables(run_folder: "RunFolder") -> Iterator[Table]:
-    frames, suite = run_folder.frames(), run_folder.suite
+def _tables(run_folder: "RunFolder", frames: "Frames") -> Iterator[Table]:
+    suite = run_folder.suite
     specs = [entry.model_dump(exclude_none=True) for entry in suite.table] or [dict(DEFAULT_TABLE)]
     for spec in specs:
         lines = _lines(frames, (*spec["rows"], *spec["columns"]))
-        with _incomplete_run(run_folder):
-            yield make_table(lines, spec, _choose, frames.parameters, suite.metrics)
+        with _incomplete_run(run_folder, frames):
+            yield make_table(lines, spec, _choose, _parameters(frames, spec), suite.metrics)
+
+
+def _parameters(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame | None":
+    """Parameters of all cells, for a table whose metrics need them."""
+    names = spec.get("metrics") or [spec.get("cells", {}).get("metric")]
+    needed = any(metric.name in names and metric.level == "repeats" for metric in METRICS.values())
+    return frames.read("parameters", PARAMETER_COLUMNS) if needed else None
 
 
 def _lines(frames: "Frames", axes: Collection[str]) -> "pd.DataFrame":
@@ -183,32 +195,30 @@ def _lines(frames: "Frames", axes: Collection[str]) -> "pd.DataFrame":
     return lines
 
 
-def _rankings(run_folder: "RunFolder") -> tuple[Ranking, ...]:
-    cells, suite = run_folder.frames().cells, run_folder.suite
+def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:
+    cells, suite = frames.cells, run_folder.suite
     found: list[Ranking] = []
     for entry in suite.ranking:
-        with _incomplete_run(run_folder):
+        with _incomplete_run(run_folder, frames):
             found += rankings(cells, entry.model_dump(exclude_none=True), _choose, suite.metrics)
     return tuple(found)
 
 
 @contextmanager
-def _incomplete_run(run_folder: "RunFolder") -> Iterator[None]:
+def _incomplete_run(run_folder: "RunFolder", frames: "Frames") -> Iterator[None]:
     """Leave a table out while cells have no row: until then it may have nothing to show."""
     try:
         yield
     except UsageError:
-        if _is_complete(run_folder):
+        if len(frames.cells) == len(run_folder.planned):
             raise
 
 
-def _is_complete(run_folder: "RunFolder") -> bool:
-    """Test whether every cell has a row."""
-    return len(run_folder.frames().cells) == len(run_folder.plan.cells)
-
-
 def _choose(expression: str, cell: Mapping[str, Any]) -> bool:
-    return Expression.parse(expression).matches(cell)
+    return _parsed(expression).matches(cell)
+
+
+_parsed = cache(Expression.parse)
 
 
 def _text(table: Table, form: str, origin: Origin) -> str:
@@ -226,7 +236,7 @@ def _put(path: Path, text: str) -> None:
 
 
 def _origin(run_folder: "RunFolder") -> Origin:
-    cells = sorted(cell.id for cell in run_folder.plan.cells)
+    cells = sorted(run_folder.planned)
     return Origin(run_folder.path.name, canonical_hash(cells)[:12], _command(run_folder.suite))
 
 

@@ -1,8 +1,5 @@
-"""Runs: plan, execute, inspect, reproduce."""
+"""Runs: plan and execute."""
 
-import json
-import shlex
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -16,17 +13,16 @@ from sysid_bench.harness.run import Rerun
 from sysid_bench.harness.run import RunResult as Outcome
 from sysid_bench.harness.run import run as execute
 from sysid_bench.harness.shard import Shard
-from sysid_bench.harness.stale_rows import other_code, stale_note
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.harness.suite.third_party_code import code_note, third_party_plugins
 from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import OnEvent
-from sysid_bench.verbs.folders import find_cell, open_run
 from sysid_bench.verbs.recordings import record_selected, recording_notes
 from sysid_bench.verbs.report import printed_tables, report
 from sysid_bench.verbs.result import Result
+from sysid_bench.verbs.status import counts_text
 
 INTERRUPTED = 130
 """Exit code of a run that was interrupted; the same call resumes it."""
@@ -86,7 +82,7 @@ class RunResult(Result):
         if not self.counts:
             notes = " ".join(self.notes)
             return f"No cell was selected; see 'sysid-bench plan'. {notes}".rstrip()
-        counts = _counts_text(self.counts)
+        counts = counts_text(self.counts)
         lines = [
             *printed_tables(folder),
             counts + (f", {self.open} open" if self.open else ""),
@@ -97,54 +93,6 @@ class RunResult(Result):
 
     def _fields(self) -> dict[str, Any]:
         return super()._fields() | {"folder": str(self.folder.path)}
-
-
-def _counts_text(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{count} {status}" for status, count in counts.items())
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class StatusResult(Result):
-    """Progress of a run: planned cells, rows by status, reasons with their counts, and the number
-    of rows from `other_code`, models or libraries than there are now."""
-
-    folder: str
-    cells: int
-    open: int
-    statuses: dict[str, int]
-    reasons: list[dict[str, Any]]
-    other_code: int
-
-    def summary(self) -> str:
-        """Counts, then one line for each reason."""
-        counts = _counts_text(self.statuses) or "no rows"
-        lines = [f"{self.cells} cells: {counts}, {self.open} open"]
-        lines += [f"  {r['cells']} {r['status']}: {r['reason']}" for r in self.reasons]
-        return "\n".join([*lines, *filter(None, [stale_note(self.other_code)])])
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class CellResult(Result):
-    """Row of a cell with its fields as keys; `command` reproduces it."""
-
-    row: Mapping[str, Any]
-    command: str
-
-    def summary(self) -> str:
-        """One line per field, then the traceback of a failure."""
-        tables = ("joints", "parameters_table", "traceback")
-        fields = {key: value for key, value in self.items() if key not in tables}
-        lines = [f"{key:<22} {_json_text(value)}" for key, value in fields.items()]
-        traceback = self.row.get("traceback")
-        return "\n".join([*lines, f"\n{traceback}"] if traceback else lines)
-
-    def _fields(self) -> dict[str, Any]:
-        return {**self.row, "command": self.command}
-
-
-def _json_text(value: Any) -> str:
-    """JSON of a field; a string without quotes."""
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 def plan(
@@ -250,42 +198,4 @@ def _run_result(outcome: Outcome, more: Sequence[str]) -> RunResult:
         asked=outcome.asked,
         exit_code=outcome.exit_code,
         notes=(*outcome.notes, *more),
-    )
-
-
-def status(folder: str | Path) -> StatusResult:
-    """Return the progress of a run and the reasons of cells that are not `ok`."""
-    run_folder = open_run(folder)
-    stored = run_folder.rows().rows
-    planned = [cell.id for cell in run_folder.plan.cells]
-    rows = [stored[cell] for cell in planned if cell in stored]
-    return StatusResult(
-        folder=str(run_folder.path),
-        cells=len(planned),
-        open=len(planned) - len(rows),
-        statuses=dict(Counter(row["status"] for row in rows)),
-        reasons=_reasons(rows),
-        other_code=other_code(run_folder.suite, run_folder.plan.cells, stored),
-    )
-
-
-def _reasons(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Reasons of the cells that are not ok, the most frequent first."""
-    pairs = ((row["status"], row.get("reason") or "") for row in rows if row["status"] != "ok")
-    return [
-        {"status": status, "reason": reason, "cells": count}
-        for (status, reason), count in Counter(pairs).most_common()
-    ]
-
-
-def cell(folder: str | Path, identifier: str) -> CellResult:
-    """Return the row of a cell, by a unique beginning of its id, and the command that reproduces
-    it. Raises UsageError where none or several cells begin with it."""
-    run_folder = open_run(folder)
-    full = find_cell(run_folder, identifier)
-    missing = {"id": full, "status": "open", "reason": "has not run yet"}
-    path = shlex.quote(str(run_folder.path))
-    return CellResult(
-        row=run_folder.rows().rows.get(full, missing),
-        command=f"sysid-bench run {path} --select 'id == \"{full}\"' --rerun all",
     )

@@ -34,7 +34,7 @@ from sysid_bench.signals.log_reader import read_table
 from sysid_bench.units import interval, quantity
 from sysid_bench.verbs.motion_export import read_motion
 from sysid_bench.verbs.report import table
-from sysid_bench.verbs.run import cell, status
+from sysid_bench.verbs.status import cell, status
 from tests.faults import fuzz_seeds as seeds
 
 

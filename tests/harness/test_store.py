@@ -142,17 +142,6 @@ def test_canonical_text_is_that_of_the_value_alone(value: dict[str, Any]) -> Non
     assert json.loads(canonical(value)) == value
 
 
-@given(st.lists(st.dictionaries(st.sampled_from(["x", "y", "joints.x"]), json_values), max_size=4))
-def test_any_rows_make_frames_that_parquet_takes(rows: list[dict[str, Any]]) -> None:
-    import tempfile
-
-    rows = [{"id": str(number), **row} for number, row in enumerate(rows)]
-    with tempfile.TemporaryDirectory() as name:
-        data_frames(rows).write(Path(name))
-        back = pd.read_parquet(Path(name) / "cells.parquet")
-    assert list(back["id"]) == [row["id"] for row in rows]
-
-
 def test_consolidation_keeps_every_number(tmp_path: Path) -> None:
     run = make(tmp_path)
     with run.new_writer("w") as writer:

@@ -1,5 +1,7 @@
 """Laws of tables: no cell is lost, no order matters, the best is the best."""
 
+import csv
+import io
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.csv_table import to_csv
+from sysid_bench.reporting.csv_table import csv_text, to_csv
 from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.selection import label, with_labels
@@ -351,3 +353,14 @@ def test_verdicts_with_gaps_are_numbers(cells: pd.DataFrame) -> None:
     values = [entry.value for entry in table.entries.values() if entry.value is not None]
     assert values
     assert all(0 <= value <= 1 for value in values)
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+cmd", "-x.m + y.m", "@sum(a)", "\t=1"])
+def test_no_text_of_a_csv_is_a_formula(cells: pd.DataFrame, name: str) -> None:
+    text = to_csv(table_of(cells.assign(estimator=name), ["robot"], ["estimator"]))
+    lines = list(csv.DictReader(io.StringIO(text, newline="")))
+    assert {line["estimator"] for line in lines} == {f"'{name}"}
+
+
+def test_numbers_of_a_csv_stay_numbers() -> None:
+    assert csv_text([[-0.5, "-0.5", "+1e-3", -1, "a-b", ""]]) == "-0.5,-0.5,+1e-3,-1,a-b,\n"

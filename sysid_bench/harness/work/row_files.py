@@ -1,17 +1,25 @@
-"""Row files: append-only JSON lines, one writer per file; of rows with one id the last holds."""
+"""Row files: append-only JSON lines, one writer per file; of rows with one id the last holds.
+
+A table of a row, a list of entries with the same keys, is written by column: {"columns": {key:
+values}}. Readers return lists of entries; files with lists of entries are read, too.
+"""
 
 import contextlib
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Any, Final, NamedTuple
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.harness.work.row_check import is_row, not_files
 from sysid_bench.types import Row
+
+TABLES: Final = ("joints", "parameters_table")
+"""Fields of a row that are tables."""
 
 SYNC_SECONDS = 1.0
 """Interval of fsync; once per row would cost four times as much as writing it."""
@@ -27,6 +35,15 @@ class StoredRows:
     garbled: tuple[str, ...]
 
 
+class Line(NamedTuple):
+    """One line of a row file; `end` is the offset behind it. An unfinished one is the last."""
+
+    number: int
+    text: bytes
+    end: int
+    unfinished: bool
+
+
 class RowWriter:
     """Appends rows to its own file; once `append` returns, the operating system holds the row."""
 
@@ -37,7 +54,7 @@ class RowWriter:
 
     def write(self, row: Row) -> None:
         """Append one line. Raises TypeError before writing for values that are not JSON."""
-        self._append(json.dumps(plain(row)).encode() + b"\n")
+        self._append(json.dumps(_by_column(plain(row))).encode() + b"\n")
         if time.monotonic() - self._synced > SYNC_SECONDS:
             self._sync()
 
@@ -78,7 +95,7 @@ class RowWriter:
 def new_row_file(folder: Path, writer: str) -> Path:
     """Create an empty file, numbered after all existing ones: names sort by time."""
     folder.mkdir(parents=True, exist_ok=True)
-    number = 1 + max((_number(path) for path in _files(folder)), default=0)
+    number = 1 + max((_number(path) for path in row_files(folder)), default=0)
     while True:
         path = folder / f"{number:06d}-{writer}.jsonl"
         try:
@@ -89,32 +106,50 @@ def new_row_file(folder: Path, writer: str) -> Path:
             return path
 
 
-def read_rows(folder: Path) -> StoredRows:
-    """Return all rows of a folder of row files; no content of a file raises."""
+def read_rows(
+    folder: Path, *, start: Mapping[str, tuple[int, int]] | None = None, tables: bool = True
+) -> StoredRows:
+    """Return all rows of a folder of row files; no content of a file raises.
+
+    `start` gives the (line, offset) behind which a file, by its name, is read; `tables`: with the
+    tables of the rows.
+    """
     rows: dict[str, Row] = {}
     torn, garbled = 0, not_files(folder, "*.jsonl")
-    for path in _files(folder):
-        for number, line, last in _lines(path):
-            row = _row(line)
+    for path in row_files(folder):
+        for line in lines(path, *(start or {}).get(path.name, (0, 0))):
+            row = parse_row(line.text)
             if row is not None:
                 rows.pop(row["id"], None)
-                rows[row["id"]] = row
-            elif last:
+                rows[row["id"]] = with_entries(row) if tables else _without_tables(row)
+            elif line.unfinished:
                 torn += 1
             else:
-                garbled.append(f"{path.name}:{number}")
+                garbled.append(f"{path.name}:{line.number}")
     return StoredRows(rows, torn, tuple(garbled))
+
+
+def find_row(folder: Path, cell: str) -> Row | None:
+    """Return the row of one cell, as `read_rows` does."""
+    found, written = None, json.dumps(cell).encode()
+    for path in row_files(folder):
+        for line in lines(path):
+            row = parse_row(line.text) if written in line.text else None
+            if row is not None and row["id"] == cell:
+                found = row
+    return with_entries(found) if found is not None else None
 
 
 def stored_rows(path: Path) -> dict[str, Row]:
     """Return the complete rows of one file, none where it is gone."""
     if not path.is_file():
         return {}
-    rows = (_row(line) for _, line, _ in _lines(path))
+    rows = (parse_row(line.text) for line in lines(path))
     return {row["id"]: row for row in rows if row is not None}
 
 
-def _files(folder: Path) -> list[Path]:
+def row_files(folder: Path) -> list[Path]:
+    """Return the row files of a folder in the order in which they were made."""
     files = filter(Path.is_file, folder.glob("*.jsonl"))
     return sorted(files, key=lambda path: (_number(path), path.name))
 
@@ -124,17 +159,71 @@ def _number(path: Path) -> int:
     return int(head) if head.isdigit() else 0
 
 
-def _lines(path: Path) -> Iterator[tuple[int, bytes, bool]]:
-    """Yield (number, line, True for an unfinished last line)."""
-    pieces = path.read_bytes().split(b"\n")
-    for number, line in enumerate(pieces, 1):
-        if line.strip():
-            yield number, line, number == len(pieces)
+def lines(path: Path, number: int = 0, offset: int = 0) -> Iterator[Line]:
+    """Yield the lines with a text behind a line and its offset, one in memory at a time."""
+    with path.open("rb") as file:
+        file.seek(offset)
+        for text in file:
+            number, offset = number + 1, offset + len(text)
+            if text.strip():
+                yield Line(number, text, offset, not text.endswith(b"\n"))
 
 
-def _row(line: bytes) -> Row | None:
+def parse_row(line: bytes) -> Row | None:
+    """Return the row of a line, tables as they were written; None for all that is not a row."""
     try:
         row = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    return row if is_row(row) else None
+    if not is_row(row):
+        return None
+    return row if all(_is_table(row.get(field)) for field in TABLES) else None
+
+
+def columns_of(table: Any) -> Mapping[str, list[Any]] | None:
+    """Return the columns of a table that was written by column; None for any other."""
+    return table["columns"] if isinstance(table, dict) else None
+
+
+def with_entries(row: Row) -> Row:
+    """Return the row with its tables as lists of entries."""
+    written = {field: columns_of(row.get(field)) for field in TABLES}
+    return row | {field: _entries(columns) for field, columns in written.items() if columns}
+
+
+def _entries(columns: Mapping[str, list[Any]]) -> list[Row]:
+    return [
+        dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
+    ]
+
+
+def _is_table(value: Any) -> bool:
+    """True for columns of one length, and for all that is not written by column."""
+    if not isinstance(value, dict):
+        return True
+    columns = value.get("columns")
+    if len(value) != 1 or not isinstance(columns, dict) or not columns:
+        return False
+    values = columns.values()
+    return all(isinstance(v, list) for v in values) and len(set(map(len, values))) == 1
+
+
+def _by_column(row: Row) -> Row:
+    """Return the row with each table of alike entries by column."""
+    tables = {field: row[field] for field in TABLES if _is_alike(row.get(field))}
+    return row | {
+        field: {"columns": {key: [entry[key] for entry in table] for key in table[0]}}
+        for field, table in tables.items()
+    }
+
+
+def _is_alike(table: Any) -> bool:
+    """True for a list of mappings with the same keys in the same order."""
+    if not isinstance(table, list) or not table or not all(isinstance(e, dict) for e in table):
+        return False
+    keys = list(table[0])
+    return bool(keys) and all(list(entry) == keys for entry in table)
+
+
+def _without_tables(row: Row) -> Row:
+    return {key: value for key, value in row.items() if key not in TABLES}

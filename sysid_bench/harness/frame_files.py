@@ -1,0 +1,186 @@
+"""The files cells.parquet, parameters.parquet and joints.parquet of a run, and what they cover.
+
+consolidated.json states up to which byte of each row file the three files hold the rows, and the
+hashes of their footers. Readers use them where all of that is true; else the row files decide.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from sysid_bench.types import Row
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow
+
+FRAMES: Final = ("cells", "parameters", "joints")
+COVERAGE_FILE: Final = "consolidated.json"
+
+UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError, NotImplementedError)
+"""Errors of reading a Parquet file that is absent or damaged."""
+
+_FORMAT: Final = 1
+_BLOCK: Final = 1 << 20
+
+
+@dataclass(frozen=True)
+class CoveredFile:
+    """The covered part of a row file: its bytes, lines and sha256; `mtime` (ns) of the whole."""
+
+    bytes: int
+    lines: int
+    sha256: str
+    mtime: int
+
+    def holds(self, path: Path) -> bool:
+        """True where the file still begins with the covered part."""
+        try:
+            state = path.stat()
+            if (state.st_size, state.st_mtime_ns) == (self.bytes, self.mtime):
+                return True
+            return state.st_size >= self.bytes and _hash_of_start(path, self.bytes) == self.sha256
+        except OSError:
+            return False
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Rows that the Parquet files hold: a part of each row file, with the labels of a plan.
+    `footers` are the sha256 of the ends of the files, which describe and number their contents."""
+
+    footers: Mapping[str, str]
+    plan: str
+    files: Mapping[str, CoveredFile]
+    garbled: tuple[str, ...]
+    format: int = _FORMAT
+
+    @property
+    def start(self) -> dict[str, tuple[int, int]]:
+        """(line, offset) behind which each row file is not covered."""
+        return {name: (file.lines, file.bytes) for name, file in self.files.items()}
+
+    def to_json(self) -> str:
+        """Text of consolidated.json."""
+        return json.dumps(asdict(self), indent=1) + "\n"
+
+
+def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
+    """Return the coverage of a run folder's Parquet files; None where it is absent or not true."""
+    try:
+        data = json.loads((folder / COVERAGE_FILE).read_text(encoding="utf-8"))
+        files = {name: CoveredFile(**file) for name, file in data.pop("files").items()}
+        coverage = Coverage(files=files, **{**data, "garbled": tuple(data["garbled"])})
+        is_true = coverage.format == _FORMAT and coverage.plan == file_hash(folder / "plan.jsonl")
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+    present = {path.name: path for path in paths}
+    covered = coverage.files.items()
+    is_true = is_true and all(n in present and file.holds(present[n]) for n, file in covered)
+    return coverage if is_true else None
+
+
+def footer_hash(path: Path) -> str:
+    """Return the sha256 of the footer of a Parquet file, with its length and the magic number."""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - 8, 0))
+        length = int.from_bytes(file.read(4), "little") + 8
+        file.seek(max(size - length, 0))
+        return hashlib.sha256(file.read(length)).hexdigest()
+
+
+def file_hash(path: Path) -> str:
+    """Return the sha256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def covered_file(path: Path, size: int, count: int, changed: int) -> CoveredFile:
+    """Describe the first `size` bytes of a row file, with `count` lines, `changed` at a time."""
+    return CoveredFile(size, count, _hash_of_start(path, size), changed)
+
+
+def _hash_of_start(path: Path, size: int) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while size > 0 and (block := file.read(min(size, _BLOCK))):
+            digest.update(block)
+            size -= len(block)
+    return digest.hexdigest()
+
+
+class FrameFiles:
+    """Open Parquet files of one consolidation; they stay readable when others replace them."""
+
+    def __init__(self, folder: Path, coverage: Coverage) -> None:
+        """Raise OSError or ValueError where a file is absent, damaged or of another one."""
+        import pyarrow.parquet
+
+        self._files: dict[str, Any] = {}
+        for name in FRAMES:
+            path = folder / f"{name}.parquet"
+            self._files[name] = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True)
+            if footer_hash(path) != coverage.footers.get(name):
+                raise ValueError(f"{path} is not of this consolidation.")
+
+    def read(self, name: str, columns: Sequence[str] | None = None) -> "pd.DataFrame":
+        """Return a frame, or those of its columns that are there, as rows give it."""
+        import pandas as pd
+
+        table = self._table(name, columns)
+        made = {name: _values(table.column(name)) for name in table.column_names}
+        typed = {name: pd.Series(values, dtype=values.dtype) for name, values in made.items()}
+        return pd.DataFrame(typed, index=pd.RangeIndex(table.num_rows))
+
+    def heads(self, fields: Sequence[str]) -> dict[str, Row]:
+        """Return some fields of all rows, by id, without those that a row does not have."""
+        names = self._files["cells"].schema_arrow.names
+        table = self._table("cells", [name for name in names if name.partition(".")[0] in fields])
+        heads: list[Row] = [{} for _ in range(table.num_rows)]
+        for name in table.column_names:
+            field, _, key = name.partition(".")
+            for head, value in zip(heads, _python_values(table.column(name)), strict=True):
+                if value is not None:
+                    (head.setdefault(field, {}) if key else head)[key or field] = value
+        return {head["id"]: head for head in heads}
+
+    def _table(self, name: str, columns: Sequence[str] | None) -> "pyarrow.Table":
+        file = self._files[name]
+        known = file.schema_arrow.names
+        wanted = known if columns is None else [column for column in columns if column in known]
+        return file.read(columns=wanted, use_threads=False)
+
+
+def _python_values(column: Any) -> list[Any]:
+    """Values of a column; whole numbers that stand among None are whole again."""
+    values = list(_values(column))
+    return [_whole(value) for value in values] if column.type == "double" else values
+
+
+def _whole(value: float) -> float | int | None:
+    if value != value:
+        return None
+    return int(value) if value.is_integer() else value
+
+
+def _values(column: Any) -> Any:
+    """A column as `data_frames` types it: numbers, else objects with None for what is absent."""
+    import pyarrow
+
+    if pyarrow.types.is_floating(column.type) or pyarrow.types.is_integer(column.type):
+        return column.to_numpy()
+    if not pyarrow.types.is_string(column.type):
+        return np.array(column.to_pylist(), dtype=object)
+    # Each text is made once; a column of codes refers to it.
+    encoded = column.dictionary_encode().unify_dictionaries()
+    chunks = encoded.chunks
+    words = np.array([*(chunks[0].dictionary.to_pylist() if chunks else ()), None], dtype=object)
+    codes = [chunk.indices.fill_null(len(words) - 1).to_numpy() for chunk in chunks]
+    return words[np.concatenate(codes)] if codes else np.array([], dtype=object)

@@ -1,0 +1,259 @@
+"""Laws of consolidation: frames are those of the rows, whatever happened to either."""
+
+import json
+import os
+import random
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from harness_world import NAMES, read, small
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sysid_bench.harness import store
+from sysid_bench.harness.consolidate import consolidate
+from sysid_bench.harness.data_frames import Frames, data_frames
+from sysid_bench.harness.frame_files import COVERAGE_FILE, FRAMES, FrameFiles
+from sysid_bench.harness.plan import expand
+from sysid_bench.harness.store import HEAD, RunFolder
+from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows
+from sysid_bench.types import Row
+
+FILES = (*(f"{name}.parquet" for name in FRAMES), COVERAGE_FILE)
+
+values = st.one_of(
+    st.none(), st.booleans(), st.integers(-5, 5), st.integers(2**62, 2**65), st.floats(-1, 1),
+    st.sampled_from(["", "a", "3"]), st.lists(st.integers(0, 3), max_size=2),
+    st.dictionaries(st.sampled_from(["k", "l"]), st.floats(0, 1), max_size=2),
+)  # fmt: skip
+entries = st.dictionaries(st.sampled_from(["name", "body", "std"]), values, max_size=3)
+contents = st.fixed_dictionaries(
+    {},
+    optional={
+        **dict.fromkeys(("rank", "status", "noise", "stats", "sources"), values),
+        "joints": st.lists(entries, max_size=3),
+        "parameters_table": st.lists(entries, max_size=3),
+    },
+)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunFolder:
+    suite = read(small())
+    return RunFolder.make(tmp_path / "run", suite, expand(suite, NAMES), {"python": "3"})
+
+
+def store_rows(run: RunFolder, seed: int) -> None:
+    """Append rows of some cells, one of them twice, to two files."""
+    draw = random.Random(seed)
+    with run.new_writer("a") as one, run.new_writer("b") as two:
+        for cell in draw.choices(run.plan.cells, k=6):
+            table = [{"name": f"m{i}", "true": draw.random(), "std": None} for i in range(3)]
+            row = {**cell.head, "status": draw.choice(["ok", "failed"]), "rank": draw.randrange(9)}
+            tables = {"parameters_table": table, "joints": [{"name": "j", "relative": 0.5}]}
+            more = {"fingerprint": str(seed), "losses": 1, "sources": {"a.py": "hash"}}
+            draw.choice([one, two]).write({**row, **more, **tables})
+
+
+def of_rows(run: RunFolder) -> Frames:
+    rows = run.rows().rows
+    return data_frames({**rows[c.id], **c.head} for c in run.plan.cells if c.id in rows)
+
+
+def assert_same(found: Frames, wanted: Frames) -> None:
+    for name in FRAMES:
+        a, b = getattr(found, name), getattr(wanted, name)
+        pd.testing.assert_frame_equal(a, b, check_exact=True)
+        for column in a:
+            kinds = [list(map(type, frame[column])) for frame in (a, b)]
+            assert kinds[0] == kinds[1], column
+
+
+def assert_reads_all(run: RunFolder) -> None:
+    """Frames and heads of a folder as opened anew are those of its rows."""
+    again = RunFolder.open(run.path)
+    assert_same(again.frames(), of_rows(again))
+    stored, heads = again.rows(), again.heads()
+    wanted = {
+        cell: {k: v for k, v in row.items() if k in HEAD} for cell, row in stored.rows.items()
+    }
+    assert heads.rows == wanted
+    assert (heads.torn, heads.garbled) == (stored.torn, stored.garbled)
+
+
+@settings(max_examples=20)
+@given(st.lists(contents, min_size=1, max_size=5))
+def test_parquet_gives_the_frames_of_any_rows(written: list[Row]) -> None:
+    rows = [{"id": str(number), **row} for number, row in enumerate(written)]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "plan.jsonl").touch()
+        with RowWriter(new_row_file(folder / "cells", "w")) as writer:
+            for row in rows:
+                writer.write(row)
+        assert list(read_rows(folder / "cells").rows.values()) == rows
+        assert json.dumps(list(read_rows(folder / "cells").rows.values())) == json.dumps(rows)
+        coverage = consolidate(folder, {row["id"]: {"id": row["id"]} for row in rows})
+        assert_same(Frames(FrameFiles(folder, coverage).read), data_frames(rows))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_appended_rows_are_read_beside_parquet(run: RunFolder, seed: int) -> None:
+    for turn in range(3):
+        store_rows(run, 3 * seed + turn)
+        assert_reads_all(run)
+        if turn != seed % 3:
+            run.write_frames()
+            assert_reads_all(run)
+
+
+def test_all_rows_in_parquet_are_not_parsed_again(
+    run: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store_rows(run, 1)
+    run.write_frames()
+    wanted = of_rows(run)
+    monkeypatch.setattr("sysid_bench.harness.work.row_files.parse_row", None)
+    assert_same(run.frames(), wanted)
+    assert len(run.heads().rows) == len(wanted.cells)
+
+
+@pytest.mark.parametrize("kept", range(len(FILES)))
+def test_a_kill_between_the_files_loses_nothing(
+    run: RunFolder, kept: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first files of a consolidation are replaced, the others are not."""
+    store_rows(run, 1)
+    run.write_frames()
+    old = {name: (run.path / name).read_bytes() for name in FILES}
+    store_rows(run, 2)
+    run.write_frames()
+    for name in FILES[kept:]:
+        (run.path / name).write_bytes(old[name])
+    litter = run.path / ".cells.parquet.1"
+    litter.touch()
+    assert_reads_all(run)
+    run.write_frames()
+    assert_reads_all(run)
+    assert not litter.exists()
+
+
+@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("damage", ["absent", "cut", "flipped", "empty"])
+def test_a_damaged_file_is_ignored(run: RunFolder, name: str, damage: str) -> None:
+    store_rows(run, 1)
+    run.write_frames()
+    path = run.path / name
+    data = path.read_bytes()
+    middle = len(data) // 3
+    changed = {
+        "cut": data[:-7],
+        "flipped": data[:middle] + bytes([data[middle] ^ 4]) + data[middle + 1 :],
+        "empty": b"",
+    }
+    path.unlink()
+    if damage in changed:
+        path.write_bytes(changed[damage])
+    assert_reads_all(run)
+    run.write_frames()
+    assert_reads_all(run)
+
+
+def test_torn_and_garbled_lines_are_counted_once(run: RunFolder) -> None:
+    store_rows(run, 1)
+    files = sorted((run.path / "cells").iterdir())
+    with files[0].open("ab") as one, files[1].open("ab") as two:
+        one.write(b'\n{"id": 3}\nnonsense\n{"id": "tor')
+        two.write(b'{"id": "of no plan", "joints": {"columns": {"a": [1], "b": []}}}\n')
+    assert len(run.rows().garbled) == 3
+    assert run.rows().torn == 1
+    run.write_frames()
+    assert_reads_all(run)
+    store_rows(run, 2)
+    assert_reads_all(run)
+
+
+def test_a_last_row_without_its_newline_is_a_row(run: RunFolder) -> None:
+    store_rows(run, 1)
+    file = max((run.path / "cells").iterdir())
+    row = {**run.plan.cells[0].head, "status": "crash"}
+    with file.open("ab") as out:
+        out.write(json.dumps(row).encode())
+    run.write_frames()
+    assert run.heads().rows[row["id"]]["status"] == "crash"
+    assert_reads_all(run)
+
+
+def test_changed_row_files_make_parquet_invalid(run: RunFolder) -> None:
+    store_rows(run, 1)
+    run.write_frames()
+    file = next(path for path in (run.path / "cells").iterdir() if path.stat().st_size)
+    file.write_bytes(file.read_bytes().replace(b'"j"', b'"k"'))
+    os.utime(file, (1, 1))
+    assert_reads_all(run)
+    run.write_frames()
+    file.unlink()
+    assert_reads_all(run)
+
+
+def test_a_moved_copied_or_read_only_folder_is_read(run: RunFolder, tmp_path: Path) -> None:
+    store_rows(run, 1)
+    run.write_frames()
+    moved = tmp_path / "moved"
+    shutil.copytree(run.path, moved, copy_function=shutil.copy)
+    assert_reads_all(RunFolder(moved))
+    store_rows(RunFolder(moved), 2)
+    for path in (moved, moved / "cells"):
+        path.chmod(0o500)
+    try:
+        assert_reads_all(RunFolder(moved))
+    finally:
+        for path in (moved, moved / "cells"):
+            path.chmod(0o700)
+
+
+@pytest.mark.parametrize("writable", [True, False])
+def test_many_rows_are_read_in_bounded_memory(
+    run: RunFolder, writable: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beyond some bytes frames come from Parquet files: in the folder, or in a temporary one."""
+    store_rows(run, 1)
+    wanted = of_rows(run)
+    monkeypatch.setattr(store, "FEW_BYTES", 0)
+    monkeypatch.setattr(store, "data_frames", None)
+    if writable:
+        assert_same(run.frames(), wanted)
+    else:
+        with run.lock():
+            assert_same(run.frames(), wanted)
+    assert (run.path / COVERAGE_FILE).is_file() == writable
+
+
+def test_files_that_others_replace_stay_readable(run: RunFolder) -> None:
+    store_rows(run, 1)
+    run.write_frames()
+    frames, wanted = run.frames(), of_rows(run)
+    store_rows(run, 2)
+    run.write_frames()
+    assert_same(frames, wanted)
+
+
+def test_one_row_is_found(run: RunFolder) -> None:
+    store_rows(run, 1)
+    store_rows(run, 2)
+    rows: dict[str, Any] = run.rows().rows
+    assert {cell: run.row(cell) for cell in rows} == rows
+    assert run.row("0") is None
+
+
+def test_ids_and_heads_of_the_plan_need_no_cells(run: RunFolder) -> None:
+    assert run.planned == tuple(cell.id for cell in run.plan.cells)
+    spaced = [
+        json.dumps(cell.to_json(), indent=None, separators=(",", ":")) for cell in run.plan.cells
+    ]
+    (run.path / "plan.jsonl").write_text("\n".join(spaced))
+    assert RunFolder(run.path).planned == run.planned
