@@ -1,7 +1,7 @@
 """Options, errors, exit codes and printing of all commands."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,19 +40,21 @@ class _Name(click.ParamType[str]):
     ) -> "list[CompletionItem]":
         from click.shell_completion import CompletionItem
 
-        from sysid_bench.naming import known  # entry points: 30 ms that --help would wait for
-
-        names = known(self.kind)
+        names = _known(self.kind)
         return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+def _known(kind: str) -> Iterable[str]:
+    from sysid_bench.naming import known  # entry points: 30 ms that --help would wait for
+
+    return known(kind)
 
 
 class _TaskOption(click.Option):
     """Lists the registered tasks in its help, only when it is printed."""
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        from sysid_bench.naming import known
-
-        self.help = f"{', '.join(known('task'))}; or your own, file:mine.py:Class."
+        self.help = f"{', '.join(_known('task'))}; or your own, file:mine.py:Class."
         return super().get_help_record(ctx)
 
 

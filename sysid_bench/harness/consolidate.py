@@ -5,10 +5,8 @@ cell; then they are written in the order of the plan, in groups. The copy is bin
 ten times as slowly.
 """
 
-import json
 import marshal
 import os
-import secrets
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -39,7 +37,7 @@ from sysid_bench.harness.work.row_files import (
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
-    import pyarrow
+    pass
 
 _GROUP: Final = 1000  # cells whose values are in memory at a time
 _TABLE_OF: Final = {"parameters": "parameters_table", "joints": "joints"}
@@ -187,53 +185,6 @@ def _extend(group: _Columns, part: _Columns) -> None:
 
 def _write_parts(rows: _Scan, parts: Mapping[str, Path]) -> None:
     """Write the frames to their files, a group of rows at a time."""
-    import pyarrow
-    from pyarrow import parquet
+    from sysid_bench.harness.frame_writer import write_frames
 
-    number = secrets.token_hex(8)  # files with equal footers are of one consolidation
-    schemas = {
-        frame: pyarrow.schema(
-            [(name, _arrow_type(kinds)) for name, kinds in rows.columns(frame).items()],
-            metadata={"sysid_bench": number},
-        )
-        for frame in FRAMES
-    }
-    options = {"compression": "zstd", "write_page_checksum": True}
-    with ExitStack() as stack:
-        writers = {
-            frame: stack.enter_context(parquet.ParquetWriter(parts[frame], schema, **options))
-            for frame, schema in schemas.items()
-        }
-        for group in rows.groups():
-            for frame, columns in group.items():
-                writers[frame].write_table(_table(columns, schemas[frame]))
-
-
-def _arrow_type(kinds: frozenset[type]) -> "pyarrow.DataType":
-    """Type of a column, by the rules of `data_frames`."""
-    import pyarrow
-
-    given = kinds - {NoneType}
-    if not given:
-        return pyarrow.null()
-    if given <= {int, float}:
-        return pyarrow.int64() if kinds == {int} else pyarrow.float64()
-    return pyarrow.bool_() if given == {bool} else pyarrow.string()
-
-
-def _table(columns: _Columns, schema: "pyarrow.Schema") -> "pyarrow.Table":
-    import pyarrow
-
-    arrays = [_array(columns[name], schema.field(name).type) for name in schema.names]
-    return pyarrow.Table.from_arrays(arrays, schema=schema)
-
-
-def _array(values: list[Any], kind: "pyarrow.DataType") -> "pyarrow.Array":
-    import pyarrow
-
-    kinds = set(map(type, values))
-    if kind == pyarrow.float64() and int in kinds:
-        values = [None if v is None else float(v) for v in values]
-    elif kind == pyarrow.string() and not kinds <= {str, NoneType}:
-        values = [v if v is None or isinstance(v, str) else json.dumps(v) for v in values]
-    return pyarrow.array(values, kind, from_pandas=True)
+    write_frames(parts, {frame: rows.columns(frame) for frame in FRAMES}, rows.groups())

@@ -14,10 +14,13 @@ from typing import Any
 
 import pytest
 
+from sysid_bench.vocabulary import MACHINE_FIELDS
+
 from .conftest import Run, one_sentence, rows_of, small_suite
 
 METHODS = """
 import os, signal, time
+from sysid_bench.vocabulary import MACHINE_FIELDS
 from sysid_bench.types import Estimate
 
 class Dies:
@@ -36,7 +39,7 @@ class Lies:
     def solve(self, problem):
         return Estimate(problem.base.K[:, 0] * float("nan"))
 """
-NOT_SCORES = {"seconds", "seconds_experiment"}
+NOT_SCORES = MACHINE_FIELDS
 
 
 def by_estimator(run: Path) -> dict[str, set[str]]:

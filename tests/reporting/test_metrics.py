@@ -1,6 +1,7 @@
 """Metrics: one record each, and a user's own from a file to the report."""
 
 import dataclasses
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -197,11 +198,16 @@ def suite_metric(folder: Path) -> Metric:
 def test_a_changed_metric_makes_cells_stale(ran: RunFolder, tmp_path: Path) -> None:
     cell = ran.plan.cells[0]
     prints: set[str] = set()
+    folder = tmp_path / "copy"
+    assert ran.suite.folder is not None
+    shutil.copytree(ran.suite.folder, folder, ignore=shutil.ignore_patterns("run*"))
     for text in (OWN, OWN + "\n"):
-        (tmp_path / f"mine{len(prints)}.py").write_text(text)
+        (folder / f"mine{len(prints)}.py").write_text(text)
         spec = {"use": f"file:mine{len(prints)}.py:Mean"}
-        prints.add(cell_fingerprint(cell, None, tmp_path, [spec]))
-    assert len(prints | {cell_fingerprint(cell, None, tmp_path)}) == 3
+        prints.add(cell_fingerprint(cell, None, folder, [spec]))
+    prints.add(cell_fingerprint(cell, None, folder))
+    assert len(prints) == 3
+    assert "" not in prints
 
 
 MISTAKES = {

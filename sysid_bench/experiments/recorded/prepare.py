@@ -156,14 +156,15 @@ def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLo
 
 
 def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Descriptions and recordings that an experiment reads, as far as they can be found."""
+    """Descriptions and recordings that an experiment reads; of a description that cannot be read
+    only the path where it should be."""
     found: list[Path] = []
     for written in (*log["train"], *log["test"]):
         try:
             description = log_description(written, folder)
             found += [description.source, *description.files]
-        except UsageError:  # reported when the cell runs; it has no row that could be stale
-            continue
+        except UsageError:  # reported when the cell runs
+            found.append(folder / written)
     return found
 
 
