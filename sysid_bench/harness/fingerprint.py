@@ -52,7 +52,7 @@ def cell_fingerprint(
         "metric": [*metrics],
     }
     files = _model_files(spec.robot, robots_dir, folder)
-    if not files:
+    if files is None:
         return ""
     named = [(kind, plugin) for kind, group in plugins.items() for plugin in group]
     targets = [_target(kind, plugin, folder) for kind, plugin in named]
@@ -71,12 +71,17 @@ def cell_fingerprint(
 
 
 @cache
-def _model_files(robot: str, robots_dir: Path | None, folder: Path | None) -> tuple[Path, ...]:
+def _model_files(
+    robot: str, robots_dir: Path | None, folder: Path | None
+) -> tuple[Path, ...] | None:
+    """Files of a robot, none of a generated one; None where there is no such robot."""
     try:
         manifest = find_manifest(robot, robots_dir, folder)
     except SysidBenchError:
-        return ()
-    return tuple(path for path in (manifest.path, manifest.manifest_file) if path is not None)
+        return None
+    generated = manifest.text is not None and not manifest.path.is_file()
+    files = (None if generated else manifest.path, manifest.manifest_file)
+    return tuple(path for path in files if path is not None)
 
 
 def _target(kind: str, plugin: Mapping[str, Any], folder: Path | None) -> str:

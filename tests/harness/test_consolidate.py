@@ -88,7 +88,7 @@ def assert_reads_all(run: RunFolder) -> None:
 @settings(max_examples=20)
 @given(st.lists(contents, min_size=1, max_size=5))
 def test_parquet_gives_the_frames_of_any_rows(written: list[Row]) -> None:
-    rows = [{"id": str(number), **row} for number, row in enumerate(written)]
+    rows = [{"id": str(number), **row, "status": "ok"} for number, row in enumerate(written)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "plan.jsonl").touch()
