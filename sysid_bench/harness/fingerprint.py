@@ -2,6 +2,7 @@
 
 import hashlib
 import importlib.util
+import os
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,6 +32,8 @@ def fingerprint(paths: Iterable[Path], plugins: Iterable[str]) -> str:
     A plug-in counts with the whole package that holds it. Files are read once per process.
     """
     models = tuple(sorted(str(Path(path).resolve()) for path in paths))
+    if not all(map(os.path.exists, models)):  # now, whatever was read before
+        return ""
     return _fingerprint(models, tuple(sorted(set(plugins))))
 
 
