@@ -232,7 +232,9 @@ class _JobSource:
 
     def jobs(self, cells: Iterable[Cell], stored: Mapping[str, Row]) -> list[Job]:
         """One job for each experiment."""
-        losses = {name: row["losses"] for name, row in stored.items() if row.get("losses")}
+        losses = {  # numbers from Parquet files are NumPy's, and NaN where there are none
+            name: int(row["losses"]) for name, row in stored.items() if (row.get("losses") or 0) > 0
+        }
         return [self._job(group, losses) for group in _by_experiment(cells)]
 
     def _job(self, cells: Sequence[Cell], losses: Mapping[str, int]) -> Job:

@@ -134,7 +134,7 @@ def test_the_row_writer_on_a_full_disk_writes_whole_rows_or_none(small_disk: Pat
         while "full" not in written:
             number = str(len(written))
             try:
-                writer.write({"id": number, "text": "x" * 300})
+                writer.write({"id": number, "status": "ok", "text": "x" * 300})
             except OSError:
                 written.append("full")
             else:
@@ -142,7 +142,7 @@ def test_the_row_writer_on_a_full_disk_writes_whole_rows_or_none(small_disk: Pat
         written.remove("full")
         assert list(stored_rows(file)) == written
         ballast.unlink()
-        writer.write({"id": "after"})
+        writer.write({"id": "after", "status": "ok"})
     rows = read_rows(small_disk)
     assert (list(rows.rows), rows.torn, rows.garbled) == ([*written, "after"], 0, ())
 
