@@ -2,14 +2,14 @@
 
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.work.interrupts import on_interrupt, raise_interrupt
+from sysid_bench.harness.work.interrupts import ignore_interrupts, on_interrupt, raise_interrupt
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -111,23 +111,36 @@ def report_errors(function: Callable[..., int]) -> Callable[..., None]:
     @wraps(function)
     def guarded(*args: Any, **options: Any) -> None:
         context = click.get_current_context()
-        try:
-            with on_interrupt(raise_interrupt):
-                code = function(*args, **options)
-        except KeyboardInterrupt:
-            click.echo(_INTERRUPTION, err=True)
-            code = INTERRUPTED
-        except BrokenPipeError:  # the reader of our output has closed it, as `head` does
-            sys.stderr.close()
-            code = OK
-        except (SysidBenchError, OSError) as error:
-            if context.find_root().obj:  # --debug
-                raise
-            click.echo(f"sysid-bench: {_paragraph(error)}", err=True)
-            code = USAGE
+        with on_interrupt(raise_interrupt):
+            try:
+                code = _exit_code(partial(function, *args, **options), context)
+            except KeyboardInterrupt:  # a second one, while the first was reported
+                ignore_interrupts()
+                code = INTERRUPTED
         context.exit(code)
 
     return guarded
+
+
+def _exit_code(command: Callable[[], int], context: click.Context) -> int:
+    """Exit code of a command; an error is printed. An interrupted one ignores further signals."""
+    try:
+        code = command()
+    except KeyboardInterrupt:
+        ignore_interrupts()
+        click.echo(_INTERRUPTION, err=True)
+        code = INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has closed it, as `head` does
+        sys.stderr.close()
+        code = OK
+    except (SysidBenchError, OSError) as error:
+        if context.find_root().obj:  # --debug
+            raise
+        click.echo(f"sysid-bench: {_paragraph(error)}", err=True)
+        code = USAGE
+    if code == INTERRUPTED:
+        ignore_interrupts()
+    return code
 
 
 def _paragraph(error: SysidBenchError | OSError) -> str:

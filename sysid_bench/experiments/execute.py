@@ -4,7 +4,7 @@ import math
 import time
 import traceback
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any, Final
 
@@ -36,14 +36,14 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     same process whoever else is in the suite.
     """
     if not uses_third_party_data(argument):
-        _execute(argument, channel)
+        _execute(argument, False, channel)
         return
-    death = channel.isolate(partial(_execute, argument))
+    death = channel.isolate(partial(_execute, argument, True))
     if death is not None:
         raise JobDeath(death)
 
 
-def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
+def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobChannel) -> None:
     estimators = [entry for entry in argument["estimators"] if entry["cell"] in channel.cells]
     headers = {entry["cell"]: _header(argument, entry) for entry in estimators}
     try:
@@ -65,44 +65,41 @@ def _execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
         return
     shared["seconds_experiment"] = time.perf_counter() - start
     for entry in estimators:
+        isolated = is_third_party_cell(argument, entry)
         header = headers[entry["cell"]] | shared
+        cell = _PreparedCell(argument, entry, prepared, header, third_party_data or isolated)
         channel.begin(entry["cell"])
-        if is_third_party_cell(argument, entry):
-            _emit_isolated(argument, entry, prepared, header, channel)
+        if isolated:
+            cell.emit_isolated(channel)
         else:
-            _emit_result(argument, entry, prepared, header, channel)
+            cell.emit(channel)
 
 
-def _emit_isolated(
-    argument: Mapping[str, Any],
-    entry: Mapping[str, Any],
-    prepared: Prepared[Any],
-    header: Row,
-    channel: JobChannel,
-) -> None:
-    prepared.fields  # noqa: B018 - computed before the fork, once for all cells
-    death = channel.isolate(partial(_emit_result, argument, entry, prepared, header))
-    if death is not None and entry["cell"] in channel.cells:
-        row = prepared.fields | machine_fields(None) | death.fields
-        channel.emit(header | _explained(row, prepared))
+@dataclass(frozen=True, eq=False)
+class _PreparedCell:
+    """One estimator on the data of its experiment. `names_sources`: the row lists the third-party
+    files and distributions behind it."""
 
+    argument: Mapping[str, Any]
+    entry: Mapping[str, Any]
+    prepared: Prepared[Any]
+    header: Row
+    names_sources: bool
 
-def _sources(argument: Mapping[str, Any], entry: Mapping[str, Any]) -> Row:
-    """Third-party files and distributions behind a row, none for built-in methods."""
-    third_party = uses_third_party_data(argument) or is_third_party_cell(argument, entry)
-    return {"sources": loaded_sources()} if third_party else {}
+    def emit(self, channel: JobChannel) -> None:
+        """Compute the row in this process."""
+        peak = PeakMemory()
+        row = _result(self.argument, self.entry, self.prepared)
+        sources = {"sources": loaded_sources()} if self.names_sources else {}
+        channel.emit(self.header | row | sources | machine_fields(peak))
 
-
-def _emit_result(
-    argument: Mapping[str, Any],
-    entry: Mapping[str, Any],
-    prepared: Prepared[Any],
-    header: Row,
-    channel: JobChannel,
-) -> None:
-    peak = PeakMemory()
-    row = _result(argument, entry, prepared)
-    channel.emit(header | row | _sources(argument, entry) | machine_fields(peak))
+    def emit_isolated(self, channel: JobChannel) -> None:
+        """Compute the row in a process of its own; its end without a row is one here."""
+        fields = self.prepared.fields  # computed before the fork, once for all cells
+        death = channel.isolate(self.emit)
+        if death is not None and self.entry["cell"] in channel.cells:
+            row = _explained(fields | machine_fields(None) | death.fields, self.prepared)
+            channel.emit(self.header | row)
 
 
 def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, LoadedRobot]:

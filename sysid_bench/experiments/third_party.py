@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
-from sysid_bench.naming import BUILTIN, is_builtin, resolve
+from sysid_bench.naming import is_builtin
 from sysid_bench.regressors.motor_terms import MOTOR
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
+from sysid_bench.signals.log_reader import builtin_reader
 from sysid_bench.vocabulary import TERMS
 
 
@@ -63,12 +64,6 @@ def log_readers(log: LogDescription) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the readers of a log's files; the suffix where none is known."""
     for part in (log.q, log.v, log.tau, log.time):
         if part is not None:
-            reader = log.reader_of(part) or {"use": _builtin_reader(log.file_of(part))}
+            path = log.file_of(part)
+            reader = log.reader_of(part) or {"use": builtin_reader(path) or path.suffix}
             yield LOG_READER, reader if isinstance(reader, str) else reader["use"]
-
-
-def _builtin_reader(path: Path) -> str:
-    """Return the name of our reader for the suffix of a file, the suffix itself without one."""
-    suffix = path.suffix.lower()
-    names = BUILTIN[LOG_READER]
-    return next((n for n in names if suffix in resolve(LOG_READER, n).suffixes), suffix)

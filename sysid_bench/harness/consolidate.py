@@ -26,8 +26,8 @@ from sysid_bench.harness.frame_files import (
     file_hash,
     footer_hash,
 )
+from sysid_bench.harness.work.row_check import TABLES
 from sysid_bench.harness.work.row_files import (
-    TABLES,
     columns_of,
     lines,
     parse_row,

@@ -159,8 +159,8 @@ class FrameFiles:
 
 
 def _python_values(column: Any) -> list[Any]:
-    """Values of a column; whole numbers that stand among None are whole again."""
-    values = list(_values(column))
+    """Values of a column as JSON has them; whole numbers that stand among None are whole again."""
+    values: list[Any] = _values(column).tolist()
     return [_whole(value) for value in values] if column.type == "double" else values
 
 

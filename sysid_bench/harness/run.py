@@ -232,19 +232,17 @@ class _JobSource:
 
     def jobs(self, cells: Iterable[Cell], stored: Mapping[str, Row]) -> list[Job]:
         """One job for each experiment."""
-        losses = {  # numbers from Parquet files are NumPy's, and NaN where there are none
-            name: int(row["losses"]) for name, row in stored.items() if (row.get("losses") or 0) > 0
-        }
+        losses = {name: row["losses"] for name, row in stored.items() if row.get("losses")}
         return [self._job(group, losses) for group in _by_experiment(cells)]
 
     def _job(self, cells: Sequence[Cell], losses: Mapping[str, int]) -> Job:
-        fingerprints = {cell.id: self.fingerprint(cell) for cell in cells}
+        now = {cell.id: self.fingerprint(cell) for cell in cells}
         argument = job_of(cells, self.folder.suite, self.robots_dir) | {
-            "fingerprints": fingerprints,
+            "fingerprints": now,
             "artifacts": str(self.folder.path.resolve() / "artifacts"),
         }
         heads = (
-            {**cell.head, "fingerprint": fingerprints[cell.id], "losses": losses.get(cell.id, 0)}
+            {**cell.head, "fingerprint": now[cell.id], "losses": losses.get(cell.id, 0)}
             for cell in cells
         )
         return Job(self.call, argument, tuple(heads))

@@ -74,7 +74,7 @@ def source() -> str:
     body = "\n".join(columns)
     return f'''"""Body regressor, printed by `python -m sysid_bench.regressors.symbolic_regressor`.
 
-Do not edit: `tests/regressors/test_derive.py` derives it again and compares.
+Do not edit: `tests/regressors/test_symbolic_regressor.py` derives it again and compares.
 """
 
 from sysid_bench.types import Array

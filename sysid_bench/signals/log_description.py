@@ -14,7 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.naming import resolve_files
-from sysid_bench.signals.log_reader import ReaderSpec, plugin_file
+from sysid_bench.signals.log_reader import ReaderSpec, reader_files
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
 
@@ -147,8 +147,8 @@ class LogDescription:
         """Files that the signals depend on, once each: recordings, and code of plug-in readers."""
         parts: list[Signal | Time] = [*self.signals.values(), *filter(None, [self.time])]
         recorded = {self.file_of(part): self.reader_of(part) for part in parts}
-        code = [plugin_file(path, reader) for path, reader in recorded.items()]
-        return tuple(dict.fromkeys([*recorded, *filter(None, code)]))
+        code = (file for item in recorded.items() for file in reader_files(*item))
+        return tuple(dict.fromkeys([*recorded, *code]))
 
     def joint_values(self, name: str, numbers: Sequence[float]) -> Array:
         """Return one number per joint (k,) of a setting `name` that may hold one for all.

@@ -86,26 +86,42 @@ def _reader_spec(path: Path, reader: ReaderSpec | None = None) -> Mapping[str, A
     return {"use": _reader_by_suffix(path)}
 
 
+def builtin_reader(path: Path) -> str | None:
+    """Return the reader of this package for the suffix of a file, None without one."""
+    names = naming.BUILTIN[KIND]
+    return next((name for name in names if path.suffix.lower() in _suffixes(name)), None)
+
+
+def _suffixes(name: str) -> tuple[str, ...]:
+    suffixes: tuple[str, ...] = getattr(naming.resolve(KIND, name), "suffixes", ())
+    return suffixes
+
+
 def _reader_by_suffix(path: Path) -> str:
-    suffix, found = path.suffix.lower(), dict[str, str]()
-    for name in naming.known(KIND):  # built-in readers come first
-        suffixes = getattr(naming.resolve(KIND, name), "suffixes", ())
-        if suffix in suffixes:
+    if (found := builtin_reader(path)) is not None:
+        return found
+    known = {name: _suffixes(name) for name in naming.known(KIND)}
+    for name, suffixes in known.items():
+        if path.suffix.lower() in suffixes:
             return name
-        found |= dict.fromkeys(suffixes, name)
+    every = dict.fromkeys(suffix for suffixes in known.values() for suffix in suffixes)
     raise UsageError(
-        f"{path}: no log reader for files that end in {suffix!r}. Readers exist for "
-        f"{', '.join(found)}. Name one with reader = 'delimited-text', or one of your own with "
+        f"{path}: no log reader for files that end in {path.suffix.lower()!r}. Readers exist for "
+        f"{', '.join(every)}. Name one with reader = 'delimited-text', or one of your own with "
         f"reader = 'file:mine.py:Reader' (entry-point group 'sysid_bench.{KIND}s')."
     )
 
 
-def plugin_file(path: Path, reader: ReaderSpec | None = None) -> Path | None:
-    """Return the Python file of the reader of a file, None for a reader of this package.
+def reader_files(path: Path, reader: ReaderSpec | None = None) -> list[Path]:
+    """Return the Python files of third-party readers that may read a file; none is imported.
 
-    What it returns depends on its code, so rows made with it are stale when that changes.
+    What is read depends on their code, so rows made with it are stale when that changes. A suffix
+    that is not ours may belong to any of the installed ones.
     """
-    if reader is None:  # of a suffix: rows name the sources that such a reader loads
-        return None
-    use = _reader_spec(path, reader)["use"]
-    return None if naming.is_builtin(KIND, use) else naming.source_file(KIND, use)
+    if reader is not None:
+        names = [_reader_spec(path, reader)["use"]]
+    else:
+        names = [*naming.known(KIND)] if builtin_reader(path) is None else []
+    foreign = [name for name in names if not naming.is_builtin(KIND, name)]
+    files = [naming.source_file(KIND, name) for name in foreign]
+    return [file for file in files if file is not None]

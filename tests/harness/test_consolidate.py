@@ -82,6 +82,7 @@ def assert_reads_all(run: RunFolder) -> None:
         cell: {k: v for k, v in row.items() if k in HEAD} for cell, row in stored.rows.items()
     }
     assert heads.rows == wanted
+    assert json.loads(json.dumps(heads.rows)) == wanted  # plain numbers: jobs carry them on
     assert (heads.torn, heads.garbled) == (stored.torn, stored.garbled)
 
 

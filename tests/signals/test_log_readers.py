@@ -126,6 +126,7 @@ def test_an_installed_reader_is_chosen_by_suffix(
         read_table(raw)
     monkeypatch.setattr(naming, "entry_points", installed)
     assert len(read_table(raw).values) == len(log.t)
+    assert raw.parent / "mine.py" in read_description(description(raw.parent, log)).files
 
 
 def test_errors_of_a_plug_in_are_one_sentence(raw: Path, log: Recorded) -> None:

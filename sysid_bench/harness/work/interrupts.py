@@ -18,7 +18,8 @@ def raise_interrupt() -> None:
 def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
     """Call `act` for SIGINT, SIGTERM and SIGHUP; Python lets the main thread alone set handlers.
 
-    Signals that this process ignores, as SIGHUP under nohup, stay ignored.
+    Signals that this process ignores, as SIGHUP under nohup, stay ignored, and so do those that it
+    ignores by the end (`ignore_interrupts`).
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -35,7 +36,15 @@ def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
         yield
     finally:
         for number in taken:
-            _restore(number, before[number])
+            if signal.getsignal(number) is handle:
+                _restore(number, before[number])
+
+
+def ignore_interrupts() -> None:
+    """Ignore further signals: an interrupted process is on its way out, with its own exit code."""
+    if threading.current_thread() is threading.main_thread():
+        for number in _numbers():
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _numbers() -> Iterator[int]:

@@ -12,14 +12,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from sysid_bench.canonical_json import plain
-from sysid_bench.harness.work.row_check import is_row, not_files
+from sysid_bench.harness.work.row_check import TABLES, is_row, not_files
 from sysid_bench.types import Row
-
-TABLES: Final = ("joints", "parameters_table")
-"""Fields of a row that are tables."""
 
 SYNC_SECONDS = 1.0
 """Interval of fsync; once per row would cost four times as much as writing it."""
@@ -175,9 +172,7 @@ def parse_row(line: bytes) -> Row | None:
         row = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    if not is_row(row):
-        return None
-    return row if all(_is_table(row.get(field)) for field in TABLES) else None
+    return row if is_row(row) else None
 
 
 def columns_of(table: Any) -> Mapping[str, list[Any]] | None:
@@ -195,17 +190,6 @@ def _entries(columns: Mapping[str, list[Any]]) -> list[Row]:
     return [
         dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
     ]
-
-
-def _is_table(value: Any) -> bool:
-    """True for columns of one length, and for all that is not written by column."""
-    if not isinstance(value, dict):
-        return True
-    columns = value.get("columns")
-    if len(value) != 1 or not isinstance(columns, dict) or not columns:
-        return False
-    values = columns.values()
-    return all(isinstance(v, list) for v in values) and len(set(map(len, values))) == 1
 
 
 def _by_column(row: Row) -> Row:

@@ -159,7 +159,7 @@ def _inertia(inertia: Array) -> dict[str, str | None]:
     # Rounding may take the moments of a point mass or rod below zero.
     moments = np.maximum(moments, 0.0)
     moments[2] = min(moments[2], moments[0] + moments[1])  # a lamina lies on the border
-    # Eigenvectors may form a reflection, for which there is no quaternion.
+    # Eigenvectors may form a reflection, which a quaternion cannot express.
     quat = quaternion_of_matrix(axes * np.sign(np.linalg.det(axes)))
     return {"diaginertia": values_text(*moments), "quat": values_text(*quat), "fullinertia": None}
 
