@@ -29,6 +29,7 @@ from sysid_bench.cli.values import (
     parse_settings,
     parse_terms,
 )
+from sysid_bench.units import quantity
 
 if TYPE_CHECKING:
     from sysid_bench import ExciteResult
@@ -187,8 +188,6 @@ def excite(
     code = supervised([("task", unknowns.task)])
     if code is not None:
         return code
-    from sysid_bench.units import quantity
-
     request = sysid_bench.ExciteRequest(
         robot,
         parse_objective(objective),

@@ -1,5 +1,6 @@
 """Options, errors, exit codes and printing of all commands."""
 
+import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial, wraps
@@ -7,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
+from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.work.interrupts import ignore_interrupts, on_interrupt, raise_interrupt
 
 if TYPE_CHECKING:
-    from click.shell_completion import CompletionItem
-
     from sysid_bench import Result
 
 OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
@@ -37,9 +38,7 @@ class _Name(click.ParamType[str]):
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> "list[CompletionItem]":
-        from click.shell_completion import CompletionItem
-
+    ) -> list[CompletionItem]:
         names = _known(self.kind)
         return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
@@ -156,10 +155,6 @@ def _paragraph(error: SysidBenchError | OSError) -> str:
 
 def print_json(value: Any) -> None:
     """Print a value as JSON; NaN and infinities become null."""
-    import json  # 2 ms that --help would wait for
-
-    from sysid_bench.canonical_json import plain
-
     click.echo(json.dumps(plain(value), indent=2))
 
 

@@ -1,28 +1,27 @@
 """Commands that run third-party code: they execute in a worker process."""
 
-import io
 from collections.abc import Iterable, Mapping
-from contextlib import redirect_stdout
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
 
 import click
 
 from sysid_bench.errors import UsageError
-
-if TYPE_CHECKING:
-    from sysid_bench.experiments.job_channel import JobChannel
 
 ARGUMENTS: Final = "arguments"
 """Key of the typed arguments in `Context.meta`."""
 SECONDS: Final = 600.0
 """Time limit of a command that runs third-party code."""
 
+_EXECUTE: Final = "sysid_bench.cli.worker_command:execute"
+"""Function that the worker calls; that module imports all commands."""
+
 _ADVICE: Final[Mapping[str, str]] = {
     "timeout": "A call from Python has no time limit.",
     "failed": "(sysid-bench --debug shows where.)",
 }
-_apart: ContextVar[bool] = ContextVar("apart", default=False)
+IN_WORKER: Final = ContextVar("in_worker", default=False)
+"""True in the worker process of a command."""
 
 
 def supervised(plugins: Iterable[tuple[str, str | None]]) -> int | None:
@@ -31,7 +30,7 @@ def supervised(plugins: Iterable[tuple[str, str | None]]) -> int | None:
 
     Raises WorkerError where it hangs, crashes, or needs too much memory.
     """
-    if _apart.get() or not any(name and _is_third_party(kind, name) for kind, name in plugins):
+    if IN_WORKER.get() or not any(name and _is_third_party(kind, name) for kind, name in plugins):
         return None
     from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 
@@ -41,7 +40,7 @@ def supervised(plugins: Iterable[tuple[str, str | None]]) -> int | None:
     try:
         with worker:
             arguments, title = list(root.meta[ARGUMENTS]), f"sysid-bench {context.info_name}"
-            answer = worker.call(f"{__name__}:execute", arguments, title)
+            answer = worker.call(_EXECUTE, arguments, title)
     except WorkerError as error:
         if root.obj:  # --debug
             click.echo(worker.output, err=True, nl=False)
@@ -50,17 +49,6 @@ def supervised(plugins: Iterable[tuple[str, str | None]]) -> int | None:
     click.echo(worker.output, err=True, nl=False)
     click.echo(answer["output"], nl=False)
     return int(answer["code"])
-
-
-def execute(arguments: list[str], channel: "JobChannel") -> Mapping[str, Any]:
-    """Execute a command line in this process; return its output and its exit code."""
-    from sysid_bench.cli import main
-
-    _apart.set(True)
-    output = io.StringIO()
-    with redirect_stdout(output):
-        code = main.main(arguments, prog_name="sysid-bench", standalone_mode=False)
-    return {"output": output.getvalue(), "code": code or 0}
 
 
 def _is_third_party(kind: str, name: str) -> bool:

@@ -18,11 +18,11 @@ from sysid_bench.harness.plan import fields
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.work.worker_call import WorkerError, worker_call
+from sysid_bench.metrics import ROW_FIELDS
 from sysid_bench.reporting.cell_recording import record as write_recording
 from sysid_bench.reporting.cell_recording import view as open_viewer
 from sysid_bench.units import quantity
 from sysid_bench.verbs.folders import find_cell, open_run
-from sysid_bench.vocabulary import ROW_FIELDS
 
 MOST: Final = 20
 """Recordings that a run writes by itself; `record` writes more."""
