@@ -39,10 +39,7 @@ EXCEPTIONS = {
         "models/robot.py",
         "sysid_bench.models.pairing",
     ): "Pinocchio takes 0.2 s to load, and most commands need MuJoCo alone",
-    (
-        "reporting/cell_recording.py",
-        "sysid_bench.reporting.recording_layout",
-    ): "loads rerun, which recordings alone need",
+    ("verbs/recordings.py", "sysid_bench.reporting"): "its cell_recording loads rerun",
     ("versions.py", "numpy"): "versions are read where no array is needed",
 }
 """(file, module) of every other import within a function, with its reason."""

@@ -8,7 +8,7 @@ from typing import Any, Final
 from sysid_bench import places
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.regressors.kernel_c import selected_kernel
-from sysid_bench.reporting.cell_recording import view_command
+from sysid_bench.reporting.view import view_command
 from sysid_bench.simulation.compiled_steps import steps_library
 from sysid_bench.verbs.catalogue import list_
 from sysid_bench.verbs.result import Result

@@ -19,8 +19,7 @@ from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.work.worker_call import WorkerError, worker_call
 from sysid_bench.metrics import ROW_FIELDS
-from sysid_bench.reporting.cell_recording import record as write_recording
-from sysid_bench.reporting.cell_recording import view as open_viewer
+from sysid_bench.reporting import view as viewer
 from sysid_bench.units import quantity
 from sysid_bench.verbs.folders import find_cell, open_run
 
@@ -113,7 +112,7 @@ def view(folder: str | Path, identifier: str, web: bool = False) -> subprocess.P
     path = _path(run_folder, find_cell(run_folder, identifier))
     if not path.is_file():
         (path,) = record(folder, find_cell(run_folder, identifier))
-    return open_viewer(path, web)
+    return viewer.view(path, web)
 
 
 def _matching(run_folder: RunFolder, expression: str) -> list[str]:
@@ -209,5 +208,7 @@ def _runs_third_party_code(job: Mapping[str, Any]) -> bool:
 
 def write_cell(argument: Mapping[str, Any], channel: JobChannel | None = None) -> None:
     """Execute a cell and write its recording."""
+    from sysid_bench.reporting import cell_recording
+
     data = cell_data(argument["job"], argument["row"])
-    write_recording(data, Path(argument["path"]), argument["max_hz"])
+    cell_recording.record(data, Path(argument["path"]), argument["max_hz"])
