@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.harness.plan import Cell, fields
+from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.naming import resolve_files

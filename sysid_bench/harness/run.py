@@ -17,8 +17,9 @@ from typing import Any, Final, Literal
 
 from sysid_bench import places
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.job import job_of
-from sysid_bench.harness.plan import Cell, Plan, expand
+from sysid_bench.harness.plan import Plan, expand
 from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.stale_rows import fingerprints, is_stale, stale_cells, stale_note
 from sysid_bench.harness.store import RunFolder

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.experiments.loaded_sources import stale_sources
+from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint
-from sysid_bench.harness.plan import Cell
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.types import Row
 

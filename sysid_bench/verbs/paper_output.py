@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.harness.plan import Cell, fields
+from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown

@@ -13,8 +13,8 @@ from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.experiments.third_party import is_third_party_cell, uses_third_party_data
+from sysid_bench.harness.cell import fields
 from sysid_bench.harness.job import job_of
-from sysid_bench.harness.plan import fields
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.work.worker_call import WorkerError, worker_call

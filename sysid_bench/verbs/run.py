@@ -8,7 +8,8 @@ from typing import Any
 
 from sysid_bench import places
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.harness.plan import Cell, expand
+from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.plan import expand
 from sysid_bench.harness.run import Rerun
 from sysid_bench.harness.run import RunResult as Outcome
 from sysid_bench.harness.run import run as execute

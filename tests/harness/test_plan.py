@@ -20,7 +20,8 @@ from sysid_bench.experiments.seed import (
     sensor_seed,
 )
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.harness.plan import Plan, expand, fields
+from sysid_bench.harness.cell import fields
+from sysid_bench.harness.plan import Plan, expand
 from sysid_bench.vocabulary import LABELS
 
 

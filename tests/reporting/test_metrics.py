@@ -15,8 +15,8 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.metric_checks import check_metric
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
+from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint
-from sysid_bench.harness.plan import Cell
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite, parse_stored, suite_text
