@@ -1,27 +1,29 @@
 """Commands that run third-party code: they execute in a worker process."""
 
+import io
 from collections.abc import Iterable, Mapping
+from contextlib import redirect_stdout
 from contextvars import ContextVar
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from sysid_bench.errors import UsageError
 
+if TYPE_CHECKING:
+    from sysid_bench.experiments.job_channel import JobChannel
+
 ARGUMENTS: Final = "arguments"
 """Key of the typed arguments in `Context.meta`."""
 SECONDS: Final = 600.0
 """Time limit of a command that runs third-party code."""
-
-_EXECUTE: Final = "sysid_bench.cli.worker_command:execute"
-"""Function that the worker calls; that module imports all commands."""
+_EXECUTE: Final = "sysid_bench.cli:execute"
 
 _ADVICE: Final[Mapping[str, str]] = {
     "timeout": "A call from Python has no time limit.",
     "failed": "(sysid-bench --debug shows where.)",
 }
-IN_WORKER: Final = ContextVar("in_worker", default=False)
-"""True in the worker process of a command."""
+_apart: ContextVar[bool] = ContextVar("apart", default=False)
 
 
 def supervised(plugins: Iterable[tuple[str, str | None]]) -> int | None:
@@ -30,7 +32,7 @@ def supervised(plugins: Iterable[tuple[str, str | None]]) -> int | None:
 
     Raises WorkerError where it hangs, crashes, or needs too much memory.
     """
-    if IN_WORKER.get() or not any(name and _is_third_party(kind, name) for kind, name in plugins):
+    if _apart.get() or not any(name and _is_third_party(kind, name) for kind, name in plugins):
         return None
     from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 
@@ -49,6 +51,15 @@ def supervised(plugins: Iterable[tuple[str, str | None]]) -> int | None:
     click.echo(worker.output, err=True, nl=False)
     click.echo(answer["output"], nl=False)
     return int(answer["code"])
+
+
+def execute(main: click.Command, arguments: list[str], channel: "JobChannel") -> Mapping[str, Any]:
+    """Execute a command line of `main` in this process; return its output and its exit code."""
+    _apart.set(True)
+    output = io.StringIO()
+    with redirect_stdout(output):
+        code = main.main(arguments, prog_name="sysid-bench", standalone_mode=False)
+    return {"output": output.getvalue(), "code": code or 0}
 
 
 def _is_third_party(kind: str, name: str) -> bool:

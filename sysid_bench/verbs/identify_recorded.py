@@ -32,7 +32,7 @@ from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.estimate_fields import estimate_fields, warnings_of
 from sysid_bench.verbs.identify_request import IdentifyRequest
-from sysid_bench.verbs.log_warnings import log_warnings
+from sysid_bench.verbs.log_warnings import finding_warnings, log_warnings, repetition_warnings
 from sysid_bench.verbs.recorded_result import RecordedResult
 from sysid_bench.verbs.result import file_text
 from sysid_bench.verbs.task_terms import check_term_names
@@ -221,9 +221,9 @@ def _warnings(
     source = posed.source
     return [
         *source.training[0].robot.repairs,
-        *_findings((*source.training, *source.tests.values())),
+        *finding_warnings((*source.training, *source.tests.values())),
         *log_warnings(errors["training"], joints),
-        *_repeated(errors["replayed"]),
+        *repetition_warnings(errors["replayed"]),
         *warnings_of(estimate, posed.problem),
     ]
 
@@ -292,27 +292,3 @@ def _segment(processed: ProcessedLog, use: str) -> dict[str, Any]:
             for f in log.findings
         ],
     }
-
-
-def _findings(logs: Sequence[ProcessedLog]) -> list[str]:
-    return [
-        f"{one.log.description.source.name}: {finding.text}"
-        for one in logs
-        for finding in one.log.findings
-    ]
-
-
-def _repeated(replayed: Mapping[str, Mapping[str, float] | None]) -> list[str]:
-    """Warn about tests on the training motion: they say nothing about other motions."""
-    return [
-        _repeated_test(label, errors) for label, errors in replayed.items() if errors is not None
-    ]
-
-
-def _repeated_test(label: str, errors: Mapping[str, float]) -> str:
-    shares = " ".join(f"{100 * error:.1f}" for error in errors.values())
-    return (
-        f"{label} repeats the training motion: its errors show how well the same motion is "
-        "predicted again, not how well others are; the training torque itself, played "
-        f"again, errs by {shares} %"
-    )
