@@ -19,7 +19,7 @@ from sysid_bench.experiments.plugin_metrics import plugin_metrics
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.experiments.third_party import is_third_party_cell, uses_third_party_data
+from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
 from sysid_bench.types import MetricInput, Row, Score
@@ -35,7 +35,7 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     otherwise the cells of third-party estimators and metrics, one by one. Built-in methods see the
     same process whoever else is in the suite.
     """
-    if not uses_third_party_data(argument):
+    if not has_third_party_data(argument):
         _execute(argument, False, channel)
         return
     death = channel.isolate(partial(_execute, argument, True))

@@ -13,7 +13,7 @@ from sysid_bench.signals.log_reader import builtin_reader
 from sysid_bench.vocabulary import TERMS
 
 
-def uses_third_party_data(argument: Mapping[str, Any]) -> bool:
+def has_third_party_data(argument: Mapping[str, Any]) -> bool:
     """True where plug-ins of others make the data: motions, effects, tasks, log readers, terms."""
     spec = argument["experiment"]
     if spec.get("log") is None:

@@ -49,6 +49,6 @@ def _papers(cell: Cell, suite: Suite) -> list[dict[str, Any]]:
     found = []
     for entry in suite.paper:
         wanted = None if entry.select is None else Expression.parse(entry.select)
-        if wanted is None or not wanted.fields <= set(flat) or wanted.matches(flat):
+        if wanted is None or not wanted.fields <= set(flat) or wanted.holds(flat):
             found.append({"name": entry.name, "show": entry.show, "test": entry.test})
     return found

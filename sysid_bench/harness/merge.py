@@ -120,7 +120,7 @@ def _worth(row: Row) -> int:
 
 def _environment(folders: Sequence[RunFolder]) -> dict[str, Any]:
     """The environment of the first run, and those of all as `machines`."""
-    every = [folder.env for folder in folders]
+    every = [folder.environment for folder in folders]
     machines = [entry for env in every for entry in env.get("machines", [env])]
     unique = list({canonical(machine): machine for machine in machines}.values())
     return {**every[0], "machines": unique}

@@ -29,7 +29,7 @@ class Plan:
     notes: tuple[str, ...] = ()
 
     @property
-    def experiments(self) -> tuple[ExperimentSpec, ...]:
+    def specs(self) -> tuple[ExperimentSpec, ...]:
         """The experiments in the order of their first cell."""
         return tuple({cell.experiment: cell.spec for cell in self.cells}.values())
 
@@ -48,9 +48,9 @@ class Plan:
         if text is None:
             return self.cells
         condition = Expression.parse(text, self.fields)
-        return tuple(cell for cell in self.cells if condition.matches(fields(cell)))
+        return tuple(cell for cell in self.cells if condition.holds(fields(cell)))
 
-    def missing_values(self, text: str) -> list[str]:
+    def unknown_values(self, text: str) -> list[str]:
         """Return a sentence for each text of an expression that no cell has in that field."""
         cell_fields = [fields(cell) for cell in self.cells]
         sentences = []
@@ -110,7 +110,7 @@ def _exclude(suite: Suite, cells: Iterable[Cell]) -> tuple[list[Cell], dict[str,
     kept, counts = [], {reason: 0 for _, reason in rules}
     for cell in cells:
         flat = fields(cell)
-        reason = next((reason for rule, reason in rules if rule.matches(flat)), None)
+        reason = next((reason for rule, reason in rules if rule.holds(flat)), None)
         if reason is None:
             kept.append(cell)
         else:

@@ -26,7 +26,7 @@ from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.suite.third_party_code import code_note, third_party_plugins
+from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
 from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore, supervise
 from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
@@ -84,7 +84,7 @@ def run(
     with nullcontext(names) if names else supervised_names(robots_dir) as known:
         options = _SuiteOptions(known, overrides or {}, robots_dir, large)
         folder = _run_folder(suite_or_folder, out, options)
-    note = code_note(third_party_plugins(folder.suite))
+    note = code_note(third_party_names(folder.suite))
     if note:
         on_event("code", {"note": note})
     selected = _selected(folder.plan, select, shard)[:limit]
@@ -94,14 +94,14 @@ def run(
         todo = _todo(selected, stored, rerun, source.fingerprint)
         work = source.jobs(todo, stored)
         if work:
-            folder.write_env(environment())
+            folder.write_environment(environment())
         on_event("plan", _announcement(selected, todo, work))
         settings = _worker_settings(folder, timeout, descriptor)
         ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, on_event)
         folder.write_frames()
         kept = _others(selected, todo)
         stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))
-    unmatched = folder.plan.missing_values(select) if select and not selected else ()
+    unmatched = folder.plan.unknown_values(select) if select and not selected else ()
     return _result(folder, selected, todo, ending, (*filter(None, [stale]), *unmatched))
 
 

@@ -68,7 +68,7 @@ class RunFolder:
         (path / "logs").mkdir(exist_ok=True)
         folder.write("run.toml", suite_text(suite))
         if not (path / "env.json").is_file():
-            folder.write_env(env)
+            folder.write_environment(env)
         folder.write("plan.jsonl", plan.to_json_lines())  # last: from now on it is a run
         return folder
 
@@ -98,7 +98,7 @@ class RunFolder:
         return planned_ids(self._read("plan.jsonl"))
 
     @property
-    def env(self) -> dict[str, Any]:
+    def environment(self) -> dict[str, Any]:
         """Versions, CPU, BLAS and git of the machine that last ran cells."""
         text = self._read("env.json")
         try:
@@ -204,7 +204,7 @@ class RunFolder:
         """Open a writer with a new file, for rows that no worker can write."""
         return RowWriter(new_row_file(self._cells, writer))
 
-    def write_env(self, env: Mapping[str, Any]) -> None:
+    def write_environment(self, env: Mapping[str, Any]) -> None:
         """Replace env.json."""
         self.write("env.json", json.dumps(env, indent=2) + "\n")
 

@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.rotation import product, quaternion_of_vector
+from sysid_bench.spatial.rotation import product, quaternion_of_rotation
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 
 
@@ -133,6 +133,6 @@ def with_position_error(robot: RobotModel, q: Array, error: Array) -> Array:
             out[:, qadr : qadr + 3] += error[:, dof : dof + 3]
             qadr, dof = qadr + 3, dof + 3
         out[:, qadr : qadr + 4] = product(
-            out[:, qadr : qadr + 4], quaternion_of_vector(error[:, dof : dof + 3])
+            out[:, qadr : qadr + 4], quaternion_of_rotation(error[:, dof : dof + 3])
         )
     return out

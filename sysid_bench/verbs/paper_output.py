@@ -90,7 +90,7 @@ def _selected(run: "RunFolder", condition: str | None) -> "Sequence[Cell]":
     if condition is None:
         return run.plan.cells
     rows, wanted = run.rows().rows, Expression.parse(condition)
-    return [c for c in run.plan.cells if wanted.matches({**rows.get(c.id, {}), **fields(c)})]
+    return [c for c in run.plan.cells if wanted.holds({**rows.get(c.id, {}), **fields(c)})]
 
 
 def _file(run: "RunFolder", entry: "Paper", cell: "Cell", kind: str) -> Path:

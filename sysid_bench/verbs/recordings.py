@@ -12,7 +12,7 @@ from typing import Any, Final
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.experiments.third_party import is_third_party_cell, uses_third_party_data
+from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.store import RunFolder
@@ -123,7 +123,7 @@ def _matching(run_folder: RunFolder, expression: str) -> list[str]:
     return [
         cell.id
         for cell in run_folder.plan.cells
-        if cell.id in stored and condition.matches({**stored[cell.id], **fields(cell)})
+        if cell.id in stored and condition.holds({**stored[cell.id], **fields(cell)})
     ]
 
 
@@ -203,7 +203,7 @@ def _write(
 
 def _runs_third_party_code(job: Mapping[str, Any]) -> bool:
     entries = job["estimators"]
-    return uses_third_party_data(job) or any(is_third_party_cell(job, entry) for entry in entries)
+    return has_third_party_data(job) or any(is_third_party_cell(job, entry) for entry in entries)
 
 
 def write_cell(argument: Mapping[str, Any], channel: JobChannel | None = None) -> None:

@@ -76,7 +76,7 @@ def report(folder: str | Path) -> Path:
         RunView(
             folder=run_folder.path,
             suite=parse_toml(read_text(run_folder.path / "run.toml")),
-            env=run_folder.env,
+            env=run_folder.environment,
             cells=frames.cells,
             joints=frames.read("joints", JOINT_COLUMNS),
             tables=tables,
@@ -215,7 +215,7 @@ def _incomplete_run(run_folder: "RunFolder", frames: "Frames") -> Iterator[None]
 
 
 def _choose(expression: str, cell: Mapping[str, Any]) -> bool:
-    return _parsed(expression).matches(cell)
+    return _parsed(expression).holds(cell)
 
 
 _parsed = cache(Expression.parse)

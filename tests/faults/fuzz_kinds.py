@@ -177,7 +177,7 @@ def _run_folder(folder: Path) -> None:
         lambda: status(path).summary(),
         lambda: table(path, "main"),
         lambda: cell(path, open_run(path).plan.cells[0].id).summary(),
-        lambda: open_run(path).env,
+        lambda: open_run(path).environment,
         lambda: report(path),
     ]
     refused = None
@@ -242,7 +242,7 @@ def _quantity(text: str) -> None:
 
 def _condition(text: str) -> None:
     fields = {"robot": "ur5", "rate": 200.0, "noise": ("exact", "n1"), "torque_error": None}
-    Expression.parse(text).matches(MappingProxyType(fields))
+    Expression.parse(text).holds(MappingProxyType(fields))
 
 
 def _payload(text: str) -> None:

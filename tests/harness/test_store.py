@@ -32,7 +32,7 @@ def test_a_run_folder_records_what_it_was_made_of(tmp_path: Path) -> None:
     run = RunFolder.open(tmp_path / "run")
     assert run.suite == read(FULL)
     assert run.plan.cells == expand(read(FULL), NAMES).cells
-    assert run.env == {"python": "3"}
+    assert run.environment == {"python": "3"}
     assert run.rows().rows == {}
     assert len(run.cells) == 0
 

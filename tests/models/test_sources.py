@@ -62,7 +62,7 @@ use = "ols"
 
 
 def specs(base: str, use: str = '"ur5"') -> list[ExperimentSpec]:
-    return list(expand(parse_suite(SUITE.format(use=use, base=base))).experiments)
+    return list(expand(parse_suite(SUITE.format(use=use, base=base))).specs)
 
 
 def test_a_base_that_is_not_given_leaves_the_id_alone() -> None:

@@ -40,7 +40,7 @@ def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
                 _restore(number, before[number])
 
 
-def ignore_interrupts() -> None:
+def ignore_interrupt() -> None:
     """Ignore further signals: an interrupted process is on its way out, with its own exit code."""
     if threading.current_thread() is threading.main_thread():
         for number in _numbers():

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 from sysid_bench.canonical_json import plain
-from sysid_bench.harness.work.row_check import TABLES, is_row, not_files
+from sysid_bench.harness.work.row_check import TABLES, is_row, other_files
 from sysid_bench.types import Row
 
 SYNC_SECONDS = 1.0
@@ -112,7 +112,7 @@ def read_rows(
     tables of the rows.
     """
     rows: dict[str, Row] = {}
-    torn, garbled = 0, not_files(folder, "*.jsonl")
+    torn, garbled = 0, other_files(folder, "*.jsonl")
     for path in row_files(folder):
         for line in lines(path, *(start or {}).get(path.name, (0, 0))):
             row = parse_row(line.text)

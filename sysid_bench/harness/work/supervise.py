@@ -176,7 +176,7 @@ class _Supervisor:
                 self._kill(worker, "timeout", limit)
             elif worker.process.poll() is not None:
                 self._end_dead(worker)
-            elif look and worker.job is not None and worker.is_over_memory():
+            elif look and worker.job is not None and worker.is_out_of_memory():
                 limit = f"more than the limit of {(self.settings.memory or 0.0) / 1e9:g} GB"
                 self._kill(worker, "memory", limit)
 
@@ -228,7 +228,7 @@ class _Supervisor:
                     self._handle_notice(worker, notice)
         for item in others:
             self.inbox.put(item)
-        for row in worker.unannounced_rows():
+        for row in worker.rows_of_open_cells():
             worker.close_cell(row["id"])
             self._count(row["id"], row.get("status"), row.get("reason"))
 

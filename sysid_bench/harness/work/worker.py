@@ -27,7 +27,7 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError, reason_of, status_of
 from sysid_bench.experiments.job_channel import Death, JobChannel, JobDeath
 from sysid_bench.harness.work.isolate import CAN_FORK, Message, Send, isolate
-from sysid_bench.harness.work.processes import go_on_guarded
+from sysid_bench.harness.work.processes import start_guarded
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
 
@@ -51,7 +51,7 @@ def main() -> None:
     settings = json.loads(jobs_in.readline() or b"null")
     if settings is None:
         return
-    go_on_guarded(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
+    start_guarded(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
     _limit_memory(settings["memory"])
     threading.Thread(target=_listen, args=(jobs_in, inbox), daemon=True).start()
     sys.path[:] = list(dict.fromkeys([*settings["path"], *sys.path]))

@@ -109,7 +109,7 @@ class CallWorker:
             return {"dead": reason, "status": "timeout"}
         if worker.process.poll() is not None:
             return self._end_of(worker)
-        if worker.is_over_memory():
+        if worker.is_out_of_memory():
             reason = f"it took more memory than the limit of {(self.memory or 0.0) / 1e9:g} GB"
             return {"dead": reason, "status": "memory"}
         return None

@@ -141,7 +141,7 @@ class Worker:
         """Forget the job."""
         self.job, self.current, self.open_cells, self.deadline = None, None, {}, float("inf")
 
-    def is_over_memory(self) -> bool:
+    def is_out_of_memory(self) -> bool:
         """True where the worker and all that it started are over the limit."""
         limit = self.settings.memory
         return limit is not None and memory_use(self.process.pid, limit) > limit
@@ -164,7 +164,7 @@ class Worker:
         self._log.close()
         shutil.rmtree(self._scratch, ignore_errors=True)
 
-    def unannounced_rows(self) -> list[Row]:
+    def rows_of_open_cells(self) -> list[Row]:
         """Return the stored rows of open cells: the process has ended before their notices."""
         stored = stored_rows(self.rows_file) if self.open_cells else {}
         return [row for cell, row in stored.items() if cell in self.open_cells]
