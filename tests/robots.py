@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS, Payload

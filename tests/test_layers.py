@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1] / "sysid_bench"
 PACKAGE = "sysid_bench"
 
 BASE = frozenset(
-    {"types", "spatial", "naming", "places", "errors", "units", "c_library", "input_files"}
+    {"types", "spatial", "naming", "package_folders", "errors", "units", "c_library", "input_files"}
     | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
 )
 TOP = frozenset({"__init__", "__main__", "cli", "verbs", "pytest_plugin"})

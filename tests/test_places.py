@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.errors import UsageError
 
 CHECKOUT = Path(__file__).parents[1]

@@ -12,7 +12,7 @@ from click.shell_completion import CompletionItem
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.work.interrupts import ignore_interrupt, on_interrupt, raise_interrupt
+from sysid_bench.harness.work.interrupt import ignore_interrupt, on_interrupt, raise_interrupt
 
 if TYPE_CHECKING:
     from sysid_bench import Result

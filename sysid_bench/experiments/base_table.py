@@ -16,7 +16,7 @@ from sysid_bench.identifiability.base_expressions import base_expressions, expre
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.feasible_bounds import check_bound, distance_to_feasible
 from sysid_bench.identifiability.structural import structural_factor
-from sysid_bench.identifiability.symbolic_coefficient import random_values, symbolic_coefficients
+from sysid_bench.identifiability.symbolic_coefficients import random_values, symbolic_coefficients
 from sysid_bench.identifiability.verdicts import coefficients
 from sysid_bench.models.dh.dh_robot import mjcf_of
 from sysid_bench.models.dh.dh_table import read_table

@@ -15,7 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.job import job_of
@@ -29,7 +29,7 @@ from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
 from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore, supervise
-from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
+from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 from sysid_bench.versions import environment

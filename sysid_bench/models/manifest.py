@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.errors import ModelError, UsageError, unknown_name
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.errors import ModelError, UsageError, reason_of
 
 PACKAGES: Final = ("example-robot-data", "robot_descriptions")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import unknown_name
-from sysid_bench.evaluation.comparison import (
+from sysid_bench.evaluation.ranking_statistic import (
     failed_last,
     interquartile_mean,
     performance_profile,
@@ -41,7 +41,7 @@ NEAR: Final = 1.1
 @dataclass(frozen=True, eq=False)
 class Ranking:
     """Methods, the best first. `ratios` (cases, methods) are errors over the best of the case, NaN
-    where there is none; `wins` and `p` (methods, methods) as of evaluation/comparison.py."""
+    where there is none; `wins` and `p` (methods, methods) as of evaluation/ranking_statistic.py."""
 
     name: str
     title: str

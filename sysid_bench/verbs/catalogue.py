@@ -9,7 +9,8 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
-from sysid_bench import naming, places
+from sysid_bench import naming
+from sysid_bench import package_folders as places
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS

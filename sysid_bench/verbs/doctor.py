@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from importlib import import_module
 from typing import Any, Final
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.regressors.kernel_c import selected_kernel
 from sysid_bench.reporting.view import view_command

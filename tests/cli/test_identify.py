@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench import IdentifyResult, places
+from sysid_bench import IdentifyResult
+from sysid_bench import package_folders as places
 from sysid_bench.cli.values import parse_noise, parse_payload, parse_terms
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.identifiability.structural import structural_base

@@ -12,8 +12,8 @@ from sysid_bench.models.coupling.constraints import PolynomialCoupling
 from sysid_bench.models.coupling.group import Group
 from sysid_bench.models.load import load_robot
 from sysid_bench.naming import build
+from sysid_bench.regressors.block_qr import accumulate
 from sysid_bench.regressors.coupled import torque_regression
-from sysid_bench.regressors.qr_accumulation import accumulate
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.kinematics_only import kinematics_only
 from sysid_bench.simulation.mujoco_inverse import constrained_torque

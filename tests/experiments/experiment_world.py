@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.experiments.job_channel import Death, JobChannel
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot

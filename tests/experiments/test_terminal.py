@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import cell_data

@@ -16,7 +16,8 @@ import pandas as pd
 import pyarrow.parquet  # noqa: F401 - once, not in each process
 from scipy.io import savemat
 
-from sysid_bench import identify, init_robot, open_run, paper_table, places, plan, report, show
+from sysid_bench import identify, init_robot, open_run, paper_table, plan, report, show
+from sysid_bench import package_folders as places
 from sysid_bench.cli import main
 from sysid_bench.cli.values import parse_motors, parse_noise
 from sysid_bench.cli.values import parse_payload as payload_option

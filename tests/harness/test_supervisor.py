@@ -16,7 +16,7 @@ import pytest
 
 from sysid_bench.harness.work.row_files import StoredRows, read_rows
 from sysid_bench.harness.work.supervise import Ending, supervise
-from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
+from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 
 HERE = Path(__file__).parent
 CHECKOUT = HERE.parents[1]
@@ -234,7 +234,7 @@ PARENT = """
 import sys, threading
 from pathlib import Path
 sys.path.insert(0, {here!r})
-from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
+from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.harness.work.supervise import supervise
 cells = [str(n) for n in range(4)]
 def task(cell):

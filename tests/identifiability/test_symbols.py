@@ -8,7 +8,7 @@ from sysid_bench.identifiability.feasible_bounds import (
     check_bound,
     distance_to_feasible,
 )
-from sysid_bench.identifiability.symbolic_coefficient import random_values, symbolic_coefficients
+from sysid_bench.identifiability.symbolic_coefficients import random_values, symbolic_coefficients
 from sysid_bench.spatial.inertia import NAMES, pseudo_inertia
 from sysid_bench.types import Array, Body
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     dropped_expressions,

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.errors import ModelError, UnsupportedError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.models.load import load_robot
 from tests.robots import random_mjcf

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.verbs.crosscheck import crosscheck
 

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders as places
 from sysid_bench.errors import ModelError
 from sysid_bench.models.urdf.canonical_urdf import Mimic, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml

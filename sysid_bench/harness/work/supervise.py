@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.harness.work.interrupts import on_interrupt
+from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
-from sysid_bench.harness.work.worker_handle import Inbox, Job, Worker, WorkerSettings
+from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.vocabulary import FAILURES
 

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.harness.work.worker_handle import Inbox, Job, Worker, WorkerSettings
+from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 
 MEMORY: Final = 4e9
 """Default limit (bytes) of a call."""
