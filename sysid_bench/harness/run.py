@@ -15,7 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from sysid_bench import package_folders as places
+from sysid_bench import package_folders
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.job import job_of
@@ -170,7 +170,7 @@ def _run_folder(source: Suite | str | Path, out: Path | None, options: _SuiteOpt
     if isinstance(source, Suite):
         suite = source
     else:
-        suite = load_suite(places.suite(str(source)), options.names, options.overrides)
+        suite = load_suite(package_folders.suite(str(source)), options.names, options.overrides)
         suite = _signed(suite, str(source), options.robots_dir, options.overrides)
     plan = expand(suite, options.names, large=options.large)
     return RunFolder.make(out or Path("reports") / suite.name, suite, plan, environment())

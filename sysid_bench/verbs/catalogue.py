@@ -9,8 +9,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
-from sysid_bench import naming
-from sysid_bench import package_folders as places
+from sysid_bench import naming, package_folders
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
@@ -72,7 +71,7 @@ def show(name: str, robots_dir: Path | None = None) -> ShowResult:
 def _is_robot(name: str, robots_dir: Path | None) -> bool:
     """Test for the file or the name of a robot, which need not exist where it is a path."""
     path = "/" in name or name.endswith((".urdf", ".xml"))
-    return path or is_model(name) or name in places.robots(robots_dir)
+    return path or is_model(name) or name in package_folders.robots(robots_dir)
 
 
 def _names(kind: str, robots_dir: Path | None) -> set[str]:
@@ -119,7 +118,7 @@ def _given(by_joint: Mapping[str, BaseModel]) -> Entry:
 
 def _robots(robots_dir: Path | None) -> list[Entry]:
     entries = []
-    for name in places.robots(robots_dir):
+    for name in package_folders.robots(robots_dir):
         try:
             manifest = find_manifest(name, robots_dir)
             entries.append({"name": name, "title": manifest.title, "free_base": manifest.free_base})
@@ -183,7 +182,8 @@ def _default(field: dataclasses.Field[Any]) -> Any:
 
 def _suites(robots_dir: Path | None) -> list[Entry]:
     return [
-        {"name": name, "title": _suite_title(file)} for name, file in places.suite_files().items()
+        {"name": name, "title": _suite_title(file)}
+        for name, file in package_folders.suite_files().items()
     ]
 
 
@@ -195,7 +195,7 @@ def _suite_title(file: Path) -> str:
 
 
 def _suite(name: str) -> Entry:
-    file = places.suite_files()[name]
+    file = package_folders.suite_files()[name]
     try:
         return {"name": name, "file": str(file), **parse_toml(read_text(file))}
     except (OSError, ValueError) as error:

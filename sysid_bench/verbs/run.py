@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sysid_bench import package_folders as places
+from sysid_bench import package_folders
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.plan import expand
@@ -114,7 +114,7 @@ def plan(
     """
     own = nullcontext(static_names(robots_dir)) if no_code else supervised_names(robots_dir)
     with own as names:
-        loaded = load_suite(places.suite(str(suite)), names, overrides)
+        loaded = load_suite(package_folders.suite(str(suite)), names, overrides)
     whole = expand(loaded, names, large=large)
     plugins = third_party_names(loaded)
     unseen = [f"{kind} {name}" for kind, name in plugins if no_code]
