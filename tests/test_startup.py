@@ -37,7 +37,7 @@ COMMANDS = {
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
-    """What a fresh interpreter in the checkout answers."""
+    """Answer of a fresh interpreter in the checkout."""
     return subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, text=True, capture_output=True, timeout=60
     )

@@ -1,4 +1,4 @@
-"""What holds for every robot: Y is linear in theta, and two engines agree with it."""
+"""Laws of every robot: Y is linear in theta, and two engines agree with it."""
 
 import json
 from dataclasses import replace
