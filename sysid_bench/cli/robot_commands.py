@@ -124,7 +124,7 @@ def basis(
     if code is not None:
         return code
     whole = free_base is None and sensor is None
-    if printing.paper and whole and sysid_bench.show(task)["identifies_whole_robot"]:
+    if printing.paper and whole and _identifies_whole_robot(task):
         _print_paper(robot, parse_terms(terms), printing, robots_dir, as_json)
         return OK
     result = sysid_bench.basis(robot, task, parse_terms(terms), free_base, robots_dir, sensor)
@@ -133,6 +133,12 @@ def basis(
     else:
         print_result(result, as_json)
     return OK
+
+
+def _identifies_whole_robot(task: str) -> bool:
+    from sysid_bench.tasks.task import find_task  # numpy, for which --help would wait
+
+    return find_task(task).identifies_whole_robot
 
 
 def _check_paper(printing: _Paper) -> None:

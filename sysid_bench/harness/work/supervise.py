@@ -139,6 +139,8 @@ class _Supervisor:
             self._end_dead(worker)
         elif notice.get("job") != worker.number or worker.job is None:
             return  # of a job that has ended
+        elif "progress" in notice:
+            return
         elif "begin" in notice:
             worker.start_time_limit()
         elif "cell" in notice:

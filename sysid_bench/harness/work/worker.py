@@ -2,10 +2,11 @@
 
 In: settings {parent, path, rows, memory}, then jobs {number, call, argument, cells, losses}; null
 ends the worker. Out, each with the number of its job: {begin}, {cell: id} before a cell,
-{row: id, status, reason}, and at the end {done: value}, {failed: reason, status, traceback},
-{dead: reason, status}, or {full: reason} where a row cannot be stored. A row is stored before it is
-announced, so that it survives the supervisor. The worker ends at once when its input ends. On Linux
-it is the fork of a guard, which leaves nothing of it behind (see processes.py).
+{row: id, status, reason}, {progress: value}, and at the end {done: value},
+{failed: reason, status, traceback}, {dead: reason, status}, or {full: reason} where a row cannot be
+stored. A row is stored before it is announced, so that it survives the supervisor. The worker ends
+at once when its input ends. On Linux it is the fork of a guard, which leaves nothing of it behind
+(see processes.py).
 """
 
 import contextlib
@@ -171,6 +172,9 @@ class _Channel:
     def begin(self, cell: str) -> None:
         raise NotImplementedError
 
+    def progress(self, value: Any) -> None:
+        """Pass on a figure; a fork has nobody who listens."""
+
     def _store(self, row: Row) -> None:
         raise NotImplementedError
 
@@ -196,6 +200,9 @@ class _StoringChannel(_Channel):
 
     def begin(self, cell: str) -> None:
         self.notify({"cell": cell})
+
+    def progress(self, value: Any) -> None:
+        self.notify({"progress": value})
 
     def _store(self, row: Row) -> None:
         if row.get("status") == "lost":

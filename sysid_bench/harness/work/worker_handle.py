@@ -141,6 +141,14 @@ class Worker:
         """Forget the job."""
         self.job, self.current, self.open_cells, self.deadline = None, None, {}, float("inf")
 
+    def interrupt(self, seconds: float) -> None:
+        """Interrupt the job, as Ctrl-C does, which then has this time to end."""
+        self.deadline = time.monotonic()
+        if hasattr(os, "killpg"):
+            self.deadline += seconds
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.process.pid, signal.SIGINT)  # its guard takes no SIGINT
+
     def is_over_memory(self) -> bool:
         """True where the worker and all that it started are over the limit."""
         limit = self.settings.memory
