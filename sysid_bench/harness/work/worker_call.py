@@ -143,8 +143,7 @@ class CallWorker:
         return None
 
     def _end_of(self, worker: Worker) -> Mapping[str, Any]:
-        worker.kill()
-        status, reason = worker.end_of_process()
+        status, reason = worker.end()
         return {"dead": reason, "status": status}
 
     def _end(self) -> None:
