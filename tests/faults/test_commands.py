@@ -110,3 +110,15 @@ def test_an_interrupted_search_of_third_party_code(
     assert "interrupted: this is the best feasible motion so far" in output
     assert (tmp_path / "motion.csv").stat().st_size > 0
     assert wait_for(lambda: not left_behind(token)), left_behind(token)
+
+
+def test_the_table_of_a_paper_for_a_third_party_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own_task.py").write_text(
+        "from sysid_bench.tasks.robot import RobotTask\n\nclass OwnTask(RobotTask): ...\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    own = command("basis", "scara", "--paper", "--task", "file:own_task.py:OwnTask")
+    assert own.exit_code == 0, own.stderr
+    assert own.stdout == command("basis", "scara", "--paper").stdout
