@@ -185,7 +185,7 @@ def excite(
     Exit code 1 where a limit is violated, 130 after an interrupt (the best motion so far is
     written).
     """
-    code = supervised([("task", unknowns.task)])
+    code = supervised([("task", unknowns.task)], search_progress)
     if code is not None:
         return code
     request = sysid_bench.ExciteRequest(

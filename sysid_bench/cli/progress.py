@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from sysid_bench.cli.supervise import worker_progress
 from sysid_bench.vocabulary import FAILURES
 
 if TYPE_CHECKING:
@@ -50,7 +51,12 @@ def run_progress() -> Iterator["OnEvent"]:
 
 @contextmanager
 def search_progress() -> Iterator[Callable[[int, float], None]]:
-    """Yield a listener for a search: evaluations and the best value so far, on one line."""
+    """Yield a listener for a search: evaluations and the best value so far, on one line. That of a
+    worker reports to the command that has started it."""
+    listener = worker_progress()
+    if listener is not None:
+        yield listener
+        return
     if not sys.stderr.isatty():
         yield lambda count, value: None
         return

@@ -127,6 +127,9 @@ class Collected:
         assert row["id"] in self.cells
         self.rows.append(row)
 
+    def progress(self, value: Any) -> None:
+        raise AssertionError("an experiment reports rows alone")
+
     def isolate(self, function: Callable[[JobChannel], Any]) -> Death | None:
         function(self)
         return None

@@ -114,6 +114,23 @@ def test_a_fault_is_one_row(
     assert logs < 4e6
 
 
+@pytest.mark.parametrize("name", ["PatchesScores", "Aborts", "ClosesDescriptors"])
+def test_a_fault_where_python_cannot_fork(
+    tmp_path: Path, undisturbed: dict[str, Any], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """The process of a fault ends with its cell; a fresh one takes the cells that are left."""
+    (tmp_path / "sitecustomize.py").write_text("import select\n\ndel select.poll\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    order = list(SOUND)
+    for place in PLACES:
+        order.insert(place, fault(name))
+    result = run(suite(*order), tmp_path / "run", jobs=2)
+    found = rows(result)
+    at_fault = [found.pop(f"{name} at {place}") for place in PLACES]
+    assert [row["status"] for row in at_fault] == [STATUS[name]] * 3
+    assert found == undisturbed
+
+
 def test_all_faults_in_one_suite(
     tmp_path: Path, token: str, scratch: Path, undisturbed: dict[str, Any]
 ) -> None:

@@ -103,7 +103,7 @@ class _Supervisor:
 
     def _assign_jobs(self) -> None:
         while self.waiting:
-            worker = next((idle for idle in self.workers if idle.job is None), None)
+            worker = next((idle for idle in self.workers if idle.is_idle), None)
             if worker is None:
                 if len(self.workers) >= max(1, self.max_workers):
                     return
@@ -139,6 +139,8 @@ class _Supervisor:
             self._end_dead(worker)
         elif notice.get("job") != worker.number or worker.job is None:
             return  # of a job that has ended
+        elif "progress" in notice:
+            return
         elif "begin" in notice:
             worker.start_time_limit()
         elif "cell" in notice:
@@ -150,11 +152,13 @@ class _Supervisor:
             self._handle_end(worker, notice)
 
     def _handle_end(self, worker: Worker, notice: Mapping[str, Any]) -> None:
-        """Handle the last notice of a job: {done}, {failed}, {dead} or {full}."""
+        """Handle the last notice of a job: {done}, {failed}, {dead}, {full} or {left}."""
         if "full" in notice:
             raise self._storage_error(notice["full"])
-        if "dead" in notice:
-            self._end_job(worker, notice["status"], notice["dead"])
+        worker.has_left = "left" in notice
+        if "dead" in notice or worker.has_left:
+            reason = notice.get("dead", "its process ended without a row")
+            self._end_job(worker, notice.get("status", "failed"), reason)
         elif "done" in notice:
             call = worker.job.call if worker.job else ""
             self._settle(worker, worker.open_cells, "failed", f"{call} ended without a row.")
@@ -210,9 +214,9 @@ class _Supervisor:
         self.workers.remove(worker)
 
     def _end_dead(self, worker: Worker) -> None:
-        worker.kill()
+        end = worker.end()
         self._hear_rest(worker)
-        self._end_job(worker, *worker.end_of_process())
+        self._end_job(worker, *end)
         self.workers.remove(worker)
 
     def _hear_rest(self, worker: Worker) -> None:

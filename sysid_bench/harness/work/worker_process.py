@@ -26,6 +26,8 @@ from sysid_bench.types import Row
 Inbox = queue.SimpleQueue[tuple["Worker | None", dict[str, Any] | None]]
 """(worker, notice); None at the end of its output. (None, None) wakes the supervisor."""
 
+_END_SECONDS = 10.0
+"""Time for a process to end by itself, after its output and before its guard."""
 _GUARD_SECONDS = 15.0
 """Time for a guard to end a worker and all that it has started."""
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -70,6 +72,7 @@ class Worker:
     open_cells: dict[str, Row] = field(default_factory=dict)
     current: str | None = None  # the cell that has begun
     has_begun: bool = False  # True once the job has begun a cell: its experiment is prepared
+    has_left: bool = False  # True where the process takes no other job
     deadline: float = float("inf")
 
     def __post_init__(self) -> None:
@@ -102,6 +105,11 @@ class Worker:
                 "memory": self.settings.memory,
             }
         )
+
+    @property
+    def is_idle(self) -> bool:
+        """True where a job can be started."""
+        return self.job is None and not self.has_left
 
     def start_job(self, job: Job) -> None:
         """Send a job; its time limit counts from now, and again once its module is imported."""
@@ -141,6 +149,14 @@ class Worker:
         """Forget the job."""
         self.job, self.current, self.open_cells, self.deadline = None, None, {}, float("inf")
 
+    def interrupt(self, seconds: float) -> None:
+        """Interrupt the job, as Ctrl-C does, which then has this time to end."""
+        self.deadline = time.monotonic()
+        if hasattr(os, "killpg"):
+            self.deadline += seconds
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.process.pid, signal.SIGINT)  # its guard takes no SIGINT
+
     def is_out_of_memory(self) -> bool:
         """True where the worker and all that it started are over the limit."""
         limit = self.settings.memory
@@ -164,6 +180,17 @@ class Worker:
         self._log.close()
         shutil.rmtree(self._scratch, ignore_errors=True)
 
+    def end(self) -> tuple[str, str]:
+        """Return status and sentence for the end of a process whose output has ended; one that goes
+        on nevertheless, with closed pipes, is killed."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(timeout=_END_SECONDS)
+        has_ended = self.process.poll() is not None
+        self.kill()
+        if has_ended:
+            return self._end_of_process()
+        return "crash", "its process closed the pipe of its result"
+
     def rows_of_open_cells(self) -> list[Row]:
         """Return the stored rows of open cells: the process has ended before their notices."""
         stored = stored_rows(self.rows_file) if self.open_cells else {}
@@ -176,7 +203,7 @@ class Worker:
             self.process.wait(timeout=5.0)
         self.kill()
 
-    def end_of_process(self) -> tuple[str, str]:
+    def _end_of_process(self) -> tuple[str, str]:
         """Return status and sentence for the end of the process, with its last output."""
         status, reason = end_of_process(self.process.returncode)
         text = self._error_text()
