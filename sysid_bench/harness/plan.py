@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -35,6 +36,7 @@ _SETUP_SECONDS = 0.3
 _SAMPLE_SECONDS = 1e-4
 _ESTIMATOR_SECONDS = 0.05
 _ID = '{"id": "'
+_REPEAT = re.compile(r', "repeat": \d+\}\}$')  # as last field of a line
 _LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
 
 
@@ -380,6 +382,18 @@ def _id_of(number: int, line: str) -> str:
     if begins == _ID and name.isalnum() and ends.startswith('", ') and ends.endswith("}"):
         return name
     return _cell_of(number, line).id
+
+
+def planned_cells(text: str) -> Iterator[tuple[Cell, list[str]]]:
+    """Yield cells of a plan.jsonl, each with the ids of all that differ from it by their repeat.
+
+    One line of them is parsed.
+    """
+    alike: dict[str, tuple[int, str, list[str]]] = {}
+    for number, line in _numbered(text):
+        kind = _REPEAT.sub("", line.partition('"labels": ')[2] or line)
+        alike.setdefault(kind, (number, line, []))[2].append(_id_of(number, line))
+    return ((_cell_of(number, line), ids) for number, line, ids in alike.values())
 
 
 def planned_heads(text: str) -> Iterator[dict[str, Any]]:

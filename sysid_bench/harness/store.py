@@ -15,7 +15,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.consolidate import consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
-from sysid_bench.harness.plan import Plan, planned_heads, planned_ids
+from sysid_bench.harness.plan import Cell, Plan, planned_cells, planned_heads, planned_ids
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.processes import processes_with
 from sysid_bench.harness.work.row_files import (
@@ -96,6 +96,10 @@ class RunFolder:
     def planned(self) -> tuple[str, ...]:
         """Ids of the cells of the plan, which is not read as a whole."""
         return planned_ids(self._read("plan.jsonl"))
+
+    def planned_cells(self) -> Iterator[tuple[Cell, list[str]]]:
+        """Yield cells of the plan, each with the ids of all that differ from it by their repeat."""
+        return planned_cells(self._read("plan.jsonl"))
 
     @property
     def env(self) -> dict[str, Any]:
