@@ -19,12 +19,14 @@ from sysid_bench.harness.plan import Cell, Plan, planned_cells, planned_heads, p
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.processes import processes_with
 from sysid_bench.harness.work.row_files import (
+    Place,
     RowWriter,
     StoredRows,
     find_row,
     new_row_file,
     read_rows,
     row_files,
+    rows_with_places,
 )
 from sysid_bench.input_files import LARGEST, parse_json, read_text
 from sysid_bench.types import Row
@@ -64,13 +66,22 @@ class RunFolder:
         folder = cls(path)
         if (path / "plan.jsonl").is_file():
             folder._check_same(suite, plan)
-        (path / "cells").mkdir(parents=True, exist_ok=True)
-        (path / "logs").mkdir(exist_ok=True)
-        folder.write("run.toml", suite_text(suite))
-        if not (path / "env.json").is_file():
-            folder.write_env(env)
-        folder.write("plan.jsonl", plan.to_json_lines())  # last: from now on it is a run
+        folder._fill(suite, plan.to_json_lines(), env)
         return folder
+
+    def copy_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":
+        """Create a run with the suite and the plan of this one, and without rows."""
+        folder = RunFolder(path)
+        folder._fill(self.suite, self._read("plan.jsonl"), env)
+        return folder
+
+    def _fill(self, suite: Suite, plan: str, env: Mapping[str, Any]) -> None:
+        (self.path / "cells").mkdir(parents=True, exist_ok=True)
+        (self.path / "logs").mkdir(exist_ok=True)
+        self.write("run.toml", suite_text(suite))
+        if not (self.path / "env.json").is_file():
+            self.write_env(env)
+        self.write("plan.jsonl", plan)  # last: from now on it is a run
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
@@ -131,6 +142,10 @@ class RunFolder:
     def rows(self) -> StoredRows:
         """Read the rows stored so far."""
         return read_rows(self._cells)
+
+    def rows_with_places(self) -> Iterator[tuple[Row, Place]]:
+        """Yield each stored row and where it is; of rows with one id the last holds."""
+        return rows_with_places(self._cells)
 
     def row(self, cell: str) -> Row | None:
         """Read the row of one cell; None where it has none."""
