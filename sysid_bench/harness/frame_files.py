@@ -167,12 +167,12 @@ class FrameFiles:
 
 def _python_values(column: Any) -> list[Any]:
     """Values of a column as JSON has them; whole numbers that stand among None are whole again."""
-    values: list[Any] = _values(column).tolist()
+    values: list[Any] = column.to_pylist()  # to_numpy would load pandas
     return [_whole(value) for value in values] if column.type == "double" else values
 
 
-def _whole(value: float) -> float | int | None:
-    if value != value:
+def _whole(value: float | None) -> float | int | None:
+    if value is None:
         return None
     return int(value) if value.is_integer() else value
 

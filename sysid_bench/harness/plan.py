@@ -384,15 +384,13 @@ def _id_of(number: int, line: str) -> str:
     return _cell_of(number, line).id
 
 
-def planned_cells(text: str) -> Iterator[tuple[Cell, list[str]]]:
-    """Yield cells of a plan.jsonl, each with the ids of all that differ from it by their repeat.
-
-    One line of them is parsed.
-    """
+def planned_cells(text: str, ids: Iterable[str]) -> Iterator[tuple[Cell, list[str]]]:
+    """Yield cells of a plan.jsonl, each with those of the `ids` of all cells that differ from it by
+    their repeat. One line of them is parsed."""
     alike: dict[str, tuple[int, str, list[str]]] = {}
-    for number, line in _numbered(text):
+    for (number, line), cell in zip(_numbered(text), ids, strict=True):
         kind = _REPEAT.sub("", line.partition('"labels": ')[2] or line)
-        alike.setdefault(kind, (number, line, []))[2].append(_id_of(number, line))
+        alike.setdefault(kind, (number, line, []))[2].append(cell)
     return ((_cell_of(number, line), ids) for number, line, ids in alike.values())
 
 

@@ -110,7 +110,7 @@ class RunFolder:
 
     def planned_cells(self) -> Iterator[tuple[Cell, list[str]]]:
         """Yield cells of the plan, each with the ids of all that differ from it by their repeat."""
-        return planned_cells(self._read("plan.jsonl"))
+        return planned_cells(self._read("plan.jsonl"), self.planned)
 
     @property
     def env(self) -> dict[str, Any]:
