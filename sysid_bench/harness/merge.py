@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.store import RunFolder
-from sysid_bench.harness.work.row_files import Place
+from sysid_bench.harness.work.row_files import RowStart
 from sysid_bench.types import Row
 from sysid_bench.vocabulary import MACHINE_FIELDS
 
@@ -53,7 +53,7 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     twice = sum(sum(row.status == "ok" for row in rows) > 1 for rows in candidates.values())
     if contradictions:
         return MergeResult(None, len(candidates), len(planned), twice, contradictions)
-    folder = folders[0].copy_plan(out, _environment(folders))
+    folder = folders[0].write_plan(out, _environment(folders))
     with folder.new_writer("merge") as writer:
         for cell in filter(candidates.__contains__, planned):
             writer.write(min(candidates[cell], key=_worth).place.read())
@@ -86,7 +86,7 @@ class _Candidate(NamedTuple):
     fingerprint: Any
     versions: str
     result: str  # hash of the part that every machine should reproduce; "" where it is not ok
-    place: Place
+    place: RowStart
 
 
 def _candidates(
@@ -102,7 +102,7 @@ def _candidates(
     return found
 
 
-def _candidate(row: Row, place: Place) -> _Candidate:
+def _candidate(row: Row, place: RowStart) -> _Candidate:
     result = {key: value for key, value in row.items() if key not in _EXCEPT}
     return _Candidate(
         row["status"],

@@ -19,7 +19,7 @@ from sysid_bench.harness.plan import Cell, Plan, planned_cells, planned_heads, p
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.processes import processes_with
 from sysid_bench.harness.work.row_files import (
-    Place,
+    RowStart,
     RowWriter,
     StoredRows,
     find_row,
@@ -69,8 +69,8 @@ class RunFolder:
         folder._fill(suite, plan.to_json_lines(), env)
         return folder
 
-    def copy_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":
-        """Create a run with the suite and the plan of this one, and without rows."""
+    def write_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":
+        """Write the suite and the plan of this run to a new one, which has no rows."""
         folder = RunFolder(path)
         folder._fill(self.suite, self._read("plan.jsonl"), env)
         return folder
@@ -143,7 +143,7 @@ class RunFolder:
         """Read the rows stored so far."""
         return read_rows(self._cells)
 
-    def rows_with_places(self) -> Iterator[tuple[Row, Place]]:
+    def rows_with_places(self) -> Iterator[tuple[Row, RowStart]]:
         """Yield each stored row and where it is; of rows with one id the last holds."""
         return rows_with_places(self._cells)
 

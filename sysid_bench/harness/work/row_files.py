@@ -45,7 +45,7 @@ class Line(NamedTuple):
     unfinished: bool
 
 
-class Place(NamedTuple):
+class RowStart(NamedTuple):
     """Row file and offset of a row."""
 
     path: Path
@@ -148,13 +148,13 @@ def read_rows(
     return StoredRows(rows, torn, tuple(garbled))
 
 
-def rows_with_places(folder: Path) -> Iterator[tuple[Row, Place]]:
+def rows_with_places(folder: Path) -> Iterator[tuple[Row, RowStart]]:
     """Yield each row of a folder of row files and its place, one in memory at a time."""
     for path in row_files(folder):
         for line in lines(path):
             row = parse_row(line.text)
             if row is not None:
-                yield with_entries(row), Place(path, line.end - len(line.text))
+                yield with_entries(row), RowStart(path, line.end - len(line.text))
 
 
 def find_row(folder: Path, cell: str) -> Row | None:
