@@ -1,6 +1,7 @@
 """Plan of a suite: its cells, one experiment and one estimator each."""
 
 import json
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from sysid_bench.harness.suite_cells import is_random, suite_cells
 from sysid_bench.vocabulary import CELL_FIELDS
 
 _ID = '{"id": "'
+_REPEAT = re.compile(r', "repeat": \d+\}\}$')  # as last field of a line
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,16 @@ def _id_of(number: int, line: str) -> str:
     if begins == _ID and name.isalnum() and ends.startswith('", ') and ends.endswith("}"):
         return name
     return _cell_of(number, line).id
+
+
+def planned_cells(text: str, ids: Iterable[str]) -> Iterator[tuple[Cell, list[str]]]:
+    """Yield cells of a plan.jsonl, each with those of the `ids` of all cells that differ from it by
+    their repeat. One line of them is parsed."""
+    alike: dict[str, tuple[int, str, list[str]]] = {}
+    for (number, line), cell in zip(_numbered(text), ids, strict=True):
+        kind = _REPEAT.sub("", line.partition('"labels": ')[2] or line)
+        alike.setdefault(kind, (number, line, []))[2].append(cell)
+    return ((_cell_of(number, line), ids) for number, line, ids in alike.values())
 
 
 def planned_heads(text: str) -> Iterator[dict[str, Any]]:

@@ -20,6 +20,7 @@ from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Plan, expand
+from sysid_bench.harness.run_frames import frames_of_run
 from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.stale_rows import fingerprints, is_stale, stale_cells, stale_note
 from sysid_bench.harness.store import RunFolder
@@ -97,7 +98,8 @@ def run(
             folder.write_environment(environment())
         on_event("plan", _announcement(selected, todo, work))
         settings = _worker_settings(folder, timeout, descriptor)
-        ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, on_event)
+        with frames_of_run(folder, settings.keep_open, on_event) as heard:
+            ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, heard)
         folder.write_frames()
         kept = _others(selected, todo)
         stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))

@@ -73,7 +73,7 @@ def status(folder: str | Path) -> StatusResult:
         open=len(planned) - len(rows),
         statuses=dict(Counter(row["status"] for row in rows)),
         reasons=_reasons(rows),
-        other_code=other_code(run_folder.suite, run_folder.plan.cells, stored),
+        other_code=other_code(run_folder, stored),
     )
 
 

@@ -31,6 +31,7 @@ from sysid_bench.harness.work.isolate import CAN_FORK, Message, Send, isolate
 from sysid_bench.harness.work.processes import start_guarded
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
+from sysid_bench.vocabulary import LABELS
 
 try:
     import resource
@@ -235,10 +236,21 @@ class _StoringChannel(_Channel):
         if row.get("status") == "lost":
             row = {**row, "losses": self.losses.get(row["id"], 0) + 1}
         try:
-            self.writer.write(row)
+            row = self._written(row)
         except OSError as error:
             raise _StorageError from error
         self.notify({"row": row["id"], "status": row.get("status"), "reason": row.get("reason")})
+
+    def _written(self, row: Row) -> Row:
+        """Write a row, or in place of one that is too large its labels with the reason."""
+        try:
+            self.writer.write(row)
+        except UsageError as error:
+            labels = ("id", "experiment", *LABELS, "repeat", "fingerprint")
+            row = {key: row[key] for key in labels if key in row}
+            row |= {"status": "failed", "reason": str(error)}
+            self.writer.write(row)
+        return row
 
 
 @dataclass(frozen=True)

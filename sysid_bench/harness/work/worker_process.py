@@ -89,7 +89,11 @@ class Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            env={**_environment(self.settings.threads), MARK: self._mark, "TMPDIR": self._scratch},
+            env={
+                **worker_environment(self.settings.threads),
+                MARK: self._mark,
+                "TMPDIR": self._scratch,
+            },
             pass_fds=self.settings.keep_open,
             start_new_session=True,  # Ctrl-C reaches the supervisor alone
         )
@@ -253,7 +257,8 @@ class Worker:
                     pipe.close()
 
 
-def _environment(threads: int) -> Mapping[str, str]:
+def worker_environment(threads: int) -> Mapping[str, str]:
+    """Return the environment of a process that imports this package, with a number of threads."""
     environment = {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, str(threads))}
     home = Path(__file__).resolve().parents[3]
     if home.name not in ("site-packages", "dist-packages"):
