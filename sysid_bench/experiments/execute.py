@@ -12,7 +12,7 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, reason_of, status_of
 from sysid_bench.experiments.job_channel import JobChannel, JobDeath
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.loaded_sources import loaded_sources
+from sysid_bench.experiments.loaded_sources import loaded_sources, read_distributions
 from sysid_bench.experiments.machine_use import PeakMemory, machine_fields
 from sysid_bench.experiments.paper_data import store_paper_data
 from sysid_bench.experiments.plugin_metrics import plugin_metrics
@@ -38,6 +38,7 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     if not uses_third_party_data(argument):
         _execute(argument, False, channel)
         return
+    read_distributions()
     death = channel.isolate(partial(_execute, argument, True))
     if death is not None:
         raise JobDeath(death)
@@ -96,6 +97,7 @@ class _PreparedCell:
     def emit_isolated(self, channel: JobChannel) -> None:
         """Compute the row in a process of its own; its end without a row is one here."""
         fields = self.prepared.fields  # computed before the fork, once for all cells
+        read_distributions()  # once for all forks
         death = channel.isolate(self.emit)
         if death is not None and self.entry["cell"] in channel.cells:
             row = _explained(fields | machine_fields(None) | death.fields, self.prepared)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
@@ -47,6 +46,8 @@ class Noise:
         """
         if self.tau_correlation == 0.0:
             return white
+        from scipy.signal import lfilter  # it takes as long to load as all else of a worker
+
         c = self.tau_correlation
         start = (1 - np.sqrt(1 - c**2)) * white[:1]
         scaled, _ = lfilter([np.sqrt(1 - c**2)], [1.0, -c], white, axis=0, zi=start)

@@ -10,7 +10,6 @@ from typing import Final
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from scipy.signal import lfilter
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
 from sysid_bench.models.robot import Joint, RobotModel
@@ -284,6 +283,8 @@ def commands(
     The control law is kp (q_ref - q - n) + kd (v_ref - v - s), with the encoder error n (N, n) and
     its low-pass filtered backward difference s.
     """
+    from scipy.signal import lfilter  # it takes as long to load as all else of a worker
+
     difference = np.diff(encoder, axis=0, prepend=encoder[:1]) * controller.rate
     pole = float(np.exp(-2 * np.pi * controller.velocity_cutoff / controller.rate))
     slope = lfilter([1 - pole], [1, -pole], difference, axis=0)
