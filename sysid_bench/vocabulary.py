@@ -8,6 +8,9 @@ from sysid_bench.metrics import names_of
 from sysid_bench.types import Level
 
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
+MOTOR: Final = "motor"
+"""Prefix of motor names (motor1, motor2, ... in the order of the columns of G) and of the terms of
+motors instead of joints."""
 FINDINGS: Final = (
     "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
 )  # fmt: skip

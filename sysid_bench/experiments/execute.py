@@ -65,6 +65,8 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         _emit_all(headers, channel, shared | outcome)
         return
     shared["seconds_experiment"] = time.perf_counter() - start
+    if any(is_third_party_cell(argument, entry) for entry in estimators):
+        read_distributions()  # once, before the forks and the time limits of their cells
     for entry in estimators:
         isolated = is_third_party_cell(argument, entry)
         header = headers[entry["cell"]] | shared
@@ -97,7 +99,6 @@ class _PreparedCell:
     def emit_isolated(self, channel: JobChannel) -> None:
         """Compute the row in a process of its own; its end without a row is one here."""
         fields = self.prepared.fields  # computed before the fork, once for all cells
-        read_distributions()  # once for all forks
         death = channel.isolate(self.emit)
         if death is not None and self.entry["cell"] in channel.cells:
             row = _explained(fields | machine_fields(None) | death.fields, self.prepared)

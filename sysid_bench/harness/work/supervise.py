@@ -172,7 +172,7 @@ class _Supervisor:
             self._check_row_files()
         for worker in list(self.workers):
             if worker.deadline <= now:
-                limit = f"longer than the limit of {self.settings.timeout:g} s"
+                limit = f"longer than the limit of {worker.limit:g} s"
                 self._kill(worker, "timeout", limit)
             elif worker.process.poll() is not None:
                 self._end_dead(worker)

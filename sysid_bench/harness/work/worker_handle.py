@@ -55,6 +55,7 @@ class WorkerSettings:
     threads: int
     keep_open: tuple[int, ...] = ()
     memory: float | None = None  # bytes of a worker and of all that it starts
+    start_timeout: float = 120.0  # s, for the start of a worker, where that is above `timeout`
 
 
 @dataclass(eq=False)
@@ -70,6 +71,7 @@ class Worker:
     open_cells: dict[str, Row] = field(default_factory=dict)
     current: str | None = None  # the cell that has begun
     has_begun: bool = False  # True once the job has begun a cell: its experiment is prepared
+    limit: float = float("inf")  # s, until the deadline
     deadline: float = float("inf")
 
     def __post_init__(self) -> None:
@@ -104,12 +106,13 @@ class Worker:
         )
 
     def start_job(self, job: Job) -> None:
-        """Send a job; its time limit counts from now, and again once its module is imported."""
+        """Send a job. It has the time limit of a start now, and its own once its module, which a
+        fresh worker loads for seconds, is imported."""
         self.job, self.number = job, self.number + 1
         self.current, self.has_begun = None, False
         self.open_cells = {cell["id"]: cell for cell in job.cells}
         self._log_start = self._log.total
-        self.start_time_limit()
+        self._set_deadline(max(self.settings.timeout, self.settings.start_timeout))
         losses = {cell["id"]: cell["losses"] for cell in job.cells if cell.get("losses")}
         self._outbox.put(
             {
@@ -134,8 +137,11 @@ class Worker:
         self.start_time_limit()
 
     def start_time_limit(self) -> None:
-        """Give the whole time limit again: start-up, preparation and each cell have one each."""
-        self.deadline = time.monotonic() + self.settings.timeout
+        """Give the whole time limit again: preparation and each cell have one each."""
+        self._set_deadline(self.settings.timeout)
+
+    def _set_deadline(self, limit: float) -> None:
+        self.limit, self.deadline = limit, time.monotonic() + limit
 
     def end_job(self) -> None:
         """Forget the job."""
