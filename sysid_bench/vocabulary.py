@@ -18,9 +18,6 @@ FINDINGS: Final = (
 STATUSES: Final = (
     "ok", "failed", "timeout", "crash", "memory", "lost", "unsupported", "skipped",
 )  # fmt: skip
-FAILURES: Final = ("failed", "timeout", "crash", "memory", "lost")
-"""Statuses of failures; `unsupported` and `skipped` are valid results. `lost` is the machine's: the
-process was killed from outside, or storage failed."""
 MACHINE_FIELDS: Final = frozenset(("seconds", "seconds_experiment", "load", "peak_memory"))
 """Fields of a row that differ from run to run on the same machine; all others are reproduced."""
 MOST_LOSSES: Final = 3

@@ -9,7 +9,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-HEAVY = ("mujoco", "pinocchio", "sympy", "pandas", "matplotlib", "rerun", "pydantic", "scipy")
+HEAVY = (
+    "numpy",
+    "mujoco",
+    "pinocchio",
+    "sympy",
+    "pandas",
+    "matplotlib",
+    "rerun",
+    "pydantic",
+    "scipy",
+)
 HELP = """
 import sys
 from sysid_bench.cli import main

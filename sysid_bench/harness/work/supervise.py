@@ -15,12 +15,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.errors import FAILURES, UsageError, reason_of
 from sysid_bench.harness.work.interrupts import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_handle import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
-from sysid_bench.vocabulary import FAILURES
 
 OnEvent = Callable[[str, Mapping[str, Any]], None]
 """Called as on_event("start", {worker, cells}), ("row", {id, status, reason}) and
