@@ -1,5 +1,5 @@
-"""Law: a faulty excitation, effect, task, log reader or metric is the row of its own cells, wherever
-it stands."""
+"""Law: a faulty excitation, effect, task, log reader or metric is the row of its own cells,
+wherever it stands."""
 
 from pathlib import Path
 from typing import Any
