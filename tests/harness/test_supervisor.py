@@ -226,7 +226,7 @@ def test_events_report_every_row_and_every_task(tmp_path: Path) -> None:
 
 def test_an_argument_larger_than_a_pipe_does_not_hold_the_supervisor(tmp_path: Path) -> None:
     big = Job("harness_hangs_at_import:act", "x" * 1_000_000, ({"id": "a"},))
-    _, stored = run(tmp_path, [big, task(1)], timeout=3.0, start_timeout=3.0)
+    _, stored = run(tmp_path, [big, task(1)], timeout=6.0, start_timeout=6.0)
     assert {name: row["status"] for name, row in stored.rows.items()} == {
         "a": "timeout",
         "1.0": "ok",
