@@ -7,6 +7,9 @@ if TYPE_CHECKING:  # types load numpy, and --help needs these words alone
     from sysid_bench.types import Level
 
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
+MOTOR: Final = "motor"
+"""Prefix of motor names (motor1, motor2, ... in the order of the columns of G) and of the terms of
+motors instead of joints."""
 FINDINGS: Final = (
     "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
 )  # fmt: skip
@@ -14,9 +17,6 @@ FINDINGS: Final = (
 STATUSES: Final = (
     "ok", "failed", "timeout", "crash", "memory", "lost", "unsupported", "skipped",
 )  # fmt: skip
-FAILURES: Final = ("failed", "timeout", "crash", "memory", "lost")
-"""Statuses of failures; `unsupported` and `skipped` are valid results. `lost` is the machine's: the
-process was killed from outside, or storage failed."""
 MACHINE_FIELDS: Final = frozenset(("seconds", "seconds_experiment", "load", "peak_memory"))
 """Fields of a row that differ from run to run on the same machine; all others are reproduced."""
 MOST_LOSSES: Final = 3

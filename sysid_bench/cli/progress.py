@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from sysid_bench.cli.supervise import worker_progress
-from sysid_bench.vocabulary import FAILURES
+from sysid_bench.errors import FAILURES
 
 if TYPE_CHECKING:
     from sysid_bench.harness.work.supervise import OnEvent

@@ -6,11 +6,10 @@ from typing import Any
 
 from sysid_bench.errors import UsageError
 from sysid_bench.naming import is_builtin, known
-from sysid_bench.regressors.motor_terms import MOTOR
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
 from sysid_bench.signals.log_reader import builtin_reader
-from sysid_bench.vocabulary import TERMS
+from sysid_bench.vocabulary import MOTOR, TERMS
 
 
 def has_third_party_data(argument: Mapping[str, Any]) -> bool:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from sysid_bench import package_folders
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import FAILURES, UsageError, unknown_name
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.plan import Plan, expand
@@ -34,7 +34,7 @@ from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 from sysid_bench.versions import environment
-from sysid_bench.vocabulary import FAILURES, MOST_LOSSES, STATUSES
+from sysid_bench.vocabulary import MOST_LOSSES, STATUSES
 
 Rerun = Literal["failed", "stale", "all"]
 EXECUTE: Final = "sysid_bench.experiments.execute:execute"

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
@@ -49,8 +48,15 @@ class Noise:
             return white
         c = self.tau_correlation
         start = (1 - np.sqrt(1 - c**2)) * white[:1]
-        scaled, _ = lfilter([np.sqrt(1 - c**2)], [1.0, -c], white, axis=0, zi=start)
-        return np.asarray(scaled)
+        return first_order(np.sqrt(1 - c**2), c, white, start)
+
+
+def first_order(gain: float, pole: float, x: Array, start: Array) -> Array:
+    """Return y (N, n) of y_t = pole y_(t-1) + gain x_t, where y_0 = gain x_0 + `start` (1, n)."""
+    from scipy.signal import lfilter  # it takes as long to load as all else of a worker
+
+    y, _ = lfilter([gain], [1.0, -pole], x, axis=0, zi=start)
+    return np.asarray(y)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.errors import FAILURES, UsageError, reason_of
+from sysid_bench.experiments.machine_use import machine_fields
 from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
 from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
-from sysid_bench.vocabulary import FAILURES
 
 OnEvent = Callable[[str, Mapping[str, Any]], None]
 """Called as on_event("start", {worker, cells}), ("row", {id, status, reason}) and
@@ -176,7 +176,7 @@ class _Supervisor:
             self._check_row_files()
         for worker in list(self.workers):
             if worker.deadline <= now:
-                limit = f"longer than the limit of {self.settings.timeout:g} s"
+                limit = f"longer than the limit of {worker.limit:g} s"
                 self._kill(worker, "timeout", limit)
             elif worker.process.poll() is not None:
                 self._end_dead(worker)
@@ -269,11 +269,9 @@ class _Supervisor:
         more: Mapping[str, Any] | None = None,
     ) -> None:
         """Write rows with this status for cells of the present job."""
+        fields = {"status": status, "reason": reason, **(more or {}), **machine_fields(None)}
         for cell in list(cells):
-            head = worker.open_cells.pop(cell)
-            self._write(
-                {**_row_head(head, status), "status": status, "reason": reason, **(more or {})}
-            )
+            self._write({**_row_head(worker.open_cells.pop(cell), status), **fields})
 
     def _write(self, row: Row) -> None:
         with self._storing():

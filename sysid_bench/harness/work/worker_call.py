@@ -133,7 +133,7 @@ class CallWorker:
 
     def _over_limit(self, worker: Worker) -> Mapping[str, Any] | None:
         if worker.deadline <= time.monotonic():
-            reason = f"it ran longer than the limit of {self.timeout:g} s"
+            reason = f"it ran longer than the limit of {worker.limit:g} s"
             return {"dead": reason, "status": "timeout"}
         if worker.process.poll() is not None:
             return self._end_of(worker)

@@ -57,6 +57,7 @@ class WorkerSettings:
     threads: int
     keep_open: tuple[int, ...] = ()
     memory: float | None = None  # bytes of a worker and of all that it starts
+    start_timeout: float = 120.0  # s, for the start of a worker, where that is above `timeout`
 
 
 @dataclass(eq=False)
@@ -73,6 +74,7 @@ class Worker:
     current: str | None = None  # the cell that has begun
     has_begun: bool = False  # True once the job has begun a cell: its experiment is prepared
     has_left: bool = False  # True where the process takes no other job
+    limit: float = float("inf")  # s, until the deadline
     deadline: float = float("inf")
 
     def __post_init__(self) -> None:
@@ -116,12 +118,13 @@ class Worker:
         return self.job is None and not self.has_left
 
     def start_job(self, job: Job) -> None:
-        """Send a job; its time limit counts from now, and again once its module is imported."""
+        """Send a job. It has the time limit of a start now, and its own once its module, which a
+        fresh worker loads for seconds, is imported."""
         self.job, self.number = job, self.number + 1
         self.current, self.has_begun = None, False
         self.open_cells = {cell["id"]: cell for cell in job.cells}
         self._log_start = self._log.total
-        self.start_time_limit()
+        self._set_deadline(max(self.settings.timeout, self.settings.start_timeout))
         losses = {cell["id"]: cell["losses"] for cell in job.cells if cell.get("losses")}
         self._outbox.put(
             {
@@ -146,8 +149,11 @@ class Worker:
         self.start_time_limit()
 
     def start_time_limit(self) -> None:
-        """Give the whole time limit again: start-up, preparation and each cell have one each."""
-        self.deadline = time.monotonic() + self.settings.timeout
+        """Give the whole time limit again: preparation and each cell have one each."""
+        self._set_deadline(self.settings.timeout)
+
+    def _set_deadline(self, limit: float) -> None:
+        self.limit, self.deadline = limit, time.monotonic() + limit
 
     def end_job(self) -> None:
         """Forget the job."""
