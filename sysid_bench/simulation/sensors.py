@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
@@ -49,7 +49,7 @@ class Noise:
             return white
         c = self.tau_correlation
         start = (1 - np.sqrt(1 - c**2)) * white[:1]
-        scaled, _ = lfilter([np.sqrt(1 - c**2)], [1.0, -c], white, axis=0, zi=start)
+        scaled, _ = scipy.signal.lfilter([np.sqrt(1 - c**2)], [1.0, -c], white, axis=0, zi=start)
         return np.asarray(scaled)
 
 

@@ -9,8 +9,8 @@ from typing import Final
 
 import mujoco
 import numpy as np
+import scipy
 from mujoco.batch import Batch
-from scipy.signal import lfilter
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
 from sysid_bench.models.robot import Joint, RobotModel
@@ -286,7 +286,7 @@ def commands(
     """
     difference = np.diff(encoder, axis=0, prepend=encoder[:1]) * controller.rate
     pole = float(np.exp(-2 * np.pi * controller.velocity_cutoff / controller.rate))
-    slope = lfilter([1 - pole], [1, -pole], difference, axis=0)
+    slope = scipy.signal.lfilter([1 - pole], [1, -pole], difference, axis=0)
     qadr = [joint.qadr for joint in _motors(robot)]
     ratio = controller.kd / controller.kp
     rates = commanded.v[:, robot.torque_dofs]
