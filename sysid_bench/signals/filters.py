@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from sysid_bench.errors import UsageError
 from sysid_bench.types import Array
@@ -37,14 +36,16 @@ class Butterworth:
     def smooth(self, x: Array, rate: float) -> Array:
         """Return x (N, k) filtered along time; raises UsageError for a cut-off above half the rate
         (Hz)."""
+        from scipy.signal import butter, sosfiltfilt  # 0.3 s, which `plan` need not spend
+
         if not 0 < self.cutoff < rate / 2:
             raise UsageError(
                 f"A cut-off of {self.cutoff} Hz needs a rate above twice that; it is {rate} Hz."
             )
         # Sections of second order: one transfer function of order 8 loses its digits.
-        sections = scipy.signal.butter(self.order, self.cutoff, fs=rate, output="sos")
+        sections = butter(self.order, self.cutoff, fs=rate, output="sos")
         pad = min(len(x) - 1, 3 * self.edge(rate))
-        return np.asarray(scipy.signal.sosfiltfilt(sections, x, axis=0, padlen=pad))
+        return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=pad))
 
     def edge(self, rate: float) -> int:
         """Return the samples of one period of the cut-off, after which the impulse response has
