@@ -165,6 +165,7 @@ def outcome(folder: Path, data: str | None) -> tuple[int, str]:
     (folder / "test_whole.py").write_text(WHOLE_MODULE)
     settings = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     settings.pop("SYSID_BENCH_DATA", None)
+    settings["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # conftest.py alone is on trial
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", "."]
     done = subprocess.run(
         [*command, "--continue-on-collection-errors"],

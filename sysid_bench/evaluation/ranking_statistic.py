@@ -9,7 +9,7 @@ from itertools import combinations
 from typing import Final, Literal
 
 import numpy as np
-from scipy.stats import wilcoxon
+import scipy
 
 from sysid_bench.types import Array
 
@@ -89,7 +89,7 @@ def _corrected_p_values(values: Array, pairs: Sequence[tuple[int, int]]) -> Arra
     if different.any():
         # By default SciPy resolves ties by permutations: minutes for all pairs of 24 methods.
         method: Literal["exact", "approx"] = "exact" if len(values) <= 50 else "approx"
-        p[different] = wilcoxon(differences[:, different], axis=0, method=method).pvalue
+        p[different] = scipy.stats.wilcoxon(differences[:, different], axis=0, method=method).pvalue
     return holm(p)
 
 

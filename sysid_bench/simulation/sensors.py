@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
@@ -53,9 +54,7 @@ class Noise:
 
 def first_order(gain: float, pole: float, x: Array, start: Array) -> Array:
     """Return y (N, n) of y_t = pole y_(t-1) + gain x_t, where y_0 = gain x_0 + `start` (1, n)."""
-    from scipy.signal import lfilter  # it takes as long to load as all else of a worker
-
-    y, _ = lfilter([gain], [1.0, -pole], x, axis=0, zi=start)
+    y, _ = scipy.signal.lfilter([gain], [1.0, -pole], x, axis=0, zi=start)
     return np.asarray(y)
 
 
