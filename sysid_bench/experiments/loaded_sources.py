@@ -1,7 +1,6 @@
 """Source files and distributions that third-party code has really loaded into this process."""
 
 import contextlib
-import hashlib
 import re
 import sys
 import sysconfig
@@ -10,6 +9,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
 from pathlib import Path
 
+from sysid_bench.input_files import file_hash
 from sysid_bench.versions import PACKAGE_FOLDER
 
 
@@ -26,14 +26,14 @@ def loaded_sources() -> dict[str, str]:
         if _is_installed(path):
             sources |= _distributions(name.partition(".")[0])
         elif not _is_ours(path):
-            sources[str(path)] = file_hash(path)
+            sources[str(path)] = _state(path)
     return dict(sorted(sources.items()))
 
 
-def file_hash(path: Path) -> str:
+def _state(path: Path) -> str:
     """Return the SHA-256 of a file, "absent" where it cannot be read."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return file_hash(path)
     except OSError:
         return "absent"
 
@@ -47,7 +47,7 @@ def stale_sources(sources: Mapping[str, str]) -> list[str]:
 def _present(name: str) -> str:
     """State of a source now: the hash of a path, the version of a distribution."""
     if Path(name).is_absolute():
-        return file_hash(Path(name))
+        return _state(Path(name))
     try:
         return version(name)
     except PackageNotFoundError:

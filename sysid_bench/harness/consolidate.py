@@ -23,7 +23,6 @@ from sysid_bench.harness.frame_files import (
     Coverage,
     CoveredFile,
     covered_file,
-    file_hash,
     footer_hash,
 )
 from sysid_bench.harness.work.row_check import TABLES
@@ -34,6 +33,7 @@ from sysid_bench.harness.work.row_files import (
     row_files,
     with_entries,
 )
+from sysid_bench.input_files import file_hash
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:

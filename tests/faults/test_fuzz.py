@@ -7,7 +7,8 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from tests.faults.fuzz import HARMLESS, fuzz, isolated
-from tests.faults.fuzz_kinds import KINDS, Kind
+from tests.faults.fuzz_kind import Kind
+from tests.faults.fuzz_kinds import KINDS
 
 RUNS = ("plan.jsonl", "run.toml", "env.json", "run-parquet")
 """Kinds of which each input costs seconds: rows stand for them."""

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.harness.work.row_check import TABLES, is_row, not_files
+from sysid_bench.input_files import LARGEST
 from sysid_bench.types import Row
 
 SYNC_SECONDS = 1.0
@@ -157,13 +158,17 @@ def _number(path: Path) -> int:
 
 
 def lines(path: Path, number: int = 0, offset: int = 0) -> Iterator[Line]:
-    """Yield the lines with a text behind a line and its offset, one in memory at a time."""
+    """Yield the lines with a text behind a line and its offset, one in memory at a time; of a line
+    longer than LARGEST its beginning, which is not a row."""
     with path.open("rb") as file:
         file.seek(offset)
-        for text in file:
-            number, offset = number + 1, offset + len(text)
+        while text := file.readline(LARGEST):
+            end = text[-1:]
+            while end != b"\n" and (rest := file.readline(LARGEST)):  # longer than a row may be
+                end = rest[-1:]
+            number, offset = number + 1, file.tell()
             if text.strip():
-                yield Line(number, text, offset, not text.endswith(b"\n"))
+                yield Line(number, text, offset, end != b"\n")
 
 
 def parse_row(line: bytes) -> Row | None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
+from sysid_bench.input_files import is_file
 from sysid_bench.models.checks.finite_checks import LARGEST_TREE
 from sysid_bench.models.xml_file import LARGEST_FILE, parse_xml, read_file
 
@@ -104,7 +105,7 @@ class _Reading:
         self, path: Path, root: ET.Element | None, model: Path, attached: dict[str, Path]
     ) -> Counter[str]:
         weight: Counter[str] = Counter()
-        self._add(weight, Counter(bytes=path.stat().st_size if path.is_file() else 0), 1)
+        self._add(weight, Counter(bytes=path.stat().st_size if is_file(path) else 0), 1)
         for element, copies, tags in _expanded(self._parse(path) if root is None else root):
             _check_sizes(element, path.name)
             self._add(weight, _counts_of(element, tags), copies)
@@ -193,7 +194,7 @@ class _Reading:
 
 def _existing(files: Iterable[Path]) -> dict[Path, Path]:
     """Files that exist, by their resolved path, so that links to one file count once."""
-    return {file.resolve(): file for file in files if file.is_file()}
+    return {file.resolve(): file for file in files if is_file(file)}
 
 
 def _counts_of(element: ET.Element, above: frozenset[str]) -> Counter[str]:
