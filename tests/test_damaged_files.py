@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench.errors import UsageError
+from sysid_bench import open_run, places, show
+from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.excitation.criterion import CRITERIA, Criterion
 from sysid_bench.experiments import loaded_sources
 from sysid_bench.harness import fingerprint, store
@@ -18,9 +19,11 @@ from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.harness.work import row_files
 from sysid_bench.harness.work.row_files import read_rows
-from sysid_bench.input_files import LARGEST, file_hash
+from sysid_bench.input_files import LARGEST, check_file, file_hash
 from sysid_bench.models.dh import dh_table
+from sysid_bench.models.load import load_robot
 from sysid_bench.naming import build
+from sysid_bench.signals.log_reader import read_table
 from sysid_bench.verbs.recordings import recording_notes
 
 
@@ -118,3 +121,19 @@ def test_a_lock_without_a_number_names_the_folder(
             RunFolder(tmp_path).lock(),
         ):
             pass
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "x" * 5000 + ".toml", "a\0.toml", "a\0/b.xml"])
+def test_a_name_that_no_file_can_have_is_refused(name: str) -> None:
+    for read in (load_robot, places.suite, open_run, show, build_plug_in):
+        with pytest.raises(SysidBenchError):
+            read(name)  # type: ignore[operator]
+    for read in (read_table, dh_table.read_table):
+        with pytest.raises(SysidBenchError):
+            read(Path(name))
+    with pytest.raises(OSError, match="name"):
+        check_file(Path(name))
+
+
+def build_plug_in(name: str) -> object:
+    return build("estimator", f"file:{name}:Mine")
