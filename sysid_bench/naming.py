@@ -258,6 +258,8 @@ def _installed(find: Callable[..., EntryPoints], group: str) -> tuple[EntryPoint
 def _module(path: str) -> ModuleType:
     if path.startswith("file:"):
         return _module_of_file(Path(path.removeprefix("file:")))
+    if not all(path.split(".")):
+        raise UsageError(f"No module is called {path!r}; name one as 'package.module:object'.")
     try:
         return importlib.import_module(path)
     except ModuleNotFoundError as error:

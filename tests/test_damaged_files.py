@@ -84,15 +84,16 @@ def test_a_damaged_coverage_is_none(text: bytes, tmp_path: Path) -> None:
 
 
 def test_a_damaged_note_on_a_recording_is_a_note(tmp_path: Path) -> None:
-    for cell, make in {
+    damage: dict[str, Callable[[Path], object]] = {
         "a": lambda path: path.write_bytes(b"\xff"),
         "b": Path.mkdir,
         "c": os.mkfifo,
         "d": lambda path: path.write_text(" No scene. "),
-    }.items():
+    }
+    for cell, make in damage.items():
         folder = tmp_path / "artifacts" / cell
         folder.mkdir(parents=True)
-        make(folder / "no_recording.txt")  # type: ignore[operator]
+        make(folder / "no_recording.txt")
     *damaged, sound = recording_notes(RunFolder(tmp_path))
     assert [note.partition(":")[0] for note in damaged] == ["a", "b", "c"]
     assert sound == "No scene."
@@ -125,14 +126,32 @@ def test_a_lock_without_a_number_names_the_folder(
 
 @pytest.mark.parametrize("name", ["x" * 5000, "x" * 5000 + ".toml", "a\0.toml", "a\0/b.xml"])
 def test_a_name_that_no_file_can_have_is_refused(name: str) -> None:
-    for read in (load_robot, places.suite, open_run, show, build_plug_in):
+    by_name: tuple[Callable[[str], object], ...] = (
+        *(load_robot, places.suite, open_run, show, build_plug_in),
+        lambda name: read_table(Path(name)),
+        lambda name: dh_table.read_table(Path(name)),
+    )
+    for read in by_name:
         with pytest.raises(SysidBenchError):
-            read(name)  # type: ignore[operator]
-    for read in (read_table, dh_table.read_table):
-        with pytest.raises(SysidBenchError):
-            read(Path(name))
+            read(name)
     with pytest.raises(OSError, match="name"):
         check_file(Path(name))
+
+
+@pytest.mark.parametrize("module", ["", ".", ".ols", "json.", "json..tool"])
+def test_a_module_without_a_name_is_refused(module: str) -> None:
+    with pytest.raises(UsageError, match=r"estimator|module"):
+        build("estimator", f"{module}:Mine")
+
+
+def test_a_mesh_that_links_to_itself_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "part.obj").symlink_to("part.obj")
+    (tmp_path / "robot.xml").write_text(
+        '<mujoco><asset><mesh name="part" file="part.obj"/></asset><worldbody><body><joint/>'
+        '<geom type="mesh" mesh="part"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(SysidBenchError, match=r"part\.obj"):
+        load_robot(tmp_path / "robot.xml")
 
 
 def build_plug_in(name: str) -> object:

@@ -49,12 +49,16 @@ def check_files(path: Path, text: bytes, folder: Path | None = None) -> None:
 
 def in_folder(path: Path, folder: Path) -> bool:
     """True where a file lies in a folder, links followed."""
-    return path.resolve().is_relative_to(folder.resolve())
+    return _resolved(path).is_relative_to(folder.resolve())
+
+
+def _resolved(path: Path) -> Path:
+    return Path(os.path.realpath(path))  # Path.resolve raises for links in a loop
 
 
 def folder_text(path: Path, file: Path) -> str:
     """Advice, in words, for a file outside the folder of a model `path`."""
-    common = os.path.commonpath([path.resolve().parent, file.resolve()])
+    common = os.path.commonpath([path.resolve().parent, _resolved(file)])
     above = os.path.relpath(common, path.resolve().parent)
     return (
         "outside the model's folder, where nothing is read; put it into that folder, or "
@@ -77,7 +81,7 @@ class _Reading:
     def count_model(self, path: Path, root: ET.Element) -> Counter[str]:
         """Counts of elements, bodies, joints and inclusions of a model, attached models
         included."""
-        key = path.resolve()
+        key = _resolved(path)
         if key not in self.models:
             attached: dict[str, Path] = {}
             weight = Counter(self._count_file(path, root, path, attached))
@@ -92,7 +96,7 @@ class _Reading:
     ) -> Counter[str]:
         """The same counts of one file of `model`; collects the models that it may attach, by
         name."""
-        key = path.resolve()
+        key = _resolved(path)
         if key in self.open:
             raise ModelError(f"{path.name} includes itself through other files: a cycle.")
         if (model, key) not in self.files:

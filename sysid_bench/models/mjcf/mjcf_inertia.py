@@ -5,6 +5,7 @@ Meshes are read only for bodies whose inertia comes from them. Rules for the who
 mounted later is not scaled with the rest.
 """
 
+import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -86,7 +87,9 @@ class _Absent:
         """Return them in the order of the text, each once."""
         bodies = dict.fromkeys(geom.parent.name or "(unnamed)" for geom in lost)
         within = folder.resolve()
-        names = dict.fromkeys(str(file.resolve().relative_to(within)) for file in lost.values())
+        names = dict.fromkeys(
+            os.path.relpath(os.path.realpath(file), within) for file in lost.values()
+        )
         return cls(tuple(bodies), tuple(names), within.name)
 
     def __bool__(self) -> bool:
