@@ -4,15 +4,19 @@ A device, a pipe or a folder in place of a file would be read without end, or no
 """
 
 import errno
+import hashlib
 import json
 import stat
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 LARGEST: Final = 64 * 2**20
 """Bytes of a text that people write; a larger one is a mistake."""
+
+LARGEST_HASHED: Final = 2**33
+"""Bytes of a file of which only the hash is taken, in parts."""
 
 _PART: Final = 2**20
 
@@ -20,9 +24,29 @@ _DEEPEST: Final = 100
 """Levels of nested tables and lists; Python's recursion ends at a few hundred."""
 
 
+def is_file(path: Path) -> bool:
+    """Test for a file; False also for a text that no file can have as its name."""
+    return _is(path, Path.is_file)
+
+
+def is_folder(path: Path) -> bool:
+    """Test for a folder; False also for a text that no folder can have as its name."""
+    return _is(path, Path.is_dir)
+
+
+def _is(path: Path, test: Callable[[Path], bool]) -> bool:
+    try:
+        return test(path)
+    except (OSError, ValueError):  # too long, with a NUL
+        return False
+
+
 def check_file(path: Path, largest: int = LARGEST) -> None:
     """Raise OSError unless the file exists, is a regular one, and has `largest` bytes at most."""
-    status = path.stat()
+    try:
+        status = path.stat()
+    except ValueError as error:
+        raise OSError(f"{str(path)!r} is not the name of a file: {error}") from error
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
     if not stat.S_ISREG(status.st_mode):
@@ -41,6 +65,13 @@ def read_bytes(path: Path, largest: int = LARGEST) -> bytes:
     if len(content) > largest:
         raise OSError(_size_text(path, len(content), largest))
     return content
+
+
+def file_hash(path: Path) -> str:
+    """Return the sha256 of a file; raises OSError as `check_file` does."""
+    check_file(path, LARGEST_HASHED)
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST) -> str:

@@ -20,6 +20,7 @@ from types import MappingProxyType, ModuleType
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.input_files import check_file, is_file
 from sysid_bench.units import quantity
 
 BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
@@ -133,7 +134,7 @@ def source_file(kind: str, name: str) -> Path | None:
     path = known(kind).get(name, name).rpartition(":")[0]
     if path.startswith("file:"):
         file = Path(path.removeprefix("file:"))
-        return file if file.is_file() else None
+        return file if is_file(file) else None
     root, *parts = path.split(".")
     try:
         spec = importlib.util.find_spec(root) if root else None
@@ -269,6 +270,8 @@ def _installed(find: Callable[..., EntryPoints], group: str) -> tuple[EntryPoint
 def _module(path: str) -> ModuleType:
     if path.startswith("file:"):
         return _module_of_file(Path(path.removeprefix("file:")))
+    if not all(path.split(".")):
+        raise UsageError(f"No module is called {path!r}; name one as 'package.module:object'.")
     try:
         return importlib.import_module(path)
     except ModuleNotFoundError as error:
@@ -279,8 +282,12 @@ def _module(path: str) -> ModuleType:
 
 
 def _module_of_file(path: Path) -> ModuleType:
-    if not path.is_file():
+    if not is_file(path):
         raise UsageError(f"There is no file {str(path)!r} with a plug-in.")
+    try:
+        check_file(path)
+    except OSError as error:
+        raise UsageError(f"{str(path)!r} is not a file with a plug-in: {error}.") from error
     name = f"sysid_bench_file_{hashlib.sha256(bytes(path.resolve())).hexdigest()[:12]}"
     status = path.stat()
     return _executed(name, path, (status.st_mtime_ns, status.st_size))

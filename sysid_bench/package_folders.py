@@ -5,13 +5,14 @@ from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.input_files import is_file, is_folder
 
 
 def installed_folder(kind: str) -> Path:
     """Return the folder `robots` or `suites` of this installation (checkout or wheel)."""
     package = Path(__file__).resolve().parent
     for folder in (package / kind, package.parent / kind):
-        if folder.is_dir():
+        if is_folder(folder):
             return folder
     raise UsageError(f"This installation of sysid_bench has no {kind!r} folder; install it again.")
 
@@ -19,7 +20,7 @@ def installed_folder(kind: str) -> Path:
 def robot_folders(extra: Path | None = None) -> list[Path]:
     """Return folders with <name>/robot.toml by precedence: --robots, ./robots, installed."""
     folders = (extra, Path("robots"), installed_folder("robots"))
-    return [folder for folder in folders if folder is not None and folder.is_dir()]
+    return [folder for folder in folders if folder is not None and is_folder(folder)]
 
 
 def robots(extra: Path | None = None) -> dict[str, Path]:
@@ -44,7 +45,7 @@ def suite(name: str) -> Path:
     """Return the file of a suite from its name or path. Raises UsageError where there is none."""
     path = Path(name)
     if path.suffix == ".toml" or path.parent != Path("."):
-        if path.is_file():
+        if is_file(path):
             return path
         raise UsageError(
             f"There is no suite file {name!r}; named suites: {', '.join(suite_files())}."

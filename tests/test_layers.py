@@ -17,7 +17,17 @@ ROOT = Path(__file__).parents[1] / "sysid_bench"
 PACKAGE = "sysid_bench"
 
 BASE = frozenset(
-    {"types", "spatial", "naming", "package_folders", "errors", "units", "c_library", "input_files"}
+    {
+        "types",
+        "spatial",
+        "naming",
+        "package_folders",
+        "errors",
+        "units",
+        "c_library",
+        "input_files",
+        "csv_text",
+    }
     | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
 )
 TOP = frozenset({"__init__", "__main__", "cli", "verbs", "pytest_plugin"})

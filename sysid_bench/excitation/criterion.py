@@ -102,7 +102,10 @@ class Criterion:
         if len(R) < R.shape[1] or (norms is not None and not norms.all()):
             return None
         S = self._scaling(name, norms)
-        _, s, Vt = np.linalg.svd(R if S is None else R @ S)
+        scaled = R if S is None else R @ S
+        if not np.isfinite(scaled).all():  # limits near the smallest numbers
+            return None
+        _, s, Vt = np.linalg.svd(scaled)
         return _Spectrum(s, Vt, S, norms) if s[-1] > 1e-12 * s[0] else None
 
     def _scaling(self, name: str, norms: Array | None) -> Array | None:

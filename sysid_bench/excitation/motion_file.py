@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 import scipy
 
+from sysid_bench.csv_text import cell_text
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import DesignProblem, is_count
 from sysid_bench.input_files import read_text
@@ -82,7 +83,7 @@ def _read_table(path: Path) -> tuple[list[str], Array]:
     try:
         lines = csv.reader(read_text(path).splitlines())
         header, *rows = [row for row in lines if row and not row[0].startswith("#")]
-        return [name.strip() for name in header], np.array(rows, dtype=float)
+        return [cell_text(name.strip()) for name in header], np.array(rows, dtype=float)
     except (OSError, ValueError, csv.Error) as error:
         raise UsageError(f"{path} is not a table of numbers with a header: {error}.") from error
 

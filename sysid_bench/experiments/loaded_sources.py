@@ -1,7 +1,6 @@
 """Source files and distributions that third-party code has really loaded into this process."""
 
 import contextlib
-import hashlib
 import inspect
 import re
 import sys
@@ -18,6 +17,7 @@ from importlib.metadata import (
 )
 from pathlib import Path
 
+from sysid_bench.input_files import file_hash
 from sysid_bench.versions import PACKAGE_FOLDER
 
 
@@ -34,7 +34,7 @@ def loaded_sources() -> dict[str, str]:
         if _is_installed(path):
             sources |= _distributions(name.partition(".")[0])
         elif not _is_ours(path):
-            sources[str(path)] = file_hash(path)
+            sources[str(path)] = _state(path)
     return dict(sorted(sources.items()))
 
 
@@ -45,10 +45,10 @@ def read_distributions() -> None:
         _owners(entry)
 
 
-def file_hash(path: Path) -> str:
+def _state(path: Path) -> str:
     """Return the SHA-256 of a file, "absent" where it cannot be read."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return file_hash(path)
     except OSError:
         return "absent"
 
@@ -62,7 +62,7 @@ def stale_sources(sources: Mapping[str, str]) -> list[str]:
 def _present(name: str) -> str:
     """State of a source now: the hash of a path, the version of a distribution."""
     if Path(name).is_absolute():
-        return file_hash(Path(name))
+        return _state(Path(name))
     try:
         return version(name)
     except PackageNotFoundError:

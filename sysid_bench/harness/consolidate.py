@@ -26,7 +26,6 @@ from sysid_bench.harness.frame_files import (
     CoveredFile,
     FrameFiles,
     covered_file,
-    file_hash,
     footer_hash,
     read_coverage,
 )
@@ -38,6 +37,7 @@ from sysid_bench.harness.work.row_files import (
     row_files,
     with_entries,
 )
+from sysid_bench.input_files import file_hash
 from sysid_bench.types import Row
 
 _GROUP: Final = 1000  # cells whose values are in memory at a time

@@ -1,6 +1,5 @@
 """Fingerprint of a cell: hash of the code, models, plug-ins and libraries behind its row."""
 
-import hashlib
 import importlib.util
 import os
 import re
@@ -14,6 +13,7 @@ from sysid_bench import naming
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.harness.cell import Cell
+from sysid_bench.input_files import file_hash, is_file, read_bytes
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.naming import resolve_files
 from sysid_bench.versions import PACKAGE_FOLDER, source_hash, versions
@@ -111,7 +111,7 @@ def _fingerprint(models: tuple[str, ...], plugins: tuple[str, ...]) -> str:
 @cache
 def _file(path: str) -> str:
     try:
-        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+        return file_hash(Path(path))
     except OSError:
         return _ABSENT
 
@@ -127,10 +127,17 @@ def _model(path: str) -> list[str]:
             continue
         hashes[str(file)] = _file(str(file))
         if file.suffix in (".xml", ".mjcf", ".urdf") and hashes[str(file)] != _ABSENT:
-            text = file.read_bytes()
+            text = _text(file)
             folders += [file.parent, *_mesh_folders(text, Path(path).parent)]
             waiting += _named_files(text, folders)
     return list(hashes.values())
+
+
+def _text(file: Path) -> bytes:
+    try:
+        return read_bytes(file)
+    except OSError:  # too large for a model; it is in the hashes in any case
+        return b""
 
 
 def _mesh_folders(text: bytes, folder: Path) -> list[Path]:
@@ -147,7 +154,7 @@ def _named_files(text: bytes, folders: Iterable[Path]) -> list[Path]:
         if not name.lower().endswith(_PICTURES)
         for folder in (*below, *(above for first in below for above in first.parents))
     ]
-    return [file for file in files if file.is_file()]
+    return [file for file in files if is_file(file)]
 
 
 @cache

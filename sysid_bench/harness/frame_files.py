@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from sysid_bench.input_files import LARGEST_HASHED, check_file, file_hash, parse_json, read_text
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ class Coverage:
 def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
     """Return the coverage of a run folder's Parquet files; None where it is absent or not true."""
     try:
-        data = json.loads((folder / COVERAGE_FILE).read_text(encoding="utf-8"))
+        data = parse_json(read_text(folder / COVERAGE_FILE))
         files = {name: CoveredFile(**file) for name, file in data.pop("files").items()}
         coverage = Coverage(
             files=files, **{**data, **{key: tuple(data[key]) for key in ("garbled", "kinds")}}
@@ -101,12 +102,6 @@ def footer_hash(path: Path) -> str:
         length = int.from_bytes(file.read(4), "little") + 8
         file.seek(max(size - length, 0))
         return hashlib.sha256(file.read(length)).hexdigest()
-
-
-def file_hash(path: Path) -> str:
-    """Return the sha256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def covered_file(path: Path, size: int, count: int, changed: int) -> CoveredFile:
@@ -133,6 +128,7 @@ class FrameFiles:
         self.files: dict[str, Any] = {}
         for name in FRAMES:
             path = folder / f"{name}.parquet"
+            check_file(path, LARGEST_HASHED)
             self.files[name] = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True)
             if footer_hash(path) != coverage.footers.get(name):
                 raise ValueError(f"{path} is not of this consolidation.")

@@ -171,7 +171,7 @@ def planned_heads(text: str) -> Iterator[dict[str, Any]]:
             labels = {sys.intern(key): sys.intern(word) for key, word in data["labels"].items()}
             repeat = data["spec"]["repeat"]
             head = {"id": data["id"], "experiment": data["experiment"], **labels, "repeat": repeat}
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             head = _cell_of(number, line).head  # raises with the reason
         yield head
 

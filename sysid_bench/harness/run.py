@@ -31,6 +31,7 @@ from sysid_bench.harness.suite.third_party_code import code_note, third_party_na
 from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore, supervise
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
+from sysid_bench.input_files import is_folder
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 from sysid_bench.versions import environment
@@ -161,7 +162,7 @@ class _SuiteOptions:
 
 def _run_folder(source: Suite | str | Path, out: Path | None, options: _SuiteOptions) -> RunFolder:
     """Open the run folder `source`, or make one of a suite."""
-    if not isinstance(source, Suite) and Path(source).is_dir():
+    if not isinstance(source, Suite) and is_folder(Path(source)):
         if out is not None and out.resolve() != Path(source).resolve():
             raise UsageError(
                 f"{str(source)!r} is a run itself; it continues in its own folder, without -o."

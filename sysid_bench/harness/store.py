@@ -29,7 +29,7 @@ from sysid_bench.harness.work.row_files import (
     row_files,
     rows_with_places,
 )
-from sysid_bench.input_files import LARGEST, parse_json, read_text
+from sysid_bench.input_files import LARGEST, is_file, parse_json, read_text
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class RunFolder:
         Raises UsageError where the folder holds a run of other cells.
         """
         folder = cls(path)
-        if (path / "plan.jsonl").is_file():
+        if is_file(path / "plan.jsonl"):
             folder._check_same(suite, plan)
         folder._fill(suite, plan.to_json_lines(), env)
         return folder
@@ -87,7 +87,7 @@ class RunFolder:
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
         """Open an existing run; raises UsageError where there is none."""
-        if not (path / "plan.jsonl").is_file():
+        if not is_file(path / "plan.jsonl"):
             raise UsageError(
                 f"{str(path)!r} is not a run: it has no plan.jsonl. Start one with "
                 f"'sysid-bench run SUITE -o {path}'."
@@ -260,7 +260,7 @@ class RunFolder:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 return
             except BlockingIOError as error:
-                holder = os.pread(descriptor, 20, 0).decode()
+                holder = os.pread(descriptor, 20, 0).decode(errors="replace")
                 if _is_alive(holder) or time.monotonic() > until:
                     raise UsageError(
                         f"Another runner, {self._lock_holder(holder)}, is running in "

@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError, unknown_name
-from sysid_bench.input_files import parse_toml, read_text
+from sysid_bench.input_files import is_file, is_folder, parse_toml, read_text
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
 from sysid_bench.models.random.random_mechanism import random_mechanism
 from sysid_bench.models.random.random_tree import random_robot
@@ -253,9 +253,9 @@ def _is_path(source: str) -> bool:
 
 
 def _from_path(path: Path, source: str) -> Manifest:
-    if path.is_dir():
+    if is_folder(path):
         return read_manifest(_manifest_in(path))
-    if not path.is_file():
+    if not is_file(path):
         known = ", ".join(package_folders.robots())
         raise UsageError(
             f"There is no model file {str(path)!r} ({source!r}); named robots: {known}."
@@ -267,7 +267,7 @@ def _from_path(path: Path, source: str) -> Manifest:
 
 def _manifest_in(folder: Path) -> Path:
     file = folder / "robot.toml"
-    if not file.is_file():
+    if not is_file(file):
         raise UsageError(
             f"{str(folder)!r} is a folder without robot.toml; give the model file in it."
         )
@@ -295,7 +295,7 @@ def _random(source: str) -> Manifest:
 def _from_package(source: str) -> Manifest:
     package, _, rest = source.partition(":")
     path, assets = package_file(source, source)
-    if not path.is_file():
+    if not is_file(path):
         raise unknown_file(rest)
     described = package == "robot_descriptions"
     name = rest.removesuffix("_description") if described else path.stem
@@ -308,7 +308,7 @@ def _model_path(written: str, manifest: Path) -> tuple[Path, Path | None]:
         path, assets = package_file(written, str(manifest))
     else:
         path, assets = manifest.parent / written, None
-    if not path.is_file():
+    if not is_file(path):
         raise ModelError(
             f"{manifest}: the model file {written!r} does not exist (looked at {path})."
         )

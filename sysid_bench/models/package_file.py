@@ -9,6 +9,7 @@ from typing import Final
 
 from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError, reason_of
+from sysid_bench.input_files import is_file
 
 PACKAGES: Final = ("example-robot-data", "robot_descriptions")
 """Sources of model files besides the user's own, written `package:rest`."""
@@ -56,7 +57,7 @@ def _robot_description(name: str, label: str) -> tuple[Path, Path | None]:
     if file is None:
         raise ModelError(f"{wanted} is not a robot: it has neither a URDF nor an MJCF.")
     path, folder = Path(file), getattr(module, "PACKAGE_PATH", None)
-    if not path.is_file():
+    if not is_file(path):
         raise ModelError(f"{wanted}: its file {str(path)!r} does not exist; download it again.")
     return path, Path(folder) if folder and path.is_relative_to(folder) else None
 

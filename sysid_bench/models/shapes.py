@@ -9,6 +9,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
+from sysid_bench.input_files import is_file
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.xml_file import parse_xml, read_file
 from sysid_bench.spatial.rotation import product
@@ -110,7 +111,7 @@ def _mesh_file(geometry: ET.Element, model: Path) -> str | None:
         return ""
     written = str(geometry.get("filename", ""))
     files = _candidates(written, model) if written.lower().endswith(_MESHES) else []
-    return next((str(file) for file in files if file.is_file()), None)
+    return next((str(file) for file in files if is_file(file)), None)
 
 
 def _candidates(written: str, model: Path) -> list[Path]:

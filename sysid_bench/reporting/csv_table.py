@@ -1,20 +1,12 @@
 """A table as comma-separated values with full precision, for other programs."""
 
-import csv
-import io
-import math
-from collections.abc import Iterable, Sequence
-from typing import Final
-
+from sysid_bench.csv_text import csv_text
 from sysid_bench.reporting.tables import METRIC, Entry, Key, Table
 
 _HEAD = (
     *("metric", "unit", "stat", "interval", "value", "low", "high", "n", "n_failed", "failures"),
     *("missing", "best", "better"),
 )
-
-_FORMULAS: Final = ("=", "+", "-", "@", "\t", "\r")
-"""Beginnings of texts that spreadsheets evaluate."""
 
 
 def to_csv(table: Table) -> str:
@@ -29,27 +21,6 @@ def to_csv(table: Table) -> str:
         if entry is not None
     )
     return csv_text([[*table.row_fields, *fields, *_HEAD], *lines])
-
-
-def csv_text(lines: Iterable[Sequence[object]]) -> str:
-    """Return lines of cells as CSV. A text that a spreadsheet would evaluate begins with ' there;
-    numbers, also as texts, stay numbers."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerows([_without_formula(cell) for cell in line] for line in lines)
-    return out.getvalue()
-
-
-def _without_formula(cell: object) -> object:
-    is_formula = isinstance(cell, str) and cell.startswith(_FORMULAS) and not _is_number(cell)
-    return f"'{cell}" if is_formula else cell
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
 
 
 def _values(table: Table, column: Key, entry: Entry) -> list[object]:

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from sysid_bench.csv_text import csv_text
 from sysid_bench.reporting import latex
-from sysid_bench.reporting.csv_table import csv_text
 from sysid_bench.reporting.latex_text import escape as escape_latex
 from sysid_bench.reporting.latex_text import label_name
 from sysid_bench.reporting.markdown import escape, table_line

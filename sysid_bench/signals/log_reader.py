@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Final, Protocol
 
 from sysid_bench import naming
 from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.input_files import is_file
 from sysid_bench.signals.log_table import LogTable
 
 KIND: Final = "log_reader"
@@ -35,9 +36,10 @@ def read_table(path: Path, reader: ReaderSpec | None = None) -> LogTable:
     """
     try:
         state = path.stat()
-    except OSError as error:
-        raise UsageError(f"There is no recorded file {str(path)!r} ({error.strerror}).") from error
-    if not path.is_file():
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UsageError(f"There is no recorded file {str(path)!r} ({reason}).") from error
+    if not is_file(path):
         raise UsageError(f"{str(path)!r} is not a file; name the recorded file itself.")
     spec = _reader_spec(path, reader)
     make = naming.resolve(KIND, spec["use"])

@@ -23,6 +23,7 @@ from sysid_bench.experiments.recorded.repeatability import repeatability_error
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
 from sysid_bench.experiments.recorded.term_selection import TermSelection
 from sysid_bench.identification.identify import identify as estimate_parameters
+from sysid_bench.input_files import is_file
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.naming import build
@@ -119,7 +120,7 @@ def _description(file: Path) -> LogDescription:
     try:
         return read_description(file)
     except UsageError as error:
-        if file.suffix.lower() == ".toml" or not file.is_file():
+        if file.suffix.lower() == ".toml" or not is_file(file):
             raise
         raise UsageError(
             f"{str(file)!r} is not the description of a recording. Write a TOML file that names "

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from sysid_bench.errors import UsageError
+from sysid_bench.input_files import is_file
 from sysid_bench.models.dh.dh_expression import read_expression
 from sysid_bench.models.dh.dh_robot import mjcf_of
 from sysid_bench.models.dh.dh_table import DhRow, read_table
@@ -124,7 +125,7 @@ def _conventions(
 def _new_files(folder: Path, name: str) -> _Files:
     """Files of a new robot in a folder, which is made; raise UsageError where it holds a robot."""
     files = _Files(folder / "robot.toml", folder / f"{name}.xml", folder / "dh.csv")
-    if files.manifest.exists():
+    if is_file(files.manifest):
         raise UsageError(f"{str(folder)!r} already holds a robot; name another folder with -o.")
     folder.mkdir(parents=True, exist_ok=True)
     return files

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from sysid_bench.csv_text import cell_text
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.excitation.export import damiao, ros2
-from sysid_bench.excitation.export.commands import Commands, commands_of, csv_text
+from sysid_bench.excitation.export.commands import Commands, commands_csv, commands_of
 from sysid_bench.excitation.information import torque_model
 from sysid_bench.excitation.optimised import Optimised
-from sysid_bench.input_files import read_text
+from sysid_bench.input_files import is_file, is_folder, read_text
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Trajectory
 
@@ -54,7 +55,7 @@ def check_export(export: str | None, out: str | Path | None) -> str:
 
 
 def _check_folder(folder: Path) -> None:
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise UsageError(f"There is no folder {str(folder)!r} to write the motion to.")
 
 
@@ -107,10 +108,10 @@ def _read_table(file: Path, columns: Sequence[str]) -> "pd.DataFrame":
     """Table of a CSV file; raise UsageError where the file or columns of it are absent."""
     import pandas as pd
 
-    if not file.is_file():
+    if not is_file(file):
         raise UsageError(f"There is no file {str(file)!r} of a recorded motion.")
     try:
-        table = pd.read_csv(io.StringIO(read_text(file)))
+        table = pd.read_csv(io.StringIO(read_text(file))).rename(columns=cell_text)
     except (OSError, ValueError) as error:  # those of pandas are ValueErrors
         raise UsageError(f"{file} is not a table of a recorded motion: {error}.") from error
     missing = [column for column in columns if column not in table]
@@ -171,7 +172,7 @@ def _export(
 ) -> tuple[str, list[dict[str, Any]] | None]:
     """Text of an export, and for Damiao exports the scaling and clamping of each motor."""
     if kind == "csv":
-        return csv_text(commands), None
+        return commands_csv(commands), None
     if kind == "ros2":
         return (ros2.json_text if file.suffix == ".json" else ros2.yaml_text)(commands), None
     # Clamping changes the commands, so that table and report describe what the motors receive.

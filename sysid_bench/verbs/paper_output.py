@@ -4,14 +4,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
 from sysid_bench.reporting.torque_figure import torque_figure
+from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
 from sysid_bench.verbs.base_table import ROUNDING
 from sysid_bench.verbs.result import value_text
 
@@ -50,9 +49,9 @@ def draw_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]
 def _draw(data: Path, drawings: Iterable[Path]) -> None:
     """Draw the stored torques of a cell to each of several files."""
     try:
-        with np.load(data, allow_pickle=False) as arrays:
-            t, measured, predicted = arrays["t"], arrays["measured"], arrays["predicted"]
-            rows, units = arrays["rows"].tolist(), arrays["units"].tolist()
+        arrays = read_arrays(data)
+        t, measured, predicted = arrays["t"], arrays["measured"], arrays["predicted"]
+        rows, units = arrays["rows"].tolist(), arrays["units"].tolist()
     except Exception as error:  # NumPy and zipfile raise many types on damaged files
         raise UsageError(
             f"{data} cannot be read ({reason_of(error)}); run its cell again (--rerun all)."

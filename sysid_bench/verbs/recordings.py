@@ -18,6 +18,7 @@ from sysid_bench.harness.job import job_of
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.work.worker_call import WorkerError, worker_call
+from sysid_bench.input_files import read_text
 from sysid_bench.metrics import ROW_FIELDS
 from sysid_bench.reporting import view as viewer
 from sysid_bench.units import quantity
@@ -30,6 +31,7 @@ MAX_HZ: Final = 50.0
 """Default sampling rate of recordings."""
 
 _REASON: Final = "no_recording.txt"
+_LONGEST_NOTE: Final = 100_000  # bytes
 _EXECUTE: Final = "sysid_bench.verbs.recordings:write_cell"
 
 
@@ -93,7 +95,14 @@ def record_selected(
 def recording_notes(run_folder: RunFolder) -> tuple[str, ...]:
     """Return the reasons of the recordings that could not be written."""
     files = sorted((run_folder.path / "artifacts").glob(f"*/{_REASON}"))
-    return tuple(file.read_text(encoding="utf-8").strip() for file in files)
+    return tuple(map(_note, files))
+
+
+def _note(file: Path) -> str:
+    try:
+        return read_text(file, largest=_LONGEST_NOTE).strip()
+    except (OSError, UnicodeDecodeError) as error:
+        return f"{file.parent.name}: its note cannot be read ({error})."
 
 
 def _written_at(file: Path) -> float:

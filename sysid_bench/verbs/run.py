@@ -20,6 +20,7 @@ from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
 from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import OnEvent
+from sysid_bench.input_files import is_folder
 from sysid_bench.verbs.recordings import record_selected, recording_notes
 from sysid_bench.verbs.report import printed_tables, report
 from sysid_bench.verbs.result import Result
@@ -163,7 +164,7 @@ def run(
     runs.
     """
     outcome = execute(
-        Path(suite) if Path(suite).is_dir() else str(suite),
+        Path(suite) if is_folder(Path(suite)) else str(suite),
         None if out is None else Path(out),
         jobs=jobs,
         select=select,

@@ -10,6 +10,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.input_files import is_file, is_folder
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.writing.mjcf_writer import updated_mjcf
 from sysid_bench.models.writing.urdf_writer import updated_urdf
@@ -53,9 +54,9 @@ def _check_format(robot: RobotModel, task: str, target: Path) -> None:
 
 def _check_folder(robot: RobotModel, target: Path) -> None:
     sources = (robot.manifest.path, robot.manifest.manifest_file)
-    if target.exists() and any(_is_same(target, source) for source in sources):
+    if is_file(target) and any(_is_same(target, source) for source in sources):
         raise UsageError(f"{str(target)!r} is the model itself; name another file.")
-    if not target.parent.is_dir():
+    if not is_folder(target.parent):
         raise UsageError(f"There is no folder {str(target.parent)!r} to write {target.name} to.")
 
 

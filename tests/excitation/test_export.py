@@ -1,7 +1,9 @@
 """Laws of exports: what is read back is what was commanded, within a quantum; limits hold."""
 
+import csv
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -11,8 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sysid_bench.csv_text import cell_text
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.export.commands import Commands, csv_text
+from sysid_bench.excitation.export.commands import Commands, commands_csv
 from sysid_bench.excitation.export.damiao import (
     MOTORS,
     DamiaoDrive,
@@ -167,9 +170,17 @@ def test_two_motors_never_share_an_id() -> None:
         damiao_drives(("a", "b"), {"all": {"motor": "DM4310", "id": 3}})
 
 
+def test_names_of_joints_in_a_csv_are_not_formulas_and_read_back() -> None:
+    names = ("=1+1", "-a, b")
+    asked = replace(commands(2), joints=names)
+    head = next(csv.reader(io.StringIO(commands_csv(asked))))
+    assert head[1:3] == ["'=1+1.q", "'-a, b.q"]
+    assert [cell_text(name) for name in head[1:3]] == ["=1+1.q", "-a, b.q"]
+
+
 def test_csv_and_the_table_read_back() -> None:
     asked = commands(2)
-    table = pd.read_csv(io.StringIO(csv_text(asked)))
+    table = pd.read_csv(io.StringIO(commands_csv(asked)))
     for key in ("q", "v", "a", "tau"):
         names = [f"{joint}.{key}" for joint in asked.joints]
         np.testing.assert_array_equal(table[names].to_numpy(), getattr(asked, key))

@@ -1,5 +1,6 @@
 """Laws of optimised motions: shared by content, designed once, cached between workers."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,3 +75,20 @@ def test_a_damaged_file_is_made_again(solved: list[Optimised], tmp_path: Path) -
     noise_free._shared_part.cache_clear()
     ready(robot="ur10", excitation=DESIGN, terms=())
     assert len(solved) == 2
+
+
+def test_a_stored_design_is_the_whole_one_or_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(motions, "_folder", lambda: tmp_path)
+    C = np.arange(6.0).reshape(2, 3)
+    motions._write_design("key", C)
+    (file,) = tmp_path.iterdir()
+    np.testing.assert_array_equal(motions._read_design("key"), C)
+    content = file.read_bytes()
+    for place in range(len(content)):
+        file.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+        assert motions._read_design("key") is None
+    file.unlink()
+    os.mkfifo(file)
+    assert motions._read_design("key") is None

@@ -2,13 +2,12 @@
 
 import json
 import os
-import re
 import shutil
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
@@ -16,65 +15,24 @@ import pandas as pd
 import pyarrow.parquet  # noqa: F401 - once, not in each process
 from scipy.io import savemat
 
-from sysid_bench import (
-    identify,
-    init_robot,
-    open_run,
-    package_folders,
-    paper_table,
-    plan,
-    report,
-    show,
-)
-from sysid_bench.cli import main
+from sysid_bench import identify, init_robot, list_, package_folders, paper_table, plan, show
 from sysid_bench.cli.values import parse_motors, parse_noise
 from sysid_bench.cli.values import parse_payload as payload_option
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.motion_file import MotionFile
 from sysid_bench.excitation.optimised import Optimised
-from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.expression import Expression
-from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.naming import BUILTIN, build
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.units import interval, quantity
 from sysid_bench.verbs.motion_export import read_motion
-from sysid_bench.verbs.report import table
-from sysid_bench.verbs.status import cell, status
 from tests.faults import fuzz_seeds as seeds
-
-
-@dataclass(frozen=True)
-class Kind:
-    """Files made in a folder, the patterns of those that are damaged, and their reader.
-
-    `places`: other things than files may stand in their place.
-    """
-
-    name: str
-    make: Callable[[Path], object]
-    damaged: tuple[str, ...]
-    read: Callable[[Path], object]
-    places: bool = True
-
-
-def _texts(files: Mapping[str, str]) -> Callable[[Path], None]:
-    """Maker of text files."""
-
-    def make(folder: Path) -> None:
-        for name, text in files.items():
-            (folder / name).parent.mkdir(exist_ok=True)
-            (folder / name).write_text(text)
-
-    return make
-
-
-def _word(folder: Path) -> str:
-    """The damaged text; half of the bytes that are no text stay, as the shell passes them."""
-    return (folder / "text").read_bytes().decode("utf-8", errors="surrogateescape")
+from tests.faults.fuzz_kind import Kind, every, make_log, text_files
+from tests.faults.fuzz_options import OPTIONS, word
+from tests.faults.fuzz_runs import RUN_KINDS
 
 
 def _text_kind(name: str, text: str, read: Callable[[str], object]) -> Kind:
@@ -85,29 +43,13 @@ def _text_kind(name: str, text: str, read: Callable[[str], object]) -> Kind:
         (folder / "text").write_text("\n".join(lines))
 
     def read_all(folder: Path) -> None:
-        refused = None
-        for line in _word(folder).split("\n"):
-            try:
-                read(line)
-            except UsageError as error:
-                refused = error
-        if refused is not None:
-            raise refused
+        every(partial(read, line) for line in word(folder).split("\n"))
 
     return Kind(name, make, ("text",), read_all, places=False)
 
 
 def _log(folder: Path) -> None:
     identify("scara", log=folder / "log.toml", task="robot")
-
-
-def _make_log(folder: Path) -> None:
-    _texts({"log.toml": seeds.LOG})(folder)
-    rng = np.random.default_rng(0)
-    t = np.arange(120) / 100
-    waves = np.sin(2 * np.pi * np.outer(t, [1, 2, 3, 4]) + np.arange(4)) * [1, 20, 0.05, 1]
-    columns = np.column_stack([t, waves, rng.normal(size=(120, 4))])
-    np.savetxt(folder / "log.csv", columns, delimiter=",", header="t,a,b,c,d,e,f,g,h", fmt="%.5g")
 
 
 def _make_tables(folder: Path) -> None:
@@ -175,30 +117,6 @@ def _make_recorded_motion(folder: Path) -> None:
     np.savetxt(folder / "motion.csv", numbers, "%.9g", ",", header=header, comments="")
 
 
-def _make_run(folder: Path) -> None:
-    run(parse_suite(seeds.RUN, folder=folder), folder / "run", jobs=1)
-    report(folder / "run")
-
-
-def _run_folder(folder: Path) -> None:
-    path = folder / "run"
-    steps: list[Callable[[], Any]] = [
-        lambda: status(path).summary(),
-        lambda: table(path, "main"),
-        lambda: cell(path, open_run(path).plan.cells[0].id).summary(),
-        lambda: open_run(path).environment,
-        lambda: report(path),
-    ]
-    refused = None
-    for step in steps:
-        try:
-            step()
-        except UsageError as error:
-            refused = error
-    if refused is not None:
-        raise refused
-
-
 def _robot_toml(folder: Path) -> None:
     for name in ("scara", "psm"):
         load_robot(folder / name / "robot.toml")
@@ -217,7 +135,7 @@ def _dh(folder: Path) -> None:
 
 
 def _make_dh(folder: Path) -> None:
-    _texts({"dh.csv": seeds.DH})(folder)
+    text_files({"dh.csv": seeds.DH})(folder)
     shutil.copy(
         package_folders.installed_folder("robots") / "dvrk_psm" / "dh_loop.csv", folder / "loop.csv"
     )
@@ -228,7 +146,7 @@ def _mjcf(folder: Path) -> None:
 
 
 def _make_mjcf(folder: Path) -> None:
-    _texts(seeds.MJCF)(folder)
+    text_files(seeds.MJCF)(folder)
     triangles = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype="<f4") * 0.1
     faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
     body = b"".join(
@@ -260,26 +178,30 @@ def _payload(text: str) -> None:
     parse_payload(payload_option(text))
 
 
-def _options(folder: Path) -> None:
-    """Words of a command, one a line, as a shell passes them: without NUL."""
+def _log_suite(folder: Path) -> None:
+    plan(folder / "suite.toml")
+
+
+def _make_log_suite(folder: Path) -> None:
+    make_log(folder)
+    (folder / "suite.toml").write_text(seeds.LOG_SUITE.replace("$HOME", str(folder)))
+    shutil.copy(folder / "log.csv", folder / "other.csv")
+
+
+def _plug_in_file(folder: Path) -> None:
+    for no_code in (True, False):  # not imported, then imported by a supervised process
+        plan(folder / "suite.toml", no_code=no_code)
+
+
+def _catalogue(folder: Path) -> None:
     os.chdir(folder)
-    words = re.sub("\0", "", _word(folder)).split("\n")
-    try:
-        main(args=words, standalone_mode=True)
-    except SystemExit as error:
-        if error.code == 2:
-            raise UsageError("exit code 2") from error
-        if error.code not in (0, 1):
-            raise
+    every(partial(list_, kind, folder) for kind in ("robots", "suites"))
+    every(partial(show, name, folder) for name in ("scara", "psm", "mine"))
 
 
-def _make_options(words: str) -> Callable[[Path], None]:
-    files = {"text": words.replace(" ", "\n").replace("~", " "), "dh.csv": seeds.DH}
-    return _texts(files | {"values.json": seeds.VALUES, "suite.toml": seeds.SUITE})
-
-
-def _options_kind(verb: str, words: str) -> Kind:
-    return Kind(f"options-{verb}", _make_options(f"{verb} {words}"), ("text",), _options, False)
+def _make_catalogue(folder: Path) -> None:
+    _make_robots(folder)
+    text_files({"suites/mine.toml": seeds.SUITE})(folder)
 
 
 def _values(folder: Path) -> None:
@@ -297,36 +219,33 @@ def _motors(folder: Path) -> None:
 
 
 KINDS: Final = (
-    Kind("suite", _texts({"suite.toml": seeds.SUITE}), ("suite.toml",), _suite),
+    Kind("suite", text_files({"suite.toml": seeds.SUITE}), ("suite.toml",), _suite),
     Kind("manifest", _make_robots, ("*/robot.toml",), _robot_toml),
-    Kind("urdf", _texts({"robot.urdf": seeds.URDF}), ("robot.urdf",),
+    Kind("urdf", text_files({"robot.urdf": seeds.URDF}), ("robot.urdf",),
          lambda folder: load_robot(folder / "robot.urdf")),
     Kind("mjcf", _make_mjcf, ("*.xml", "*.stl"), _mjcf),
+    Kind("obj", text_files({"robot.xml": seeds.OBJ_MODEL, "part.obj": seeds.OBJ}),
+         ("part.obj",), _mjcf),
     Kind("dh", _make_dh, ("*.csv",), _dh),
-    Kind("log-description", _make_log, ("log.toml",), _log),
-    Kind("log-numbers", _make_log, ("log.csv",), _log),
+    Kind("log-description", make_log, ("log.toml",), _log),
+    Kind("log-numbers", make_log, ("log.csv",), _log),
     *(_table_kind(suffix) for suffix in (".csv", ".txt", ".npz", ".npy", ".parquet", ".mat")),
     Kind("npz-members", _make_members, ("*.npy",), _members, places=False),
     Kind("motion", _make_motion, ("motion.csv",), _motion),
     Kind("recorded-motion", _make_recorded_motion, ("motion.csv",), _recorded_motion),
-    Kind("plan.jsonl", _make_run, ("run/plan.jsonl",), _run_folder),
-    Kind("run.toml", _make_run, ("run/run.toml",), _run_folder),
-    Kind("env.json", _make_run, ("run/env.json",), _run_folder),
-    Kind("rows", _make_run, ("run/cells/*.jsonl",), _run_folder),
-    Kind("run-parquet", _make_run, ("run/**/*.parquet",), _run_folder),
+    *RUN_KINDS,
     Kind("values.json", _make_values, ("values.json",), _values),
-    Kind("motors", _texts({"motors.toml": seeds.MOTORS}), ("motors.toml",), _motors),
+    Kind("motors", text_files({"motors.toml": seeds.MOTORS}), ("motors.toml",), _motors),
     _text_kind("payload", seeds.PAYLOADS, _payload),
     _text_kind("noise", "tau=0.5 %,q=1e-4 rad", parse_noise),
     _text_kind("quantity", seeds.QUANTITIES, _quantity),
     _text_kind("condition", seeds.CONDITIONS, _condition),
     _text_kind("plug-in", seeds.PLUG_INS, _plug_in),
     _text_kind("show", "ur5\nols\nfourier\nsmoke\npoint-1kg", lambda name: show(name)),
-    _options_kind("basis", "scara --terms viscous,spin.k --task robot"),
-    _options_kind("plan", "suite.toml --set run.repeats=2 --set defaults.rate='100~Hz' "
-                  "--select estimator=='ols'"),
-    _options_kind("init", "robot --dh dh.csv -o made --base 0,1,0 --gravity 0,0,-9.81"),
-    _options_kind("identify", "scara --simulate --noise tau=1~% --payload point-1kg --task link"),
-    _options_kind("excite", "scara --period 2 --harmonics 2 --iterations 2 --starts 1 "
-                  "--limit v=1,1,1,1 --objective D=1,cond=0.2"),
+    _text_kind("robot-file", seeds.ROBOT_FILES, lambda name: load_robot(name)),
+    Kind("log-suite", _make_log_suite, ("*.toml", "*.csv"), _log_suite),
+    Kind("plug-in-file", text_files({"mine.py": seeds.PLUG_IN, "suite.toml": seeds.PLUG_IN_SUITE}),
+         ("mine.py",), _plug_in_file),
+    Kind("catalogue", _make_catalogue, ("*/robot.toml", "suites/*.toml"), _catalogue),
+    *OPTIONS,
 )  # fmt: skip

@@ -223,3 +223,84 @@ plant stribeck
 estimator sysid_bench.identification.estimators.ols:OLS
 log_reader parquet
 """
+
+ENVIRONMENT = """SYSID_BENCH_CACHE=cache
+SYSID_BENCH_KERNEL=numpy
+SYSID_BENCH_DATA=data
+XDG_CACHE_HOME=.cache
+HOME=.
+TMPDIR=.
+MPLBACKEND=agg
+COLUMNS=80
+PYTHONPATH=.
+OMP_NUM_THREADS=1
+"""
+
+LOG_SUITE = """schema = 1
+name = "logs"
+[[log]]
+name   = "one"
+robot  = "scara"
+filter = "average 5"
+moving = 0.1
+choose = ["offset"]
+train  = [{ use = "log.toml", name = "day 1" }, { use = "log.toml", file = "other.csv" }]
+test   = [{ use = "log.toml", file = "$HOME/log.csv" }]
+[[estimator]]
+use = "wls"
+"""
+
+PLUG_IN = '''"""An estimator."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Mine:
+    """Least squares with a ridge."""
+
+    weight: float = field(default=1e-3, metadata={"unit": "1"})
+
+    def estimate(self, regression, prior=None):
+        W, y = regression.W, regression.y
+        return np.linalg.solve(W.T @ W + self.weight * np.eye(W.shape[1]), W.T @ y)
+
+
+if __name__ == "__main__":
+    print(Mine())
+'''
+
+PLUG_IN_SUITE = """schema = 1
+name = "mine"
+[[robot]]
+use = "scara"
+[[estimator]]
+use = "file:mine.py:Mine"
+weight = 0.5
+"""
+
+OBJ = """v 0 0 0
+v 0.1 0 0
+v 0 0.1 0
+v 0 0 0.1
+f 1 3 2
+f 1 2 4
+f 1 4 3
+f 2 3 4
+"""
+
+OBJ_MODEL = """<mujoco model="mesh">
+  <asset><mesh name="part" file="part.obj"/></asset>
+  <worldbody>
+    <body><joint type="hinge"/><geom type="mesh" mesh="part" density="1000"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+ROBOT_FILES = """
+example-robot-data:ur_description/urdf/ur3_robot.urdf
+scara
+scara
+"""

@@ -6,20 +6,30 @@ from pathlib import Path
 import pytest
 
 from sysid_bench.errors import UsageError
-from tests.faults.fuzz import HARMLESS, fuzz, isolated
-from tests.faults.fuzz_kinds import KINDS, Kind
+from tests.faults.fuzz import HARMLESS, Verdict, fuzz, isolated
+from tests.faults.fuzz_kind import Kind
+from tests.faults.fuzz_kinds import KINDS
+from tests.faults.fuzz_runs import RUN_KINDS
 
-RUNS = ("plan.jsonl", "run.toml", "env.json", "run-parquet")
-"""Kinds of which each input costs seconds: rows stand for them."""
+RUNS = tuple(kind.name for kind in RUN_KINDS)
+"""Kinds of one run folder, which is made once for all of them."""
+
+
+def harm(kind: Kind, cases: range) -> list[Verdict]:
+    verdicts = list(fuzz(kind, cases, seed=1))
+    assert len(verdicts) == len(cases)
+    return [verdict for verdict in verdicts if verdict.outcome not in HARMLESS]
 
 
 @pytest.mark.parametrize(
     "kind", [k for k in KINDS if k.name not in RUNS], ids=lambda kind: kind.name
 )
 def test_damaged_input_is_accepted_or_refused(kind: Kind) -> None:
-    verdicts = list(fuzz(kind, range(3), seed=1))
-    assert len(verdicts) == 3
-    assert [verdict for verdict in verdicts if verdict.outcome not in HARMLESS] == []
+    assert harm(kind, range(3)) == []
+
+
+def test_damaged_files_of_a_run_are_accepted_or_refused() -> None:
+    assert [verdict for kind in RUN_KINDS for verdict in harm(kind, range(1))] == []
 
 
 def test_the_fuzzer_sees_every_harm() -> None:

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sysid_bench.csv_text import csv_text
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.csv_table import csv_text, to_csv
+from sysid_bench.reporting.csv_table import to_csv
 from sysid_bench.reporting.make_table import make_table
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.selection import label, with_labels
@@ -355,7 +356,7 @@ def test_verdicts_with_gaps_are_numbers(cells: pd.DataFrame) -> None:
     assert all(0 <= value <= 1 for value in values)
 
 
-@pytest.mark.parametrize("name", ["=1+1", "+cmd", "-x.m + y.m", "@sum(a)", "\t=1"])
+@pytest.mark.parametrize("name", ["=1+1", "+cmd", "-x.m + y.m", "@sum(a)", "\t=1", "\uff1d1"])
 def test_no_text_of_a_csv_is_a_formula(cells: pd.DataFrame, name: str) -> None:
     text = to_csv(table_of(cells.assign(estimator=name), ["robot"], ["estimator"]))
     lines = list(csv.DictReader(io.StringIO(text, newline="")))

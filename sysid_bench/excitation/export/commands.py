@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid_bench.csv_text import csv_text
 from sysid_bench.types import Array, Trajectory
 
 
@@ -34,11 +35,10 @@ def commands_of(
     return Commands(joints, motion.t, motion.q[:, qadr], motion.v[:, dofs], motion.a[:, dofs], tau)
 
 
-def csv_text(commands: Commands) -> str:
+def commands_csv(commands: Commands) -> str:
     """Return CSV text `t, <joint>.q ..., <joint>.v ..., <joint>.a ..., <joint>.tau ...`, a line per
     sample, whose numbers read back exactly."""
     parts = {"q": commands.q, "v": commands.v, "a": commands.a, "tau": commands.tau}
     head = ["t", *(f"{joint}.{key}" for key in parts for joint in commands.joints)]
     table = np.column_stack([commands.t, *parts.values()])
-    lines = [",".join(repr(float(x)) for x in row) for row in table]
-    return "\n".join([",".join(head), *lines]) + "\n"
+    return csv_text([head, *table.tolist()])

@@ -6,23 +6,28 @@ seed and the code alone. Cells that agree in these share it, within a worker and
 """
 
 import hashlib
+import io
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, singledispatch
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.input_files import read_bytes
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.versions import package_hash
 
 _DESIGNS: dict[str, Array] = {}
+
+_CHECKSUM: Final = hashlib.sha256().digest_size
+"""Bytes before the array in a file of the cache."""
 
 
 def design_motion(
@@ -107,9 +112,14 @@ def _folder() -> Path:
 
 
 def _read_design(key: str) -> Array | None:
+    """Return stored coefficients, None where they are absent or damaged."""
     try:
-        return np.asarray(np.load(_folder() / f"{key}.npy", allow_pickle=False))
-    except (OSError, ValueError, EOFError):  # absent or truncated
+        content = read_bytes(_folder() / f"{key}.design")
+        checksum, array = content[:_CHECKSUM], content[_CHECKSUM:]
+        if hashlib.sha256(array).digest() != checksum:
+            return None
+        return np.asarray(np.load(io.BytesIO(array), allow_pickle=False))
+    except (OSError, ValueError, EOFError):  # absent or another file
         return None
 
 
@@ -118,9 +128,12 @@ def _write_design(key: str, C: Array) -> Array:
     try:
         _folder().mkdir(parents=True, exist_ok=True)
         # Renaming is atomic: no worker reads half a file.
+        array = io.BytesIO()
+        np.save(array, C)
+        content = hashlib.sha256(array.getvalue()).digest() + array.getvalue()
         with tempfile.NamedTemporaryFile(dir=_folder(), suffix=".part", delete=False) as part:
-            np.save(part, C)
-        Path(part.name).replace(_folder() / f"{key}.npy")
+            part.write(content)
+        Path(part.name).replace(_folder() / f"{key}.design")
     except OSError:
         pass
     return C

@@ -11,6 +11,7 @@ from typing import Any
 from sysid_bench import naming
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.suite.names import Names, TaskInfo, installed_names
+from sysid_bench.input_files import read_bytes
 
 Block = list[ast.stmt]
 
@@ -63,7 +64,7 @@ def _definition(kind: str, use: str) -> ast.stmt | None:
 
 def _syntax(file: Path) -> ast.Module:
     try:
-        return ast.parse(file.read_bytes(), str(file))
+        return ast.parse(read_bytes(file), str(file))
     except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
         raise UsageError(f"{str(file)!r} is not valid Python: {error}.") from error
 

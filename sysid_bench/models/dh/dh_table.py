@@ -123,15 +123,25 @@ def _named_lengths(
     return lengths
 
 
-def _csv_lines(lines: list[tuple[int, str]]) -> list[tuple[int, list[str]]]:
+def _csv_lines(path: Path, lines: list[tuple[int, str]]) -> list[tuple[int, list[str]]]:
     """The cells of every line that is not a comment, with its number; the first are the names."""
     table = [(number, line) for number, line in lines if not line.startswith("#")]
-    return [(number, [c.strip() for c in next(csv.reader([line]))]) for number, line in table]
+    return [(number, _line_cells(path, number, line)) for number, line in table]
+
+
+def _line_cells(path: Path, number: int, line: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([line]))]
+    except csv.Error as error:
+        raise UsageError(
+            f"{path}, line {number} is not a line of a table ({error}); separate its cells by "
+            "commas."
+        ) from error
 
 
 def _cells(path: Path, lines: list[tuple[int, str]]) -> list[tuple[int, dict[str, str]]]:
     """The rows of the table by column, with their line numbers."""
-    numbered = _csv_lines(lines)
+    numbered = _csv_lines(path, lines)
     if len(numbered) < 2:
         raise UsageError(f"{path} has no rows; write a line of column names, then one per link.")
     header = [name.lower() for name in numbered[0][1]]
@@ -145,7 +155,7 @@ def printed_table(
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], dict[str, float]]:
     """Return head and rows of a table's kinematic columns as written, and its named lengths (m)."""
     table = read_table(path)
-    cells = [row for _, row in _csv_lines(_numbered_lines(path))]
+    cells = [row for _, row in _csv_lines(path, _numbered_lines(path))]
     columns = [i for i, name in enumerate(cells[0]) if name.lower() in KINEMATIC]
     head, *rows = (_printed_row(row, columns) for row in cells)
     return head, tuple(rows), dict(table.symbols)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from sysid_bench.errors import ModelError
+from sysid_bench.input_files import is_file
 from sysid_bench.models.checks.finite_checks import LARGEST_TREE
 from sysid_bench.models.xml_file import LARGEST_FILE, parse_xml, read_file
 
@@ -48,12 +49,16 @@ def check_files(path: Path, text: bytes, folder: Path | None = None) -> None:
 
 def in_folder(path: Path, folder: Path) -> bool:
     """True where a file lies in a folder, links followed."""
-    return path.resolve().is_relative_to(folder.resolve())
+    return _resolved(path).is_relative_to(folder.resolve())
+
+
+def _resolved(path: Path) -> Path:
+    return Path(os.path.realpath(path))  # Path.resolve raises for links in a loop
 
 
 def folder_text(path: Path, file: Path) -> str:
     """Advice, in words, for a file outside the folder of a model `path`."""
-    common = os.path.commonpath([path.resolve().parent, file.resolve()])
+    common = os.path.commonpath([path.resolve().parent, _resolved(file)])
     above = os.path.relpath(common, path.resolve().parent)
     return (
         "outside the model's folder, where nothing is read; put it into that folder, or "
@@ -76,7 +81,7 @@ class _Reading:
     def count_model(self, path: Path, root: ET.Element) -> Counter[str]:
         """Counts of elements, bodies, joints and inclusions of a model, attached models
         included."""
-        key = path.resolve()
+        key = _resolved(path)
         if key not in self.models:
             attached: dict[str, Path] = {}
             weight = Counter(self._count_file(path, root, path, attached))
@@ -91,7 +96,7 @@ class _Reading:
     ) -> Counter[str]:
         """The same counts of one file of `model`; collects the models that it may attach, by
         name."""
-        key = path.resolve()
+        key = _resolved(path)
         if key in self.open:
             raise ModelError(f"{path.name} includes itself through other files: a cycle.")
         if (model, key) not in self.files:
@@ -104,7 +109,7 @@ class _Reading:
         self, path: Path, root: ET.Element | None, model: Path, attached: dict[str, Path]
     ) -> Counter[str]:
         weight: Counter[str] = Counter()
-        self._add(weight, Counter(bytes=path.stat().st_size if path.is_file() else 0), 1)
+        self._add(weight, Counter(bytes=path.stat().st_size if is_file(path) else 0), 1)
         for element, copies, tags in _expanded(self._parse(path) if root is None else root):
             _check_sizes(element, path.name)
             self._add(weight, _counts_of(element, tags), copies)
@@ -193,7 +198,7 @@ class _Reading:
 
 def _existing(files: Iterable[Path]) -> dict[Path, Path]:
     """Files that exist, by their resolved path, so that links to one file count once."""
-    return {file.resolve(): file for file in files if file.is_file()}
+    return {file.resolve(): file for file in files if is_file(file)}
 
 
 def _counts_of(element: ET.Element, above: frozenset[str]) -> Counter[str]:

@@ -5,6 +5,7 @@ Meshes are read only for bodies whose inertia comes from them. Rules for the who
 mounted later is not scaled with the rest.
 """
 
+import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.errors import ModelError, first_names
+from sysid_bench.input_files import is_file
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.mjcf.mjcf_files import folder_text, in_folder
 from sysid_bench.types import Array
@@ -59,7 +61,7 @@ def _absent_files(
     files: Mapping[mujoco.MjsGeom, Path | None],
 ) -> dict[mujoco.MjsGeom, Path]:
     """Shapes whose mesh is in a file that does not exist."""
-    return {geom: f for geom, f in files.items() if f is not None and not f.is_file()}
+    return {geom: f for geom, f in files.items() if f is not None and not is_file(f)}
 
 
 def _delete_shapes(spec: mujoco.MjSpec, kept: Collection[mujoco.MjsGeom]) -> None:
@@ -85,7 +87,9 @@ class _Absent:
         """Return them in the order of the text, each once."""
         bodies = dict.fromkeys(geom.parent.name or "(unnamed)" for geom in lost)
         within = folder.resolve()
-        names = dict.fromkeys(str(file.resolve().relative_to(within)) for file in lost.values())
+        names = dict.fromkeys(
+            os.path.relpath(os.path.realpath(file), within) for file in lost.values()
+        )
         return cls(tuple(bodies), tuple(names), within.name)
 
     def __bool__(self) -> bool:
@@ -148,7 +152,7 @@ def _check_mesh_file(file: Path, written: str, path: Path, folder: Path) -> None
             f"{path.name}: the inertia of a body comes from the mesh {written!r}, which lies "
             f"{folder_text(path, file)}; or give the body an <inertial>."
         )
-    if file.is_file() and file.stat().st_size > LARGEST_MESH:
+    if is_file(file) and file.stat().st_size > LARGEST_MESH:
         raise ModelError(f"{path.name}: the mesh {written!r} is larger than {LARGEST_MESH} bytes.")
 
 

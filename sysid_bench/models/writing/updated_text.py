@@ -8,7 +8,7 @@ from sysid_bench.errors import ModelError
 from sysid_bench.models.writing.round_trip import check_round_trip
 from sysid_bench.models.writing.update import Bodies, Joints, Update, update_of
 from sysid_bench.models.writing.xml_text import Edit, Element, apply_edits, element_tree
-from sysid_bench.models.xml_file import LARGEST_FILE
+from sysid_bench.models.xml_file import read_file
 
 FORMATS: Final = {"mujoco": "an MJCF", "robot": "a URDF"}
 Edits = Callable[[bytes, Element, Update], Iterable[Edit]]
@@ -29,7 +29,7 @@ def updated_text(
     """
     path = Path(path)
     update = update_of(path, bodies, joints or {}, verdicts)
-    data = path.read_bytes()[: LARGEST_FILE + 1]
+    data = read_file(path)
     root = element_tree(data, path.name)
     if root.tag != tag:
         raise ModelError(

@@ -24,9 +24,7 @@ class NumpyArrays:
         """Return the arrays as columns; raises UsageError for a damaged file, one with pickled
         objects, and one with more numbers than LARGEST_LOG."""
         try:
-            check_file(path, LARGEST_LOG)
-            with path.open("rb") as file:
-                arrays = _arrays(file)
+            arrays = read_arrays(path)
         except OSError:
             raise
         except Exception as error:  # NumPy and zipfile raise many types on damaged files
@@ -34,6 +32,14 @@ class NumpyArrays:
                 f"{path} is not an array file that can be read safely: {reason_of(error)}."
             ) from error
         return table_of_arrays(path, arrays)
+
+
+def read_arrays(path: Path) -> dict[str, Any]:
+    """Return the arrays of a file by their names; raises OSError, ValueError or what NumPy raises
+    for a file with pickled objects, with more numbers than LARGEST_LOG, or another one."""
+    check_file(path, LARGEST_LOG)
+    with path.open("rb") as file:
+        return _arrays(file)
 
 
 def _arrays(file: IO[bytes]) -> dict[str, Any]:

@@ -1,0 +1,59 @@
+"""A kind of input that is read, and makers of its files."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from tests.faults import fuzz_seeds as seeds
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Files made in a folder, the patterns of those that are damaged, and their reader.
+
+    `places`: other things than files may stand in their place. `warm`: the fuzzer itself reads the
+    sound files once, so that imports and caches serve all inputs.
+    """
+
+    name: str
+    make: Callable[[Path], object]
+    damaged: tuple[str, ...]
+    read: Callable[[Path], object]
+    places: bool = True
+    warm: bool = False
+
+
+def text_files(files: Mapping[str, str]) -> Callable[[Path], None]:
+    """Maker of text files."""
+
+    def make(folder: Path) -> None:
+        for name, text in files.items():
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(text)
+
+    return make
+
+
+def every(steps: Iterable[Callable[[], object]]) -> None:
+    """Take all steps, also behind one that refuses; raise the last refusal."""
+    refused = None
+    for step in steps:
+        try:
+            step()
+        except UsageError as error:
+            refused = error
+    if refused is not None:
+        raise refused
+
+
+def make_log(folder: Path) -> None:
+    """Make a log description of scara and its numbers."""
+    text_files({"log.toml": seeds.LOG})(folder)
+    rng = np.random.default_rng(0)
+    t = np.arange(120) / 100
+    waves = np.sin(2 * np.pi * np.outer(t, [1, 2, 3, 4]) + np.arange(4)) * [1, 20, 0.05, 1]
+    columns = np.column_stack([t, waves, rng.normal(size=(120, 4))])
+    np.savetxt(folder / "log.csv", columns, delimiter=",", header="t,a,b,c,d,e,f,g,h", fmt="%.5g")

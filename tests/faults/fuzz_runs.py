@@ -1,0 +1,76 @@
+"""Kinds of the files of a run folder, read by every verb that takes a run."""
+
+import zlib
+from pathlib import Path
+from typing import Any, Final
+from unittest.mock import patch
+
+from matplotlib.figure import Figure
+
+from sysid_bench import merge, open_run, report
+from sysid_bench.harness.run import run
+from sysid_bench.harness.suite.load_suite import parse_suite
+from sysid_bench.verbs.report import table
+from sysid_bench.verbs.status import cell, status
+from tests.faults import fuzz_seeds as seeds
+from tests.faults.fuzz_kind import Kind, every
+
+_DRAWN: Final = 8
+"""One input in as many is drawn: of the time that a report takes, drawing is the most."""
+
+
+def _make_run(folder: Path) -> None:
+    path = folder / "run"
+    run(parse_suite(seeds.RUN, folder=folder), path, jobs=1)
+    report(path)
+    note = path / "artifacts" / open_run(path).plan.cells[0].id / "no_recording.txt"
+    note.parent.mkdir(parents=True)
+    note.write_text("The cell cannot be recorded.")
+
+
+def _run_folder(folder: Path) -> None:
+    path = folder / "run"
+    every((
+        lambda: status(path).summary(),
+        lambda: table(path, "main"),
+        lambda: table(path, "main", "csv"),
+        lambda: cell(path, open_run(path).plan.cells[0].id).summary(),
+        lambda: open_run(path).environment,
+        lambda: _report(path),
+    ))  # fmt: skip
+
+
+def _report(path: Path) -> None:
+    content = b"".join(p.read_bytes() for p in sorted(path.glob("cells/*")) if p.is_file())
+    if zlib.crc32(content) % _DRAWN == 0:
+        report(path)
+        return
+    with patch.object(Figure, "savefig", _undrawn):
+        report(path)
+
+
+def _undrawn(figure: Figure, out: Any, **settings: object) -> None:
+    out.write(b"<svg></svg>")
+
+
+def _merged(folder: Path) -> None:
+    merge([folder / "run"], folder / "merged")
+    status(folder / "merged").summary()
+
+
+def _run_kind(name: str, *damaged: str) -> Kind:
+    return Kind(name, _make_run, damaged, _run_folder, warm=True)
+
+
+RUN_KINDS: Final = (
+    _run_kind("plan.jsonl", "run/plan.jsonl"),
+    _run_kind("run.toml", "run/run.toml"),
+    _run_kind("env.json", "run/env.json"),
+    _run_kind("rows", "run/cells/*.jsonl"),
+    _run_kind("run-parquet", "run/*.parquet"),
+    _run_kind("consolidated.json", "run/consolidated.json"),
+    _run_kind("run-notes", "run/artifacts/*/*.txt", "run/logs/*", "run/tables/*"),
+    Kind("merge", _make_run, ("run/*.json*", "run/run.toml", "run/cells/*"), _merged, warm=True),
+    Kind("resume", _make_run, ("run/.lock", "run/*.json", "run/*.parquet", "run/logs/*"),
+         lambda folder: run(folder / "run"), warm=True),
+)  # fmt: skip
