@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench import open_run, show
+from sysid_bench import open_run, package_folders, show
 from sysid_bench.errors import SysidBenchError, UsageError
 from sysid_bench.excitation.criterion import CRITERIA, Criterion
 from sysid_bench.experiments import loaded_sources
