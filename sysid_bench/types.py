@@ -96,6 +96,7 @@ class Oracle:
 
     motion: Trajectory  # exact
     tau: Float[Array, "N rows"]  # noise-free torque of the independent degrees of freedom
+    encoders: Trajectory | None = None  # motion of the motors, where encoders measure that
 
 
 @dataclass(frozen=True, eq=False)

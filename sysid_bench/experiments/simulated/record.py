@@ -23,12 +23,11 @@ from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sample
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,
-    scalar_positions,
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.processing import processing_of
-from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.inverse import Inverse, joint_positions
 from sysid_bench.simulation.plant import Plant
 from sysid_bench.simulation.sensors import Noise, NoiseDraws, draw_noise, measure, position_error
 from sysid_bench.simulation.wrench_sensors import WRENCH_NOISE
@@ -205,9 +204,9 @@ def _run_with_encoders(
     # Rounding depends on the position: the first run gives positions, the second one runs with the
     # loop seeing their rounding errors. The recorded errors are those of its own positions, so that
     # readings lie on the grid of the encoder.
-    error = position_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
+    error = position_error(noise, draws, joint_positions(robot, oracle.motion)[:, dofs], scalar)
     oracle, controller = simulated.run(error)
-    error = position_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
+    error = position_error(noise, draws, joint_positions(robot, oracle.motion)[:, dofs], scalar)
     return oracle, controller, error
 
 
