@@ -199,7 +199,7 @@ def _in_c(library: Any, loop: Loop, out: Signals) -> None:
     laws = _Laws.of(plant.laws, data.qpos[: mj.nv], data.qvel, mj.dof_armature)
     drive = _Drive.of(loop.drive)
     rotors = np.concatenate([loop.rotors.theta, loop.rotors.rate])
-    work = np.empty(mj.nv + 3 * mj.nu)
+    work = np.empty(mj.nv + 4 * mj.nu)
     count, number, reference = ctypes.c_int64, ctypes.c_double, ctypes.byref
     library.simulation_steps.restype = None
     library.simulation_steps(
@@ -260,12 +260,10 @@ def _drive_links(
 ) -> tuple[Array, Rotors]:
     """Apply the transmissions' torque to the links; return the motors' torque (n,), and the rotors
     after the step."""
-    assert drive.transmission is not None
-    q, v = data.qpos[drive.dofs], data.qvel[drive.dofs]
-    load = drive.transmission.torque(rotors.theta - q, rotors.rate - v)
+    torque, load, turned = drive.turn(rotors, u, data.qpos[drive.dofs], data.qvel[drive.dofs], h)
     data.qfrc_applied[drive.dofs] += load
     data.ctrl[:] = 0.0
-    return drive.turn(rotors, u, load, h)
+    return torque, turned
 
 
 def _link_load(mj: mujoco.MjModel, data: mujoco.MjData) -> Array:

@@ -105,36 +105,52 @@ static double clipped(double x, double limit)
     return x > limit ? limit : x < -limit ? -limit : x;
 }
 
-/* Torque that the links feel of motors `m` (positions, then velocities) at a state (q, v). */
-static double transmitted(const Drive *d, int64_t j, const double *m, double q, double v)
+/* Elastic motors `m` (positions, then velocities) and the links at one step: the torque that each
+ * transmission gives a link, and the torque of each motor. */
+typedef struct {
+    double *m, *load, *torque;
+} Rotors;
+
+static double wound(const Drive *d, int64_t j, double theta, double q)
 {
-    double x = m[j] - q;
-    x -= clipped(x, d->gap[j]);
-    return d->stiffness[j] * x + d->damping[j] * (m[d->nu + j] - v);
+    double x = theta - q;
+    return x - clipped(x, d->gap[j]);
 }
 
-/* Advance the rotors by `h` under the torques u if they are held, else under the feedback on u;
- * `torque` (nu) is what the motors give. The controller's damping is implicit, since a light rotor
- * would otherwise oscillate. */
-static void turn(const Drive *d, const double *u, double h, const State *s, double *m,
-                 double *torque)
+/* Rotor with inertia, symplectic in the spring; the damping of a feedback on u is implicit, since a
+ * light rotor would otherwise oscillate. A held torque is u itself. */
+static void turn_rotor(const Drive *d, int64_t j, double u, double h, double q, double v, Rotors *r)
 {
-    for (int64_t j = 0; j < d->nu; j++) {
-        double w0 = m[d->nu + j];
-        double load = transmitted(d, j, m, s->qpos[d->dof[j]], s->qvel[d->dof[j]]), w;
-        if (d->input == HELD) {
-            torque[j] = u[j];
-            w = w0 + h / d->inertia[j] * (u[j] - load);
-        } else {
-            double kp = d->kp[j], kd = d->kd[j], B = d->inertia[j], e = u[j] - m[j];
-            w = (B * w0 + h * (kp * e - load)) / (B + h * kd + h * h * kp);
-            torque[j] = clipped(kp * (e - h * w) - kd * w, d->limit[j]);
-            if (B > 0 && fabs(torque[j]) == d->limit[j])
-                w = w0 + h / B * (torque[j] - load);
-        }
-        m[d->nu + j] = w;
-        m[j] += h * w;
+    double *theta = r->m + j, *rate = r->m + d->nu + j, w = *rate, B = d->inertia[j];
+    double load = d->stiffness[j] * wound(d, j, *theta, q) + d->damping[j] * (w - v), torque = u;
+    if (d->input != HELD) {
+        double kp = d->kp[j], kd = d->kd[j], e = u - *theta;
+        double next = (B * w + h * (kp * e - load)) / (B + h * kd + h * h * kp);
+        torque = clipped(kp * (e - h * next) - kd * next, d->limit[j]);
     }
+    w += h / B * (torque - load);
+    *rate = w;
+    *theta += h * w;
+    r->load[j] = load;
+    r->torque[j] = torque;
+}
+
+/* Motor without inertia: kd w + kp (theta - u) + K dz(theta - q) + D (w - v) = 0 at the end of the
+ * step, or the torque limit in place of the feedback. */
+static void turn_massless(const Drive *d, int64_t j, double u, double h, double q, double v,
+                          Rotors *r)
+{
+    double *theta = r->m + j, *rate = r->m + d->nu + j, x = wound(d, j, *theta, q);
+    double K = d->gap[j] > 0 && x == 0 ? 0.0 : d->stiffness[j], D = d->damping[j];
+    double kp = d->kp[j], kd = d->kd[j], e = u - *theta, rest = D * v - K * x;
+    double w = (kp * e + rest) / (kd + D + h * (kp + K)), free = kp * (e - h * w) - kd * w;
+    double torque = clipped(free, d->limit[j]);
+    if (torque != free && D + h * K > 0)
+        w = (torque + rest) / (D + h * K);
+    *rate = w;
+    *theta += h * w;
+    r->load[j] = K * (x + h * w) + D * (w - v);
+    r->torque[j] = torque;
 }
 
 /* Torques of motors that hold them over a control period, from the state at its start. */
@@ -148,27 +164,30 @@ static void hold(const Drive *d, const double *u, const State *s, const double *
 }
 
 /* Forces of elastic transmissions on the links, and the rotors' advance by a step. */
-static void drive_links(const Drive *d, const double *u, double h, const State *s, double *m,
-                        double *torque)
+static void drive_links(const Drive *d, const double *u, double h, const State *s, Rotors *r)
 {
     for (int64_t j = 0; j < d->nu; j++) {
         int64_t i = d->dof[j];
-        s->applied[i] += transmitted(d, j, m, s->qpos[i], s->qvel[i]);
+        if (d->inertia[j] > 0)
+            turn_rotor(d, j, u[j], h, s->qpos[i], s->qvel[i], r);
+        else
+            turn_massless(d, j, u[j], h, s->qpos[i], s->qvel[i], r);
+        s->applied[i] += r->load[j];
         s->ctrl[j] = 0;
     }
-    turn(d, u, h, s, m, torque);
 }
 
 /* `samples` of the record from the time t on, `each` steps of `h` per sample; inputs u
  * (samples, nu), constant forces (nv); `m` (2 nu) are positions and velocities of elastic motors,
- * `work` has room for nv + 3 nu. */
+ * `work` has room for nv + 4 nu. */
 EXPORT void simulation_steps(Step step, const void *model, void *data, const State *s, double t,
                              int64_t samples, int64_t each, double h, const double *u,
                              const double *constant, const Laws *laws, const Drive *drive,
                              double *m, double *work, const Record *out)
 {
     const int64_t nq = s->nq, nv = s->nv, nu = s->nu;
-    double *load = work, *torque = work + nv, *held = torque + nu, *now = held + nu;
+    double *load = work, *held = load + nv, *now = held + nu;
+    Rotors rotors = {m, now + nu, now + 2 * nu};
     memset(load, 0, 8 * nv);
     for (int64_t k = 0; k < samples; k++) {
         const double *u0 = u + k * nu, *u1 = k + 1 < samples ? u0 + nu : u0;
@@ -188,7 +207,7 @@ EXPORT void simulation_steps(Step step, const void *model, void *data, const Sta
             memcpy(s->applied, constant, 8 * nv);
             take(laws, h, nv, &seen, s->applied);
             if (drive->elastic)
-                drive_links(drive, now, h, s, m, torque);
+                drive_links(drive, now, h, s, &rotors);
             else
                 memcpy(s->ctrl, now, 8 * nu);
             step(model, data);
@@ -200,7 +219,7 @@ EXPORT void simulation_steps(Step step, const void *model, void *data, const Sta
             memcpy(out->a + k * nv, s->qacc, 8 * nv);
             memcpy(out->tau + k * nv, s->actuator, 8 * nv);
             for (int64_t j = 0; j < nu && drive->elastic; j++) {
-                out->tau[k * nv + drive->dof[j]] = torque[j];
+                out->tau[k * nv + drive->dof[j]] = rotors.torque[j];
                 out->motor_a[k * nu + j] = (m[nu + j] - out->motor_v[k * nu + j]) / h;
             }
         }

@@ -78,21 +78,53 @@ class Drive:
         """Return the limited torque kp (u - q) - kd v (n,)."""
         return np.asarray(np.clip(self.kp * (u - q) - self.kd * v, -self.limit, self.limit))
 
-    def turn(self, rotors: Rotors, u: Array, load: Array, h: float) -> tuple[Array, Rotors]:
-        """Return the motors' torque (n,) over a step of h (s), and the rotors after it.
+    def turn(
+        self, rotors: Rotors, u: Array, q: Array, v: Array, h: float
+    ) -> tuple[Array, Array, Rotors]:
+        """Return the motors' torque (n,) and the links' tau_e (n,) over a step of h (s) from the
+        links' q, v (n,) on, and the rotors after it.
 
-        `u` (n,) is the torque if it is held, else the input of the feedback, whose damping is
-        implicit: a light rotor would otherwise oscillate. `load` (n,) is tau_e.
+        `u` (n,) is the torque if it is held, else the input of the feedback.
         """
-        assert self.transmission is not None
-        B, w0 = self.transmission.inertia, rotors.rate
-        if self.held:
-            torque, w = u, w0 + h / B * (u - load)
-        else:
+        massless = self._elastic.inertia == 0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            heavy = self._with_inertia(rotors, u, q, v, h)
+            light = self._without_inertia(rotors, u, q, v, h)
+        torque, load, w = (np.where(massless, x, y) for x, y in zip(light, heavy, strict=True))
+        return torque, load, Rotors(rotors.theta + h * w, w)
+
+    def _with_inertia(
+        self, rotors: Rotors, u: Array, q: Array, v: Array, h: float
+    ) -> tuple[Array, Array, Array]:
+        """Torque, tau_e and the rotors' next rate (n,), symplectic in the spring; the damping of a
+        feedback is implicit, since a light rotor would otherwise oscillate."""
+        own = self._elastic
+        B, torque = own.inertia, u
+        load = own.torque(rotors.theta - q, rotors.rate - v)
+        if not self.held:
             e = u - rotors.theta
-            w = (B * w0 + h * (self.kp * e - load)) / (B + h * self.kd + h * h * self.kp)
-            free = self.kp * (e - h * w) - self.kd * w
-            torque = np.clip(free, -self.limit, self.limit)
-            limited = (B > 0) & (np.abs(torque) == self.limit)
-            w = np.where(limited, w0 + h / np.where(B > 0, B, 1.0) * (torque - load), w)
-        return torque, Rotors(rotors.theta + h * w, w)
+            w = (B * rotors.rate + h * (self.kp * e - load)) / (B + h * self.kd + h * h * self.kp)
+            torque = np.clip(self.kp * (e - h * w) - self.kd * w, -self.limit, self.limit)
+        return torque, load, rotors.rate + h / B * (torque - load)
+
+    def _without_inertia(
+        self, rotors: Rotors, u: Array, q: Array, v: Array, h: float
+    ) -> tuple[Array, Array, Array]:
+        """The same of motors without inertia: kd w + kp (theta - u) + K dz(theta - q) + D (w - v) =
+        0 at the end of the step, or the torque limit in place of the feedback."""
+        own = self._elastic
+        x = rotors.theta - q
+        x = x - np.clip(x, -own.gap, own.gap)
+        K, D = np.where((own.gap > 0) & (x == 0), 0.0, own.stiffness), own.damping
+        e, rest = u - rotors.theta, D * v - K * x
+        w = (self.kp * e + rest) / (self.kd + D + h * (self.kp + K))
+        free = self.kp * (e - h * w) - self.kd * w
+        torque = np.clip(free, -self.limit, self.limit)
+        limited = (torque != free) & (D + h * K > 0)
+        w = np.where(limited, (torque + rest) / (D + h * K), w)
+        return torque, K * (x + h * w) + D * (w - v), w
+
+    @property
+    def _elastic(self) -> Transmission:
+        assert self.transmission is not None
+        return self.transmission
