@@ -74,7 +74,8 @@ def simulate_steps(loop: Loop) -> Signals:
     if isinstance(library, ctypes.CDLL):
         _in_c(library, loop, out)
     else:
-        _in_python(loop, out)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a loop that diverges
+            _in_python(loop, out)
     return out
 
 
