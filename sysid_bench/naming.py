@@ -107,10 +107,13 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
 def known(kind: str) -> dict[str, str]:
     """Return every name of a kind with its target "module:object", built in or an entry point.
 
-    A kind of two words is written "log_reader" or "log-reader".
+    A kind of two words is written "log_reader" or "log-reader". An entry point does not replace a
+    built-in name, whose rows would then be of other code in every suite.
     """
     key = kind.replace("-", "_")
-    return dict(BUILTIN.get(key, {})) | {point.name: point.value for point in _points(key)}
+    built_in = BUILTIN.get(key, {})
+    points = {point.name: _target(point) for point in _points(key) if point.name not in built_in}
+    return {**built_in, **points}
 
 
 def is_builtin(kind: str, name: str) -> bool:
@@ -150,6 +153,11 @@ def resolve(kind: str, name: str) -> Any:
     """Return the object of a name; raises UsageError with the nearest names."""
     table = known(kind)
     target = table.get(name, name)
+    if ":" not in target and name in table:
+        raise UsageError(
+            f"The entry point {name!r} (sysid_bench.{kind.replace('-', '_')}s) names {target!r}; "
+            "it has to be 'module:object'."
+        )
     if ":" not in target:
         advice = "One of your own is named 'module:object' or 'file:path.py:object'."
         raise unknown_name(_shown(kind), name, table, advice)
@@ -244,6 +252,10 @@ def _setting(plugin: str, key: str, value: Any, unit: str | None) -> Any:
         return value if unit is None else quantity(value, unit)
     except UsageError as error:
         raise UsageError(f"{plugin}, {key}: {error}") from error
+
+
+def _target(point: EntryPoint) -> str:
+    return point.value.partition("[")[0].strip()  # without the extras that it may need
 
 
 def _points(kind: str) -> tuple[EntryPoint, ...]:

@@ -10,13 +10,13 @@ from typing import Final
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from scipy.signal import lfilter
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.compiled_steps import Loop, Signals, simulate_steps
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
+from sysid_bench.simulation.sensors import first_order
 from sysid_bench.simulation.tracking_model import (
     INTEGRATORS,
     StepChoice,
@@ -252,7 +252,7 @@ def commands(
     """
     difference = np.diff(encoder, axis=0, prepend=encoder[:1]) * controller.rate
     pole = float(np.exp(-2 * np.pi * controller.velocity_cutoff / controller.rate))
-    slope = lfilter([1 - pole], [1, -pole], difference, axis=0)
+    slope = first_order(1 - pole, pole, difference, np.zeros_like(difference[:1]))
     qadr = [joint.qadr for joint in motor_joints(robot)]
     ratio = controller.kd / controller.kp
     rates = commanded.v[:, robot.torque_dofs]

@@ -84,8 +84,8 @@ def _presliding_torque(q: Array, t: Array, each: int) -> Array:
     assert law is not None
     v = np.gradient(q, t)
     v[0] = 0.0  # from rest
-    signals = [np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v, 0 * v)]
-    return laws_along([law], t, *signals, each)
+    every, rate, load = (np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v, 0 * v))
+    return laws_along([law], t, every, rate, load, each)
 
 
 @pytest.mark.parametrize("amplitude", [1e-4, 1e-3, 0.1])

@@ -32,7 +32,7 @@ class LuGre:
             return None
         Fc = robot.joint_terms.coulomb
         sigma0 = Fc / self.presliding
-        numbers = [Fc, (1 + self.peak) * Fc, sigma0, self.damping * sigma0, [self.vs]]
+        numbers = [Fc, (1 + self.peak) * Fc, sigma0, self.damping * sigma0, np.array([self.vs])]
         return _LuGreLaw(np.concatenate(numbers))
 
 
@@ -57,7 +57,7 @@ class _LuGreLaw:
     def start(self, q: Array, v: Array) -> Array:
         """Return the bristles' deflections z (nv,) in steady sliding; zero at rest."""
         Fc, _, sigma0, _ = self.numbers[:-1].reshape(4, -1)
-        return np.sign(v) * Fc / np.where(sigma0 > 0, sigma0, 1.0)
+        return np.asarray(np.sign(v) * Fc / np.where(sigma0 > 0, sigma0, 1.0))
 
     def step(
         self, state: Array, h: float, t: float, q: Array, v: Array, load: Array
