@@ -97,6 +97,8 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         "metric": {},  # sysid_bench/metrics.py has the built-in ones
         "plant": {
             "matched": "sysid_bench.simulation.effects.matched:Matched",
+            "elastic-joints": "sysid_bench.simulation.effects.elastic_joints:ElasticJoints",
+            "lugre": "sysid_bench.simulation.effects.lugre:LuGre",
             "stribeck": "sysid_bench.simulation.effects.stribeck:Stribeck",
         },
     }

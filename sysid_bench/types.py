@@ -96,6 +96,12 @@ class Oracle:
 
     motion: Trajectory  # exact
     tau: Float[Array, "N rows"]  # noise-free torque of the independent degrees of freedom
+    encoders: Trajectory | None = None  # motion of the motors, where encoders measure that
+
+    @property
+    def measured(self) -> Trajectory:
+        """Exact motion of what the encoders measure: the motors, or the links."""
+        return self.motion if self.encoders is None else self.encoders
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Simulation loop for state-dependent force laws, compiled if possible.
+"""Simulation loop for force laws, held torques and elastic transmissions, compiled if possible.
 
 Force laws of this package have a `kind` and parameters `numbers`, and steps.c evaluates them
 between MuJoCo's steps. With a law of a plug-in author, or without the library, the loop is in
@@ -6,6 +6,7 @@ Python.
 """
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -15,56 +16,67 @@ import mujoco
 import numpy as np
 
 from sysid_bench.c_library import c_library
+from sysid_bench.simulation.force_laws import initial_states
 from sysid_bench.simulation.plant import Plant
+from sysid_bench.simulation.transmission import Drive, Rotors
 from sysid_bench.types import Array
 
-KINDS: Final = {"stribeck": 0, "coupled": 1}
+KINDS: Final = {"stribeck": 0, "coupled": 1, "lugre": 2}
 """Force laws that steps.c implements, with their codes there."""
+
+INPUTS: Final = {"feedback": 0, "interpolated": 1, "held": 2}
+"""Kinds of motor input, with their codes in steps.c."""
 
 SOURCE: Final = Path(__file__).with_name("steps.c")
 
-Signals = tuple[Array, Array, Array, Array]
 
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """State before each sample's step: q (N, nq), v, a and motor torque tau (N, nv); positions,
+    velocities and accelerations of elastic motors (N, n), referred to their joints."""
 
-class _State(ctypes.Structure):
-    _fields_ = (
-        *((name, ctypes.c_int64) for name in ("nq", "nv", "nu")),
-        *((x, ctypes.c_void_p) for x in ("qpos", "qvel", "qacc", "actuator", "ctrl", "applied")),
-    )
-
-
-class _Record(ctypes.Structure):
-    _fields_ = tuple((name, ctypes.c_void_p) for name in ("q", "v", "a", "tau"))
-
-
-def simulate_steps(
-    plant: Plant, mj: mujoco.MjModel, data: mujoco.MjData, t: Array, control: Array, each: int
-) -> Signals:
-    """Simulate from the state of `data` on; return q (N, nq), v, a and motor torque (N, nv).
-
-    `t` (N,) are the sample times, `control` (N, nu) the inputs, each held for `each` steps of the
-    model.
-    """
-    out = tuple(np.empty((len(t), size)) for size in (mj.nq, mj.nv, mj.nv, mj.nv))
-    known = all(getattr(law, "kind", None) in KINDS for law in plant.laws)
-    library = steps_library() if known else None
-    run = _Run(plant, mj, data, control, each)
-    if isinstance(library, ctypes.CDLL):
-        _in_c(library, run, out)
-    else:
-        _in_python(run, t, out)
-    return out  # type: ignore[return-value]
+    q: Array
+    v: Array
+    a: Array
+    tau: Array
+    motor_q: Array
+    motor_v: Array
+    motor_a: Array
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
-    """One simulation: plant, its compiled model, state, inputs (N, nu) and steps per input."""
+class Loop:
+    """One simulation: plant, compiled model and state, motors, the time of each sample (N,), inputs
+    (N, nu) and steps of the model per sample."""
 
     plant: Plant
     mj: mujoco.MjModel
     data: mujoco.MjData
+    drive: Drive
+    t: Array
     control: Array
     each: int
+
+    @property
+    def rotors(self) -> Rotors:
+        """Motors at the start: aligned with their joints, the transmission relaxed."""
+        dofs = self.drive.dofs
+        return Rotors(np.array(self.data.qpos[dofs]), np.array(self.data.qvel[dofs]))
+
+
+def simulate_steps(loop: Loop) -> Signals:
+    """Simulate from the state of the loop's data on."""
+    N, mj = len(loop.t), loop.mj
+    motors = mj.nu if loop.drive.transmission is not None else 0
+    sizes = (mj.nq, mj.nv, mj.nv, mj.nv, motors, motors, motors)
+    out = Signals(*(np.empty((N, size)) for size in sizes))
+    library = steps_library() if _is_compiled(loop.plant.laws) else None
+    if isinstance(library, ctypes.CDLL):
+        _in_c(library, loop, out)
+    else:
+        with np.errstate(over="ignore", invalid="ignore"):  # of a loop that diverges
+            _in_python(loop, out)
+    return out
 
 
 @cache
@@ -79,6 +91,32 @@ def steps_library() -> Any:
     return dll
 
 
+def laws_along(laws: Sequence[Any], t: Array, q: Array, v: Array, load: Array, each: int) -> Array:
+    """Return the torque (N, nv) of laws with states along a given motion.
+
+    q, v and load (N, nv), by degree of freedom, are interpolated linearly at `each` steps between
+    the uniform sample times t (N,).
+    """
+    h = float(t[1] - t[0]) / each if len(t) > 1 else 1e-3
+    library = steps_library() if _is_compiled(laws) else None
+    signals = [np.ascontiguousarray(x, float) for x in (q, v, load)]
+    if not isinstance(library, ctypes.CDLL):
+        return _along_in_python(laws, t, signals, each, h)
+    tau, work = np.empty_like(signals[1]), np.empty((4, v.shape[1]))
+    numbers = _Laws.of(laws, signals[0][0], signals[1][0], np.zeros(v.shape[1]))
+    count, number = ctypes.c_int64, ctypes.c_double
+    library.laws_along.restype = None
+    library.laws_along(
+        ctypes.byref(numbers), number(float(t[0])), count(len(t)), count(each), number(h),
+        count(v.shape[1]), *(_pointer(x) for x in (*signals, work, tau)),
+    )  # fmt: skip
+    return tau
+
+
+def _is_compiled(laws: Sequence[Any]) -> bool:
+    return all(getattr(law, "kind", None) in KINDS for law in laws)
+
+
 def _engine() -> ctypes.CDLL:
     """Shared library of MuJoCo that its Python bindings have loaded."""
     folder = Path(mujoco.__file__).parent
@@ -89,39 +127,162 @@ def _engine() -> ctypes.CDLL:
     return ctypes.CDLL(str(found[0]))
 
 
-def _in_c(library: Any, run: _Run, out: tuple[Array, ...]) -> None:
-    plant, mj, data = run.plant, run.mj, run.data
-    arrays = (data.qpos, data.qvel, data.qacc, data.qfrc_actuator, data.ctrl, data.qfrc_applied)
-    state = _State(mj.nq, mj.nv, mj.nu, *(x.ctypes.data for x in arrays))
-    record = _Record(*(x.ctypes.data for x in out))
-    # C sees addresses alone: these arrays have to live until the call returns.
-    inputs = np.ascontiguousarray(run.control, float)
-    constant = -np.asarray(plant.terms.offset, float)
-    numbers = [np.ascontiguousarray(law.numbers, float) for law in plant.laws]
-    kinds = np.array([KINDS[law.kind] for law in plant.laws], dtype=np.int64)
-    addresses = np.array([x.ctypes.data for x in numbers], dtype=np.uintp)
-    pointer, count = ctypes.c_void_p, ctypes.c_int64
-    arguments = (
-        *(library.step, pointer(mj._address), pointer(data._address), ctypes.byref(state)),
-        *(count(len(inputs)), count(run.each)),
-        *(pointer(x.ctypes.data) for x in (inputs, constant)),
-        count(len(numbers)),
-        *(pointer(x.ctypes.data) for x in (kinds, addresses)),
-        ctypes.byref(record),
+def _pointer(x: Array) -> ctypes.c_void_p:
+    return ctypes.c_void_p(x.ctypes.data)
+
+
+class _State(ctypes.Structure):
+    _arrays_ = ("qpos", "qvel", "qacc", "qfrc_actuator", "qfrc_passive", "qfrc_constraint", "ctrl",
+                "qfrc_applied")  # fmt: skip
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in ("nq", "nv", "nu")),
+        *((name, ctypes.c_void_p) for name in _arrays_),
     )
+
+
+class _Record(ctypes.Structure):
+    _fields_ = tuple(
+        (name, ctypes.c_void_p) for name in ("q", "v", "a", "tau", "motor_q", "motor_v", "motor_a")
+    )
+
+
+class _Drive(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in ("nu", "input", "elastic")),
+        *((name, ctypes.c_void_p) for name in
+          ("dof", "kp", "kd", "limit", "stiffness", "damping", "gap", "inertia")),
+    )  # fmt: skip
+
+    @classmethod
+    def of(cls, drive: Drive) -> "_Drive":
+        """Addresses of a drive's arrays, which live as long as the result."""
+        own, n = drive.transmission, len(drive.dofs)
+        elastic = [np.zeros(n)] * 4 if own is None else [
+            own.stiffness, own.damping, own.gap, own.inertia
+        ]  # fmt: skip
+        parts = [np.ascontiguousarray(drive.dofs, np.int64)] + [
+            np.ascontiguousarray(x, float) for x in (drive.kp, drive.kd, drive.limit, *elastic)
+        ]
+        made = cls(n, INPUTS[drive.input], int(own is not None), *(x.ctypes.data for x in parts))
+        made.parts = parts
+        return made
+
+
+class _Laws(ctypes.Structure):
+    _fields_ = (
+        ("count", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in ("kinds", "numbers", "states", "armature")),
+    )
+
+    @classmethod
+    def of(cls, laws: Sequence[Any], q: Array, v: Array, armature: Array) -> "_Laws":
+        """Addresses of the laws' numbers and states, which live as long as the result."""
+        kinds = np.array([KINDS[law.kind] for law in laws], dtype=np.int64)
+        numbers = [np.ascontiguousarray(law.numbers, float) for law in laws]
+        states = [np.ascontiguousarray(x) for x in initial_states(laws, q, v).states]
+        addresses = [
+            np.array([x.ctypes.data for x in arrays], dtype=np.uintp)
+            for arrays in (numbers, states)
+        ]
+        own = np.ascontiguousarray(armature, float)
+        made = cls(len(kinds), *(x.ctypes.data for x in (kinds, *addresses, own)))
+        made.parts = (kinds, numbers, states, addresses, own)
+        return made
+
+
+def _in_c(library: Any, loop: Loop, out: Signals) -> None:
+    mj, data, plant = loop.mj, loop.data, loop.plant
+    state = _State(mj.nq, mj.nv, mj.nu, *(getattr(data, x).ctypes.data for x in _State._arrays_))
+    record = _Record(*(x.ctypes.data for x in vars(out).values()))
+    # C sees addresses alone: these arrays have to live until the call returns.
+    inputs = np.ascontiguousarray(loop.control, float)
+    constant = -np.asarray(plant.terms.offset, float)
+    laws = _Laws.of(plant.laws, data.qpos[: mj.nv], data.qvel, mj.dof_armature)
+    drive = _Drive.of(loop.drive)
+    rotors = np.concatenate([loop.rotors.theta, loop.rotors.rate])
+    work = np.empty(mj.nv + 4 * mj.nu)
+    count, number, reference = ctypes.c_int64, ctypes.c_double, ctypes.byref
     library.simulation_steps.restype = None
-    library.simulation_steps(*arguments)
+    library.simulation_steps(
+        library.step, ctypes.c_void_p(mj._address), ctypes.c_void_p(data._address),
+        reference(state), number(float(loop.t[0])), count(len(inputs)), count(loop.each),
+        number(mj.opt.timestep), _pointer(inputs), _pointer(constant), reference(laws),
+        reference(drive), _pointer(rotors), _pointer(work), reference(record),
+    )  # fmt: skip
 
 
-def _in_python(run: _Run, t: Array, out: tuple[Array, ...]) -> None:
-    plant, mj, data = run.plant, run.mj, run.data
-    for k, now in enumerate(t):
-        data.ctrl[:] = run.control[k]
-        out[0][k], out[1][k] = data.qpos, data.qvel
-        for step in range(run.each):
-            extra = plant.extra(now, data.qpos, data.qvel)
-            data.qfrc_applied[:] = -plant.terms.offset - extra
+def _in_python(loop: Loop, out: Signals) -> None:
+    mj, data, drive = loop.mj, loop.data, loop.drive
+    h, load, rotors = mj.opt.timestep, np.zeros(mj.nv), loop.rotors
+    laws = initial_states(loop.plant.laws, data.qpos[: mj.nv], data.qvel)
+    for k, now in enumerate(loop.t):
+        out.q[k], out.v[k] = data.qpos, data.qvel
+        if drive.transmission is not None:
+            out.motor_q[k], out.motor_v[k] = rotors.theta, rotors.rate
+        held = _held_torque(loop, k, rotors)
+        for i in range(loop.each):
+            torque, laws = laws.step(h, now + i * h, data.qpos, data.qvel, load)
+            data.qfrc_applied[:] = -loop.plant.terms.offset - torque
+            before, given = rotors, None
+            u = _input(loop, k, i) if held is None else held
+            if drive.transmission is None:
+                data.ctrl[:] = u
+            else:
+                given, rotors = _drive_links(drive, data, u, rotors, h)
             mujoco.mj_step(mj, data)
+            load = _link_load(mj, data)
             # Accelerations and torques belong to the sampled state, before it is advanced.
-            if step == 0:
-                out[2][k], out[3][k] = data.qacc, data.qfrc_actuator
+            if i == 0:
+                out.a[k], out.tau[k] = data.qacc, data.qfrc_actuator
+                if given is not None:
+                    out.tau[k, drive.dofs] = given
+                    out.motor_a[k] = (rotors.rate - before.rate) / h
+
+
+def _held_torque(loop: Loop, k: int, rotors: Rotors) -> Array | None:
+    """Feedback torque (n,) at the sampled state, for motors that hold it; else None."""
+    drive, data = loop.drive, loop.data
+    if not drive.held:
+        return None
+    if drive.transmission is not None:
+        return drive.feedback(loop.control[k], rotors.theta, rotors.rate)
+    return drive.feedback(loop.control[k], data.qpos[drive.dofs], data.qvel[drive.dofs])
+
+
+def _input(loop: Loop, k: int, i: int) -> Array:
+    """Input (nu,) of the feedback in step i of sample k."""
+    part = i / loop.each if loop.drive.smooth else 0.0
+    following = loop.control[min(k + 1, len(loop.control) - 1)]
+    return np.asarray(loop.control[k] + part * (following - loop.control[k]))
+
+
+def _drive_links(
+    drive: Drive, data: mujoco.MjData, u: Array, rotors: Rotors, h: float
+) -> tuple[Array, Rotors]:
+    """Apply the transmissions' torque to the links; return the motors' torque (n,), and the rotors
+    after the step."""
+    torque, load, turned = drive.turn(rotors, u, data.qpos[drive.dofs], data.qvel[drive.dofs], h)
+    data.qfrc_applied[drive.dofs] += load
+    data.ctrl[:] = 0.0
+    return torque, turned
+
+
+def _link_load(mj: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Torque on the links (nv,): M a + bias without armature, by the equation of motion."""
+    forces = data.qfrc_actuator + data.qfrc_applied + data.qfrc_passive + data.qfrc_constraint
+    return np.asarray(forces - mj.dof_armature * data.qacc)
+
+
+def _along_in_python(
+    laws: Sequence[Any], t: Array, signals: Sequence[Array], each: int, h: float
+) -> Array:
+    states = initial_states(laws, signals[0][0], signals[1][0])
+    tau = np.empty_like(signals[1])
+    for k, now in enumerate(t):
+        following = min(k + 1, len(t) - 1)
+        for i in range(each):
+            q, v, load = (x[k] + i / each * (x[following] - x[k]) for x in signals)
+            torque, states = states.step(h, now + i * h, q, v, load)
+            if i == 0:
+                tau[k] = torque
+    return tau

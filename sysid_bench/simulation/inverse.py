@@ -6,18 +6,26 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from sysid_bench.errors import UnsupportedError
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.simulation.compiled_steps import laws_along
+from sysid_bench.simulation.force_laws import StateLaw
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 CHUNK = 512
 """Samples per MuJoCo batch."""
 
+PLAYBACK_STEP = 2.5e-4
+"""Step (s) of the internal states of force laws along a given motion, about."""
+
 
 @dataclass(frozen=True)
 class Inverse:
     """Simulation in which the robot follows the motion exactly.
 
-    tau = M a + bias + joint terms + effects; for coupled joints tau_ind = G^T tau on the
+    tau = M a + bias + joint terms + effects; internal states of effects advance along the motion;
+    for coupled joints tau_ind = G^T tau on the
     independent ones.
     """
 
@@ -29,8 +37,14 @@ class Inverse:
         self, plant: Plant, commanded: Trajectory, encoder: Array
     ) -> tuple[Oracle, Controller | None]:
         """Return the exact motion and torques; there is no controller, so that the encoder error
-        (N, n) has no effect on them."""
-        tree = rigid_torque(plant.contact_free_model, commanded) + _passive_torque(plant, commanded)
+        (N, n) has no effect on them. Raises UnsupportedError for elastic joints."""
+        if plant.transmission is not None:
+            raise UnsupportedError(
+                f"{plant.robot.name} has elastic joints, whose links cannot follow a motion "
+                "exactly; use simulation = 'closed-loop'."
+            )
+        rigid = rigid_torque(plant.contact_free_model, commanded)
+        tree = rigid + _passive_torque(plant, commanded) + _effect_torque(plant, commanded, rigid)
         tau = plant.robot.reduced(commanded.q, tree)
         return Oracle(commanded, check_finite(plant.robot.name, tau, "torque")), None
 
@@ -54,15 +68,37 @@ def rigid_torque(mj: mujoco.MjModel, motion: Trajectory) -> Array:
 
 
 def _passive_torque(plant: Plant, motion: Trajectory) -> Array:
-    """Torque (N, nv) of friction, offset, springs and effects, which the motors supply besides
-    M a + bias."""
-    terms, robot = plant.terms, plant.robot
+    """Torque (N, nv) of friction, offset and springs, which adds to M a + bias."""
+    terms = plant.terms
     tau = terms.viscous * motion.v + terms.coulomb * np.sign(motion.v) + terms.offset
+    q = joint_positions(plant.robot, motion)
+    # Springs belong to hinges and slides alone: those of other joints are zero.
+    return np.asarray(tau + terms.spring * (q - terms.spring_reference))
+
+
+def _effect_torque(plant: Plant, motion: Trajectory, rigid: Array) -> Array:
+    """Torque (N, nv) of force laws; `rigid` (N, nv) is M a + bias with armature."""
+    total: Array = np.zeros_like(motion.v)
+    laws = [law for law in plant.laws if not isinstance(law, StateLaw)]
+    for law in laws:
+        total = np.asarray(total + law(motion.t, motion.q, motion.v))
+    remembering = [law for law in plant.laws if isinstance(law, StateLaw)]
+    if remembering:
+        load = rigid - plant.terms.armature * motion.a
+        each = max(1, round(float(motion.t[1] - motion.t[0]) / PLAYBACK_STEP))
+        q = joint_positions(plant.robot, motion)
+        total = total + laws_along(remembering, motion.t, q, motion.v, load, each)
+    return total
+
+
+def joint_positions(robot: RobotModel, motion: Trajectory) -> Array:
+    """Return the positions (N, nv) of hinges and slides (rad, m), by degree of freedom; zero for
+    other joints."""
+    q = np.zeros_like(motion.v)
     for joint in robot.joints:
         if joint.kind in ("hinge", "slide"):
-            deflection = motion.q[:, joint.qadr] - terms.spring_reference[joint.vadr]
-            tau[:, joint.vadr] += terms.spring[joint.vadr] * deflection
-    return np.asarray(tau + plant.extra(motion.t, motion.q, motion.v))
+            q[:, joint.vadr] = motion.q[:, joint.qadr]
+    return q
 
 
 def _entries_of_M(mj: mujoco.MjModel) -> tuple[Array, Array, Array]:

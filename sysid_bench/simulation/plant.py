@@ -2,7 +2,7 @@
 contain."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -12,6 +12,7 @@ import numpy as np
 from sysid_bench.errors import EstimationError, SimulationError
 from sysid_bench.models.checks.mujoco_warnings import recorded_warnings
 from sysid_bench.models.robot import JointTerms, RobotModel
+from sysid_bench.simulation.transmission import Transmission
 from sysid_bench.spatial.inertia import mass_com_inertia
 from sysid_bench.types import Array
 
@@ -19,11 +20,10 @@ from sysid_bench.types import Array
 class Effect(Protocol):
     """Unmodelled effect: torque of a plant that the identified model does not contain.
 
-    `prepare(robot)` returns the effect's force law on this robot, `(t, q, v) -> torque` with t (),
-    q (..., nq), v (..., nv) and torque (..., nv): the torque that the motors supply in addition
-    (None: no effect). A law is called with single samples (closed loop) or whole motions. Random
-    draws come from a seed of its own. A law with a `kind` and `numbers` that steps.c implements
-    runs compiled.
+    `prepare(robot)` returns the effect's force law on this robot (`force_laws.py`): the torque that
+    the motors supply in addition (None: no effect). A law with an attribute `replaces` takes over
+    these joint terms of the plant, as ("coulomb",). An elastic `Transmission` is returned instead
+    of a law. Random draws come from a seed of its own.
     """
 
     def prepare(self, robot: RobotModel) -> Any:
@@ -37,9 +37,17 @@ class Plant:
     the robot's inertial parameters."""
 
     robot: RobotModel
-    terms: JointTerms
+    terms: JointTerms  # without those that laws or the transmission take over
     laws: tuple[Any, ...] = ()
     phi: Array | None = None
+    transmission: Transmission | None = None
+
+    @cached_property
+    def nominal(self) -> "Plant":
+        """The robot with its own joint terms and no effects, which controllers are designed for."""
+        if self.phi is not None:
+            return self
+        return plant_of(self.robot)
 
     @cached_property
     def contact_free_model(self) -> mujoco.MjModel:
@@ -56,24 +64,33 @@ class Plant:
             mj = contact_free(spec.compile())
         if self.phi is not None:
             set_inertias(mj, self.phi)
+        if self.phi is not None or self.terms is not self.robot.joint_terms:
             _set_joint_terms(mj, self)
             # Quantities that MuJoCo derives from inertias, such as the weights of constraints.
             mujoco.mj_setConst(mj, mujoco.MjData(mj))
         return mj
 
-    def extra(self, t: Array, q: Array, v: Array) -> Array:
-        """Return the torque (..., nv) of all effects at t, q (..., nq), v (..., nv)."""
-        total: Array = np.zeros_like(v)
-        for law in self.laws:
-            total = np.asarray(total + law(t, q, v))
-        return total
-
 
 def plant_of(robot: RobotModel, effects: Sequence[Effect] = ()) -> Plant:
     """Return the plant of a robot with the given effects and its own joint terms."""
     prepared = [effect.prepare(robot) for effect in effects]
-    laws = tuple(law for law in prepared if law is not None)
-    return Plant(robot, robot.joint_terms, laws + viscous_coupling(robot.joint_terms))
+    laws = tuple(x for x in prepared if x is not None and not isinstance(x, Transmission))
+    elastic = next((x for x in prepared if isinstance(x, Transmission)), None)
+    terms = _remaining_terms(robot, laws, elastic)
+    return Plant(robot, terms, laws + viscous_coupling(terms), transmission=elastic)
+
+
+def _remaining_terms(
+    robot: RobotModel, laws: Sequence[Any], elastic: Transmission | None
+) -> JointTerms:
+    """Joint terms without those that laws replace, and without armature, which belongs to the
+    rotors behind an elastic transmission."""
+    taken = {term for law in laws for term in getattr(law, "replaces", ())}
+    if elastic is not None:
+        taken.add("armature")
+    if not taken:
+        return robot.joint_terms
+    return replace(robot.joint_terms, **{term: np.zeros(robot.nv) for term in taken})
 
 
 def viscous_coupling(terms: JointTerms) -> tuple[Any, ...]:

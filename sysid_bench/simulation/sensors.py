@@ -104,7 +104,7 @@ def measure(
     sample. With `ideal_rates`, exact v and a are recorded too. Dependent joints have no encoder:
     their positions follow from those of the independent joints.
     """
-    motion = oracle.motion
+    motion = oracle.measured
     kept = slice(None, None, stride)
     step = motion.t[1] - motion.t[0]
     if robot.coupling is not None:

@@ -1,7 +1,7 @@
-/* A simulation step by step in which force laws look at each state, without Python in between.
+/* A simulation step by step in which force laws see each state, without Python in between.
  *
- * The engine's step is a function that is handed over; of its model and data nothing is known here
- * but the places of the few arrays that the loop reads and writes.
+ * The engine's step is a function that is handed over. Of its model and data only the places of
+ * the few arrays are known that the loop reads and writes.
  */
 
 #include <math.h>
@@ -14,61 +14,242 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-enum { STRIBECK, COUPLED }; /* as simulation/compiled_steps.py counts them */
+enum { STRIBECK, COUPLED, LUGRE }; /* force laws, as simulation/compiled_steps.py counts them */
+enum { FEEDBACK, INTERPOLATED, HELD }; /* inputs, likewise */
 
 typedef void (*Step)(const void *model, void *data);
 
 /* Arrays of the engine's data. */
 typedef struct {
     int64_t nq, nv, nu;
-    const double *qpos, *qvel, *qacc, *actuator;
+    const double *qpos, *qvel, *qacc, *actuator, *passive, *constraint;
     double *ctrl, *applied;
 } State;
 
-/* What is recorded of each sample before its step: q (N, nq), v, a, tau (N, nv). */
+/* What is recorded of each sample before its step: q (N, nq), v, a, tau (N, nv), and position,
+ * velocity and acceleration of the motors (N, nu), referred to their joints. */
 typedef struct {
-    double *q, *v, *a, *tau;
+    double *q, *v, *a, *tau, *motor_q, *motor_v, *motor_a;
 } Record;
 
-/* Torque that a law takes away; `x` are its numbers. */
-static void take(int64_t kind, const double *x, int64_t nv, const double *v, double *tau)
+/* Motors (nu): their joints' degrees of freedom, gains, torque limits, kind of input, and, behind an
+ * elastic transmission (`elastic`), stiffness, damping, half gap and rotor inertia. */
+typedef struct {
+    int64_t nu, input, elastic;
+    const int64_t *dof;
+    const double *kp, *kd, *limit, *stiffness, *damping, *gap, *inertia;
+} Drive;
+
+/* Force laws: kinds, numbers and states of each, and the armature (nv) of the links' joints. */
+typedef struct {
+    int64_t count;
+    const int64_t *kinds;
+    const double *const *numbers;
+    double *const *states;
+    const double *armature;
+} Laws;
+
+/* What a force law sees of a state: time, positions, velocities, torque on the links (nv each). */
+typedef struct {
+    double t;
+    const double *q, *v, *load;
+} Seen;
+
+static void stribeck(const double *x, int64_t nv, const Seen *s, double *tau)
 {
-    if (kind == STRIBECK) { /* share (nv), vs, v0 */
-        const double vs = x[nv], v0 = x[nv + 1];
-        for (int64_t i = 0; i < nv; i++)
-            if (x[i] != 0) {
-                double slow = v[i] / vs;
-                tau[i] -= x[i] * exp(-slow * slow) * tanh(v[i] / v0);
-            }
-    } else { /* a matrix (nv, nv) */
-        for (int64_t i = 0; i < nv; i++)
-            for (int64_t j = 0; j < nv; j++)
-                tau[i] -= x[nv * i + j] * v[j];
+    const double vs = x[nv], v0 = x[nv + 1]; /* after the sizes (nv) */
+    for (int64_t i = 0; i < nv; i++)
+        if (x[i] != 0) {
+            double slow = s->v[i] / vs;
+            tau[i] -= x[i] * exp(-slow * slow) * tanh(s->v[i] / v0);
+        }
+}
+
+static void coupled(const double *x, int64_t nv, const Seen *s, double *tau)
+{
+    for (int64_t i = 0; i < nv; i++)
+        for (int64_t j = 0; j < nv; j++)
+            tau[i] -= x[nv * i + j] * s->v[j];
+}
+
+/* Numbers: Coulomb and static friction, stiffness, damping (nv each), Stribeck velocity; states:
+ * deflections of the bristles z (nv). */
+static void lugre(const double *x, double *z, double h, int64_t nv, const Seen *s, double *tau)
+{
+    const double *fc = x, *fs = x + nv, *s0 = x + 2 * nv, *s1 = x + 3 * nv, vs = x[4 * nv];
+    for (int64_t i = 0; i < nv; i++)
+        if (fc[i] > 0) {
+            double v = s->v[i], slow = v / vs, g = fc[i] + (fs[i] - fc[i]) * exp(-slow * slow);
+            double end = (v < 0 ? -g : g) / s0[i], old = z[i];
+            if (v != 0) /* exact while v is constant */
+                z[i] = end + (old - end) * exp(-s0[i] * fabs(v) * h / g);
+            tau[i] -= s0[i] * z[i] + s1[i] * (z[i] - old) / h;
+        }
+}
+
+/* Torque `tau` (nv) minus that of every law over a step `h`, in which their states advance. */
+static void take(const Laws *laws, double h, int64_t nv, const Seen *s, double *tau)
+{
+    for (int64_t l = 0; l < laws->count; l++) {
+        const double *x = laws->numbers[l];
+        switch (laws->kinds[l]) {
+        case STRIBECK: stribeck(x, nv, s, tau); break;
+        case COUPLED: coupled(x, nv, s, tau); break;
+        case LUGRE: lugre(x, laws->states[l], h, nv, s, tau); break;
+        }
     }
 }
 
-/* `samples` of the record, `each` steps per sample; inputs u (samples, nu), constant forces (nv). */
-EXPORT void simulation_steps(Step step, const void *model, void *data, const State *s,
-                             int64_t samples, int64_t each, const double *u, const double *constant,
-                             int64_t laws, const int64_t *kinds, const double *const *numbers,
-                             const Record *out)
+static double clipped(double x, double limit)
 {
-    const int64_t nq = s->nq, nv = s->nv;
+    return x > limit ? limit : x < -limit ? -limit : x;
+}
+
+/* Elastic motors `m` (positions, then velocities) and the links at one step: the torque that each
+ * transmission gives a link, and the torque of each motor. */
+typedef struct {
+    double *m, *load, *torque;
+} Rotors;
+
+static double wound(const Drive *d, int64_t j, double theta, double q)
+{
+    double x = theta - q;
+    return x - clipped(x, d->gap[j]);
+}
+
+/* Rotor with inertia, symplectic in the spring; the damping of a feedback on u is implicit, since a
+ * light rotor would otherwise oscillate. A held torque is u itself. */
+static void turn_rotor(const Drive *d, int64_t j, double u, double h, double q, double v, Rotors *r)
+{
+    double *theta = r->m + j, *rate = r->m + d->nu + j, w = *rate, B = d->inertia[j];
+    double load = d->stiffness[j] * wound(d, j, *theta, q) + d->damping[j] * (w - v), torque = u;
+    if (d->input != HELD) {
+        double kp = d->kp[j], kd = d->kd[j], e = u - *theta;
+        double next = (B * w + h * (kp * e - load)) / (B + h * kd + h * h * kp);
+        torque = clipped(kp * (e - h * next) - kd * next, d->limit[j]);
+    }
+    w += h / B * (torque - load);
+    *rate = w;
+    *theta += h * w;
+    r->load[j] = load;
+    r->torque[j] = torque;
+}
+
+/* Motor without inertia: kd w + kp (theta - u) + K dz(theta - q) + D (w - v) = 0 at the end of the
+ * step, or the torque limit in place of the feedback. */
+static void turn_massless(const Drive *d, int64_t j, double u, double h, double q, double v,
+                          Rotors *r)
+{
+    double *theta = r->m + j, *rate = r->m + d->nu + j, x = wound(d, j, *theta, q);
+    double K = d->gap[j] > 0 && x == 0 ? 0.0 : d->stiffness[j], D = d->damping[j];
+    double kp = d->kp[j], kd = d->kd[j], e = u - *theta, rest = D * v - K * x;
+    double w = (kp * e + rest) / (kd + D + h * (kp + K)), free = kp * (e - h * w) - kd * w;
+    double torque = clipped(free, d->limit[j]);
+    if (torque != free && D + h * K > 0)
+        w = (torque + rest) / (D + h * K);
+    *rate = w;
+    *theta += h * w;
+    r->load[j] = K * (x + h * w) + D * (w - v);
+    r->torque[j] = torque;
+}
+
+/* Torques of motors that hold them over a control period, from the state at its start. */
+static void hold(const Drive *d, const double *u, const State *s, const double *m, double *held)
+{
+    for (int64_t j = 0; j < d->nu; j++) {
+        int64_t i = d->dof[j];
+        double q = d->elastic ? m[j] : s->qpos[i], v = d->elastic ? m[d->nu + j] : s->qvel[i];
+        held[j] = clipped(d->kp[j] * (u[j] - q) - d->kd[j] * v, d->limit[j]);
+    }
+}
+
+/* Forces of elastic transmissions on the links, and the rotors' advance by a step. */
+static void drive_links(const Drive *d, const double *u, double h, const State *s, Rotors *r)
+{
+    for (int64_t j = 0; j < d->nu; j++) {
+        int64_t i = d->dof[j];
+        if (d->inertia[j] > 0)
+            turn_rotor(d, j, u[j], h, s->qpos[i], s->qvel[i], r);
+        else
+            turn_massless(d, j, u[j], h, s->qpos[i], s->qvel[i], r);
+        s->applied[i] += r->load[j];
+        s->ctrl[j] = 0;
+    }
+}
+
+/* `samples` of the record from the time t on, `each` steps of `h` per sample; inputs u
+ * (samples, nu), constant forces (nv); `m` (2 nu) are positions and velocities of elastic motors,
+ * `work` has room for nv + 4 nu. */
+EXPORT void simulation_steps(Step step, const void *model, void *data, const State *s, double t,
+                             int64_t samples, int64_t each, double h, const double *u,
+                             const double *constant, const Laws *laws, const Drive *drive,
+                             double *m, double *work, const Record *out)
+{
+    const int64_t nq = s->nq, nv = s->nv, nu = s->nu;
+    double *load = work, *held = load + nv, *now = held + nu;
+    Rotors rotors = {m, now + nu, now + 2 * nu};
+    memset(load, 0, 8 * nv);
     for (int64_t k = 0; k < samples; k++) {
-        memcpy(s->ctrl, u + k * s->nu, 8 * s->nu);
+        const double *u0 = u + k * nu, *u1 = k + 1 < samples ? u0 + nu : u0;
         memcpy(out->q + k * nq, s->qpos, 8 * nq);
         memcpy(out->v + k * nv, s->qvel, 8 * nv);
+        if (drive->elastic) {
+            memcpy(out->motor_q + k * nu, m, 8 * nu);
+            memcpy(out->motor_v + k * nu, m + nu, 8 * nu);
+        }
+        if (drive->input == HELD)
+            hold(drive, u0, s, m, held);
         for (int64_t i = 0; i < each; i++) {
+            double part = drive->input == INTERPOLATED ? (double)i / (double)each : 0.0;
+            Seen seen = {t + (double)(k * each + i) * h, s->qpos, s->qvel, load};
+            for (int64_t j = 0; j < nu; j++)
+                now[j] = drive->input == HELD ? held[j] : u0[j] + part * (u1[j] - u0[j]);
             memcpy(s->applied, constant, 8 * nv);
-            for (int64_t l = 0; l < laws; l++)
-                take(kinds[l], numbers[l], nv, s->qvel, s->applied);
+            take(laws, h, nv, &seen, s->applied);
+            if (drive->elastic)
+                drive_links(drive, now, h, s, &rotors);
+            else
+                memcpy(s->ctrl, now, 8 * nu);
             step(model, data);
-            if (i == 0) {
-                memcpy(out->a + k * nv, s->qacc, 8 * nv);
-                memcpy(out->tau + k * nv, s->actuator, 8 * nv);
+            for (int64_t j = 0; j < nv; j++)
+                load[j] = s->actuator[j] + s->applied[j] + s->passive[j] + s->constraint[j] -
+                          laws->armature[j] * s->qacc[j];
+            if (i > 0)
+                continue;
+            memcpy(out->a + k * nv, s->qacc, 8 * nv);
+            memcpy(out->tau + k * nv, s->actuator, 8 * nv);
+            for (int64_t j = 0; j < nu && drive->elastic; j++) {
+                out->tau[k * nv + drive->dof[j]] = rotors.torque[j];
+                out->motor_a[k * nu + j] = (m[nu + j] - out->motor_v[k * nu + j]) / h;
             }
         }
     }
+}
+
+/* Torque (samples, nv) that laws take along a given motion from the time t on: q, v, load
+ * (samples, nv) are interpolated linearly at `each` steps of `h` per sample; `work` (4 nv). */
+EXPORT void laws_along(const Laws *laws, double t, int64_t samples, int64_t each, double h,
+                       int64_t nv, const double *q, const double *v, const double *load,
+                       double *work, double *tau)
+{
+    const double *from[3] = {q, v, load};
+    const Seen seen = {0.0, work, work + nv, work + 2 * nv};
+    for (int64_t k = 0; k < samples; k++)
+        for (int64_t i = 0; i < each; i++) {
+            const double part = (double)i / (double)each;
+            const int64_t here = k * nv, next = k + 1 < samples ? nv : 0;
+            for (int64_t x = 0; x < 3 * nv; x++) {
+                const double *p = from[x / nv] + here + x % nv;
+                work[x] = p[0] + part * (p[next] - p[0]);
+            }
+            Seen at = seen;
+            at.t = t + (double)(k * each + i) * h;
+            double *taken = work + 3 * nv;
+            memset(taken, 0, 8 * nv);
+            take(laws, h, nv, &at, taken);
+            for (int64_t j = 0; j < nv && i == 0; j++)
+                tau[here + j] = -taken[j];
+        }
 }
 
 #ifdef SOURCE_HASH

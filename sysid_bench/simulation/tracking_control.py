@@ -11,38 +11,27 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
-from sysid_bench.models.robot import Joint, RobotModel
-from sysid_bench.simulation.compiled_steps import simulate_steps
-from sysid_bench.simulation.motor_load import (
-    mass_matrix,
-    motor_inertia,
-    motor_load,
-    motor_values,
-)
+from sysid_bench.errors import SimulationError, UnsupportedError, UsageError, unknown_name
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.simulation.compiled_steps import Loop, Signals, simulate_steps
+from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.simulation.sensors import first_order
+from sysid_bench.simulation.tracking_model import (
+    INTEGRATORS,
+    StepChoice,
+    drive_of,
+    fastest_decay,
+    motor_joints,
+    tracking_model,
+)
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
-STIFF_FRICTION: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])
-"""solref and solimp of friction loss. MuJoCo's soft default causes torque errors of 12 % in a joint
-with Coulomb friction; these settings 0.03 % while the joint moves."""
-
 EXPLICIT_DECAY: Final = 1.0
-"""Largest product of step and fastest decay rate for explicit damping, i.e. with the torque held
-over a step, as by a digital controller. An implicit step acts like an additional joint inertia of
-(kd + viscous friction) times the step: 17 % of the torque of a UR5 at 500 Hz. Beyond this product
-an explicit step would oscillate."""
-
-STIFF_EQUALITY: Final = ([0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0])
-"""solref and solimp of couplings. MuJoCo's default causes torque errors of 1 %, these settings less
-than 0.01 %."""
-
-EXPLICIT_DAMPING: Final = 0.25
-"""Largest fraction of a coupled joint's velocity that dampers and controller take in one step."""
-
-MOST_STEPS: Final = 20
-"""Maximal number of simulation steps of a coupled robot per control period."""
+"""Largest product of control period and fastest decay rate for a torque that is held over a period,
+as by a digital controller. An implicit step acts like an additional joint inertia of (kd + viscous
+friction) times the step: 17 % of the torque of a UR5 at 500 Hz. Beyond this product a held torque
+would oscillate."""
 
 LEAD_IN: Final = 50
 """Control periods of a coupled robot before the motion, which are not recorded: its soft
@@ -59,6 +48,10 @@ class TrackingControl:
     `kd` (N m/rad and N m s/rad, or N/m and N s/m), one for all joints or one each, replace this
     design. The measured velocity contains the backward difference of the encoder error, through a
     first-order low-pass filter at `velocity_cutoff` (Hz).
+
+    The plant takes `substeps` steps per control period, or more where its internal springs need
+    them, with the `integrator` "euler" (semi-implicit), "implicitfast", "implicit" or "rk4";
+    "auto" is "euler" where the torque is held over the period, else "implicitfast".
     """
 
     rate: float = field(default=1000.0, metadata={"unit": "Hz"})
@@ -68,14 +61,22 @@ class TrackingControl:
     velocity_cutoff: float = field(default=30.0, metadata={"unit": "Hz"})
     kp: float | Sequence[float] | None = None
     kd: float | Sequence[float] | None = None
+    substeps: int = 4
+    integrator: str = "auto"
 
     def __post_init__(self) -> None:
         """Raise UsageError for gains that are not positive numbers, or if one of the two is
-        missing."""
+        missing; for steps below 1 and unknown integrators."""
         if (self.kp is None) != (self.kd is None):
             raise UsageError("Give both kp and kd of the controller, or neither.")
         _check_gains("kp", self.kp)
         _check_gains("kd", self.kd)
+        _check_steps(self.substeps, self.integrator)
+
+    @property
+    def step_choice(self) -> StepChoice:
+        """Steps and integrator of the plant."""
+        return StepChoice(self.substeps, self.integrator)
 
     def design_rate(self, recording: float) -> float:
         """Return the control rate (Hz); raises UsageError unless the recording rate divides it."""
@@ -113,22 +114,41 @@ class TrackingControl:
         robot = plant.robot
         # MuJoCo replaces an input of NaN by zero, with only a warning.
         check_finite(robot.name, encoder, "encoder error")
-        mj = tracking_model(plant, controller)
+        mj = tracking_model(plant, controller, self.step_choice)
         lead = 0 if robot.coupling is None else LEAD_IN
         whole = _with_lead_in(robot, commanded, lead)
         encoder = np.pad(encoder, ((lead, 0), (0, 0)), "edge")
         control = commands(controller, whole, encoder, robot)
-        steps = _steps_with_laws if plant.laws else _rollout
-        q, v, a, tau = (signal[lead:] for signal in steps(plant, mj, whole, control))
-        motion = Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
-        for name, array in (("position", q), ("acceleration", a)):
+        signals = self._simulate(plant, mj, controller, whole, control)
+        motion = _motion(commanded, signals.q[lead:], signals.v[lead:], signals.a[lead:])
+        tau = signals.tau[lead:]
+        for name, array in (("position", motion.q), ("acceleration", motion.a)):
             check_finite(robot.name, array, f"{name} in closed loop")
         _check_tracking(robot, commanded, motion, tau)
-        return Oracle(motion, tau[:, robot.torque_dofs])
+        return Oracle(
+            motion, tau[:, robot.torque_dofs], _motor_motion(plant, motion, signals, lead)
+        )
+
+    def _simulate(
+        self,
+        plant: Plant,
+        mj: mujoco.MjModel,
+        controller: Controller,
+        commanded: Trajectory,
+        control: Array,
+    ) -> Signals:
+        """Signals of all samples; in one call of MuJoCo where nothing depends on the state."""
+        each: int = round((commanded.t[1] - commanded.t[0]) / mj.opt.timestep)
+        drive = drive_of(plant, controller, self.step_choice, each)
+        if not (plant.laws or plant.transmission or drive.held):
+            return _rollout(plant, mj, commanded, _interpolated(control, each), each)
+        data = mujoco.MjData(mj)
+        data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
+        return simulate_steps(Loop(plant, mj, data, drive, commanded.t, control, each))
 
     def controller(self, plant: Plant) -> Controller:
         """Return the controller of a plant, with gains (n,), one per motor."""
-        kp, kd = self._declared(plant.robot) or self._designed(plant)
+        kp, kd = self._declared(plant.robot) or self._designed(plant.nominal)
         return Controller(kp, kd, self.rate, self.velocity_cutoff, self._holds(plant, kd))
 
     def _holds(self, plant: Plant, kd: Array) -> bool:
@@ -136,10 +156,12 @@ class TrackingControl:
         several steps per period, with damping in each."""
         if plant.robot.coupling is not None:
             return False
-        return (
-            _fastest_decay(plant.contact_free_model, kd + plant.terms.viscous)
-            <= EXPLICIT_DECAY * self.rate
-        )
+        nominal = plant.nominal
+        decay = fastest_decay(nominal.contact_free_model, kd + nominal.terms.viscous)
+        if plant.transmission is not None:
+            with np.errstate(divide="ignore"):  # a motor without inertia cannot hold a torque
+                decay = max(decay, float((kd / plant.transmission.inertia).max()))
+        return decay <= EXPLICIT_DECAY * self.rate
 
     def _declared(self, robot: RobotModel) -> tuple[Array, Array] | None:
         if self.kp is None or self.kd is None:
@@ -163,6 +185,13 @@ def _check_gains(name: str, gains: object) -> None:
     values = gains if isinstance(gains, (list, tuple)) else [gains]
     if gains is not None and not (values and all(map(_is_positive, values))):
         raise UsageError(f"{name} = {gains!r}: give a positive number, or a list of them.")
+
+
+def _check_steps(substeps: int, integrator: str) -> None:
+    if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
+        raise UsageError(f"substeps = {substeps!r}: give a whole number of 1 or more.")
+    if integrator not in ("auto", *INTEGRATORS):
+        raise unknown_name("integrator", integrator, ("auto", *INTEGRATORS))
 
 
 def _is_positive(x: object) -> bool:
@@ -194,63 +223,6 @@ def _range(robot: RobotModel) -> Array:
     return np.asarray(robot.limits.q_high - robot.limits.q_low)
 
 
-def tracking_model(plant: Plant, controller: Controller) -> mujoco.MjModel:
-    """Return the plant's model with one motor per independent joint, whose affine bias is the PD
-    feedback: tau = kp (u - q) - kd v, limited to the joint's torque limit."""
-    spec = plant.robot.spec.copy()
-    motors = _motors(plant.robot)
-    for joint, kp, kd in zip(motors, controller.kp, controller.kd, strict=True):
-        _add_motor(spec, joint.name, kp, kd, plant.robot.limits.tau[joint.vadr])
-    for joint in spec.joints:
-        joint.solref_friction, joint.solimp_friction = STIFF_FRICTION
-    for equality in spec.equalities:
-        equality.solref, equality.solimp = STIFF_EQUALITY
-    mj = plant.compiled(spec)
-    mj.opt.timestep = 1.0 / controller.rate
-    mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    if plant.robot.coupling is not None:
-        _enable_couplings(mj, plant, controller)
-    elif controller.held:
-        mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_EULER)
-        mj.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
-    return mj
-
-
-def _add_motor(spec: mujoco.MjSpec, joint: str, kp: float, kd: float, limit: float) -> None:
-    """Add a motor whose gain and affine bias are PD feedback, limited to +- `limit` if finite."""
-    motor = spec.add_actuator(name=f"motor of {joint}", target=joint)
-    motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
-    motor.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-    motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    motor.gainprm[:3] = [kp, 0.0, 0.0]
-    motor.biasprm[:3] = [0.0, -kp, -kd]
-    if np.isfinite(limit):
-        motor.forcerange = [-limit, limit]
-        motor.forcelimited = True
-
-
-def _fastest_decay(mj: mujoco.MjModel, damping: Array) -> float:
-    """Largest eigenvalue (1/s) of M^-1 D for damping D (nv,) at the reference posture."""
-    root = np.sqrt(damping)
-    return float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(mass_matrix(mj)) * root)[-1])
-
-
-def _enable_couplings(mj: mujoco.MjModel, plant: Plant, controller: Controller) -> None:
-    """Enable the couplings of a model, with an explicit integrator and steps fine enough for it.
-
-    An implicit integrator violates the constraints: torque errors of a gripper are 7 %, with an
-    explicit one 0.01 %.
-    """
-    bits = mujoco.mjtDisableBit
-    mj.opt.disableflags &= ~int(bits.mjDSBL_EQUALITY)
-    mj.opt.disableflags |= int(bits.mjDSBL_EULERDAMP)
-    mj.opt.integrator = int(mujoco.mjtIntegrator.mjINT_EULER)
-    # Explicit damping is stable up to D dt / M = 2, and free of oscillation well below.
-    damping = motor_values(plant.robot, plant.terms.viscous, 2) + controller.kd
-    fastest = float((damping / motor_inertia(plant)).max()) / controller.rate
-    mj.opt.timestep /= max(1, min(MOST_STEPS, int(np.ceil(fastest / EXPLICIT_DAMPING))))
-
-
 def _with_lead_in(robot: RobotModel, commanded: Trajectory, count: int) -> Trajectory:
     """Motion with `count` samples before it, extrapolated with its initial acceleration."""
     if robot.coupling is None or count == 0:
@@ -270,12 +242,6 @@ def _with_lead_in(robot: RobotModel, commanded: Trajectory, count: int) -> Traje
     )
 
 
-def _motors(robot: RobotModel) -> list[Joint]:
-    """Joints with a motor: the independent ones."""
-    moving = set(robot.torque_dofs.tolist())
-    return [joint for joint in robot.joints if joint.vadr in moving]
-
-
 def commands(
     controller: Controller, commanded: Trajectory, encoder: Array, robot: RobotModel
 ) -> Array:
@@ -287,20 +253,28 @@ def commands(
     difference = np.diff(encoder, axis=0, prepend=encoder[:1]) * controller.rate
     pole = float(np.exp(-2 * np.pi * controller.velocity_cutoff / controller.rate))
     slope = first_order(1 - pole, pole, difference, np.zeros_like(difference[:1]))
-    qadr = [joint.qadr for joint in _motors(robot)]
+    qadr = [joint.qadr for joint in motor_joints(robot)]
     ratio = controller.kd / controller.kp
     rates = commanded.v[:, robot.torque_dofs]
     return np.asarray(commanded.q[:, qadr] - encoder + ratio * (rates - slope))
 
 
+def _interpolated(control: Array, each: int) -> Array:
+    """Inputs (each N, nu) of all steps, interpolated linearly between samples (N, nu)."""
+    if each == 1:
+        return control
+    following = np.concatenate([control[1:], control[-1:]])
+    parts = np.arange(each)[None, :, None] / each
+    steps = control[:, None] + parts * (following - control)[:, None]
+    return np.asarray(steps.reshape(-1, control.shape[1]))
+
+
 def _rollout(
-    plant: Plant, mj: mujoco.MjModel, commanded: Trajectory, control: Array
-) -> tuple[Array, Array, Array, Array]:
-    """q, v, a and joint torque (N, nv) at every sample, in one call of MuJoCo's batch rollout."""
+    plant: Plant, mj: mujoco.MjModel, commanded: Trajectory, control: Array, each: int
+) -> Signals:
+    """Signals of every sample, in one call of MuJoCo's batch rollout."""
     batch = Batch(mj, 1, nthread=1)
     batch.bind("qpos")[0], batch.bind("qvel")[0] = commanded.q[0], commanded.v[0]
-    steps = _steps_per_sample(mj, commanded)
-    control = np.repeat(control, steps, axis=0)
     applied = np.broadcast_to(-plant.terms.offset, (len(control), mj.nv))
     state = mujoco.mjtState
     record = batch.rollout(
@@ -313,21 +287,28 @@ def _rollout(
     # Records are taken after a step; accelerations and torques belong to the state before it.
     q_before = np.concatenate([commanded.q[:1], q[:-1]])
     v_before = np.concatenate([commanded.v[:1], v[:-1]])
-    return q_before[::steps], v_before[::steps], a[::steps], tau[::steps]
+    none = np.empty((len(commanded), 0))
+    return Signals(
+        q_before[::each], v_before[::each], a[::each], tau[::each],
+        motor_q=none, motor_v=none, motor_a=none,
+    )  # fmt: skip
 
 
-def _steps_per_sample(mj: mujoco.MjModel, commanded: Trajectory) -> int:
-    steps: int = round((commanded.t[1] - commanded.t[0]) / mj.opt.timestep)
-    return steps
+def _motion(commanded: Trajectory, q: Array, v: Array, a: Array) -> Trajectory:
+    return Trajectory(commanded.t, q, v, a, "closed loop", commanded.period)
 
 
-def _steps_with_laws(
-    plant: Plant, mj: mujoco.MjModel, commanded: Trajectory, control: Array
-) -> tuple[Array, Array, Array, Array]:
-    """The same step by step, since the force laws of effects depend on the current state."""
-    data = mujoco.MjData(mj)
-    data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
-    return simulate_steps(plant, mj, data, commanded.t, control, _steps_per_sample(mj, commanded))
+def _motor_motion(
+    plant: Plant, motion: Trajectory, signals: Signals, lead: int
+) -> Trajectory | None:
+    """Motion as encoders on the motors measure it; None where they measure that of the links."""
+    if plant.transmission is None or not plant.transmission.motor_side:
+        return None
+    q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+    dofs = plant.robot.torque_dofs
+    for x, motor in ((q, signals.motor_q), (v, signals.motor_v), (a, signals.motor_a)):
+        x[:, dofs] = motor[lead:]
+    return Trajectory(motion.t, q, v, a, motion.name, motion.period)
 
 
 def _check_saturation(robot: RobotModel, dof: int, name: str, tau: Array) -> None:
@@ -345,7 +326,7 @@ def _check_tracking(
     robot: RobotModel, commanded: Trajectory, motion: Trajectory, tau: Array
 ) -> None:
     errors = np.abs(motion.q - commanded.q).max(axis=0)
-    lost = [joint for joint in _motors(robot) if errors[joint.qadr] > 1.0]
+    lost = [joint for joint in motor_joints(robot) if errors[joint.qadr] > 1.0]
     if lost:
         worst = max(lost, key=lambda joint: float(errors[joint.qadr]))
         _check_saturation(robot, worst.vadr, worst.name, tau)

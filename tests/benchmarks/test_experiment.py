@@ -25,7 +25,8 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.plant import plant_of
-from sysid_bench.simulation.tracking_control import TrackingControl, commands, tracking_model
+from sysid_bench.simulation.tracking_control import TrackingControl, commands
+from sysid_bench.simulation.tracking_model import tracking_model
 from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Array
 

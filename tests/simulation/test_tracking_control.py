@@ -247,7 +247,7 @@ def test_a_bare_robot_keeps_its_kinematics_and_nothing_else(name: str) -> None:
 def test_a_held_torque_moves_the_positions_as_the_equation_of_motion_says(name: str) -> None:
     """Second differences of the positions are the accelerations that the torques make; an implicit
     step would move them as if kd times the step were inertia."""
-    robot, loop = robot_of(name), TrackingControl(rate=2000.0)
+    robot, loop = robot_of(name), TrackingControl(rate=2000.0, substeps=1)
     oracle, controller = run(robot, loop=loop)
     assert controller.held
     q, a = oracle.motion.q, oracle.motion.a

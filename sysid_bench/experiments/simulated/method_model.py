@@ -52,7 +52,7 @@ class SimulateModel:
         theta = np.asarray(theta, dtype=float)
         _validate_theta(theta, self.model.parameters)
         plant = parametrised_plant(self.model, theta)
-        oracle = TrackingControl(rate=controller.rate).track(
+        oracle = TrackingControl(rate=controller.rate, substeps=1).track(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
         # The loop runs at the rate of the controller; its signals are sampled like the measured.

@@ -13,6 +13,7 @@ from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.nested_sensors import MeasuredRegressor
 from sysid_bench.regressors.regression import TERM
 from sysid_bench.regressors.wrench import transform_wrench
+from sysid_bench.simulation.inverse import joint_positions
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, BaseMap, Prior, Problem, Recording, Trajectory
 
@@ -102,7 +103,7 @@ def term_torque(
     """Torque (N, nv) of joint terms, by name (nv,), and of a viscous coupling (nv, nv)."""
     tau = np.zeros_like(motion.v)
     # Springs alone depend on positions, relative to their reference.
-    deflection = scalar_positions(robot, motion) - robot.joint_terms.spring_reference
+    deflection = joint_positions(robot, motion) - robot.joint_terms.spring_reference
     if coupling is not None:
         tau += motion.v @ coupling.T
     for term, values in terms.items():
@@ -110,12 +111,3 @@ def term_torque(
             state = deflection[:, dof], motion.v[:, dof], motion.a[:, dof]
             tau[:, dof] += values[dof] * TERM[SUFFIX[term]](*state)
     return tau
-
-
-def scalar_positions(robot: RobotModel, motion: Trajectory) -> Array:
-    """Positions (N, nv) of hinges and slides (rad, m); zero for other joints."""
-    out = np.zeros_like(motion.v)
-    for joint in robot.joints:
-        if joint.kind in ("hinge", "slide"):
-            out[:, joint.vadr] = motion.q[:, joint.qadr]
-    return out

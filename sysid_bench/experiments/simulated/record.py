@@ -1,6 +1,6 @@
 """Simulated recordings: a plant moves along an excitation, its sensors are read and filtered."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -23,12 +23,11 @@ from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sample
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,
-    scalar_positions,
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.processing import processing_of
-from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.inverse import Inverse, joint_positions
 from sysid_bench.simulation.plant import Plant
 from sysid_bench.simulation.sensors import Noise, NoiseDraws, draw_noise, measure, position_error
 from sysid_bench.simulation.wrench_sensors import WRENCH_NOISE
@@ -205,9 +204,9 @@ def _run_with_encoders(
     # Rounding depends on the position: the first run gives positions, the second one runs with the
     # loop seeing their rounding errors. The recorded errors are those of its own positions, so that
     # readings lie on the grid of the encoder.
-    error = position_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
+    error = position_error(noise, draws, joint_positions(robot, oracle.measured)[:, dofs], scalar)
     oracle, controller = simulated.run(error)
-    error = position_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
+    error = position_error(noise, draws, joint_positions(robot, oracle.measured)[:, dofs], scalar)
     return oracle, controller, error
 
 
@@ -232,15 +231,36 @@ def _with_dependent_joints(robot: RobotModel, recording: Recording) -> Recording
 
 
 def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[str, Oracle]:
-    """Ground truth of other motions of the same plant, by excitation, for scoring."""
+    """Ground truth of other motions of the same plant, by excitation, for scoring.
+
+    By inverse dynamics, whatever the training uses: the motion is exactly the commanded one. Links
+    behind elastic transmissions cannot follow it, and are simulated as in training; theirs is the
+    motion that scores are based on.
+    """
     motions: dict[str, Oracle] = {}
     for index, excitation in enumerate(spec.held_out):
-        seed = held_out_seed(spec, index)
-        problem = simulated.design_problem(spec.rate)
-        motion = design_motion(excitation, simulated.loaded, problem, seed)
-        # Inverse dynamics, whatever the training uses: the motion is exactly the commanded one.
-        no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
-        oracle, _ = Inverse().run(simulated.plant, motion, no_error)
         name = excitation["use"]
+        run = _inverse_run if simulated.plant.transmission is None else _simulated_run
+        oracle = run(spec, simulated, excitation, held_out_seed(spec, index))
         motions[name if name not in motions else f"{name}-{index}"] = oracle
     return motions
+
+
+def _inverse_run(
+    spec: ExperimentSpec, simulated: SimulatedRobot, excitation: Mapping[str, Any], seed: int
+) -> Oracle:
+    problem = simulated.design_problem(spec.rate)
+    motion = design_motion(excitation, simulated.loaded, problem, seed)
+    no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
+    return Inverse().run(simulated.plant, motion, no_error)[0]
+
+
+def _simulated_run(
+    spec: ExperimentSpec, simulated: SimulatedRobot, excitation: Mapping[str, Any], seed: int
+) -> Oracle:
+    problem = simulated.design_problem(simulated.simulation.design_rate(spec.rate))
+    motion = design_motion(excitation, simulated.loaded, problem, seed)
+    no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
+    oracle = simulated.simulation.run(simulated.plant, motion, no_error)[0]
+    each = simulated.sample_step
+    return Oracle(sampled_motion(oracle.motion, each), oracle.tau[::each])

@@ -1,0 +1,192 @@
+"""Force laws with internal states and elastic transmissions: compiled or in Python, their limits,
+energy and resonance."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.excitation.design_problem import design_problem
+from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.models.random.random_tree import RandomRobot, random_robot
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.simulation import compiled_steps
+from sysid_bench.simulation.compiled_steps import laws_along, steps_library
+from sysid_bench.simulation.effects.elastic_joints import ElasticJoints
+from sysid_bench.simulation.effects.lugre import LuGre
+from sysid_bench.simulation.effects.stribeck import Stribeck
+from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.plant import plant_of
+from sysid_bench.simulation.tracking_control import TrackingControl
+from sysid_bench.types import Array, Oracle, Trajectory
+from tests.robots import named_robot, robot_of
+
+ARMS = RandomRobot(bodies=(3, 6), roots=(1, 1), ball=0.0, free_root=0.0, no_gravity=0.0)
+ROBOTS = [named_robot("ur5"), named_robot("scara"), robot_of(random_robot(1, ARMS))]
+EFFECTS = {
+    "LuGre": [LuGre(peak=0.3)],
+    "elastic": [ElasticJoints()],
+    "backlash": [ElasticJoints(gap=3e-4), LuGre(), Stribeck()],
+    "link-side": [ElasticJoints(encoders="link")],
+}
+
+
+def run(robot: RobotModel, effects: list[Any], seconds: float = 0.5, **settings: Any) -> Oracle:
+    motion = Fourier(harmonics=3, period=seconds, cycles=1).design(
+        design_problem(robot, 1000.0), np.random.default_rng(3)
+    )
+    still = np.zeros((len(motion), len(robot.torque_dofs)))
+    return TrackingControl(**settings).run(plant_of(robot, effects), motion, still)[0]
+
+
+@pytest.mark.parametrize("effects", EFFECTS.values(), ids=EFFECTS)
+@pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)
+def test_compiled_states_equal_those_in_python(
+    robot: RobotModel, effects: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if isinstance(steps_library(), str):
+        pytest.skip(steps_library())
+    compiled = run(robot, effects, 0.1)
+    monkeypatch.setattr(compiled_steps, "steps_library", lambda: "absent")
+    python = run(robot, effects, 0.1)
+    for ours, theirs in (
+        (compiled.tau, python.tau),
+        (compiled.motion.q, python.motion.q),
+        ((compiled.encoders or compiled.motion).a, (python.encoders or python.motion).a),
+    ):
+        assert np.abs(ours - theirs).max() <= 1e-12 * max(np.abs(theirs).max(), 1.0) * 1e3
+
+
+@pytest.mark.parametrize("effect", [LuGre(presliding=0.0), ElasticJoints(windup=0.0)])
+def test_an_effect_of_size_zero_changes_nothing(effect: Any) -> None:
+    robot = named_robot("ur5")
+    for ours, plain in zip(
+        (run(robot, [effect]), _played(robot, [effect])), (run(robot, []), _played(robot, [])),
+        strict=True,
+    ):  # fmt: skip
+        np.testing.assert_array_equal(ours.tau, plain.tau)
+        np.testing.assert_array_equal(ours.motion.q, plain.motion.q)
+
+
+def _played(robot: RobotModel, effects: list[Any]) -> Oracle:
+    motion = Fourier(harmonics=3, period=2.0).design(
+        design_problem(robot, 200.0), np.random.default_rng(3)
+    )
+    still = np.zeros((len(motion), len(robot.torque_dofs)))
+    return Inverse().run(plant_of(robot, effects), motion, still)[0]
+
+
+def _presliding_torque(q: Array, t: Array, each: int) -> Array:
+    """Torque of LuGre friction of ur5 along one common joint motion q (N,)."""
+    robot = named_robot("ur5")
+    law = LuGre().prepare(robot)
+    assert law is not None
+    v = np.gradient(q, t)
+    v[0] = 0.0  # from rest
+    every, rate, load = (np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v, 0 * v))
+    return laws_along([law], t, every, rate, load, each)
+
+
+@pytest.mark.parametrize("amplitude", [1e-4, 1e-3, 0.1])
+def test_presliding_dissipates_over_a_closed_cycle(amplitude: float) -> None:
+    t = np.linspace(0.0, 3.0, 6001)
+    q = amplitude * np.sin(2 * np.pi * t)
+    tau = _presliding_torque(q, t, 4)
+    last = t >= 2.0
+    work = np.trapezoid(tau[last], q[last], axis=0)
+    coulomb = named_robot("ur5").joint_terms.coulomb
+    assert (work > 0).all()
+    # A cycle of sliding costs 4 Fc per unit of amplitude; presliding motions cost less.
+    assert (work <= 4 * coulomb * amplitude * (1 + 1e-6)).all()
+    if amplitude == 0.1:
+        np.testing.assert_allclose(work, 4 * coulomb * amplitude, rtol=0.02)
+
+
+def test_presliding_is_a_spring_at_first_and_coulomb_friction_in_the_end() -> None:
+    t = np.linspace(0.0, 1.0, 2001)
+    tau = _presliding_torque(1e-5 * t, t, 4)
+    coulomb = named_robot("ur5").joint_terms.coulomb
+    np.testing.assert_allclose(tau[-1], coulomb * 1e-5 / LuGre().presliding, rtol=0.02)
+    np.testing.assert_allclose(_presliding_torque(0.1 * t, t, 4)[-1], coulomb, rtol=1e-3)
+
+
+def test_a_joint_with_presliding_comes_to_rest() -> None:
+    """Constant commands: bristles hold the arm, while sign(v) alone would creep."""
+    robot = named_robot("ur5")
+    motion = Fourier(harmonics=1, period=1.0).design(
+        design_problem(robot, 1000.0), np.random.default_rng(0)
+    )
+    held = type(motion)(
+        motion.t, np.tile(motion.q[:1], (len(motion), 1)), 0 * motion.v, 0 * motion.a, "held"
+    )
+    oracle = TrackingControl().run(plant_of(robot, [LuGre()]), held, 0 * held.v)[0]
+    assert np.abs(oracle.motion.v[-1]).max() < 1e-4
+
+
+def test_elastic_joints_tend_to_rigid_ones() -> None:
+    robot = ROBOTS[-1]
+    rigid = run(robot, [], substeps=16)
+    errors = []
+    for K in (1e3, 1e4, 1e5):
+        soft = run(robot, [ElasticJoints(stiffness=K, damping=1e-3)], substeps=16)
+        errors.append(np.abs(soft.motion.q - rigid.motion.q).max())
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 0.1 * errors[0]
+
+
+ROTOR = """
+<mujoco>
+  <option gravity="0 0 0"/>
+  <worldbody>
+    <body name="link">
+      <joint name="j" axis="0 0 1" range="-3 3" armature="0.2" limited="true"/>
+      <inertial mass="2" pos="0.5 0 0" diaginertia="0.1 0.1 0.1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_an_elastic_joint_resonates_where_the_formula_puts_it() -> None:
+    """omega^2 = K (1/B + 1/M) after a step of the command, with hardly any feedback."""
+    robot, K, B, M = robot_of(ROTOR), 400.0, 0.2, 0.1 + 2 * 0.5**2
+    elastic = ElasticJoints(stiffness=K, damping=0.0)
+    t = np.arange(2000) / 1000.0
+    still = np.zeros((len(t), 1))
+    commanded = Trajectory(t, np.where(t[:, None] > 0, 0.5, 0.0), still, still)
+    control = TrackingControl(kp=1e-3, kd=1e-6, substeps=8)
+    oracle = control.run(plant_of(robot, [elastic]), commanded, still)[0]
+    assert oracle.encoders is not None
+    wound = (oracle.encoders.q - oracle.motion.q)[:, 0]
+    up = np.flatnonzero(np.diff(np.sign(wound - wound.mean())) > 0)
+    found = 2 * np.pi * (len(up) - 1) / (t[up[-1]] - t[up[0]])
+    expected = np.sqrt(K * (1 / B + 1 / M))
+    np.testing.assert_allclose(found, expected, rtol=0.005)
+    transmission = elastic.prepare(robot)
+    assert transmission is not None
+    np.testing.assert_allclose(transmission.resonance(np.array([M])), expected)
+
+
+@pytest.mark.parametrize("integrator", ["euler", "implicitfast", "implicit", "rk4"])
+def test_fine_steps_of_any_integrator_agree(integrator: str) -> None:
+    robot = named_robot("scara")
+    fine, finer = run(robot, [], substeps=40), run(robot, [], substeps=8, integrator=integrator)
+    reach = np.ptp(fine.motion.q, axis=0).max()
+    assert np.abs(finer.motion.q - fine.motion.q).max() < 1e-3 * reach
+
+
+def test_springs_that_no_step_follows_are_refused() -> None:
+    with pytest.raises(UnsupportedError, match="steps per control period"):
+        run(named_robot("ur5"), [ElasticJoints(stiffness=1e12)], 0.01)
+
+
+@pytest.mark.parametrize("setting", [{"substeps": 0}, {"substeps": 2.0}, {"integrator": "rk5"}])
+def test_impossible_steps_are_refused(setting: dict[str, Any]) -> None:
+    with pytest.raises(UsageError):
+        TrackingControl(**setting)
+
+
+def test_elastic_joints_need_a_closed_loop() -> None:
+    with pytest.raises(UnsupportedError, match="closed-loop"):
+        _played(named_robot("ur5"), [ElasticJoints()])
