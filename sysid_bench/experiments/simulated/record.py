@@ -27,7 +27,8 @@ from sysid_bench.experiments.simulated.problem import (
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.processing import processing_of
+from sysid_bench.signals.pipeline_choice import pipeline_of
+from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import Plant
 from sysid_bench.simulation.sensors import Noise, NoiseDraws, draw_noise, measure, position_error
@@ -125,6 +126,7 @@ class SampledRecording:
     decimation: int  # steps of the simulation per sample
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
+    rows: RowProcessing = RowProcessing()  # of W beta = b
 
     def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
         """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
@@ -167,7 +169,7 @@ def record(
     robot, commanded = simulated.plant.robot, simulated.commanded
     decimation = simulated.sample_step
     noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
-    processing = processing_of(spec.signals)
+    pipeline = pipeline_of(spec.pipeline, spec.signals, simulated.loaded.folder)
     rng = np.random.default_rng(seed)
     samples = len(range(0, len(commanded), decimation))
     # All draws before the run, in units of their deviation: levels of noise share the same draws.
@@ -184,11 +186,19 @@ def record(
         # Without a controller the robot moves exactly as commanded, which is the ground truth.
         commanded=None if controller is None else commanded,
         controller=controller,
-        ideal_rates=not processing.differentiate,
+        ideal_rates=pipeline.ideal_rates,
     )
     raw = sensors.measure(_with_drift(spec, raw, index, noise.tau_drift), oracle, decimation)
-    recording = _with_dependent_joints(robot, processing.apply(raw, robot.joints))
-    return SampledRecording(raw, recording, oracle, decimation, torque_std, noise.tau_correlation)
+    processed = pipeline.process(raw, robot.joints)
+    return SampledRecording(
+        raw,
+        _with_dependent_joints(robot, processed.recording),
+        oracle,
+        decimation,
+        torque_std,
+        noise.tau_correlation,
+        processed.rows,
+    )
 
 
 def _run_with_encoders(
