@@ -1,7 +1,7 @@
 """Rows W beta = b of a motion as a pipeline leaves them, for simulated and recorded data alike."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -32,6 +32,20 @@ class MotionRows:
     weights: Array
     rate: float
 
+    @property
+    def is_processed(self) -> bool:
+        """False where rows are those of the samples, those of weight 0 left out."""
+        return not self.processing.is_plain
+
+    @property
+    def samples(self) -> int:
+        """Number M of processed samples."""
+        return len(range(0, len(self.weights), self.processing.step))
+
+    def period(self, motion: Trajectory) -> int:
+        """Processed samples per period of the motion; 0 where it is not periodic."""
+        return sampled_motion(motion, self.processing.step).period_samples
+
     def filtered(self, x: Array) -> Array:
         """Values x (N, rows, ...) of each row as processed, (M, rows, ...)."""
         parts = [self.of_row(i, x[:, i].reshape(len(x), -1)) for i in range(x.shape[1])]
@@ -41,19 +55,32 @@ class MotionRows:
         """Columns x (N, k) of row i as processed, (M, k)."""
         return self.processing.apply(x, self.weights[:, i], self.rate)
 
-    def count(self, i: int) -> int:
-        """Processed rows that the samples of row i amount to."""
-        return self.processing.count(self.weights[:, i])
+    def kept(self, i: int, x: Array) -> Array:
+        """Values x (N,) of row i as processed, without those left out where rows are samples."""
+        if self.is_processed:
+            return self.of_row(i, x[:, None])[:, 0]
+        return x[self.weights[:, i] > 0]
+
+    def count(self, i: int, chosen: Array | slice = slice(None)) -> int:
+        """Processed rows that the `chosen` samples of row i amount to."""
+        return self.processing.count(self.weights[chosen, i])
 
     def rms(self, measured: Array) -> Array:
         """RMS (rows,) of measured signals (N, rows) as processed, over the rows that count."""
-        counts = np.array([max(self.count(i), 1) for i in range(measured.shape[1])])
-        return np.asarray(np.linalg.norm(self.filtered(measured), axis=0) / np.sqrt(counts))
+        squares = [float((self.kept(i, x) ** 2).sum()) for i, x in enumerate(measured.T)]
+        counts = [max(self.count(i), 1) for i in range(len(squares))]
+        return np.sqrt(np.array(squares) / counts)
 
     @property
     def left_out(self) -> float:
         """Share of the rows of all joints that are left out."""
         return float((self.weights == 0.0).mean()) if self.weights.size else 0.0
+
+
+def sampled_motion(motion: Trajectory, step: int) -> Trajectory:
+    """Every `step`-th sample of a motion."""
+    part = slice(None, None, step)
+    return replace(motion, t=motion.t[part], q=motion.q[part], v=motion.v[part], a=motion.a[part])
 
 
 def motion_rows(
@@ -93,27 +120,38 @@ def row_samples(
 
 @dataclass(frozen=True, eq=False)
 class ProcessedRows:
-    """[W_i | b_i] (M, k + 1) of each row, with the indices (k,) of its columns among all `size`
-    and the `counts` of its samples."""
+    """[W_i | b_i] (M, k + 1) of each row as processed, and the indices (k,) of its columns among
+    all `size`."""
 
     rows: tuple[str, ...]
     columns: tuple[Array, ...]
     values: tuple[Array, ...]
-    counts: tuple[int, ...]
+    along: MotionRows
     size: int
-
-    def __len__(self) -> int:
-        return max((len(values) for values in self.values), default=0)
 
     @property
     def factors(self) -> tuple[Factor, ...]:
         """R factor of each row."""
-        parts = zip(self.rows, self.columns, self.values, self.counts, strict=True)
-        return tuple(Factor(row, k, upper_factor([Wb]), count) for row, k, Wb, count in parts)
+        (factors,) = self.factors_by_label(np.zeros(len(self.along.weights), dtype=int), 1)
+        return tuple(factors)
+
+    def factors_by_label(self, labels: Array, count: int) -> list[list[Factor]]:
+        """For each label 0 ... count - 1 of samples (N,) the R factor of each row."""
+        return [
+            [self._factor(i, labels == label) for i in range(len(self.rows))]
+            for label in range(count)
+        ]
+
+    def _factor(self, i: int, chosen: Array) -> Factor:
+        """R factor of the processed samples among the `chosen` ones (N,)."""
+        Wb = self.values[i][chosen[:: self.along.processing.step]]
+        return Factor(
+            self.rows[i], self.columns[i], upper_factor([Wb]), self.along.count(i, chosen)
+        )
 
     def blocks(self) -> Iterator[RowBlock]:
         """Yield W (n, rows, size) and b (n, rows); rows that are left out are zero."""
-        for start in range(0, len(self), BLOCK):
+        for start in range(0, self.along.samples, BLOCK):
             part = [Wb[start : start + BLOCK] for Wb in self.values]
             W = np.zeros((len(part[0]), len(part), self.size))
             for i, (columns, Wb) in enumerate(zip(self.columns, part, strict=True)):

@@ -1,6 +1,6 @@
 """Processing of the rows W beta = b once the motion is known: filter, decimation, standstill."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 import numpy as np
@@ -24,7 +24,7 @@ class RowProcessing:
     rate count with `weight`; 0 leaves them out, before the filter spreads them over others.
     """
 
-    filter: Filter = NoFilter()
+    filter: Filter = field(default_factory=NoFilter)
     step: int = 1
     standstill: float = 0.0
     weight: float = 0.0
@@ -67,7 +67,7 @@ class ProcessedSignals:
     """A recording with v and a at its own rate, and what is to be done with its rows."""
 
     recording: Recording
-    rows: RowProcessing = RowProcessing()
+    rows: RowProcessing = field(default_factory=RowProcessing)
 
 
 class Pipeline(Protocol):
@@ -79,6 +79,4 @@ class Pipeline(Protocol):
     @property
     def ideal_rates(self) -> bool: ...
 
-    def process(
-        self, recording: Recording, joints: tuple[Joint, ...]
-    ) -> ProcessedSignals: ...
+    def process(self, recording: Recording, joints: tuple[Joint, ...]) -> ProcessedSignals: ...

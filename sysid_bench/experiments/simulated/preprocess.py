@@ -1,6 +1,6 @@
 """Preprocessing of simulated recordings: in-situ calibration of sensors, removal of contacts."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -37,7 +37,7 @@ class ProcessedRecording:
     raw: Recording
     recording: Recording
     left_out: float
-    rows: RowProcessing = RowProcessing()
+    rows: RowProcessing = field(default_factory=RowProcessing)
 
 
 def preprocess(

@@ -9,10 +9,10 @@ import numpy as np
 from sysid_bench.experiments.processed_rows import (
     MotionRows,
     ProcessedRows,
+    RegressorBlock,
     motion_rows,
     row_samples,
 )
-from sysid_bench.experiments.simulated.ft_sensors import sampled_motion
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
@@ -83,7 +83,7 @@ class ProblemBuilder:
             torque=np.sqrt((measured[:, self.row_indices] ** 2).mean(axis=0)),
             period=motion.period_samples,
         )
-        if rows is None or rows.processing.is_plain:
+        if rows is None or not rows.is_processed:
             factors = accumulate(self.regression, whole, b, self.row_indices)
             return replace(problem, factors=factors)
         processed = self._processed(whole, b, rows)
@@ -91,19 +91,20 @@ class ProblemBuilder:
             problem,
             factors=processed.factors,
             blocks=processed.blocks,
-            samples=len(processed),
+            samples=rows.samples,
             torque=rows.rms(measured[:, self.row_indices]),
-            period=sampled_motion(motion, rows.processing.step).period_samples,
+            period=rows.period(motion),
         )
 
     def _processed(self, whole: Trajectory, b: Array, rows: MotionRows) -> ProcessedRows:
         """The rows of the task along a motion as a pipeline leaves them."""
-        blocks, indices = list(self.regression.blocks(whole)), self.row_indices
+        blocks: list[RegressorBlock] = list(self.regression.blocks(whole))
+        indices = self.row_indices
         return ProcessedRows(
             self.row_names,
             tuple(self.regression.touched[i] for i in indices),
             tuple(rows.of_row(k, row_samples(blocks, i, b[:, i])) for k, i in enumerate(indices)),
-            tuple(rows.count(k) for k in range(len(indices))),
+            rows,
             self.base.rank,
         )
 
@@ -115,7 +116,7 @@ class ProblemBuilder:
             cut, names = self.task.cuts[0], self.instruments.measured
             root, end = ([names.index(row) for row in sensor.rows] for sensor in (cut, stop))
             b[:, root] -= transform_wrench(self.instruments, motion, cut, stop, measured[:, end])
-        return b
+        return np.asarray(b)
 
     def known(self, motion: Trajectory) -> Array:
         """Torque and wrench (N, n + 6 sensors) of the parts that the task declares known."""

@@ -1,7 +1,7 @@
 """Simulated recordings: a plant moves along an excitation, its sensors are read and filtered."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -11,6 +11,7 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.seed import (
     drift_seed,
     held_out_seed,
@@ -19,7 +20,7 @@ from sysid_bench.experiments.seed import (
     run_seed,
 )
 from sysid_bench.experiments.simulated.commanded import design_motion
-from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sampled_motion
+from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,
@@ -126,7 +127,7 @@ class SampledRecording:
     decimation: int  # steps of the simulation per sample
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
-    rows: RowProcessing = RowProcessing()  # of W beta = b
+    rows: RowProcessing = field(default_factory=RowProcessing)  # of W beta = b
 
     def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
         """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where

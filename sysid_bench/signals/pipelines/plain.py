@@ -25,24 +25,23 @@ class Plain:
 
     def __post_init__(self) -> None:
         """Raise UsageError for unknown words and impossible numbers."""
-        assert self._processing and self._rows
+        self._processing()
+        self._rows()
 
     @property
     def ideal_rates(self) -> bool:
         """True for v and a of ideal sensors."""
-        return not self._processing.differentiate
+        return not self._processing().differentiate
 
-    @property
     def _processing(self) -> Processing:
         return processing_of(
             {"filter": self.filter, "derivatives": self.derivatives, "torque": self.torque}
         )
 
-    @property
     def _rows(self) -> RowProcessing:
         return RowProcessing(standstill=self.standstill, weight=self.weight)
 
     def process(self, recording: Recording, joints: tuple[Joint, ...]) -> ProcessedSignals:
         """Return the filtered recording without its spoilt edges; raises UsageError where it is
         too short or lacks signals."""
-        return ProcessedSignals(self._processing.apply(recording, joints), self._rows)
+        return ProcessedSignals(self._processing().apply(recording, joints), self._rows())

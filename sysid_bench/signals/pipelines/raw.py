@@ -23,12 +23,11 @@ class Raw:
 
     def __post_init__(self) -> None:
         """Raise UsageError for impossible numbers."""
-        assert self._rows
+        self._rows()
 
-    @property
     def _rows(self) -> RowProcessing:
         return RowProcessing(standstill=self.standstill, weight=self.weight)
 
     def process(self, recording: Recording, joints: tuple[Joint, ...]) -> ProcessedSignals:
         """Return the recording with differences as v and a, two samples shorter at each end."""
-        return ProcessedSignals(Processing(NoFilter(), True).apply(recording, joints), self._rows)
+        return ProcessedSignals(Processing(NoFilter(), True).apply(recording, joints), self._rows())
