@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import PurePosixPath
-from typing import Any
+from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
@@ -26,6 +26,7 @@ from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, installed_names
 from sysid_bench.models.payload import parse_payload
+from sysid_bench.signals.pipeline_choice import PLAIN, named_pipeline, own_signals
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import CELL_FIELDS, LABELS
 
@@ -35,6 +36,8 @@ _SETUP_SECONDS = 0.3
 _SAMPLE_SECONDS = 1e-4
 _ESTIMATOR_SECONDS = 0.05
 _ID = '{"id": "'
+OWN: Final = "of the pipeline"
+"""Label of signals where the pipeline has settings of its own."""
 _LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
 
 
@@ -181,6 +184,7 @@ def fields(cell: Cell) -> dict[str, Any]:
         "plant": spec.plant,
         "excitation": spec.excitation,
         "simulation": spec.simulation,
+        "pipeline": spec.pipeline or {"use": PLAIN},
         "estimator": cell.estimator,
     }
     for axis, plugin in plugins.items():
@@ -231,7 +235,7 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
             "Experiments without noise under the simulation 'inverse' give the same numbers each "
             f"time: repeat 0 stands for all {suite.run.repeats}."
         )
-    if any(cell.spec.noise and cell.spec.signals["derivatives"] == "exact" for cell in unique):
+    if any(cell.spec.noise and cell.spec.signals.get("derivatives") == "exact" for cell in unique):
         yield (
             "Some cells have noise and derivatives = 'exact': their v and a come from ideal "
             "sensors, without noise. signals = { derivatives = 'from q', filter = ... } makes them "
@@ -286,12 +290,13 @@ def _log_cells(suite: Suite, names: Names, label: Mapping[str, str]) -> list[Cel
 
 def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[ExperimentSpec]:
     axes = suite.defaults
-    for task, terms, plant, prior, excitation, held_out, simulation, rate, noise, signals in (
+    for task, terms, plant, prior, excitation, held_out, simulation, rate, noise, signals, line in (
         itertools.product(
             axes.task, axes.terms, axes.plant, axes.prior, axes.excitation, axes.held_out,
-            axes.simulation, axes.rate, axes.noise, axes.signals,
+            axes.simulation, axes.rate, axes.noise, axes.signals, axes.pipeline,
         )
     ):  # fmt: skip
+        pipeline = named_pipeline(line.spec)
         spec = ExperimentSpec(
             seed=suite.seed,
             robot=robot,
@@ -305,8 +310,9 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
             simulation=simulation.spec,
             rate=quantity(rate, "Hz"),
             noise=normal_noise(noise.model_dump(exclude_none=True)),
-            signals=_signals(signals),
+            signals=own_signals(_signals(signals), pipeline),
             repeat=0,
+            pipeline=pipeline,
         )
         repeats = 1 if _repeats_nothing(spec) else suite.run.repeats
         yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
@@ -332,6 +338,7 @@ def _labelled(
         "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
         "rate": f"{spec.rate:.12g} Hz",
         "signals": _signals_text(spec.signals),
+        "pipeline": label["pipeline"][canonical(spec.pipeline or {"use": PLAIN})],
         "estimator": label["estimator"][canonical(estimator)],
     }
     found = {
@@ -348,7 +355,8 @@ def _signals_text(signals: Mapping[str, Any]) -> str:
     contacts = signals.get("contacts", [])
     periods = contacts if isinstance(contacts, str) else ", ".join(contacts)
     free = f", contacts {periods}" if periods else ""
-    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}{free}{runs}"
+    first = f"{signals['filter']}, {signals['derivatives']}" if "filter" in signals else OWN
+    return f"{first}{raw}{calibrated}{free}{runs}"
 
 
 def _cost(spec: ExperimentSpec, estimators: int) -> float:

@@ -13,6 +13,7 @@ from sysid_bench.evaluation.recorded_score import (
     joint_errors,
     rms_error,
     torque_error,
+    weighted_error,
 )
 from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.experiments.prepared import Prepared
@@ -104,6 +105,9 @@ class RecordedResult(IdentifyResult):
     rmse_train: float | None
     rmse_test: float | None
     torque_error: float | None
+    torque_error_moving: float | None
+    torque_error_weighted: float | None
+    standstill: float
     training: dict[str, dict[str, float]]
     tests: dict[str, dict[str, dict[str, float]]]
     replayed: dict[str, Any]
@@ -141,7 +145,7 @@ class RecordedResult(IdentifyResult):
     def _signals_line(self) -> str:
         seconds = sum(log["seconds"] for log in self.logs if log["use"] == "train")
         return (
-            f"{seconds:.1f} s of training, filter {self.signals['filter']!r}, derivatives "
+            f"{seconds:.1f} s of training, pipeline {self.signals['pipeline']!r}, filter {self.signals['filter']!r}, derivatives "
             f"{self.signals['derivatives']!r}; errors in % of the {self.denominator}"
         )
 
@@ -213,6 +217,7 @@ def _options(request: RecordedRequest) -> LogOptions:
         candidates=request.choose,
         position_given=request.position_given,
         accept=request.accept,
+        pipeline=request.named_pipeline,
     )
 
 
@@ -259,6 +264,9 @@ def _errors(posed: Prepared[RecordedSource], beta: Array) -> dict[str, Any]:
         "rmse_train": rms_error(problem, beta),
         "rmse_test": _mean([rms_error(test, beta) for test in tests.values()]),
         "torque_error": torque_error(tests, beta),
+        "torque_error_moving": torque_error(posed.held_out_moving, beta),
+        "torque_error_weighted": weighted_error(tests, beta),
+        "standstill": posed.figures["standstill"],
         "training": joint_errors(problem, beta),
         "tests": {label: joint_errors(test, beta) for label, test in tests.items()},
         "replayed": {
@@ -378,6 +386,7 @@ def _signals(preprocessing: LogProcessing) -> dict[str, Any]:
         "derivatives": preprocessing.derivatives,
         "torque": "filtered",
         "moving": preprocessing.moving,
+        "pipeline": preprocessing.name,
     }
 
 

@@ -1,13 +1,13 @@
 """Parallel filtering: the rows of W and the torque through the same low-pass, then decimated."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import Joint
 from sysid_bench.signals.bandwidth import bandwidth
 from sysid_bench.signals.filters import Butterworth, Filter, NoFilter
-from sysid_bench.signals.processing import Processing
+from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import STANDSTILL, ProcessedSignals, RowProcessing
 from sysid_bench.types import Recording
 
@@ -34,7 +34,8 @@ class Parallel:
 
     Filtering tau alone rounds the steps of Coulomb friction that sign(v) keeps; filtering both
     leaves W beta = tau as it is. Rows of a joint slower than `standstill` times its RMS rate are
-    left out before the filter, or count with `weight`.
+    left out before the filter, or count with `weight`. `derivatives` "from v" takes the rates of
+    the drives; in logs it is the default where every log has them.
 
     Where no `cutoff` (Hz) is given it is 10 times the bandwidth of the recorded motion: the
     frequency below which the fastest coordinate has 99 % of the power of its rate, the highest
@@ -45,12 +46,15 @@ class Parallel:
 
     cutoff: float | None = field(default=None, metadata={"unit": "Hz"})
     order: int = 4
+    derivatives: str = "from q"
     standstill: float = field(default=STANDSTILL, metadata={"unit": "1"})
     weight: float = field(default=0.0, metadata={"unit": "1"})
     ideal_rates = False
 
     def __post_init__(self) -> None:
-        """Raise UsageError for impossible numbers."""
+        """Raise UsageError for impossible numbers, and for rates of ideal sensors."""
+        if self.derivatives not in ("from q", "from v"):
+            raise UsageError(f"derivatives = {self.derivatives!r}: write 'from q' or 'from v'.")
         RowProcessing(standstill=self.standstill, weight=self.weight)
         if self.order < 1 or (self.cutoff is not None and not self.cutoff > 0):
             raise UsageError(
@@ -60,7 +64,8 @@ class Parallel:
     def process(self, recording: Recording, joints: tuple[Joint, ...]) -> ProcessedSignals:
         """Return the motion at its own rate with the measured torque, and the row filter."""
         rate, cutoff = recording.rate, self.cutoff_of(recording)
-        light = Processing(_low_pass(self.order, MOTION_CUTOFF * cutoff, rate), True, True)
+        light = processing_of({"derivatives": self.derivatives, "torque": "raw"})
+        light = replace(light, filter=_low_pass(self.order, MOTION_CUTOFF * cutoff, rate))
         processed, filter = light.apply(recording, joints), _low_pass(self.order, cutoff, rate)
         step = 1 if isinstance(filter, NoFilter) else _step(processed, cutoff)
         return ProcessedSignals(
