@@ -145,7 +145,8 @@ class RecordedResult(IdentifyResult):
     def _signals_line(self) -> str:
         seconds = sum(log["seconds"] for log in self.logs if log["use"] == "train")
         return (
-            f"{seconds:.1f} s of training, pipeline {self.signals['pipeline']!r}, filter {self.signals['filter']!r}, derivatives "
+            f"{seconds:.1f} s of training, pipeline {self.signals['pipeline']!r}, filter "
+            f"{self.signals['filter']!r}, derivatives "
             f"{self.signals['derivatives']!r}; errors in % of the {self.denominator}"
         )
 
