@@ -38,10 +38,10 @@ class Parallel:
     the drives; in logs it is the default where every log has them.
 
     Where no `cutoff` (Hz) is given it is 10 times the bandwidth of the recorded motion: the
-    frequency below which the fastest coordinate has 99 % of the power of its rate, the highest
-    harmonic of a Fourier motion. Positions are filtered at twice the cut-off. Above 0.4 times the
-    rate there is no filter. Every `step`-th row is kept, step the integer nearest below 0.4 rate /
-    cutoff that divides the period of a periodic motion.
+    frequency below which a coordinate has 99 % of the power of its rate, in the median; the
+    highest harmonic of a Fourier motion. Positions are filtered at twice the cut-off. Above 0.4
+    times the rate there is no filter. Every `step`-th row is kept, step the integer nearest below
+    0.4 rate / cutoff that divides the period of a periodic motion.
     """
 
     cutoff: float | None = field(default=None, metadata={"unit": "Hz"})
