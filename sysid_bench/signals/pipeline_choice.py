@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from inspect import signature
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from sysid_bench.naming import build, resolve, resolve_files
-from sysid_bench.signals.row_processing import Pipeline
+
+if TYPE_CHECKING:
+    from sysid_bench.signals.row_processing import Pipeline  # loads MuJoCo, which plans do without
 
 KIND: Final = "pipeline"
 PLAIN: Final = "plain"
@@ -18,7 +20,7 @@ OF_SIGNALS: Final = ("filter", "derivatives", "torque")
 
 def pipeline_of(
     written: Mapping[str, Any] | None, signals: Mapping[str, Any], folder: Path | None = None
-) -> Pipeline:
+) -> "Pipeline":
     """Return the pipeline {use, settings}, None: `plain`. Settings that it has in common with the
     table `signals`, and that are not its own, are taken from there.
 
@@ -28,7 +30,7 @@ def pipeline_of(
     make = resolve(KIND, spec["use"])
     taken = signature(make).parameters if callable(make) else {}
     shared = {key: signals[key] for key in OF_SIGNALS if key in signals and key in taken}
-    return cast(Pipeline, build(KIND, {**shared, **spec}))
+    return cast("Pipeline", build(KIND, {**shared, **spec}))
 
 
 def named_pipeline(written: Mapping[str, Any]) -> dict[str, Any] | None:

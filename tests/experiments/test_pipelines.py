@@ -158,7 +158,8 @@ def test_robust_scales_are_those_of_the_rows_that_count() -> None:
     robust, least = Huber().solve(made.problem), WLS().solve(made.problem)
     assert robust.beta is not None
     assert least.beta is not None
-    errors = [RowErrors(list(made.held_out.values()), e.beta).torque_error for e in (robust, least)]
+    betas = (robust.beta, least.beta)
+    errors = [RowErrors(list(made.held_out.values()), beta).torque_error for beta in betas]
     assert errors[0] is not None
     assert errors[1] is not None
     assert errors[0] < 1.5 * errors[1]

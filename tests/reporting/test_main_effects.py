@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.reporting.main_effects import effect_notes, main_effects
+from sysid_bench.reporting.table_entries import Entries
 from sysid_bench.reporting.tables import Entry
 
 ratios = st.lists(st.floats(0.01, 100.0), min_size=2, max_size=5)
@@ -33,7 +34,7 @@ def test_the_shares_are_parts_of_one_whole(seed: int, shape: tuple[int, int]) ->
 
 def test_notes_name_both_sides_and_what_has_no_number() -> None:
     numbers = {("a", "x"): 0.1, ("a", "y"): 0.2, ("b", "x"): 0.4, ("b", "y"): 0.8, ("c", "x"): None}
-    entries = {((r,), (c,)): Entry(x, None, None, 1, {}) for (r, c), x in numbers.items()}
+    entries: Entries = {((r,), (c,)): Entry(x, None, None, 1, {}) for (r, c), x in numbers.items()}
     notes = list(effect_notes(entries, (("estimator",), ("pipeline",))))
     assert "estimator: a 0.5, b 2; pipeline: x 0.707, y 1.41." in notes[0]
     assert notes[1] == (

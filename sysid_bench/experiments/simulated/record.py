@@ -192,13 +192,13 @@ def record(
     raw = sensors.measure(_with_drift(spec, raw, index, noise.tau_drift), oracle, decimation)
     processed = pipeline.process(raw, robot.joints)
     return SampledRecording(
-        raw,
-        _with_dependent_joints(robot, processed.recording),
-        oracle,
-        decimation,
-        torque_std,
-        noise.tau_correlation,
-        processed.rows,
+        raw=raw,
+        recording=_with_dependent_joints(robot, processed.recording),
+        oracle=oracle,
+        decimation=decimation,
+        torque_std=torque_std,
+        correlation=noise.tau_correlation,
+        rows=processed.rows,
     )
 
 
