@@ -164,14 +164,12 @@ def record(
     repetition: Repetition | None = None,
 ) -> SampledRecording:
     """The recording of one repeat, and of one of its runs where there are several."""
-    index, seed = (
-        (0, noise_seed(spec)) if repetition is None else (repetition.index, repetition.seed)
-    )
+    repetition = repetition or Repetition(0, True, noise_seed(spec))
     robot, commanded = simulated.plant.robot, simulated.commanded
     decimation = simulated.sample_step
     noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
     pipeline = pipeline_of(spec.pipeline, spec.signals, simulated.loaded.folder)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(repetition.seed)
     samples = len(range(0, len(commanded), decimation))
     # All draws before the run, in units of their deviation: levels of noise share the same draws.
     draws = draw_noise(len(commanded), samples, len(robot.torque_dofs), rng)
@@ -189,7 +187,9 @@ def record(
         controller=controller,
         ideal_rates=pipeline.ideal_rates,
     )
-    raw = sensors.measure(_with_drift(spec, raw, index, noise.tau_drift), oracle, decimation)
+    raw = sensors.measure(
+        _with_drift(spec, raw, repetition.index, noise.tau_drift), oracle, decimation
+    )
     processed = pipeline.process(raw, robot.joints)
     return SampledRecording(
         raw=raw,
