@@ -94,6 +94,11 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "poly": "sysid_bench.regressors.joint_features:Polynomial",
             "tanh": "sysid_bench.regressors.joint_features:SmoothCoulomb",
         },
+        "pipeline": {
+            "parallel": "sysid_bench.signals.pipelines.parallel:Parallel",
+            "plain": "sysid_bench.signals.pipelines.plain:Plain",
+            "raw": "sysid_bench.signals.pipelines.raw:Raw",
+        },
         "metric": {},  # sysid_bench/metrics.py has the built-in ones
         "plant": {
             "matched": "sysid_bench.simulation.effects.matched:Matched",

@@ -23,8 +23,8 @@ _CHECKED = ("estimator", "excitation", "plant", "simulation", "metric", "log-rea
 @click.command(name="list")
 @click.argument(
     "kind",
-    metavar="robots|payloads|tasks|excitations|estimators|suites|simulations|plants|metrics|"
-    "log-readers",
+    metavar="robots|payloads|tasks|excitations|estimators|suites|simulations|plants|pipelines|"
+    "metrics|log-readers",
 )
 @robots_option
 @json_option

@@ -38,6 +38,7 @@ class ExperimentSpec:
     repeat: int
     free_base: bool | None = None  # None: as the robot's manifest has it
     log: Mapping[str, Any] | None = None  # a recording of a real robot, as a suite's [[log]] has it
+    pipeline: Mapping[str, Any] | None = None  # {use, settings}; None: `plain`, by `signals`
     sensor: str | None = None  # the force/torque sensor; None: the only one of the manifest
 
     @cached_property
@@ -48,7 +49,7 @@ class ExperimentSpec:
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
         data = {field.name: getattr(self, field.name) for field in fields(self)}
-        for key in ("free_base", "sensor", "log"):
+        for key in ("free_base", "sensor", "log", "pipeline"):
             if data[key] is None:  # ids are older than these fields
                 del data[key]
         return data

@@ -13,7 +13,8 @@ from sysid_bench.vocabulary import MOTOR, TERMS
 
 
 def has_third_party_data(argument: Mapping[str, Any]) -> bool:
-    """True where plug-ins of others make the data: motions, effects, tasks, log readers, terms."""
+    """True where plug-ins of others make the data: motions, effects, pipelines, tasks, log readers,
+    terms."""
     spec = argument["experiment"]
     if spec.get("log") is None:
         names = _simulation_plugins(spec)
@@ -34,11 +35,19 @@ def _simulation_plugins(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield kind, spec[kind]["use"]
     for motion in spec["held_out"]:
         yield "excitation", motion["use"]
+    yield from _pipelines(spec)
+
+
+def _pipelines(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of the pipeline that is named."""
+    if spec.get("pipeline") is not None:
+        yield "pipeline", spec["pipeline"]["use"]
 
 
 def _log_plugins(spec: Mapping[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the plug-ins of an experiment with recordings."""
     yield "task", spec["task"]
+    yield from _pipelines(spec)
     log = spec["log"]
     for name in (*(spec["terms"] or ()), *log["choose"]):
         if name.removeprefix(f"{MOTOR}.") not in TERMS:

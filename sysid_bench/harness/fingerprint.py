@@ -54,6 +54,8 @@ def cell_fingerprint(
         "estimator": [cell.estimator],
         "metric": [*metrics],
     }
+    if spec.pipeline is not None:
+        plugins["pipeline"] = [spec.pipeline]
     files = _model_files(spec.robot, robots_dir, folder)
     if files is None:
         return ""
@@ -68,6 +70,7 @@ def cell_fingerprint(
             _target("task", {"use": spec.task}, folder),
             _target("estimator", cell.estimator, folder),
             *(_target("metric", metric, folder) for metric in metrics),
+            *(_target("pipeline", used, folder) for used in plugins.get("pipeline", ())),
         ]
         return fingerprint([*files, *log_files(spec.log, folder or Path())], used)
     return fingerprint([*files, *read], targets)

@@ -29,7 +29,7 @@ def _unique_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
     return labels
 
 
-def _plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
+def plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
     """Return short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
     use = str(spec["use"])
     short = label or use.rpartition(":")[2]
@@ -49,15 +49,18 @@ def table_text(written: str | Mapping[str, Any], empty: str) -> str:
 def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     """Return axis -> canonical value -> label."""
     axes = suite.defaults
-    plugins = {"plant": axes.plant, "excitation": axes.excitation, "simulation": axes.simulation}
+    plugins = {
+        "plant": axes.plant, "excitation": axes.excitation, "simulation": axes.simulation,
+        "pipeline": axes.pipeline,
+    }  # fmt: skip
     labels = {
-        axis: _unique_labels((p.spec, *_plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
+        axis: _unique_labels((p.spec, *plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
         for axis, specs in plugins.items()
     }
     labels["estimator"] = _unique_labels(
-        (e.spec, *_plugin_texts(e.spec, e.label)) for e in suite.estimator
+        (e.spec, *plugin_texts(e.spec, e.label)) for e in suite.estimator
     )
-    labels["task"] = _unique_labels((task, *_plugin_texts({"use": task})) for task in axes.task)
+    labels["task"] = _unique_labels((task, *plugin_texts({"use": task})) for task in axes.task)
     labels["robot"] = _unique_labels(
         (
             robot_key(source, entry.free_base, entry.sensor),
@@ -102,6 +105,6 @@ def _prior_texts(prior: Prior | str) -> tuple[Any, str, str]:
 
 
 def _motion_texts(motions: Sequence[Plugin]) -> tuple[Any, str, str]:
-    texts = [_plugin_texts(motion.spec) for motion in motions]
+    texts = [plugin_texts(motion.spec) for motion in motions]
     value = [motion.spec for motion in motions]
     return value, ", ".join(short for short, _ in texts), ", ".join(long for _, long in texts)

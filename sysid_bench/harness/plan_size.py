@@ -12,7 +12,7 @@ from sysid_bench.harness.suite.model import LogEntry, Suite
 MANY: Final = 1_000_000
 """Most cells of a plan that nobody has to ask for: more are a mistake more often than a wish."""
 
-_AXES: Final = ("task", "terms", "plant", "excitation", "held_out", "rate", "signals")
+_AXES: Final = ("task", "terms", "plant", "excitation", "held_out", "rate", "signals", "pipeline")
 _NOISY_AXES: Final = ("noise", "prior", "simulation")
 """Axes that decide on repeats: an experiment that draws nothing is not repeated."""
 
@@ -71,7 +71,7 @@ def _fixed(suite: Suite) -> int:
 def _recorded(suite: Suite, log: LogEntry) -> tuple[int, str]:
     sweeps: Mapping[str, Sequence[Any]] = {
         "terms": log.terms, "choose": log.choose, "filter": log.filter, "moving": log.moving,
-        "estimators": suite.estimator,
+        "pipeline": log.pipeline, "estimators": suite.estimator,
     }  # fmt: skip
     sizes = {name: len(values) for name, values in sweeps.items()}
     return prod(sizes.values()), _product(sizes)

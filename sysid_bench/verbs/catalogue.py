@@ -48,8 +48,8 @@ class ShowResult(Result):
 
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
-    simulations, plants, metrics, log-readers; singular or plural) with name and title; the title of
-    an entry that cannot be read states the reason."""
+    simulations, plants, pipelines, metrics, log-readers; singular or plural) with name and title;
+    the title of an entry that cannot be read states the reason."""
     plural = _plural(kind)
     if plural not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
@@ -274,6 +274,7 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "estimators": _plugins("estimator"),
     "simulations": _plugins("simulation"),
     "plants": _plugins("plant"),
+    "pipelines": _plugins("pipeline"),
     "metrics": _metrics,
     "log-readers": _plugins("log_reader"),
     "suites": _suites,
@@ -285,6 +286,7 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "estimators": _shown_plugin("estimator"),
     "simulations": _shown_plugin("simulation"),
     "plants": _shown_plugin("plant"),
+    "pipelines": _shown_plugin("pipeline"),
     "metrics": _metric,
     "log-readers": _shown_plugin("log_reader"),
     "suites": _suite,

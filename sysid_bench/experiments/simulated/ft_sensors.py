@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError
+from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.seed import noise_seed, seed_of, sensor_seed
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.sensor import last_body
@@ -99,9 +100,3 @@ def _sensor_errors(spec: ExperimentSpec, count: int) -> list[SensorError]:
 
 def _by_sensor(wrenches: Array) -> list[Array]:
     return np.split(wrenches, wrenches.shape[1] // 6, axis=1)
-
-
-def sampled_motion(motion: Trajectory, decimation: int) -> Trajectory:
-    """Every `decimation`-th sample of a motion."""
-    part = slice(None, None, decimation)
-    return replace(motion, t=motion.t[part], q=motion.q[part], v=motion.v[part], a=motion.a[part])

@@ -23,11 +23,12 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.nested_sensors import measured_regression
+from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.simulation.parametrised_plant import KnownModel
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
 from sysid_bench.tasks.task import Task, TaskDefinition, find_task
-from sysid_bench.types import BaseMap, BodyExtents, Prior, Problem
+from sysid_bench.types import Array, BaseMap, BodyExtents, Oracle, Prior, Problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +54,31 @@ class NoiseFreePart:
     @cached_property
     def held_out(self) -> dict[str, Problem]:
         """Problems of other motions, with exact signals."""
-        sensors = MeasuredSensors(self.spec, self.simulated.plant, self.task)
         return {
-            name: self.builder.build(oracle.motion, sensors.noise_free(oracle))
-            for name, oracle in held_out_motions(self.spec, self.simulated).items()
+            name: self.builder.build(oracle.motion, self._exact(oracle))
+            for name, oracle in self._oracles.items()
         }
+
+    @cached_property
+    def held_out_moving(self) -> dict[str, Problem]:
+        """The same problems without the rows of joints at standstill."""
+        return {
+            name: self.builder.build(
+                oracle.motion,
+                self._exact(oracle),
+                rows=self.builder.rows_along(oracle.motion, MOVING),
+            )
+            for name, oracle in self._oracles.items()
+        }
+
+    @cached_property
+    def _oracles(self) -> dict[str, Oracle]:
+        return held_out_motions(self.spec, self.simulated)
+
+    def _exact(self, oracle: Oracle) -> Array:
+        """Noise-free torques and wrenches (N, n + 6 sensors)."""
+        sensors = MeasuredSensors(self.spec, self.simulated.plant, self.task)
+        return sensors.noise_free(oracle)
 
 
 def noise_free_part(spec: ExperimentSpec, loaded: LoadedRobot) -> NoiseFreePart:
@@ -74,7 +95,8 @@ def _without_noise(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentSpec:
     if find_task(spec.task, loaded.folder).measures_sensor_only:
         return spec
     redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
-    return replace(spec, noise={}, signals={}, repeat=spec.repeat if redrawn else 0)
+    repeat = spec.repeat if redrawn else 0
+    return replace(spec, noise={}, signals={}, pipeline=None, repeat=repeat)
 
 
 @lru_cache(maxsize=2)

@@ -44,6 +44,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     experiment = _experiment(noise_free, processed, runs)
     _make_read_only(experiment)
     motion = processed.recording.motion
+    along = builder.rows_along(motion, processed.rows)
     source = SimulatedSource(
         spec=spec,
         noise_free=noise_free,
@@ -51,8 +52,16 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
         known=builder.known(motion)[:, builder.row_indices],
         bound=sampled.cramer_rao_bound(builder),
         left_out=processed.left_out,
+        standstill=along.left_out,
     )
-    return Prepared(loaded.robot, experiment.problem, experiment, noise_free.held_out, source)
+    return Prepared(
+        loaded.robot,
+        experiment.problem,
+        experiment,
+        noise_free.held_out,
+        source,
+        noise_free.held_out_moving,
+    )
 
 
 def _experiment(
@@ -66,14 +75,16 @@ def _experiment(
     if not noise_free.task.cuts:
         simulate = SimulateModel(noise_free.known_model, processed.raw)
         known = KnownTorque(noise_free.known_model, rows)
+    along = builder.rows_along(recording.motion, processed.rows)
     return Experiment(
-        problem=builder.build(recording.motion, measured, noise_free.prior),
+        problem=builder.build(recording.motion, measured, noise_free.prior, along),
         recording=recording,
         raw=processed.raw,
         regress=partial(regressor_blocks, builder.regression, rows, builder.instruments),
         simulate=simulate,
         known=known,
         runs=runs,
+        filter_rows=along.filtered,
     )
 
 

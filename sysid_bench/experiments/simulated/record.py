@@ -1,7 +1,7 @@
 """Simulated recordings: a plant moves along an excitation, its sensors are read and filtered."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -11,6 +11,7 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.seed import (
     drift_seed,
     held_out_seed,
@@ -19,14 +20,15 @@ from sysid_bench.experiments.seed import (
     run_seed,
 )
 from sysid_bench.experiments.simulated.commanded import design_motion
-from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sampled_motion
+from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.signals.processing import processing_of
+from sysid_bench.signals.pipeline_choice import pipeline_of
+from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import Inverse, joint_positions
 from sysid_bench.simulation.plant import Plant
 from sysid_bench.simulation.sensors import Noise, NoiseDraws, draw_noise, measure, position_error
@@ -124,6 +126,7 @@ class SampledRecording:
     decimation: int  # steps of the simulation per sample
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
+    rows: RowProcessing = field(default_factory=RowProcessing)  # of W beta = b
 
     def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
         """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
@@ -160,14 +163,12 @@ def record(
     repetition: Repetition | None = None,
 ) -> SampledRecording:
     """The recording of one repeat, and of one of its runs where there are several."""
-    index, seed = (
-        (0, noise_seed(spec)) if repetition is None else (repetition.index, repetition.seed)
-    )
+    repetition = repetition or Repetition(0, True, noise_seed(spec))
     robot, commanded = simulated.plant.robot, simulated.commanded
     decimation = simulated.sample_step
     noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
-    processing = processing_of(spec.signals)
-    rng = np.random.default_rng(seed)
+    pipeline = pipeline_of(spec.pipeline, spec.signals, simulated.loaded.folder)
+    rng = np.random.default_rng(repetition.seed)
     samples = len(range(0, len(commanded), decimation))
     # All draws before the run, in units of their deviation: levels of noise share the same draws.
     draws = draw_noise(len(commanded), samples, len(robot.torque_dofs), rng)
@@ -183,11 +184,21 @@ def record(
         # Without a controller the robot moves exactly as commanded, which is the ground truth.
         commanded=None if controller is None else commanded,
         controller=controller,
-        ideal_rates=not processing.differentiate,
+        ideal_rates=pipeline.ideal_rates,
     )
-    raw = sensors.measure(_with_drift(spec, raw, index, noise.tau_drift), oracle, decimation)
-    recording = _with_dependent_joints(robot, processing.apply(raw, robot.joints))
-    return SampledRecording(raw, recording, oracle, decimation, torque_std, noise.tau_correlation)
+    raw = sensors.measure(
+        _with_drift(spec, raw, repetition.index, noise.tau_drift), oracle, decimation
+    )
+    processed = pipeline.process(raw, robot.joints)
+    return SampledRecording(
+        raw=raw,
+        recording=_with_dependent_joints(robot, processed.recording),
+        oracle=oracle,
+        decimation=decimation,
+        torque_std=torque_std,
+        correlation=noise.tau_correlation,
+        rows=processed.rows,
+    )
 
 
 def _run_with_encoders(

@@ -33,6 +33,7 @@ class SimulatedSource:
     known: Array  # (N, rows) torque of the parts that the task declares known, along `motion`
     bound: Array | None  # (r,) Cramer-Rao, as standard deviations, where torque alone is noisy
     left_out: float  # share of the samples that were removed as contacts
+    standstill: float = 0.0  # share of the rows that were left out as standstill
 
     @property
     def task(self) -> Task:
@@ -69,8 +70,11 @@ class SimulatedSource:
         return "" if self.excitation is None else self.excitation.warning
 
     def figures(self, problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
-        """Rank, conditioning and information of the data, and the share of contacts."""
-        return data_figures(problem, held_out) | {"left_out": self.left_out}
+        """Rank, conditioning and information of the data, and the shares left out."""
+        return data_figures(problem, held_out) | {
+            "left_out": self.left_out,
+            "standstill": self.standstill,
+        }
 
     def fields(self) -> Row:
         """Ranks of the sub-tree behind a sensor."""
@@ -88,6 +92,7 @@ class SimulatedSource:
             about_data=prepared.figures,
             # Without noise an interval has no width, and its coverage no meaning.
             errors=deviations if self.spec.noise else None,
+            moving=prepared.held_out_moving,
         )
         contact = {}
         if self.contact_test is not None:

@@ -48,6 +48,7 @@ from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, met
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import resolve_files
 from sysid_bench.signals.log_description import log_description, name_of
+from sysid_bench.signals.pipeline_choice import PLAIN
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import FINDINGS
 
@@ -97,9 +98,16 @@ class Plant(Plugin):
     kind = "plant"
 
 
+class Pipeline(Plugin):
+    kind = "pipeline"
+
+
 Named = BeforeValidator(to_plugin)
 Sweep = BeforeValidator(items)
 ListSweep = BeforeValidator(key_list)
+
+
+Pipelines = Annotated[tuple[Annotated[Pipeline, Named], ...], Sweep]
 
 
 def _term(value: Any) -> Any:
@@ -164,6 +172,7 @@ class DefaultSettings(SuiteTable):
     )
     noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
     signals: Annotated[tuple[Signals, ...], Sweep] = (Signals(),)
+    pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
 
 
 def _robot_name(value: Any, info: ValidationInfo) -> str:
@@ -213,7 +222,8 @@ Candidates = tuple[Annotated[str, PlainValidator(_candidate)], ...]
 
 
 class LogEntry(SuiteTable):
-    """Recordings of a real robot; `filter`, `moving`, `terms` and `choose` may be sweeps."""
+    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `terms` and `choose` may be
+    sweeps."""
 
     robot: Annotated[Any, PlainValidator(_robot_name)]
     name: StrictStr | None = None
@@ -225,6 +235,7 @@ class LogEntry(SuiteTable):
     filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
     derivatives: Annotated[str, one_of("way to differentiate", ("from q", "from v"))] | None = None
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
+    pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
     accept: tuple[Annotated[str, one_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False
     true_mass: Annotated[Any, quantity_of("kg", positive=True)] = None

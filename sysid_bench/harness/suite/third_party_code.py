@@ -25,7 +25,8 @@ def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
     axes = suite.defaults
     held_out = (motion for motions in axes.held_out for motion in motions)
     entries: Iterable[Plugin] = (
-        *suite.estimator, *suite.metric, *axes.plant, *axes.excitation, *held_out, *axes.simulation
+        *suite.estimator, *suite.metric, *axes.plant, *axes.excitation, *held_out, *axes.simulation,
+        *axes.pipeline,
     )  # fmt: skip
     yield from ((entry.kind, entry.use) for entry in entries)
     yield from (("task", task) for task in axes.task)
@@ -35,6 +36,7 @@ def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
 
 def _log_plugins(suite: Suite, log: LogEntry) -> Iterator[tuple[str, str]]:
     yield "task", log.task
+    yield from ((entry.kind, entry.use) for entry in log.pipeline)
     words = (word for sweep in (log.terms, log.choose) for words in sweep for word in words or ())
     yield from (("term", word.removeprefix("motor.")) for word in words)
     for written in (*log.train, *log.test):
