@@ -17,7 +17,7 @@ PACKAGE = "sysid_bench"
 
 BASE = frozenset(
     {"types", "spatial", "naming", "places", "errors", "units", "c_library", "input_files"}
-    | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
+    | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor", "plugin_settings"}
 )
 TOP = frozenset({"__init__", "__main__", "cli", "verbs", "pytest_plugin"})
 BELOW_EVALUATION = frozenset(

@@ -39,6 +39,7 @@ class ExperimentSpec:
     free_base: bool | None = None  # None: as the robot's manifest has it
     log: Mapping[str, Any] | None = None  # a recording of a real robot, as a suite's [[log]] has it
     sensor: str | None = None  # the force/torque sensor; None: the only one of the manifest
+    redrawn: tuple[str, ...] = ()  # what each repeat draws anew: "motions", "plant"
 
     @cached_property
     def id(self) -> str:
@@ -51,6 +52,8 @@ class ExperimentSpec:
         for key in ("free_base", "sensor", "log"):
             if data[key] is None:  # ids are older than these fields
                 del data[key]
+        if not data["redrawn"]:
+            del data["redrawn"]
         return data
 
     @classmethod
@@ -63,6 +66,7 @@ class ExperimentSpec:
                     **data,
                     "terms": None if terms is None else tuple(terms),
                     "held_out": tuple(data["held_out"]),
+                    "redrawn": tuple(data.get("redrawn", ())),
                 }
             )
         except (KeyError, TypeError) as error:

@@ -20,7 +20,7 @@ from sysid_bench.experiments.spec import (
 )
 from sysid_bench.harness.labels import BASES, labels_of, robot_key
 from sysid_bench.harness.log_specs import log_labels, log_specs
-from sysid_bench.harness.plan_size import check_size, is_redrawn, prior_table
+from sysid_bench.harness.plan_size import check_size, has_random_sensors, is_redrawn, prior_table
 from sysid_bench.harness.suite.data_entries import Signals
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
@@ -243,7 +243,8 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
 
 def _repeats_nothing(spec: ExperimentSpec) -> bool:
     simulated = spec.log is None and spec.simulation["use"] == "inverse"
-    return simulated and not spec.noise and not is_redrawn(spec.prior)
+    drawn = is_redrawn(spec.prior) or bool(spec.redrawn)
+    return simulated and not spec.noise and not drawn and not has_random_sensors(spec.plant)
 
 
 def _cells(suite: Suite, names: Names) -> list[Cell]:

@@ -22,6 +22,7 @@ from sysid_bench.simulation.motor_load import (
     motor_values,
 )
 from sysid_bench.simulation.plant import Plant, check_finite
+from sysid_bench.simulation.plant_robot import plant_controller
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 STIFF_FRICTION: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])
@@ -101,7 +102,8 @@ class TrackingControl:
                 f"{robot.name}: closed-loop needs a fixed base, and hinges and slides alone."
             )
         controller = self.controller(plant)
-        return self.track(plant, controller, commanded, encoder), controller
+        moved = plant_controller(controller, robot)
+        return self.track(plant, moved, commanded, encoder), controller
 
     def track(
         self, plant: Plant, controller: Controller, commanded: Trajectory, encoder: Array

@@ -13,6 +13,7 @@ from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import TorqueModel, information_model
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.seed import known_seed, prior_seed
+from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sensor_offset
 from sysid_bench.experiments.simulated.method_model import known_model
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
@@ -24,7 +25,6 @@ from sysid_bench.models.sensor import instruments_of
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.nested_sensors import measured_regression
 from sysid_bench.simulation.parametrised_plant import KnownModel
-from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
 from sysid_bench.tasks.task import Task, TaskDefinition, find_task
 from sysid_bench.types import BaseMap, Extent, Prior, Problem
@@ -32,7 +32,11 @@ from sysid_bench.types import BaseMap, Extent, Prior, Problem
 
 @dataclass(frozen=True, eq=False)
 class NoiseFreePart:
-    """Task, plant, prior and held-out motions of an experiment."""
+    """Task, plant, prior and held-out motions of an experiment.
+
+    The task, its truth and prior, the regressors and the motions are those of the identified model;
+    what moves is the plant (`simulated.built`), which may have another geometry.
+    """
 
     spec: ExperimentSpec
     task: Task
@@ -53,9 +57,9 @@ class NoiseFreePart:
     @cached_property
     def held_out(self) -> dict[str, Problem]:
         """Problems of other motions, with exact signals."""
-        sensors = MeasuredSensors(self.spec, self.simulated.plant, self.task)
+        sensors = MeasuredSensors(self.spec, self.simulated.built, self.task)
         return {
-            name: self.builder.build(oracle.motion, sensors.noise_free(oracle))
+            name: self.builder.build(*sensors.noise_free(oracle))
             for name, oracle in held_out_motions(self.spec, self.simulated).items()
         }
 
@@ -73,7 +77,9 @@ def _without_noise(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentSpec:
     """
     if find_task(spec.task, loaded.folder).measures_sensor_only:
         return spec
-    redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
+    redrawn = "plant" in spec.redrawn or (
+        not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
+    )
     return replace(spec, noise={}, signals={}, repeat=spec.repeat if redrawn else 0)
 
 
@@ -90,10 +96,10 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     instruments = instruments_of(robot, task.cuts)
     regression = measured_regression(robot, base.names, instruments, task.rows)
     builder = ProblemBuilder(robot, task, base, regression)
-    plant = plant_of(robot, [loaded.build_plugin("plant", spec.plant)])
+    built = built_plant(spec, loaded, robot)
     prior = _prior(spec, task)
     design = partial(_design_problem, robot, task, base, prior)
-    return NoiseFreePart(spec, task, builder, SimulatedRobot(spec, loaded, plant, design), prior)
+    return NoiseFreePart(spec, task, builder, SimulatedRobot(spec, loaded, built, design), prior)
 
 
 def unknown_terms(spec: ExperimentSpec, robot: RobotModel, task: TaskDefinition) -> tuple[str, ...]:

@@ -18,19 +18,19 @@ from sysid_bench.experiments.seed import (
     noise_seed,
     run_seed,
 )
+from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.simulated.commanded import design_motion
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sampled_motion
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,
-    scalar_positions,
 )
+from sysid_bench.experiments.simulated.readings import Encoders, run_with_encoders
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.plant import Plant
-from sysid_bench.simulation.sensors import Noise, NoiseDraws, draw_noise, measure, position_error
+from sysid_bench.simulation.sensors import Noise, draw_noise, measure
 from sysid_bench.simulation.wrench_sensors import WRENCH_NOISE
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
@@ -42,8 +42,8 @@ class SimulatedRobot:
 
     spec: ExperimentSpec
     loaded: LoadedRobot
-    plant: Plant
-    design_problem: Callable[[float], DesignProblem]  # at a rate (Hz)
+    built: BuiltPlant
+    design_problem: Callable[[float], DesignProblem]  # of the model, at a rate (Hz)
 
     @cached_property
     def simulation(self) -> Any:
@@ -58,23 +58,37 @@ class SimulatedRobot:
 
     @cached_property
     def commanded(self) -> Trajectory:
-        """The commanded motion, at the rate of the simulation."""
+        """The commanded motion of the model's joints, at the rate of the simulation."""
         problem = self.design_problem(self.simulation.design_rate(self.spec.rate))
         return design_motion(self.spec.excitation, self.loaded, problem, motion_seed(self.spec))
 
     def run(self, error: Array) -> tuple[Oracle, Controller | None]:
-        """Ground truth of the motion with encoder errors (N, n), and the controller."""
+        """Ground truth of the plant's motion with encoder errors (N, n) of the model's joints, and
+        the controller."""
         # Inverse dynamics reads no encoder: one run serves all errors.
         if type(self.simulation) is Inverse:
             return self._undisturbed, None
-        oracle, controller = self.simulation.run(self.plant, self.commanded, error)
-        return oracle, controller
+        return self._moved(self.simulation, self.commanded, error)
+
+    def inverse(self, motion: Trajectory) -> Oracle:
+        """Ground truth of the plant on a motion of the model's joints that it follows exactly."""
+        return self._moved(Inverse(), motion, self._no_error(motion))[0]
 
     @cached_property
     def _undisturbed(self) -> Oracle:
-        no_error = np.zeros((len(self.commanded), len(self.plant.robot.torque_dofs)))
-        oracle: Oracle = self.simulation.run(self.plant, self.commanded, no_error)[0]
-        return oracle
+        return self._moved(self.simulation, self.commanded, self._no_error(self.commanded))[0]
+
+    def _moved(
+        self, simulation: Any, motion: Trajectory, error: Array
+    ) -> tuple[Oracle, Controller | None]:
+        joints = self.built.coordinates
+        oracle, controller = simulation.run(
+            self.built.plant, joints.to_plant(motion), joints.error_to_plant(error)
+        )
+        return oracle, controller
+
+    def _no_error(self, motion: Trajectory) -> Array:
+        return np.zeros((len(motion), len(self.built.model.torque_dofs)))
 
 
 @dataclass(frozen=True)
@@ -123,13 +137,16 @@ class SampledRecording:
     recording: Recording
     oracle: Oracle
     decimation: int  # steps of the simulation per sample
+    has_exact_model: bool  # neither the model nor the sensors have errors beside the noise
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
 
     def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
         """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
-        a row has no noise of that kind, or the motion does not excite every direction."""
-        if builder.task.cuts or not (self.torque_std[list(builder.row_indices)] > 0).all():
+        a row has no noise of that kind, where the model or the sensors have other errors, or the
+        motion does not excite every direction."""
+        noisy = (self.torque_std[list(builder.row_indices)] > 0).all()
+        if builder.task.cuts or not noisy or not self.has_exact_model:
             return None
         return _bound(
             builder, self.oracle, self.decimation, tuple(self.torque_std), self.correlation
@@ -164,51 +181,40 @@ def record(
     index, seed = (
         (0, noise_seed(spec)) if repetition is None else (repetition.index, repetition.seed)
     )
-    robot, commanded = simulated.plant.robot, simulated.commanded
-    decimation = simulated.sample_step
+    built, decimation = simulated.built, simulated.sample_step
     noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
     processing = processing_of(spec.signals)
-    rng = np.random.default_rng(seed)
-    samples = len(range(0, len(commanded), decimation))
+    rng, count = np.random.default_rng(seed), len(simulated.commanded)
+    samples = len(range(0, count, decimation))
     # All draws before the run, in units of their deviation: levels of noise share the same draws.
-    draws = draw_noise(len(commanded), samples, len(robot.torque_dofs), rng)
-    oracle, controller, error = _run_with_encoders(simulated, noise, draws)
+    draws = draw_noise(count, samples, len(built.model.torque_dofs), rng)
+    run = run_with_encoders(Encoders(built, noise, draws), simulated.run)
     # A relative level refers to the exact torque, so that the noise is independent of itself.
-    torque_std = noise.torque_std(oracle.tau[::decimation])
+    torque_std = noise.torque_std(run.seen.tau[::decimation])
+    readings = run.read(built.rng_of(seed), decimation)
     raw = measure(
-        robot,
-        oracle,
-        error,
+        built.model,
+        readings.signals,
+        readings.error,
         torque_std * noise.torque_noise(draws.torque),
-        decimation,
+        readings.stride,
         # Without a controller the robot moves exactly as commanded, which is the ground truth.
-        commanded=None if controller is None else commanded,
-        controller=controller,
+        commanded=None if run.controller is None else simulated.commanded,
+        controller=run.controller,
         ideal_rates=not processing.differentiate,
     )
-    raw = sensors.measure(_with_drift(spec, raw, index, noise.tau_drift), oracle, decimation)
-    recording = _with_dependent_joints(robot, processing.apply(raw, robot.joints))
-    return SampledRecording(raw, recording, oracle, decimation, torque_std, noise.tau_correlation)
-
-
-def _run_with_encoders(
-    simulated: SimulatedRobot, noise: Noise, draws: NoiseDraws
-) -> tuple[Oracle, Controller | None, Array]:
-    """Ground truth, controller, and encoder errors (N, n) of a run whose loop sees these errors."""
-    error = position_error(noise, draws)
-    oracle, controller = simulated.run(error)
-    if noise.quantum == 0:
-        return oracle, controller, error
-    robot = simulated.plant.robot
-    dofs = robot.torque_dofs
-    scalar = np.flatnonzero(np.isin(dofs, robot.scalar_dofs))
-    # Rounding depends on the position: the first run gives positions, the second one runs with the
-    # loop seeing their rounding errors. The recorded errors are those of its own positions, so that
-    # readings lie on the grid of the encoder.
-    error = position_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
-    oracle, controller = simulated.run(error)
-    error = position_error(noise, draws, scalar_positions(robot, oracle.motion)[:, dofs], scalar)
-    return oracle, controller, error
+    raw = sensors.measure(_with_drift(spec, raw, index, noise.tau_drift), run.oracle, decimation)
+    raw = built.chain.stored(raw, built.rng_of(seed))
+    recording = _with_dependent_joints(built.model, processing.apply(raw, built.model.joints))
+    return SampledRecording(
+        raw,
+        recording,
+        run.seen,
+        decimation,
+        built.has_exact_model,
+        torque_std,
+        noise.tau_correlation,
+    )
 
 
 def _with_drift(spec: ExperimentSpec, recording: Recording, index: int, level: float) -> Recording:
@@ -238,9 +244,7 @@ def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[st
         seed = held_out_seed(spec, index)
         problem = simulated.design_problem(spec.rate)
         motion = design_motion(excitation, simulated.loaded, problem, seed)
-        # Inverse dynamics, whatever the training uses: the motion is exactly the commanded one.
-        no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
-        oracle, _ = Inverse().run(simulated.plant, motion, no_error)
         name = excitation["use"]
-        motions[name if name not in motions else f"{name}-{index}"] = oracle
+        # Inverse dynamics, whatever the training uses: the motion is exactly the commanded one.
+        motions[name if name not in motions else f"{name}-{index}"] = simulated.inverse(motion)
     return motions
