@@ -3,7 +3,7 @@ between the two."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -11,14 +11,16 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 
-class ModelError(Protocol):
+class ModelDefect(Protocol):
     """Difference between the plant and the identified model, which stays nominal.
 
     `apply(robot, rng)` returns the plant's robot from another one, whose arrays it leaves alone:
-    the same bodies, joints and link parameters (in the links' own frames) with other geometry. An
-    error of size zero returns the robot itself. Sizes are settings, directions are drawn with
-    `rng`.
+    the same bodies, joints and link parameters (in the links' own frames) with other geometry.
+    Directions are drawn with `rng`. `sizes` names the settings that are zero without the error: the
+    robot itself is then returned.
     """
+
+    sizes: ClassVar[tuple[str, ...]]
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with this error."""
@@ -71,7 +73,7 @@ class PlantCoordinates:
 
 
 def with_model_errors(
-    robot: RobotModel, errors: Sequence[ModelError], rngs: Sequence[np.random.Generator]
+    robot: RobotModel, errors: Sequence[ModelDefect], rngs: Sequence[np.random.Generator]
 ) -> RobotModel:
     """Return the plant's robot from the model's, one error after the other."""
     for error, rng in zip(errors, rngs, strict=True):

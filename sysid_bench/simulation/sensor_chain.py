@@ -6,7 +6,7 @@ Order: transducer (encoder and torque errors), sampling (delay, jitter), quantis
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,14 +17,16 @@ RngOf = Callable[[int], np.random.Generator]
 """Random generator of one recording for the stage with this number."""
 
 
-class SensorError(Protocol):
+class SensorDefect(Protocol):
     """Error of the sensor chain.
 
     `prepare(robot, rng)` returns a stage for the independent joints of a robot: an object with one
     or several of `encoder_error`, `torque_reading`, `lateness` and `stored`; None for an error of
     size zero. Constants of a robot are drawn with `rng`, those of a recording with the generator
-    that a stage is called with.
+    that a stage is called with. `sizes` names the settings that are zero without the error.
     """
+
+    sizes: ClassVar[tuple[str, ...]]
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> Any:
         """Return the stage of this error, or None."""
@@ -126,7 +128,7 @@ class SensorChain:
 
 
 def sensor_chain(
-    robot: RobotModel, errors: Sequence[SensorError], rngs: Sequence[np.random.Generator]
+    robot: RobotModel, errors: Sequence[SensorDefect], rngs: Sequence[np.random.Generator]
 ) -> SensorChain:
     """Return the chain of a robot with these errors; their numbers stay those of the list."""
     prepared = (error.prepare(robot, rng) for error, rng in zip(errors, rngs, strict=True))

@@ -43,8 +43,8 @@ class ShowResult(Result):
 
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
-    simulations, plants, metrics, log-readers; singular or plural) with name and title; the title of
-    an entry that cannot be read states the reason."""
+    simulations, plants, model-errors, sensor-errors, metrics, log-readers; singular or plural) with
+    name and title; the title of an entry that cannot be read states the reason."""
     plural = _plural(kind)
     if plural not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
@@ -239,6 +239,8 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "estimators": _plugins("estimator"),
     "simulations": _plugins("simulation"),
     "plants": _plugins("plant"),
+    "model-errors": _plugins("model_error"),
+    "sensor-errors": _plugins("sensor_error"),
     "metrics": _metrics,
     "log-readers": _plugins("log_reader"),
     "suites": _suites,
@@ -250,6 +252,8 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "estimators": _plugin("estimator"),
     "simulations": _plugin("simulation"),
     "plants": _plugin("plant"),
+    "model-errors": _plugin("model_error"),
+    "sensor-errors": _plugin("sensor_error"),
     "metrics": _metric,
     "log-readers": _plugin("log_reader"),
     "suites": _suite,

@@ -116,11 +116,11 @@ class _Draws:
 
 
 def _joint_names(entry: PlantEntry, make: Any, robot: RobotModel) -> tuple[str, ...]:
-    """Names of the joints that lists of sizes are for: those that the plug-in's `rows` gives, else
+    """Names of the joints that lists of sizes are for: those that its `size_names` gives, else
     the measured ones for sensors, all degrees of freedom for effects and all joints for errors."""
-    rows = getattr(make, "rows", None)
-    if callable(rows):
-        return tuple(rows(robot))
+    size_names = getattr(make, "size_names", None)
+    if size_names is not None:
+        return tuple(size_names(robot))
     if entry.group == "errors":
         return tuple(joint.name for joint in robot.joints)
     return robot.rows if entry.group == "effects" else robot.torque_rows

@@ -1,6 +1,7 @@
 """Base tilt: gravity that is not where the model takes it to be."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ class BaseTilt:
     """
 
     angle: float = field(default=0.00524, metadata={"unit": "rad"})
+    sizes: ClassVar[tuple[str, ...]] = ("angle",)
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative angle."""

@@ -1,6 +1,7 @@
 """Coupling errors: dependent joints that follow with another slope than the model has."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +21,12 @@ class CouplingError:
     """
 
     error: Size = field(default=0.005, metadata={"unit": "%"})
+    sizes: ClassVar[tuple[str, ...]] = ("error",)
+
+    @staticmethod
+    def size_names(robot: RobotModel) -> tuple[str, ...]:
+        """Return the names of the couplings that a list of errors is for."""
+        return tuple(_couplings(robot))
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with these slopes; nothing is drawn."""

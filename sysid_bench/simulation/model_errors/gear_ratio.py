@@ -1,6 +1,7 @@
 """Gear ratio errors: joints that move by another amount than their drives report."""
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ class GearRatio:
     """
 
     error: Size = field(default=0.005, metadata={"unit": "%"})
+    sizes: ClassVar[tuple[str, ...]] = ("error",)
 
     def __post_init__(self) -> None:
         """Raise UsageError for errors that stop or reverse a joint."""
@@ -27,9 +29,14 @@ class GearRatio:
                 f"error = {self.error!r} of the model error 'gear-ratio': give less than 50 %."
             )
 
+    @staticmethod
+    def size_names(robot: RobotModel) -> tuple[str, ...]:
+        """Return the names of the joints that a list of errors is for."""
+        return robot.torque_rows
+
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with these ratios; nothing is drawn."""
-        error = per_joint(self.error, robot.torque_rows, "error")
+        error = per_joint(self.error, self.size_names(robot), "error")
         if not error.any():
             return robot
         ratio = np.ones(robot.nv) if robot.drive_ratio is None else robot.drive_ratio.copy()

@@ -1,6 +1,7 @@
 """Kinematic errors: joint frames that are displaced and turned in their parent links."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,6 +27,7 @@ class Kinematics:
 
     position: Size = field(default=0.001, metadata={"unit": "m"})
     rotation: Size = field(default=0.00175, metadata={"unit": "rad"})
+    sizes: ClassVar[tuple[str, ...]] = ("position", "rotation")
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative size."""

@@ -1,6 +1,7 @@
 """Payload mounting errors: a payload that is displaced and turned on its flange."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ class PayloadMount:
 
     position: float = field(default=0.001, metadata={"unit": "m"})
     rotation: float = field(default=0.00873, metadata={"unit": "rad"})
+    sizes: ClassVar[tuple[str, ...]] = ("position", "rotation")
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative size."""

@@ -1,6 +1,7 @@
 """Current ripple: motor current that varies with the motor's angle at equal torque."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,6 +27,7 @@ class CurrentRipple:
     twice: Size = field(default=0.005, metadata={"unit": "%"})
     four_times: Size = field(default=0.005, metadata={"unit": "%"})
     ratio: Size = field(default=100.0, metadata={"unit": "1"})
+    sizes: ClassVar[tuple[str, ...]] = ("once", "twice", "four_times")
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Ripple | None":
         """Return the stage; None where all amplitudes are zero."""

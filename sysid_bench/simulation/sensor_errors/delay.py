@@ -1,6 +1,7 @@
 """Delays of the log: positions and torques that are older than their stamps."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +21,7 @@ class Delay:
 
     q: Size = field(default=0.0, metadata={"unit": "s"})
     tau: Size = field(default=0.002, metadata={"unit": "s"})
+    sizes: ClassVar[tuple[str, ...]] = ("q", "tau")
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative delay."""

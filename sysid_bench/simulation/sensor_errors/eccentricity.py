@@ -1,6 +1,7 @@
 """Encoder eccentricity: position errors that repeat with each revolution."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ class Eccentricity:
 
     amplitude: Size = field(default=3e-4, metadata={"unit": "rad|m"})
     per_turn: Size = field(default=1.0, metadata={"unit": "1"})
+    sizes: ClassVar[tuple[str, ...]] = ("amplitude",)
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Eccentric | None":
         """Return the stage; None where the amplitude is zero. Balls and free joints have none."""

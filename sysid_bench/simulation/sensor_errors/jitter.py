@@ -1,6 +1,7 @@
 """Jitter of the sampling times: samples that are not taken when their stamps say."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,6 +19,7 @@ class Jitter:
     """
 
     std: float = field(default=2e-4, metadata={"unit": "s"})
+    sizes: ClassVar[tuple[str, ...]] = ("std",)
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative deviation."""

@@ -1,7 +1,7 @@
 """Lost and repeated samples of a log."""
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -25,6 +25,7 @@ class LostSamples:
     share: float = field(default=0.005, metadata={"unit": "%"})
     burst: float = field(default=1.0, metadata={"unit": "1"})
     rows: str = "held"
+    sizes: ClassVar[tuple[str, ...]] = ("share",)
 
     def __post_init__(self) -> None:
         """Raise UsageError for impossible shares and gaps, and for other rows."""

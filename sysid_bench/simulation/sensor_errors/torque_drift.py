@@ -1,6 +1,7 @@
 """Drift of torque sensing: linear in time, and as a random walk."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ class TorqueDrift:
 
     slope: Size = field(default=1e-4, metadata={"unit": "N m|N"})  # per second
     walk: Size = field(default=0.0, metadata={"unit": "N m|N"})  # per square root of a second
+    sizes: ClassVar[tuple[str, ...]] = ("slope", "walk")
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative deviation."""

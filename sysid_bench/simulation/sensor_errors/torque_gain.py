@@ -1,6 +1,7 @@
 """Gain and offset errors of torque or current sensing."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +21,7 @@ class TorqueGain:
 
     gain: Size = field(default=0.03, metadata={"unit": "%"})
     offset: Size = field(default=0.0, metadata={"unit": "N m|N"})
+    sizes: ClassVar[tuple[str, ...]] = ("gain", "offset")
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Gain | None":
         """Return the stage; None where both errors are zero."""

@@ -1,6 +1,7 @@
 """Coloured noise of torque sensing: a first-order process with a time constant in seconds."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from scipy.signal import lfilter
@@ -25,6 +26,7 @@ class TorqueNoise:
     std: Size = field(default=0.0, metadata={"unit": "N m|N"})
     share: Size = field(default=0.01, metadata={"unit": "%"})
     time_constant: Size = field(default=0.05, metadata={"unit": "s"})
+    sizes: ClassVar[tuple[str, ...]] = ("std", "share")
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative deviations, and time constants that are not positive."""
