@@ -70,7 +70,9 @@ def test_an_id_depends_on_every_part(part: str) -> None:
 
 
 @pytest.mark.parametrize("part", CHANGES)
-@pytest.mark.parametrize("seed", SEEDS, ids=["motion", "noise", "prior", "sensor", "held-out", "plant"])
+@pytest.mark.parametrize(
+    "seed", SEEDS, ids=["motion", "noise", "prior", "sensor", "held-out", "plant"]
+)
 def test_a_seed_depends_on_its_parts_alone(
     seed: Callable[[ExperimentSpec], int], part: str
 ) -> None:
