@@ -164,6 +164,7 @@ def suite(plant: str, **options: Any) -> Any:
     ('{ use = "composed", sensors = [{ use = "delay", tua = 1 }] }', "Did you mean 'tau'"),
     ('{ use = "composed", sensors = [{ use = "delay", q = { from = 1 } }] }', "'from' and 'to'"),
     ('{ use = "composed", sensors = [{ use = "delay", q = { from = -1, to = 1 } }] }', "0 or more"),
+    ('{ use = "composed", sensors = [{ use = "delay", q = { from = 2, to = 1 } }] }', "ends below"),
 ])  # fmt: skip
 @pytest.mark.parametrize("code", [True, False], ids=["code", "no code"])
 def test_a_mistake_in_a_composed_plant_is_named(plant: str, message: str, code: bool) -> None:
@@ -172,8 +173,8 @@ def test_a_mistake_in_a_composed_plant_is_named(plant: str, message: str, code: 
 
 
 def test_a_range_that_ends_below_its_start_is_refused_by_the_experiment() -> None:
-    with pytest.raises(UsageError, match="from 2 mm to 1 mm ends below"):
-        ready(plant=composed(errors=[kinematics("2 mm", "1 mm")]))
+    with pytest.raises(UsageError, match=r"from 2 mm to 0\.1 cm ends below"):
+        ready(plant=composed(errors=[kinematics("2 mm", "0.1 cm")]))
 
 
 def test_plants_are_labelled_by_their_name_or_their_parts() -> None:

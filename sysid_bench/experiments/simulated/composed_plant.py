@@ -7,6 +7,7 @@ from typing import Any, Final
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.plugin_settings import setting_fields
 from sysid_bench.simulation.sizes import is_range, range_limits
+from sysid_bench.units import parse_quantity
 
 COMPOSED: Final = "composed"
 """Name of a plant that lists its parts."""
@@ -101,7 +102,8 @@ def plant_name(plant: Mapping[str, Any]) -> str:
 
 def limits_of_sizes(spec: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
     """The settings of an entry with every range replaced by its lower limit, and by its upper one:
-    where both can be built, so can all between. Raises UsageError for an incomplete range."""
+    where both can be built, so can all between. Raises UsageError for an incomplete range, and for
+    one that ends below its beginning."""
     ranges = {key: value for key, value in spec.items() if is_range(value)}
     for key, value in ranges.items():
         if set(value) != {"from", "to"}:
@@ -109,8 +111,19 @@ def limits_of_sizes(spec: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
                 f"{key} of {spec['use']!r}: a drawn size has the keys 'from' and 'to', as "
                 f"{{ from = 0, to = 1 }}; got {sorted(value)}."
             )
+        _check_order(f"{key} of {spec['use']!r}", value)
     ends = [{key: value[end] for key, value in ranges.items()} for end in ("from", "to")]
     return tuple({**spec, **end} for end in (ends if ranges else ends[:1]))
+
+
+def _check_order(what: str, written: Mapping[str, Any]) -> None:
+    """Raise UsageError for numbers of one unit in the wrong order; others wait for the plug-in."""
+    ends = [written[key] for key in ("from", "to")]
+    if not all(isinstance(end, (int, float, str)) for end in ends):
+        return
+    (low, unit), (high, other) = (parse_quantity(str(end)) for end in ends)
+    if unit == other and low > high:
+        raise UsageError(f"{what}: the range from {ends[0]} to {ends[1]} ends below its begin.")
 
 
 def checked_limits(entry: PlantEntry, make: Any) -> dict[str, tuple[float, float]]:
