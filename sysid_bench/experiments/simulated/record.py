@@ -145,8 +145,9 @@ class SampledRecording:
         """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
         a row has no noise of that kind, where the model or the sensors have other errors, or the
         motion does not excite every direction."""
-        noisy = (self.torque_std[list(builder.row_indices)] > 0).all()
-        if builder.task.cuts or not noisy or not self.has_exact_model:
+        if builder.task.cuts or not self.has_exact_model:
+            return None
+        if not (self.torque_std[list(builder.row_indices)] > 0).all():
             return None
         return _bound(
             builder, self.oracle, self.decimation, tuple(self.torque_std), self.correlation
@@ -209,11 +210,11 @@ def record(
     return SampledRecording(
         raw,
         recording,
-        run.seen,
-        decimation,
-        built.has_exact_model,
-        torque_std,
-        noise.tau_correlation,
+        oracle=run.seen,
+        decimation=decimation,
+        has_exact_model=built.has_exact_model,
+        torque_std=torque_std,
+        correlation=noise.tau_correlation,
     )
 
 
