@@ -27,11 +27,12 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.verbs.folders import open_run
     from sysid_bench.verbs.identify import identify
-    from sysid_bench.verbs.identify_recorded import RecordedRequest, RecordedResult
+    from sysid_bench.verbs.identify_recorded import RecordedRequest
     from sysid_bench.verbs.identify_result import IdentifyResult
     from sysid_bench.verbs.identify_simulated import SimulatedRequest, SimulatedResult
     from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
     from sysid_bench.verbs.merge import MergeResult, merge
+    from sysid_bench.verbs.recorded_result import RecordedResult
     from sysid_bench.verbs.recordings import record, view
     from sysid_bench.verbs.report import report, table
     from sysid_bench.verbs.result import Result
@@ -49,7 +50,8 @@ _PUBLIC: Final = {
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
     "verbs.folders": ("open_run",),
     "verbs.identify": ("identify",),
-    "verbs.identify_recorded": ("RecordedRequest", "RecordedResult"),
+    "verbs.identify_recorded": ("RecordedRequest",),
+    "verbs.recorded_result": ("RecordedResult",),
     "verbs.identify_result": ("IdentifyResult",),
     "verbs.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
     "verbs.init_robot": ("InitRobotResult", "init_robot"),

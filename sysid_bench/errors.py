@@ -6,6 +6,9 @@ from typing import Final
 
 SHOWN: Final = 8
 """Most names that a message lists."""
+FAILURES: Final = ("failed", "timeout", "crash", "memory", "lost")
+"""Statuses of failures; `unsupported` and `skipped` are valid results. `lost` is the machine's: the
+process was killed from outside, or storage failed."""
 _MACHINE_ERRORS: Final = frozenset(
     (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.ENFILE, errno.ENOMEM)
 )

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.types import Better, Level, Metric, MetricInput, Row
+from sysid_bench.vocabulary import CELL_FIELDS
 
 _TORQUE: Final = "N m|N"
 _ROUNDING: Final = 1e-12
@@ -166,6 +167,10 @@ _RECORD: Final = ("name", "title", "unit", "better", "digits", "floor", "ranked"
 def names_of(level: Level) -> tuple[str, ...]:
     """Names of the metrics of a level."""
     return tuple(name for name, metric in METRICS.items() if metric.level == level)
+
+
+ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *names_of("cell")}
+"""Fields of a finished cell in expressions."""
 
 
 def metric_of(name: str, metrics: Mapping[str, Metric] = METRICS) -> Metric:

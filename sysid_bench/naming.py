@@ -120,10 +120,13 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
 def known(kind: str) -> dict[str, str]:
     """Return every name of a kind with its target "module:object", built in or an entry point.
 
-    A kind of two words is written "log_reader" or "log-reader".
+    A kind of two words is written "log_reader" or "log-reader". An entry point does not replace a
+    built-in name, whose rows would then be of other code in every suite.
     """
     key = kind.replace("-", "_")
-    return dict(BUILTIN.get(key, {})) | {point.name: point.value for point in _points(key)}
+    built_in = BUILTIN.get(key, {})
+    points = {point.name: _target(point) for point in _points(key) if point.name not in built_in}
+    return {**built_in, **points}
 
 
 def is_builtin(kind: str, name: str) -> bool:
@@ -163,6 +166,11 @@ def resolve(kind: str, name: str) -> Any:
     """Return the object of a name; raises UsageError with the nearest names."""
     table = known(kind)
     target = table.get(name, name)
+    if ":" not in target and name in table:
+        raise UsageError(
+            f"The entry point {name!r} (sysid_bench.{kind.replace('-', '_')}s) names {target!r}; "
+            "it has to be 'module:object'."
+        )
     if ":" not in target:
         advice = "One of your own is named 'module:object' or 'file:path.py:object'."
         raise unknown_name(_shown(kind), name, table, advice)
@@ -211,6 +219,10 @@ def resolve_files(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any
     if isinstance(file, str):
         resolved["file"] = str(folder / file)
     return resolved
+
+
+def _target(point: EntryPoint) -> str:
+    return point.value.partition("[")[0].strip()  # without the extras that it may need
 
 
 def _points(kind: str) -> tuple[EntryPoint, ...]:

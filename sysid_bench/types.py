@@ -176,7 +176,7 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class Extent:
+class BodyExtents:
     """Extent of a body: corners (m, body frame) of the box that contains its centre of mass, and
     the volume (m^3) that contains its mass."""
 

@@ -1,13 +1,15 @@
 """Closed sets of words in suites and rows, part of the contract of the command line."""
 
 from collections.abc import Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from sysid_bench.metrics import METRICS as RECORDS
-from sysid_bench.metrics import names_of
-from sysid_bench.types import Level
+if TYPE_CHECKING:  # types load numpy, and --help needs these words alone
+    from sysid_bench.types import Level
 
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
+MOTOR: Final = "motor"
+"""Prefix of motor names (motor1, motor2, ... in the order of the columns of G) and of the terms of
+motors instead of joints."""
 FINDINGS: Final = (
     "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
 )  # fmt: skip
@@ -15,9 +17,6 @@ FINDINGS: Final = (
 STATUSES: Final = (
     "ok", "failed", "timeout", "crash", "memory", "lost", "unsupported", "skipped",
 )  # fmt: skip
-FAILURES: Final = ("failed", "timeout", "crash", "memory", "lost")
-"""Statuses of failures; `unsupported` and `skipped` are valid results. `lost` is the machine's: the
-process was killed from outside, or storage failed."""
 MACHINE_FIELDS: Final = frozenset(("seconds", "seconds_experiment", "load", "peak_memory"))
 """Fields of a row that differ from run to run on the same machine; all others are reproduced."""
 MOST_LOSSES: Final = 3
@@ -77,37 +76,24 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
 }
 """Fields of a planned cell in expressions, besides the written settings of its plug-ins."""
 
-METRICS: Final = names_of("cell")
-"""Columns that hold a number (or yes and no) per cell."""
-
-ERRORS: Final = tuple(name for name in METRICS if RECORDS[name].ranked)
-"""Metrics of which the smaller is the better, and their ratio says how much."""
-
 PARAMETER: Final = "parameter"
 VERDICT: Final = "verdict"
 """Metric of a table by parameter (m, hx, ..., fc): its identifiability, in words."""
 
 JOINT: Final = "joint"
 """Axis of tables with metrics of joints."""
-JOINT_METRICS: Final = names_of("joint")
 
 COVERAGE: Final = "coverage"
 STD_FROM: Final = "std_from"
 """Axis of tables by source of the standard deviations (periods, residuals, textbook): how often
 the truth lies in their 95 % intervals."""
 
-REPEATED: Final = names_of("repeats")
-"""Metrics of all repeats together (evaluation/repeat_statistic.py); a single cell has none."""
-
-ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *METRICS}
-"""Fields of a finished cell in expressions."""
-
 STATISTICS: Final = ("median", "mean", "min", "max", "count")
 INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
 BESTS: Final = ("none", "min-bold", "max-bold", "bold")
 """Marks of the best values of a table; `bold` follows the direction of each metric."""
 
-LEVEL_AXES: Final[Mapping[Level, str]] = {
+LEVEL_AXES: Final[Mapping["Level", str]] = {
     "parameter": PARAMETER,
     "interval": STD_FROM,
     "joint": JOINT,

@@ -1,4 +1,4 @@
-"""What all tests share: shapes of the nouns are enforced, Hypothesis is calm, data is found."""
+"""Shared by all tests: shapes of the nouns are enforced, Hypothesis is calm, data is found."""
 
 import os
 import sys

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import PAYLOADS, Payload
@@ -17,7 +17,9 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Trajectory
 
 NAMED = tuple(
-    sorted(path.parent.name for path in places.installed_folder("robots").glob("*/robot.toml"))
+    sorted(
+        path.parent.name for path in package_folders.installed_folder("robots").glob("*/robot.toml")
+    )
 )
 """Robots of `robots/`: a new one runs through all laws by being there."""
 
@@ -43,14 +45,14 @@ BODY_JOINTS = (
 
 def urdf_files() -> list[str]:
     """Every URDF of example-robot-data that has a joint, relative to `places`' folder."""
-    folder = places.robot_data_folder()
+    folder = package_folders.robot_data_folder()
     found = (str(file.relative_to(folder)) for file in sorted(folder.rglob("*.urdf")))
     return [file for file in found if file != EMPTY and not file.endswith(MOTIONLESS)]
 
 
 def urdf_robot(file: str, free_base: bool = False) -> RobotModel:
     """The robot of a file named by `urdf_files`."""
-    return load_robot(places.robot_data_folder() / file, free_base=free_base)
+    return load_robot(package_folders.robot_data_folder() / file, free_base=free_base)
 
 
 @cache

@@ -54,7 +54,7 @@ def executables(folder: Path) -> dict[str, str]:
     return {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.title)
 def test_a_recipe_runs_as_printed(recipe: Recipe, tmp_path: Path) -> None:
     for name, text in recipe.files.items():

@@ -132,18 +132,34 @@ def test_a_file_may_postpone_its_annotations(tmp_path: Path) -> None:
     assert build("estimator", f"file:{file}:Thing").cut == 1.0
 
 
-def test_an_entry_point_joins_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("geodesic", "math:hypot", "sysid_bench.estimators")
+def install(monkeypatch: pytest.MonkeyPatch, name: str, target: str) -> None:
+    point = EntryPoint(name, target, "sysid_bench.estimators")
 
     def entry_points(*, group: str) -> EntryPoints:
         return EntryPoints([point]).select(group=group)
 
     monkeypatch.setattr(naming, "entry_points", entry_points)
+
+
+def test_an_entry_point_joins_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, "geodesic", "math:hypot [extra]")
     assert resolve("estimator", "geodesic") is math.hypot
     assert known("estimator") == {**BUILTIN["estimator"], "geodesic": "math:hypot"}
     assert "geodesic" not in known("excitation")
     with pytest.raises(UsageError, match="Did you mean 'geodesic'"):
         resolve("estimator", "geodesik")
+
+
+def test_an_entry_point_replaces_no_builtin_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, "ols", "math:hypot")
+    assert known("estimator") == BUILTIN["estimator"]
+    assert resolve("estimator", "ols") is not math.hypot
+
+
+def test_an_entry_point_without_an_object_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, "geodesic", "math")
+    with pytest.raises(UsageError, match=r"'geodesic'.*names 'math'.*'module:object'"):
+        resolve("estimator", "geodesic")
 
 
 # --- What is wrong is named ---------------------------------------------------------------------

@@ -56,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_command_of_the_readme_runs(folder: Path) -> None:
     assert len(commands()) >= 8
     for line in commands():
@@ -65,7 +65,7 @@ def test_every_command_of_the_readme_runs(folder: Path) -> None:
     assert "Ridge" in (folder / "reports" / "mine" / "tables" / "main.md").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_python_block_of_the_readme_runs(folder: Path) -> None:
     scripts = [text for kind, text in blocks() if kind == "python" and not FILE.match(text)]
     assert scripts

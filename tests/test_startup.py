@@ -9,7 +9,18 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-HEAVY = ("mujoco", "pinocchio", "sympy", "pandas", "matplotlib", "rerun", "pydantic", "scipy")
+HEAVY = (
+    "numpy",
+    "jaxtyping",
+    "mujoco",
+    "pinocchio",
+    "sympy",
+    "pandas",
+    "matplotlib",
+    "rerun",
+    "pydantic",
+    "scipy",
+)
 HELP = """
 import sys
 from sysid_bench.cli import main
@@ -26,7 +37,7 @@ COMMANDS = {
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
-    """What a fresh interpreter in the checkout answers."""
+    """Answer of a fresh interpreter in the checkout."""
     return subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, text=True, capture_output=True, timeout=60
     )

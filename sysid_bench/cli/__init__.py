@@ -6,7 +6,8 @@ Functions of `sysid_bench` are imported when a command calls them, so that --hel
 
 import os
 import sys
-from typing import Final
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -17,7 +18,10 @@ from sysid_bench.cli import motion_commands as motions
 from sysid_bench.cli import robot_commands as robots
 from sysid_bench.cli import run_commands as results
 from sysid_bench.cli import suite_commands as suites
-from sysid_bench.cli.supervise import ARGUMENTS
+from sysid_bench.cli import supervise
+
+if TYPE_CHECKING:
+    from sysid_bench.experiments.job_channel import JobChannel
 
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Numbers of threads that a user may set; one by default. The matrices of a command are small, and
@@ -29,7 +33,7 @@ class _Group(click.Group):
     """Commands in the order in which a user needs them."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        ctx.meta[ARGUMENTS] = tuple(args)
+        ctx.meta[supervise.ARGUMENTS] = tuple(args)
         return super().parse_args(ctx, args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -57,3 +61,8 @@ for _command in (
     catalogue.check_plugin, catalogue.doctor,
 ):  # fmt: skip
     main.add_command(_command)
+
+
+def execute(arguments: list[str], channel: "JobChannel") -> Mapping[str, Any]:
+    """Execute a command line in this worker process; return its output and its exit code."""
+    return supervise.execute(main, arguments, channel)

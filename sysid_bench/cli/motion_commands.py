@@ -29,6 +29,7 @@ from sysid_bench.cli.values import (
     parse_settings,
     parse_terms,
 )
+from sysid_bench.units import quantity
 
 if TYPE_CHECKING:
     from sysid_bench import ExciteResult
@@ -184,11 +185,9 @@ def excite(
     Exit code 1 where a limit is violated, 130 after an interrupt (the best motion so far is
     written).
     """
-    code = supervised([("task", unknowns.task)])
+    code = supervised([("task", unknowns.task)], search_progress)
     if code is not None:
         return code
-    from sysid_bench.units import quantity
-
     request = sysid_bench.ExciteRequest(
         robot,
         parse_objective(objective),

@@ -1,5 +1,6 @@
 """Options, errors, exit codes and printing of all commands."""
 
+import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial, wraps
@@ -7,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
+from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.work.interrupts import ignore_interrupts, on_interrupt, raise_interrupt
+from sysid_bench.harness.work.interrupt import ignore_interrupt, on_interrupt, raise_interrupt
 
 if TYPE_CHECKING:
-    from click.shell_completion import CompletionItem
-
     from sysid_bench import Result
 
 OK, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
@@ -37,9 +38,7 @@ class _Name(click.ParamType[str]):
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> "list[CompletionItem]":
-        from click.shell_completion import CompletionItem
-
+    ) -> list[CompletionItem]:
         names = _known(self.kind)
         return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
@@ -115,7 +114,7 @@ def report_errors(function: Callable[..., int]) -> Callable[..., None]:
             try:
                 code = _exit_code(partial(function, *args, **options), context)
             except KeyboardInterrupt:  # a second one, while the first was reported
-                ignore_interrupts()
+                ignore_interrupt()
                 code = INTERRUPTED
         context.exit(code)
 
@@ -127,7 +126,7 @@ def _exit_code(command: Callable[[], int], context: click.Context) -> int:
     try:
         code = command()
     except KeyboardInterrupt:
-        ignore_interrupts()
+        ignore_interrupt()
         click.echo(_INTERRUPTION, err=True)
         code = INTERRUPTED
     except BrokenPipeError:  # the reader of our output has closed it, as `head` does
@@ -139,7 +138,7 @@ def _exit_code(command: Callable[[], int], context: click.Context) -> int:
         click.echo(f"sysid-bench: {_paragraph(error)}", err=True)
         code = USAGE
     if code == INTERRUPTED:
-        ignore_interrupts()
+        ignore_interrupt()
     return code
 
 
@@ -156,10 +155,6 @@ def _paragraph(error: SysidBenchError | OSError) -> str:
 
 def print_json(value: Any) -> None:
     """Print a value as JSON; NaN and infinities become null."""
-    import json  # 2 ms that --help would wait for
-
-    from sysid_bench.canonical_json import plain
-
     click.echo(json.dumps(plain(value), indent=2))
 
 

@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from sysid_bench.vocabulary import FAILURES
+from sysid_bench.cli.supervise import worker_progress
+from sysid_bench.errors import FAILURES
 
 if TYPE_CHECKING:
     from sysid_bench.harness.work.supervise import OnEvent
@@ -17,23 +18,17 @@ def run_progress() -> Iterator["OnEvent"]:
     if not sys.stderr.isatty():
         yield _print_code
         return
+    from rich import progress as bars
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
 
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[done]}/{task.fields[cells]} cells"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        bars.TextColumn("{task.description}"),
+        bars.BarColumn(),
+        bars.TextColumn("{task.fields[done]}/{task.fields[cells]} cells"),
+        bars.TimeElapsedColumn(),
+        bars.TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("running", total=None, done=0, cells=0)
         costs: dict[str, float] = {}
         cells = {"done": 0, "failed": 0}
@@ -56,7 +51,12 @@ def run_progress() -> Iterator["OnEvent"]:
 
 @contextmanager
 def search_progress() -> Iterator[Callable[[int, float], None]]:
-    """Yield a listener for a search: evaluations and the best value so far, on one line."""
+    """Yield a listener for a search: evaluations and the best value so far, on one line. That of a
+    worker reports to the command that has started it."""
+    listener = worker_progress()
+    if listener is not None:
+        yield listener
+        return
     if not sys.stderr.isatty():
         yield lambda count, value: None
         return

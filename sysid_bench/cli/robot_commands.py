@@ -124,8 +124,8 @@ def basis(
     if code is not None:
         return code
     whole = free_base is None and sensor is None
-    if printing.paper and whole and sysid_bench.show(task)["identifies_whole_robot"]:
-        _print_paper(robot, parse_terms(terms), printing, robots_dir, as_json)
+    table = (robot, task, parse_terms(terms), printing, robots_dir, as_json)
+    if printing.paper and whole and _print_paper(*table):
         return OK
     result = sysid_bench.basis(robot, task, parse_terms(terms), free_base, robots_dir, sensor)
     if printing.paper and not as_json:
@@ -143,16 +143,21 @@ def _check_paper(printing: _Paper) -> None:
 
 def _print_paper(
     robot: str,
+    task: str,
     terms: tuple[str, ...] | None,
     printing: _Paper,
     robots_dir: Path | None,
     as_json: bool,
-) -> None:
-    from sysid_bench.verbs.base_table import lines
+) -> bool:
+    """Print the table of a whole robot; return False for a task that has none."""
+    from sysid_bench.verbs.base_table import lines, supports_task
 
+    if not supports_task(task):
+        return False
     zero = parse_terms(printing.zero)
     table = sysid_bench.paper_table(robot, terms, zero, printing.values, robots_dir)
     if as_json:
         print_json(table)
     else:
         click.echo("\n".join(lines(table)))
+    return True

@@ -135,8 +135,9 @@ def run(
 ) -> int:
     """Run a suite, or resume a run; then write its tables, figures and report.
 
-    Exit codes: 0 ok, 1 a cross-check failed, 2 wrong usage or suite, 3 some cells failed,
-    4 nothing selected or measured, 130 interrupted and resumable.
+    Exit codes: 0 ok, 1 a cross-check failed, 2 wrong usage or suite, or rows cannot be stored,
+    3 some cells failed, timed out, crashed, are over their memory or lost, 4 nothing selected or
+    measured, 130 interrupted and resumable.
     """
     with run_progress() as on_event:
         result = sysid_bench.run(

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
+from sysid_bench.input_files import parse_toml, read_text
+from sysid_bench.units import interval, quantity
 
 _STRING = re.compile(r"'[^']*'|\"[^\"]*\"")
 _ASSIGNMENT = re.compile(r"(?<![=!<>])=(?!=)")
@@ -65,8 +67,6 @@ def parse_condition(text: str | None) -> str | None:
 
 def parse_contacts(text: str | None) -> list[str] | str | None:
     """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raise UsageError for others."""
-    from sysid_bench.units import interval
-
     if text is None or text == "detect":
         return text
     periods = list(parse_names(text))
@@ -89,8 +89,6 @@ def parse_limits(words: Sequence[str]) -> dict[str, list[float]]:
 
 def parse_settings(options: Mapping[str, Any], boxes: Sequence[str]) -> dict[str, Any]:
     """Settings of the excitation `optimised` in SI units; options that are None are left out."""
-    from sysid_bench.units import quantity
-
     given = {key: value for key, value in options.items() if value is not None}
     settings: dict[str, Any] = {
         key: quantity(value, _UNITS[key]) if key in _UNITS else value
@@ -119,8 +117,6 @@ def parse_motors(text: str) -> dict[str, dict[str, Any]]:
 
 def _motor_file(file: str) -> dict[str, Any]:
     """Tables of a TOML file; raise UsageError where it is absent or not TOML."""
-    from sysid_bench.input_files import read_text
-
     try:
         return _toml(read_text(Path(file)))
     except FileNotFoundError as error:
@@ -145,8 +141,6 @@ def _entry(word: str) -> tuple[str, str]:
 
 def _toml(text: str) -> dict[str, Any]:
     """Tables of a TOML text; raise ValueError for another text."""
-    from sysid_bench.input_files import parse_toml
-
     return parse_toml(text)
 
 

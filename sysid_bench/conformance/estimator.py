@@ -19,7 +19,7 @@ from sysid_bench.conformance.findings import (
     finding_of_error,
     findings_of,
 )
-from sysid_bench.conformance.problem_variants import (
+from sysid_bench.conformance.scaled_problem import (
     first_samples,
     permute_rows,
     scaled_prior,

@@ -69,7 +69,7 @@ def _arrays(value: Any) -> Iterator[Array]:
 
 
 def _parts(value: Any) -> Sequence[Any]:
-    """What a container holds; nothing for other values."""
+    """Contents of a container; nothing for other values."""
     if isinstance(value, partial):
         return value.args
     if isinstance(value, (tuple, list)):

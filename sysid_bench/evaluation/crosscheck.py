@@ -23,7 +23,7 @@ SEED: Final = 1
 
 
 @dataclass(frozen=True, eq=False)
-class CrossCheck:
+class Crosscheck:
     """Agreement of a robot's regressor with the engines.
 
     `gap`: max |Y - Y_pin| / max |Y_pin|; `closure`: max |Y theta + armature a - tau_MuJoCo| /
@@ -57,7 +57,7 @@ class CrossCheck:
         )
 
 
-def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> CrossCheck:
+def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Crosscheck:
     """Compare a robot's regressor between the engines at `samples` random states.
 
     `native` also compares with Pinocchio's own URDF parser. For a robot with coupled joints, the
@@ -79,7 +79,7 @@ def crosscheck(robot: RobotModel, samples: int = 50, native: bool = True) -> Cro
             native_gap = relative_error(Y - parsed, parsed)
         except UnsupportedError as error:
             reason = str(error)
-    return CrossCheck(
+    return Crosscheck(
         gap=relative_error(Y - reference, reference),
         closure=relative_error(predicted - tau, tau),
         native_gap=native_gap,

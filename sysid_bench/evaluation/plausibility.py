@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.spatial.inertia import mass_com_inertia, min_eigenvalues
-from sysid_bench.types import Array, Extent
+from sysid_bench.types import Array, BodyExtents
 
 MAX_DENSITY: Final = 8000.0
 """kg/m^3: density of steel; the bounding box of a link has no higher mean density."""
@@ -19,7 +19,7 @@ MASSLESS: Final = 1e-6
 """kg: a lighter body is a frame without mass, and its centre of mass has no meaning."""
 
 
-def body_plausibility(phi: Array, extent: Extent | None) -> str:
+def body_plausibility(phi: Array, extent: BodyExtents | None) -> str:
     """Return what is implausible about a body with parameters phi (10,), as text; empty if nothing.
 
     `extent` is its bounding box in body axes; None leaves the checks of density and centre of mass
@@ -40,7 +40,7 @@ def body_plausibility(phi: Array, extent: Extent | None) -> str:
 
 
 def plausibility_findings(
-    bodies: Mapping[str, Array], extents: Mapping[str, Extent]
+    bodies: Mapping[str, Array], extents: Mapping[str, BodyExtents]
 ) -> dict[str, str]:
     """Return {name: reason} of the implausible ones among bodies {name: phi (10,)}."""
     reasons = {name: body_plausibility(phi, extents.get(name)) for name, phi in bodies.items()}

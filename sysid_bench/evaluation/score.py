@@ -13,7 +13,7 @@ from sysid_bench.evaluation.plausibility import plausibility_findings
 from sysid_bench.identification.linear.normal_qr import excited_rank, residual_norm, stacked_factor
 from sysid_bench.qr_factor import upper_factor
 from sysid_bench.spatial.inertia import mass_com_inertia, min_eigenvalues
-from sysid_bench.types import Array, Estimate, Extent, Problem, Score, Truth
+from sysid_bench.types import Array, BodyExtents, Estimate, Problem, Score, Truth
 
 SMALL_JOINT: Final = 0.01
 """A row whose RMS torque is below this fraction of the largest of its kind is left out of the
@@ -32,7 +32,7 @@ def score(
     problem: Problem,
     held_out: Mapping[str, Problem],
     truth: Truth,
-    extents: Mapping[str, Extent] | None = None,
+    extents: Mapping[str, BodyExtents] | None = None,
     about_data: Mapping[str, Any] | None = None,
     errors: Mapping[str, StandardError] | None = None,
 ) -> Score:
@@ -275,7 +275,7 @@ def _whole_theta(estimate: Estimate, problem: Problem) -> Array | None:
 
 
 def _body_figures(
-    theta: Array | None, problem: Problem, truth: Truth, extents: Mapping[str, Extent] | None
+    theta: Array | None, problem: Problem, truth: Truth, extents: Mapping[str, BodyExtents] | None
 ) -> dict[str, Any]:
     """Feasibility, plausibility and errors of bodies; {} unless all ten parameters of each body are
     estimated or known."""

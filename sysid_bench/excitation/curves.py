@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import BSpline
+import scipy
 
 from sysid_bench.errors import unknown_name
 from sysid_bench.types import Array
@@ -111,7 +111,7 @@ def _b_spline(duration: float, harmonics: int) -> Curves:
     for k in range(1, free):
         mix[2 + k, k] = 1.0
     mix[-2:, -1] = 1.0
-    spline = BSpline(knots, mix, _DEGREE)
+    spline = scipy.interpolate.BSpline(knots, mix, _DEGREE)
 
     def at(t: Array) -> Bases:
         inside = np.clip(t, 0.0, duration)

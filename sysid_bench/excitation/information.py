@@ -12,7 +12,7 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.models.tree import Tree
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
-from sysid_bench.regressors.coupled_adjoint import pull_back, pull_back_torque, smoothed
+from sysid_bench.regressors.coupled_adjoint import pull_back, pull_back_torque, smooth_regression
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.types import Array, Trajectory
 
@@ -56,7 +56,7 @@ class InformationModel:
     @cached_property
     def smooth(self) -> "InformationModel":
         """Same model with a smooth sign(v), differentiable for a search."""
-        return replace(self, regression=smoothed(self.regression))
+        return replace(self, regression=smooth_regression(self.regression))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import DesignProblem, is_count
@@ -97,7 +97,7 @@ def _check_times(path: Path, t: Array, finite: np.bool_) -> None:
 
 
 def _spline(t: Array, x: Array, grid: Array) -> tuple[Array, Array, Array]:
-    curve = make_interp_spline(t, x, k=5)
+    curve = scipy.interpolate.make_interp_spline(t, x, k=5)
     return curve(grid), curve(grid, nu=1), curve(grid, nu=2)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy.optimize import Bounds, minimize
+import scipy
 
 from sysid_bench.excitation.design_evaluation import DesignEvaluation, SearchStop
 from sysid_bench.types import Array
@@ -129,13 +129,13 @@ class Search:
         steepest = float(np.abs(self.evaluation.gradient(unscaled(start)) * scale).max())
         # SLSQP starts with a unit Hessian: the first step is the gradient itself.
         unit = _STEP / max(steepest, _STEP)
-        result = minimize(
+        result = scipy.optimize.minimize(
             lambda x: unit * self.evaluation.value(unscaled(x)),
             start,
             jac=lambda x: unit * self.evaluation.gradient(unscaled(x)).ravel() * scale.ravel(),
             method="SLSQP",
             constraints=[constraint],
-            bounds=Bounds(low.ravel(), high.ravel()),
+            bounds=scipy.optimize.Bounds(low.ravel(), high.ravel()),
             options={"maxiter": iterations, "ftol": 1e-5 * unit},  # type: ignore[call-overload]
         )
         return unscaled(result.x)

@@ -16,7 +16,7 @@ from sysid_bench.identifiability.base_expressions import base_expressions, expre
 from sysid_bench.identifiability.base_map import base_map
 from sysid_bench.identifiability.feasible_bounds import check_bound, distance_to_feasible
 from sysid_bench.identifiability.structural import structural_factor
-from sysid_bench.identifiability.symbolic_coefficient import random_values, symbolic_coefficient
+from sysid_bench.identifiability.symbolic_coefficients import random_values, symbolic_coefficients
 from sysid_bench.identifiability.verdicts import coefficients
 from sysid_bench.models.dh.dh_robot import mjcf_of
 from sysid_bench.models.dh.dh_table import read_table
@@ -150,7 +150,7 @@ def _symbols(robot: RobotModel, base: BaseMap) -> list[dict[str, str]]:
     maps = [
         _same_pivots(structural_factor(other, base.parameters), base.pivots) for other in others
     ]
-    symbol = cache(partial(symbolic_coefficient, lengths=sets))
+    symbol = cache(partial(symbolic_coefficients, lengths=sets))
     for i, j in np.argwhere(coefficients(base) != 0.0):
         # Rounded, so that coefficients that differ by rounding errors share one search.
         words = symbol(tuple(float(np.round(K[i, j], 9)) for K in maps))

@@ -12,14 +12,14 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, reason_of, status_of
 from sysid_bench.experiments.job_channel import JobChannel, JobDeath
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.loaded_sources import loaded_sources
+from sysid_bench.experiments.loaded_sources import loaded_sources, read_distributions
 from sysid_bench.experiments.machine_use import PeakMemory, machine_fields
 from sysid_bench.experiments.paper_data import store_paper_data
 from sysid_bench.experiments.plugin_metrics import plugin_metrics
 from sysid_bench.experiments.prepare import prepare
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.experiments.third_party import is_third_party_cell, uses_third_party_data
+from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
 from sysid_bench.identification.identify import identify
 from sysid_bench.naming import build
 from sysid_bench.types import MetricInput, Row, Score
@@ -35,9 +35,10 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     otherwise the cells of third-party estimators and metrics, one by one. Built-in methods see the
     same process whoever else is in the suite.
     """
-    if not uses_third_party_data(argument):
+    if not has_third_party_data(argument):
         _execute(argument, False, channel)
         return
+    read_distributions()
     death = channel.isolate(partial(_execute, argument, True))
     if death is not None:
         raise JobDeath(death)
@@ -64,6 +65,8 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         _emit_all(headers, channel, shared | outcome)
         return
     shared["seconds_experiment"] = time.perf_counter() - start
+    if any(is_third_party_cell(argument, entry) for entry in estimators):
+        read_distributions()  # once, before the forks and the time limits of their cells
     for entry in estimators:
         isolated = is_third_party_cell(argument, entry)
         header = headers[entry["cell"]] | shared

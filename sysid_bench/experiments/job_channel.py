@@ -43,6 +43,9 @@ class JobChannel(Protocol):
     def emit(self, row: Row) -> None:
         """Store the row of a cell and announce it."""
 
+    def progress(self, value: Any) -> None:
+        """Pass a JSON value on to the caller of this job, while it goes on."""
+
     def isolate(self, function: Callable[["JobChannel"], Any]) -> Death | None:
         """Run a function in a process of its own, a fork of this one with all that is prepared.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.canonical_json import canonical
-from sysid_bench.evaluation.crosscheck import CrossCheck, crosscheck
+from sysid_bench.evaluation.crosscheck import Crosscheck, crosscheck
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
@@ -39,7 +39,7 @@ class LoadedRobot:
         return resolve(kind, str(resolve_files(spec, self.folder)["use"]))
 
     @cached_property
-    def check(self) -> CrossCheck:
+    def check(self) -> Crosscheck:
         """Comparison of the two engines."""
         return crosscheck(self.robot)
 

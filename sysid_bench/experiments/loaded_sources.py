@@ -2,12 +2,20 @@
 
 import contextlib
 import hashlib
+import inspect
 import re
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
+from importlib.metadata import (
+    Distribution,
+    PackageNotFoundError,
+    distributions,
+    requires,
+    version,
+)
 from pathlib import Path
 
 from sysid_bench.versions import PACKAGE_FOLDER
@@ -28,6 +36,13 @@ def loaded_sources() -> dict[str, str]:
         elif not _is_ours(path):
             sources[str(path)] = file_hash(path)
     return dict(sorted(sources.items()))
+
+
+def read_distributions() -> None:
+    """Read what is installed, which takes a while, before the forks of this process need it."""
+    _required()
+    for entry in sys.path:
+        _owners(entry)
 
 
 def file_hash(path: Path) -> str:
@@ -75,17 +90,38 @@ def _standard_library() -> Path:
 
 
 @cache
-def _owners() -> Mapping[str, list[str]]:
-    return packages_distributions()
+def _owners(entry: str) -> Mapping[str, list[str]]:
+    """Distributions of each top-level module below an entry of sys.path. A plug-in may add entries,
+    so that each is read by itself."""
+    owners = defaultdict[str, list[str]](list)
+    for distribution in distributions(path=[entry]):
+        for top in _top_modules(distribution):
+            owners[top].append(distribution.name)
+    return owners
+
+
+def _top_modules(distribution: Distribution) -> Iterable[str]:
+    """Top-level modules of a distribution. `importlib.metadata.packages_distributions` makes a path
+    of each installed file, which takes seconds."""
+    declared = (distribution.read_text("top_level.txt") or "").split()
+    if declared:
+        return declared
+    files = [
+        line.partition(",")[0] for line in (distribution.read_text("RECORD") or "").splitlines()
+    ]
+    packages = {file.partition("/")[0] for file in files if "/" in file and file.endswith(".py")}
+    modules = {inspect.getmodulename(file) for file in files if "/" not in file}
+    return packages | {name for name in modules if name is not None}
 
 
 def _distributions(top: str) -> dict[str, str]:
-    return {name: version(name) for name in _owners().get(top, ()) if name not in _required()}
+    owners = {name for entry in sys.path for name in _owners(entry).get(top, ())}
+    return {name: version(name) for name in owners if _canonical(name) not in _required()}
 
 
 @cache
 def _required() -> frozenset[str]:
-    """Distributions that this one requires, themselves or through others, extras included."""
+    """Normalised names of this distribution and all that it requires, extras included."""
     found, waiting = set[str](), ["sysid-bench"]
     while waiting:
         name = waiting.pop()
@@ -94,8 +130,7 @@ def _required() -> frozenset[str]:
         found.add(name)
         with contextlib.suppress(PackageNotFoundError):
             waiting += [_canonical(text) for text in requires(name) or ()]
-    owners = {owner for names in _owners().values() for owner in names}
-    return frozenset(owner for owner in owners if _canonical(owner) in found)
+    return frozenset(found)
 
 
 def _canonical(requirement: str) -> str:

@@ -6,15 +6,14 @@ from typing import Any
 
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_plugins
-from sysid_bench.naming import is_builtin
-from sysid_bench.regressors.motor_terms import MOTOR
+from sysid_bench.naming import is_builtin, known
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
 from sysid_bench.signals.log_reader import builtin_reader
-from sysid_bench.vocabulary import TERMS
+from sysid_bench.vocabulary import MOTOR, TERMS
 
 
-def uses_third_party_data(argument: Mapping[str, Any]) -> bool:
+def has_third_party_data(argument: Mapping[str, Any]) -> bool:
     """True where plug-ins of others make the data: motions, effects, tasks, log readers, terms."""
     spec = argument["experiment"]
     if spec.get("log") is None:
@@ -63,9 +62,17 @@ def readers_of_logs(files: Iterable[Path]) -> Iterator[tuple[str, str]]:
 
 
 def log_readers(log: LogDescription) -> Iterator[tuple[str, str]]:
-    """Yield (kind, name) of the readers of a log's files; the suffix where none is known."""
+    """Yield (kind, name) of the readers of a log's files.
+
+    Where none is named and the suffix is not ours, these are all installed ones: each is asked for
+    its suffixes.
+    """
     for part in (log.q, log.v, log.tau, log.time):
         if part is not None:
-            path = log.file_of(part)
-            reader = log.reader_of(part) or {"use": builtin_reader(path) or path.suffix}
-            yield LOG_READER, reader if isinstance(reader, str) else reader["use"]
+            reader = log.reader_of(part)
+            if reader is None:
+                built_in = builtin_reader(log.file_of(part))
+                names = known(LOG_READER) if built_in is None else [built_in]
+                yield from ((LOG_READER, name) for name in names)
+            else:
+                yield LOG_READER, reader if isinstance(reader, str) else reader["use"]

@@ -11,20 +11,24 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from types import NoneType
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, Any, Final
 
 from sysid_bench.harness.data_frames import FIRST, flat
 from sysid_bench.harness.frame_files import (
     COVERAGE_FILE,
     FRAMES,
+    UNREADABLE,
     Coverage,
     CoveredFile,
+    FrameFiles,
     covered_file,
     file_hash,
     footer_hash,
+    read_coverage,
 )
 from sysid_bench.harness.work.row_check import TABLES
 from sysid_bench.harness.work.row_files import (
@@ -36,43 +40,69 @@ from sysid_bench.harness.work.row_files import (
 )
 from sysid_bench.types import Row
 
-if TYPE_CHECKING:
-    pass
-
 _GROUP: Final = 1000  # cells whose values are in memory at a time
 _TABLE_OF: Final = {"parameters": "parameters_table", "joints": "joints"}
 _HUGE: Final = 2**63
+_LETTERS: Final = {kind.__name__[0]: kind for kind in (bool, int, float, str, NoneType)}
 
 _Columns = dict[str, list[Any]]
 """Values of the columns of a frame."""
 _Types = tuple[tuple[str, frozenset[type]], ...]
 """Types of the values of each column of a part of a frame."""
+_Kind = tuple[_Types, ...]
+"""Types of the parts that a row makes of the frames."""
+
+
+class _ReplacedRowError(LookupError):
+    """A row of a cell that the earlier files hold: they are made anew."""
 
 
 def consolidate(folder: Path, heads: Mapping[str, Row], out: Path | None = None) -> Coverage:
     """Write the Parquet files of a run and what they cover, to another folder where `out` is given.
 
-    `heads` are the first fields of every cell, in the order of the plan. Files are replaced whole;
-    for the folder of the run the caller holds its lock. Raises OSError.
+    `heads` are the first fields of every cell, in the order of the plan. Rows that the present
+    files hold are taken from them. Files are replaced whole; for the folder of the run the caller
+    holds its lock. Raises OSError.
     """
+    earlier = read_coverage(folder, row_files(folder / "cells"))
+    if earlier is not None:
+        with suppress(*UNREADABLE):
+            return _consolidate(folder, heads, out, earlier)
+    return _consolidate(folder, heads, out, None)
+
+
+def _consolidate(
+    folder: Path, heads: Mapping[str, Row], out: Path | None, earlier: Coverage | None
+) -> Coverage:
+    """Consolidate from the start, or behind what the `earlier` files hold; raise what they raise,
+    and ValueError or LookupError where new rows change their rows or types."""
     target = out or folder
     plan = file_hash(folder / "plan.jsonl")
     with ExitStack() as stack:
         copy = stack.enter_context(tempfile.TemporaryFile(dir=target))
-        rows = _Scan(heads, row_files(folder / "cells"), copy)
+        files = FrameFiles(folder, earlier) if earlier else None
+        rows = _Scan(heads, row_files(folder / "cells"), copy, earlier, _ids(files))
         rows.read()
-        parts = {name: _part_file(target, f"{name}.parquet") for name in FRAMES}
-        for part in parts.values():
-            stack.callback(part.unlink, missing_ok=True)
-        _write_parts(rows, parts)
-        footers = {name: footer_hash(part) for name, part in parts.items()}
-        coverage = Coverage(footers, plan, rows.covered, tuple(rows.garbled))
         text = _part_file(target, COVERAGE_FILE)
+        if earlier and out is None and not rows.places:
+            footers = earlier.footers
+            parts = dict[str, Path]()
+        else:
+            parts = {name: _part_file(target, f"{name}.parquet") for name in FRAMES}
+            for part in parts.values():
+                stack.callback(part.unlink, missing_ok=True)
+            _write_parts(rows, parts, files)
+            footers = {name: footer_hash(part) for name, part in parts.items()}
+        coverage = Coverage(footers, plan, rows.covered, tuple(rows.garbled), rows.kinds_to_json())
         text.write_text(coverage.to_json(), encoding="utf-8")
         for name, part in parts.items():
             part.replace(target / f"{name}.parquet")
         text.replace(target / COVERAGE_FILE)
     return coverage
+
+
+def _ids(files: FrameFiles | None) -> frozenset[str]:
+    return frozenset(files.heads(["id"])) if files else frozenset()
 
 
 def _part_file(folder: Path, name: str) -> Path:
@@ -90,16 +120,20 @@ class _Scan:
     heads: Mapping[str, Row]
     paths: Sequence[Path]
     copy: IO[bytes]
+    earlier: Coverage | None = None
+    stored: frozenset[str] = frozenset()  # cells of the earlier files
     places: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # start, size, types
-    types: dict[tuple[_Types, ...], int] = field(default_factory=dict)
+    types: dict[_Kind, int] = field(default_factory=dict)
     covered: dict[str, CoveredFile] = field(default_factory=dict)
     garbled: list[str] = field(default_factory=list)
 
     def read(self) -> None:
-        """Read all row files up to their last whole row."""
+        """Read all row files, behind what the earlier files hold, up to their last whole row."""
+        start = self.earlier.start if self.earlier else {}
+        self.garbled += self.earlier.garbled if self.earlier else ()
         for path in self.paths:
-            changed, end, count = path.stat().st_mtime_ns, 0, 0
-            for line in lines(path):
+            changed, (count, end) = path.stat().st_mtime_ns, start.get(path.name, (0, 0))
+            for line in lines(path, count, end):
                 if not self._take(line.text):
                     if line.unfinished:
                         break  # it may become a row
@@ -112,6 +146,8 @@ class _Scan:
         row = parse_row(text)
         if row is None:
             return False
+        if row["id"] in self.stored:
+            raise _ReplacedRowError(row["id"])
         if row["id"] in self.heads:
             parts = self._frames_of(row)
             types = tuple(map(_types, parts.values()))
@@ -119,6 +155,26 @@ class _Scan:
             start = self.copy.tell()
             self.places[row["id"]] = start, self.copy.write(marshal.dumps(parts)), number
         return True
+
+    @cached_property
+    def kinds(self) -> dict[_Kind, str]:
+        """Types of rows, each with its first cell in the order of the plan, in that order."""
+        order = {cell: number for number, cell in enumerate(self.heads)}
+        types = list(self.types)
+        pairs = [(cell, types[self.places[cell][2]]) for cell in self.heads if cell in self.places]
+        for cell, written in self.earlier.kinds if self.earlier else ():
+            pairs.append((cell, tuple(_types_of(part) for part in written)))
+        first: dict[_Kind, str] = {}
+        for cell, kind in sorted(pairs, key=lambda pair: order[pair[0]]):
+            first.setdefault(kind, cell)
+        return first
+
+    def kinds_to_json(self) -> tuple[Any, ...]:
+        """Kinds as consolidated.json has them: the types of a column are letters."""
+        return tuple(
+            [cell, [[[name, _letters(types)] for name, types in part] for part in kind]]
+            for kind, cell in self.kinds.items()
+        )
 
     def _frames_of(self, row: Row) -> dict[str, _Columns]:
         """Part of each frame that a row makes."""
@@ -129,9 +185,7 @@ class _Scan:
 
     def columns(self, frame: str) -> dict[str, frozenset[type]]:
         """Types of each column of a frame, in the order in which the rows name them."""
-        kinds = list(self.types)
-        used = dict.fromkeys(self.places[cell][2] for cell in self.heads if cell in self.places)
-        parts = [dict(kinds[kind][FRAMES.index(frame)]) for kind in used]
+        parts = [dict(kind[FRAMES.index(frame)]) for kind in self.kinds]
         names = dict.fromkeys((*FIRST[frame], *(name for part in parts for name in part)))
         absent = frozenset({NoneType})
         return {
@@ -139,18 +193,18 @@ class _Scan:
             for name in names
         }
 
-    def groups(self) -> Iterator[dict[str, _Columns]]:
-        """Values of the frames in the order of the plan, some rows at a time."""
+    def groups(self) -> Iterator[tuple[list[str], dict[str, _Columns]]]:
+        """Cells in the order of the plan, some at a time, with the values of those that are new."""
         names = {frame: self.columns(frame) for frame in FRAMES}
-        left = filter(self.places.__contains__, self.heads)
+        left = (cell for cell in self.heads if cell in self.places or cell in self.stored)
         while cells := list(islice(left, _GROUP)):
             group: dict[str, _Columns] = {f: {n: [] for n in names[f]} for f in FRAMES}
-            for cell in cells:
+            for cell in filter(self.places.__contains__, cells):
                 start, size, _ = self.places[cell]
                 self.copy.seek(start)
                 for frame, part in marshal.loads(self.copy.read(size)).items():
                     _extend(group[frame], part)
-            yield group
+            yield cells, group
 
 
 def _long_columns(row: Row, field: str) -> _Columns:
@@ -183,8 +237,17 @@ def _extend(group: _Columns, part: _Columns) -> None:
         values += part.get(name) or [None] * size
 
 
-def _write_parts(rows: _Scan, parts: Mapping[str, Path]) -> None:
-    """Write the frames to their files, a group of rows at a time."""
-    from sysid_bench.harness.frame_writer import write_frames
+def _letters(types: Iterable[type]) -> str:
+    return "".join(sorted(kind.__name__[0] for kind in types))
 
-    write_frames(parts, {frame: rows.columns(frame) for frame in FRAMES}, rows.groups())
+
+def _types_of(written: Iterable[Sequence[str]]) -> _Types:
+    return tuple((name, frozenset(map(_LETTERS.__getitem__, letters))) for name, letters in written)
+
+
+def _write_parts(rows: _Scan, parts: Mapping[str, Path], files: FrameFiles | None) -> None:
+    """Write the frames to their files, a group of rows at a time."""
+    from sysid_bench.harness.frame_writer import StoredFrames, write_frames
+
+    columns = {frame: rows.columns(frame) for frame in FRAMES}
+    write_frames(parts, columns, rows.groups(), StoredFrames(files.files) if files else None)

@@ -14,7 +14,7 @@ from sysid_bench import naming
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.experiments.simulated.composed_plant import plant_plugins
-from sysid_bench.harness.plan import Cell
+from sysid_bench.harness.cell import Cell
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.naming import resolve_files
 from sysid_bench.versions import PACKAGE_FOLDER, source_hash, versions

@@ -26,7 +26,7 @@ COVERAGE_FILE: Final = "consolidated.json"
 UNREADABLE: Final = (OSError, ValueError, LookupError, TypeError, NotImplementedError)
 """Errors of reading a Parquet file that is absent or damaged."""
 
-_FORMAT: Final = 1
+_FORMAT: Final = 2
 _BLOCK: Final = 1 << 20
 
 
@@ -53,12 +53,15 @@ class CoveredFile:
 @dataclass(frozen=True)
 class Coverage:
     """Rows that the Parquet files hold: a part of each row file, with the labels of a plan.
-    `footers` are the sha256 of the ends of the files, which describe and number their contents."""
+    `footers` are the sha256 of the ends of the files, which describe and number their contents;
+    `kinds` are [first cell, types of the columns of each frame] of the rows (see consolidate.py).
+    """
 
     footers: Mapping[str, str]
     plan: str
     files: Mapping[str, CoveredFile]
     garbled: tuple[str, ...]
+    kinds: tuple[Any, ...] = ()
     format: int = _FORMAT
 
     @property
@@ -68,7 +71,9 @@ class Coverage:
 
     def to_json(self) -> str:
         """Text of consolidated.json."""
-        return json.dumps(asdict(self), indent=1) + "\n"
+        fields = asdict(self)
+        kinds = ",\n".join(map(json.dumps, fields.pop("kinds")))
+        return f'{json.dumps(fields, indent=1)[:-2]},\n "kinds": [\n{kinds}]\n}}\n'
 
 
 def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
@@ -76,7 +81,9 @@ def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
     try:
         data = json.loads((folder / COVERAGE_FILE).read_text(encoding="utf-8"))
         files = {name: CoveredFile(**file) for name, file in data.pop("files").items()}
-        coverage = Coverage(files=files, **{**data, "garbled": tuple(data["garbled"])})
+        coverage = Coverage(
+            files=files, **{**data, **{key: tuple(data[key]) for key in ("garbled", "kinds")}}
+        )
         is_true = coverage.format == _FORMAT and coverage.plan == file_hash(folder / "plan.jsonl")
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
@@ -123,10 +130,10 @@ class FrameFiles:
         """Raise OSError or ValueError where a file is absent, damaged or of another one."""
         import pyarrow.parquet
 
-        self._files: dict[str, Any] = {}
+        self.files: dict[str, Any] = {}
         for name in FRAMES:
             path = folder / f"{name}.parquet"
-            self._files[name] = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True)
+            self.files[name] = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True)
             if footer_hash(path) != coverage.footers.get(name):
                 raise ValueError(f"{path} is not of this consolidation.")
 
@@ -141,7 +148,7 @@ class FrameFiles:
 
     def heads(self, fields: Sequence[str]) -> dict[str, Row]:
         """Return some fields of all rows, by id, without those that a row does not have."""
-        names = self._files["cells"].schema_arrow.names
+        names = self.files["cells"].schema_arrow.names
         table = self._table("cells", [name for name in names if name.partition(".")[0] in fields])
         heads: list[Row] = [{} for _ in range(table.num_rows)]
         for name in table.column_names:
@@ -152,7 +159,7 @@ class FrameFiles:
         return {head["id"]: head for head in heads}
 
     def _table(self, name: str, columns: Sequence[str] | None) -> "pyarrow.Table":
-        file = self._files[name]
+        file = self.files[name]
         known = file.schema_arrow.names
         wanted = known if columns is None else [column for column in columns if column in known]
         return file.read(columns=wanted, use_threads=False)
@@ -160,12 +167,12 @@ class FrameFiles:
 
 def _python_values(column: Any) -> list[Any]:
     """Values of a column as JSON has them; whole numbers that stand among None are whole again."""
-    values: list[Any] = _values(column).tolist()
+    values: list[Any] = column.to_pylist()  # to_numpy would load pandas
     return [_whole(value) for value in values] if column.type == "double" else values
 
 
-def _whole(value: float) -> float | int | None:
-    if value != value:
+def _whole(value: float | None) -> float | int | None:
+    if value is None:
         return None
     return int(value) if value.is_integer() else value
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.harness.plan import Cell, fields
+from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.naming import resolve_files
@@ -49,6 +49,6 @@ def _papers(cell: Cell, suite: Suite) -> list[dict[str, Any]]:
     found = []
     for entry in suite.paper:
         wanted = None if entry.select is None else Expression.parse(entry.select)
-        if wanted is None or not wanted.fields <= set(flat) or wanted.matches(flat):
+        if wanted is None or not wanted.fields <= set(flat) or wanted.holds(flat):
             found.append({"name": entry.name, "show": entry.show, "test": entry.test})
     return found

@@ -1,16 +1,18 @@
 """Merge of runs of one plan, as shards on several machines leave them."""
 
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+import sys
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from sysid_bench.canonical_json import canonical
+from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.work.row_files import RowStart
 from sysid_bench.types import Row
-from sysid_bench.vocabulary import MACHINE_FIELDS, STATUSES
+from sysid_bench.vocabulary import MACHINE_FIELDS
 
 _WORTH: Final = ("ok", "unsupported", "skipped", "failed", "crash", "memory", "timeout", "lost")
 """Statuses, the best first: of the rows of a cell the first in this order is kept."""
@@ -43,59 +45,81 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     folders = [RunFolder.open(path) for path in paths]
     if (out / "plan.jsonl").exists():
         raise UsageError(f"{str(out)!r} is a run already; choose another -o, or remove it.")
-    first = _check_same_plan(folders)
-    candidates = _candidates(folders)
+    planned = _same_plan(folders)
+    candidates = _candidates(folders, frozenset(planned))
     if not mixed:
         _check_same_code(candidates)
     contradictions = tuple(cell for cell, rows in candidates.items() if _contradict(rows))
-    planned = [cell.id for cell in first.plan.cells]
-    twice = sum(sum(row["status"] == "ok" for row in rows) > 1 for rows in candidates.values())
+    twice = sum(sum(row.status == "ok" for row in rows) > 1 for rows in candidates.values())
     if contradictions:
         return MergeResult(None, len(candidates), len(planned), twice, contradictions)
-    folder = RunFolder.make(out, first.suite, first.plan, _environment(folders))
+    folder = folders[0].write_plan(out, _environment(folders))
     with folder.new_writer("merge") as writer:
-        for cell in planned:
-            if cell in candidates:
-                writer.write(min(candidates[cell], key=_worth))
+        for cell in filter(candidates.__contains__, planned):
+            writer.write(min(candidates[cell], key=_worth).place.read())
     _copy_artifacts(folders, out)
     folder.write_frames()
     return MergeResult(folder, len(candidates), len(planned) - len(candidates), twice)
 
 
-def _check_same_plan(folders: Sequence[RunFolder]) -> RunFolder:
+def _same_plan(folders: Sequence[RunFolder]) -> tuple[str, ...]:
+    """Return the ids of the cells of all runs; raise UsageError where they differ."""
     if not folders:
         raise UsageError("Name the runs to merge.")
     first = folders[0]
-    wanted = {cell.id for cell in first.plan.cells}
+    wanted = set(first.planned)
     for folder in folders[1:]:
-        ids = {cell.id for cell in folder.plan.cells}
+        ids = set(folder.planned)
         if ids != wanted:
             raise UsageError(
                 f"{str(folder.path)!r} holds another plan than {str(first.path)!r}: "
                 f"{len(ids - wanted)} cells more and {len(wanted - ids)} fewer. Merge runs of one "
                 "suite."
             )
-    return first
+    return first.planned
 
 
-def _candidates(folders: Iterable[RunFolder]) -> dict[str, list[Row]]:
+class _Candidate(NamedTuple):
+    """A row of a cell in one of the runs: what decides about it, and where it is."""
+
+    status: str
+    fingerprint: Any
+    versions: str
+    result: str  # hash of the part that every machine should reproduce; "" where it is not ok
+    place: RowStart
+
+
+def _candidates(
+    folders: Iterable[RunFolder], planned: Collection[str]
+) -> dict[str, list[_Candidate]]:
     """Return the rows of each planned cell, in the order of the runs."""
-    found: dict[str, list[Row]] = {}
+    found: dict[str, list[_Candidate]] = {}
     for folder in folders:
-        planned = {cell.id for cell in folder.plan.cells}
-        for cell, row in folder.rows().rows.items():
-            if cell in planned and row.get("status") in STATUSES:
-                found.setdefault(cell, []).append(row)
+        rows = folder.rows_with_places()
+        last = {r["id"]: _candidate(r, place) for r, place in rows if r["id"] in planned}
+        for cell, candidate in last.items():
+            found.setdefault(cell, []).append(candidate)
     return found
 
 
-def _check_same_code(candidates: Mapping[str, Sequence[Row]]) -> None:
+def _candidate(row: Row, place: RowStart) -> _Candidate:
+    result = {key: value for key, value in row.items() if key not in _EXCEPT}
+    return _Candidate(
+        row["status"],
+        row.get("fingerprint"),
+        sys.intern(canonical(row.get("versions"))),
+        canonical_hash(result) if row["status"] == "ok" else "",
+        place,
+    )
+
+
+def _check_same_code(candidates: Mapping[str, Sequence[_Candidate]]) -> None:
     mixed = [
         cell
         for cell, rows in candidates.items()
-        if len({row.get("fingerprint") for row in rows if row["status"] == "ok"}) > 1
+        if len({row.fingerprint for row in rows if row.status == "ok"}) > 1
     ]
-    code = {canonical(row.get("versions")) for rows in candidates.values() for row in rows}
+    code = {row.versions for rows in candidates.values() for row in rows}
     if mixed or len(code) > 1:
         where = f" (cells {first_names(mixed)})" if mixed else ""
         raise UsageError(
@@ -104,23 +128,17 @@ def _check_same_code(candidates: Mapping[str, Sequence[Row]]) -> None:
         )
 
 
-def _contradict(rows: Sequence[Row]) -> bool:
-    results = {canonical(_result(row)) for row in rows if row["status"] == "ok"}
-    return len(results) > 1
+def _contradict(rows: Sequence[_Candidate]) -> bool:
+    return len({row.result for row in rows if row.status == "ok"}) > 1
 
 
-def _result(row: Row) -> Row:
-    """The part of a row that every machine should reproduce."""
-    return {key: value for key, value in row.items() if key not in _EXCEPT}
-
-
-def _worth(row: Row) -> int:
-    return _WORTH.index(row["status"])
+def _worth(row: _Candidate) -> int:
+    return _WORTH.index(row.status)
 
 
 def _environment(folders: Sequence[RunFolder]) -> dict[str, Any]:
     """The environment of the first run, and those of all as `machines`."""
-    every = [folder.env for folder in folders]
+    every = [folder.environment for folder in folders]
     machines = [entry for env in every for entry in env.get("machines", [env])]
     unique = list({canonical(machine): machine for machine in machines}.values())
     return {**every[0], "machines": unique}

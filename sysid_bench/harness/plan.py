@@ -1,84 +1,25 @@
 """Plan of a suite: its cells, one experiment and one estimator each."""
 
-import itertools
 import json
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from difflib import get_close_matches
-from functools import cached_property
-from pathlib import PurePosixPath
 from typing import Any
 
-from sysid_bench.canonical_json import canonical, canonical_hash
-from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
-from sysid_bench.experiments.spec import (
-    ExperimentSpec,
-    normal_noise,
-    normal_payload,
-    normal_prior,
-)
-from sysid_bench.harness.labels import BASES, labels_of, robot_key
-from sysid_bench.harness.log_specs import log_labels, log_specs
-from sysid_bench.harness.plan_size import check_size, has_random_sensors, is_redrawn, prior_table
-from sysid_bench.harness.suite.data_entries import Signals
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.harness.cell import Cell, fields
+from sysid_bench.harness.plan_size import check_size
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names, installed_names
-from sysid_bench.models.payload import parse_payload
-from sysid_bench.units import quantity
-from sysid_bench.vocabulary import CELL_FIELDS, LABELS
+from sysid_bench.harness.suite_cells import is_random, suite_cells
+from sysid_bench.vocabulary import CELL_FIELDS
 
-# Rough cost on one core of 2025: set-up and cross-check of a robot, simulation and regressor per
-# sample of a motion, reduction and scores per estimator.
-_SETUP_SECONDS = 0.3
-_SAMPLE_SECONDS = 1e-4
-_ESTIMATOR_SECONDS = 0.05
 _ID = '{"id": "'
-_LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One future row. `facts` are fields that depend on the models behind the names."""
-
-    spec: ExperimentSpec
-    estimator: Mapping[str, Any]  # {use, settings...} without a label
-    labels: Mapping[str, str]  # vocabulary.LABELS -> text
-    facts: Mapping[str, Any]
-    seconds: float  # expected; the share of one estimator in its experiment
-
-    @cached_property
-    def id(self) -> str:
-        """12 hex digits of the experiment and the estimator without its label."""
-        return canonical_hash([self.spec.id, self.estimator])[:12]
-
-    @property
-    def experiment(self) -> str:
-        """The experiment's id, shared by its estimators."""
-        return self.spec.id
-
-    @property
-    def head(self) -> dict[str, Any]:
-        """The first fields of the row of this cell, of any status."""
-        return {
-            "id": self.id,
-            "experiment": self.experiment,
-            **self.labels,
-            "repeat": self.spec.repeat,
-        }
-
-    def to_json(self) -> dict[str, Any]:
-        """One line of plan.jsonl."""
-        return {
-            "id": self.id,
-            "experiment": self.experiment,
-            "labels": dict(self.labels),
-            "facts": dict(self.facts),
-            "seconds": self.seconds,
-            "estimator": dict(self.estimator),
-            "spec": self.spec.to_json(),
-        }
+_REPEAT = re.compile(r', "repeat": \d+\}\}$')  # as last field of a line
 
 
 @dataclass(frozen=True)
@@ -90,7 +31,7 @@ class Plan:
     notes: tuple[str, ...] = ()
 
     @property
-    def experiments(self) -> tuple[ExperimentSpec, ...]:
+    def specs(self) -> tuple[ExperimentSpec, ...]:
         """The experiments in the order of their first cell."""
         return tuple({cell.experiment: cell.spec for cell in self.cells}.values())
 
@@ -109,9 +50,9 @@ class Plan:
         if text is None:
             return self.cells
         condition = Expression.parse(text, self.fields)
-        return tuple(cell for cell in self.cells if condition.matches(fields(cell)))
+        return tuple(cell for cell in self.cells if condition.holds(fields(cell)))
 
-    def missing_values(self, text: str) -> list[str]:
+    def unknown_values(self, text: str) -> list[str]:
         """Return a sentence for each text of an expression that no cell has in that field."""
         cell_fields = [fields(cell) for cell in self.cells]
         sentences = []
@@ -152,53 +93,12 @@ def expand(suite: Suite, names: Names | None = None, *, large: bool = False) -> 
     """
     if not large:
         check_size(suite)
-    cells = _cells(suite, names or installed_names())
+    cells = suite_cells(suite, names or installed_names())
     _check_rankings(suite, cells)
     kept, excluded = _exclude(suite, cells)
     unique = {cell.id: cell for cell in reversed(kept)}
     ordered = tuple({cell.id: unique[cell.id] for cell in kept}.values())
     return Plan(ordered, excluded, tuple(_notes(suite, kept, ordered)))
-
-
-def fields(cell: Cell) -> dict[str, Any]:
-    """Return the flat mapping that expressions read; a tuple holds alternative names."""
-    spec = cell.spec
-    flat: dict[str, Any] = {
-        **cell.labels,
-        "id": cell.id,
-        "experiment": cell.experiment,
-        "repeat": spec.repeat,
-        "rate": spec.rate,
-        "terms": cell.labels["terms"],
-        **cell.facts,
-        **{f"signals.{key}": value for key, value in spec.signals.items()},
-    }
-    for key, value in spec.noise.items():
-        flat["noise." + key.removesuffix("_relative")] = value
-    if not isinstance(spec.prior, str):
-        flat |= {f"prior.{key}": value for key, value in spec.prior.items()}
-    plugins = {
-        "plant": spec.plant,
-        "excitation": spec.excitation,
-        "simulation": spec.simulation,
-        "estimator": cell.estimator,
-    }
-    for axis, plugin in plugins.items():
-        flat |= {f"{axis}.{key}": value for key, value in plugin.items()}
-        flat[axis] = _names(cell.labels[axis], plugin["use"], plugin["use"].rpartition(":")[2])
-    flat["task"] = _names(cell.labels["task"], spec.task, spec.task.rpartition(":")[2])
-    flat["robot"] = _names(cell.labels["robot"], *_robot_names(cell.labels["robot"], spec.robot))
-    return flat
-
-
-def _robot_names(label: str, source: str) -> Iterator[str]:
-    """Yield names of a robot besides its label: without its base, as written, and its file."""
-    for base in BASES.values():
-        if base and label.endswith(base):
-            yield label.removesuffix(base)
-    yield source
-    if "/" in source:
-        yield PurePosixPath(source).stem
 
 
 def _words(value: Any) -> tuple[str, ...]:
@@ -207,17 +107,12 @@ def _words(value: Any) -> tuple[str, ...]:
     return tuple(word for word in values if isinstance(word, str))
 
 
-def _names(*names: str) -> str | tuple[str, ...]:
-    different = tuple(dict.fromkeys(names))
-    return different[0] if len(different) == 1 else different
-
-
 def _exclude(suite: Suite, cells: Iterable[Cell]) -> tuple[list[Cell], dict[str, int]]:
     rules = [(Expression.parse(rule.when), rule.reason) for rule in suite.exclude]
     kept, counts = [], {reason: 0 for _, reason in rules}
     for cell in cells:
         flat = fields(cell)
-        reason = next((reason for rule, reason in rules if rule.matches(flat)), None)
+        reason = next((reason for rule, reason in rules if rule.holds(flat)), None)
         if reason is None:
             kept.append(cell)
         else:
@@ -226,7 +121,7 @@ def _exclude(suite: Suite, cells: Iterable[Cell]) -> tuple[list[Cell], dict[str,
 
 
 def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterator[str]:
-    if suite.run.repeats > 1 and any(_repeats_nothing(cell.spec) for cell in unique):
+    if suite.run.repeats > 1 and any(not is_random(cell.spec) for cell in unique):
         yield (
             "Experiments without noise under the simulation 'inverse' give the same numbers each "
             f"time: repeat 0 stands for all {suite.run.repeats}."
@@ -239,131 +134,6 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
         )
     if len(kept) > len(unique):
         yield f"{len(kept) - len(unique)} cells were specified twice and are run once."
-
-
-def _repeats_nothing(spec: ExperimentSpec) -> bool:
-    simulated = spec.log is None and spec.simulation["use"] == "inverse"
-    drawn = is_redrawn(spec.prior) or bool(spec.redrawn)
-    return simulated and not spec.noise and not drawn and not has_random_sensors(spec.plant)
-
-
-def _cells(suite: Suite, names: Names) -> list[Cell]:
-    label = labels_of(suite, names)
-    drafts = []
-    for entry, source in suite.robots:
-        robot, free_base = names.robot(source, suite.folder), entry.free_base
-        free = bool(robot.free_base) if free_base is None else free_base
-        for written in entry.payloads:
-            payload = names.payload(written)
-            facts = {"robot.free_base": free, "payload.mass": payload.mass}
-            drafts += [
-                (replace(spec, free_base=free_base, sensor=entry.sensor), facts)
-                for spec in _specs(suite, source, normal_payload(written))
-            ]
-    estimators = [estimator.spec for estimator in suite.estimator]
-    return _log_cells(suite, names, label["estimator"]) + [
-        Cell(
-            spec, estimator, _labelled(spec, estimator, label), facts, _cost(spec, len(estimators))
-        )
-        for spec, facts in drafts
-        for estimator in estimators
-    ]
-
-
-def _log_cells(suite: Suite, names: Names, label: Mapping[str, str]) -> list[Cell]:
-    """Cells of recordings, whose labels of simulation read "recorded"."""
-    cells = []
-    estimators = [estimator.spec for estimator in suite.estimator]
-    drafts = [(entry, spec) for entry in suite.log for spec in log_specs(entry)]
-    for entry, spec in drafts:
-        labels = log_labels(entry, spec, names.robot(spec.robot, suite.folder).name)
-        seconds = _SETUP_SECONDS / len(estimators) + _LOG_SECONDS
-        cells += [
-            Cell(spec, estimator, {**labels, "estimator": label[canonical(estimator)]}, {}, seconds)
-            for estimator in estimators
-        ]
-    return cells
-
-
-def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[ExperimentSpec]:
-    axes = suite.defaults
-    for task, terms, plant, prior, excitation, held_out, simulation, rate, noise, signals in (
-        itertools.product(
-            axes.task, axes.terms, axes.plant, axes.prior, axes.excitation, axes.held_out,
-            axes.simulation, axes.rate, axes.noise, axes.signals,
-        )
-    ):  # fmt: skip
-        spec = ExperimentSpec(
-            seed=suite.seed,
-            robot=robot,
-            payload=payload,
-            task=task,
-            terms=terms,
-            plant=plant.spec,
-            prior=normal_prior(prior_table(prior)),
-            excitation=excitation.spec,
-            held_out=tuple(motion.spec for motion in held_out),
-            simulation=simulation.spec,
-            rate=quantity(rate, "Hz"),
-            noise=normal_noise(noise.model_dump(exclude_none=True)),
-            signals=_signals(signals),
-            repeat=0,
-        )
-        repeats = 1 if _repeats_nothing(spec) else suite.run.repeats
-        yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
-
-
-def _signals(signals: Signals) -> dict[str, Any]:
-    """Return the table of signals as JSON. Defaults of keys that are younger than ids are left out,
-    so that ids stay."""
-    written = signals.model_dump(exclude_none=True)
-    if signals.runs == "B":
-        del written["runs"]
-    if signals.calibration is not None:
-        written["calibration"] = [normal_payload(load) for load in signals.calibration]
-    return written
-
-
-def _labelled(
-    spec: ExperimentSpec, estimator: Mapping[str, Any], label: Mapping[str, Mapping[str, str]]
-) -> dict[str, str]:
-    plain = {
-        "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base, spec.sensor))],
-        "task": label["task"][canonical(spec.task)],
-        "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
-        "rate": f"{spec.rate:.12g} Hz",
-        "signals": _signals_text(spec.signals),
-        "estimator": label["estimator"][canonical(estimator)],
-    }
-    found = {
-        axis: label[axis][canonical(getattr(spec, axis))] for axis in LABELS if axis not in plain
-    }
-    return {axis: plain.get(axis) or found[axis] for axis in LABELS}
-
-
-def _signals_text(signals: Mapping[str, Any]) -> str:
-    raw = ", raw torque" if signals.get("torque") == "raw" else ""
-    loads = [parse_payload(load).name for load in signals.get("calibration", ())]
-    calibrated = f", calibrated with {', '.join(loads)}" if loads else ""
-    runs = f", runs {signals['runs']}" if "runs" in signals else ""
-    contacts = signals.get("contacts", [])
-    periods = contacts if isinstance(contacts, str) else ", ".join(contacts)
-    free = f", contacts {periods}" if periods else ""
-    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}{free}{runs}"
-
-
-def _cost(spec: ExperimentSpec, estimators: int) -> float:
-    period = _number(spec.excitation.get("period"), "s", 5.0)
-    cycles = _number(spec.excitation.get("cycles"), "1", 2.0)
-    samples = period * cycles * spec.rate * (1 + len(spec.held_out))
-    return (_SETUP_SECONDS + _SAMPLE_SECONDS * samples) / estimators + _ESTIMATOR_SECONDS
-
-
-def _number(written: Any, unit: str, default: float) -> float:
-    try:
-        return quantity(written, unit)
-    except SysidBenchError:  # a plug-in may use this key for something else
-        return default
 
 
 def _numbered(text: str) -> Iterator[tuple[int, str]]:
@@ -381,6 +151,16 @@ def _id_of(number: int, line: str) -> str:
     if begins == _ID and name.isalnum() and ends.startswith('", ') and ends.endswith("}"):
         return name
     return _cell_of(number, line).id
+
+
+def planned_cells(text: str, ids: Iterable[str]) -> Iterator[tuple[Cell, list[str]]]:
+    """Yield cells of a plan.jsonl, each with those of the `ids` of all cells that differ from it by
+    their repeat. One line of them is parsed."""
+    alike: dict[str, tuple[int, str, list[str]]] = {}
+    for (number, line), cell in zip(_numbered(text), ids, strict=True):
+        kind = _REPEAT.sub("", line.partition('"labels": ')[2] or line)
+        alike.setdefault(kind, (number, line, []))[2].append(cell)
+    return ((_cell_of(number, line), ids) for number, line, ids in alike.values())
 
 
 def planned_heads(text: str) -> Iterator[dict[str, Any]]:

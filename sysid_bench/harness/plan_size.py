@@ -30,7 +30,7 @@ def check_size(suite: Suite) -> None:
         )
 
 
-def is_redrawn(prior: str | Mapping[str, Any]) -> bool:
+def is_random_prior(prior: str | Mapping[str, Any]) -> bool:
     """True for a normal prior that each repeat draws again."""
     return not isinstance(prior, str) and bool(prior.get(REDRAWN))
 
@@ -72,7 +72,7 @@ def _fixed(suite: Suite) -> int:
     """Number of combinations of the axes of noise that draw nothing."""
     axes = suite.defaults
     exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in axes.noise)
-    given = sum(not is_redrawn(normal_prior(prior_table(prior))) for prior in axes.prior)
+    given = sum(not is_random_prior(normal_prior(prior_table(prior))) for prior in axes.prior)
     quiet = sum(not has_random_sensors(plant.spec) for plant in axes.plant)
     return quiet * exact * given * sum(entry.use == "inverse" for entry in axes.simulation)
 

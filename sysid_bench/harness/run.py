@@ -15,24 +15,26 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from sysid_bench import places
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench import package_folders
+from sysid_bench.errors import FAILURES, UsageError, unknown_name
+from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.job import job_of
-from sysid_bench.harness.plan import Cell, Plan, expand
+from sysid_bench.harness.plan import Plan, expand
+from sysid_bench.harness.run_frames import frames_of_run
 from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.stale_rows import fingerprints, is_stale, stale_cells, stale_note
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names
-from sysid_bench.harness.suite.third_party_code import code_note, third_party_plugins
+from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
 from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore, supervise
-from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
+from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 from sysid_bench.versions import environment
-from sysid_bench.vocabulary import FAILURES, MOST_LOSSES, STATUSES
+from sysid_bench.vocabulary import MOST_LOSSES, STATUSES
 
 Rerun = Literal["failed", "stale", "all"]
 EXECUTE: Final = "sysid_bench.experiments.execute:execute"
@@ -83,7 +85,7 @@ def run(
     with nullcontext(names) if names else supervised_names(robots_dir) as known:
         options = _SuiteOptions(known, overrides or {}, robots_dir, large)
         folder = _run_folder(suite_or_folder, out, options)
-    note = code_note(third_party_plugins(folder.suite))
+    note = code_note(third_party_names(folder.suite))
     if note:
         on_event("code", {"note": note})
     selected = _selected(folder.plan, select, shard)[:limit]
@@ -93,14 +95,15 @@ def run(
         todo = _todo(selected, stored, rerun, source.fingerprint)
         work = source.jobs(todo, stored)
         if work:
-            folder.write_env(environment())
+            folder.write_environment(environment())
         on_event("plan", _announcement(selected, todo, work))
         settings = _worker_settings(folder, timeout, descriptor)
-        ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, on_event)
+        with frames_of_run(folder, settings.keep_open, on_event) as heard:
+            ending = supervise(work, settings, jobs or os.cpu_count() or 1, fail_fast, heard)
         folder.write_frames()
         kept = _others(selected, todo)
         stale = stale_note(len(stale_cells(kept, stored, source.fingerprint)))
-    unmatched = folder.plan.missing_values(select) if select and not selected else ()
+    unmatched = folder.plan.unknown_values(select) if select and not selected else ()
     return _result(folder, selected, todo, ending, (*filter(None, [stale]), *unmatched))
 
 
@@ -169,7 +172,7 @@ def _run_folder(source: Suite | str | Path, out: Path | None, options: _SuiteOpt
     if isinstance(source, Suite):
         suite = source
     else:
-        suite = load_suite(places.suite(str(source)), options.names, options.overrides)
+        suite = load_suite(package_folders.suite(str(source)), options.names, options.overrides)
         suite = _signed(suite, str(source), options.robots_dir, options.overrides)
     plan = expand(suite, options.names, large=options.large)
     return RunFolder.make(out or Path("reports") / suite.name, suite, plan, environment())

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.plan import Cell
+from sysid_bench.harness.cell import Cell
 
 
 @dataclass(frozen=True)

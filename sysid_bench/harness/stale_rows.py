@@ -5,8 +5,9 @@ from pathlib import Path
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.experiments.loaded_sources import stale_sources
+from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint
-from sysid_bench.harness.plan import Cell
+from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.types import Row
 
@@ -49,9 +50,14 @@ def fingerprints(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]
     return fingerprint
 
 
-def other_code(suite: Suite, cells: Iterable[Cell], rows: Mapping[str, Row]) -> int:
+def other_code(folder: RunFolder, rows: Mapping[str, Row]) -> int:
     """Return the number of rows of a run that are from other code, models or libraries than now."""
-    return len(stale_cells(cells, rows, fingerprints(suite, suite.robots_dir)))
+    fingerprint = fingerprints(folder.suite, folder.suite.robots_dir)
+    count = 0
+    for like, cells in folder.planned_cells():
+        now = fingerprint(like)
+        count += sum(cell in rows and is_stale(rows[cell], now) for cell in cells)
+    return count
 
 
 def stale_note(count: int) -> str:

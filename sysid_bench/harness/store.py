@@ -12,19 +12,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.consolidate import consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
-from sysid_bench.harness.plan import Plan, planned_heads, planned_ids
+from sysid_bench.harness.plan import Plan, planned_cells, planned_heads, planned_ids
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.processes import processes_with
 from sysid_bench.harness.work.row_files import (
+    RowStart,
     RowWriter,
     StoredRows,
     find_row,
     new_row_file,
     read_rows,
     row_files,
+    rows_with_places,
 )
 from sysid_bench.input_files import LARGEST, parse_json, read_text
 from sysid_bench.types import Row
@@ -64,13 +67,22 @@ class RunFolder:
         folder = cls(path)
         if (path / "plan.jsonl").is_file():
             folder._check_same(suite, plan)
-        (path / "cells").mkdir(parents=True, exist_ok=True)
-        (path / "logs").mkdir(exist_ok=True)
-        folder.write("run.toml", suite_text(suite))
-        if not (path / "env.json").is_file():
-            folder.write_env(env)
-        folder.write("plan.jsonl", plan.to_json_lines())  # last: from now on it is a run
+        folder._fill(suite, plan.to_json_lines(), env)
         return folder
+
+    def write_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":
+        """Write the suite and the plan of this run to a new one, which has no rows."""
+        folder = RunFolder(path)
+        folder._fill(self.suite, self._read("plan.jsonl"), env)
+        return folder
+
+    def _fill(self, suite: Suite, plan: str, env: Mapping[str, Any]) -> None:
+        (self.path / "cells").mkdir(parents=True, exist_ok=True)
+        (self.path / "logs").mkdir(exist_ok=True)
+        self.write("run.toml", suite_text(suite))
+        if not (self.path / "env.json").is_file():
+            self.write_environment(env)
+        self.write("plan.jsonl", plan)  # last: from now on it is a run
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
@@ -97,8 +109,12 @@ class RunFolder:
         """Ids of the cells of the plan, which is not read as a whole."""
         return planned_ids(self._read("plan.jsonl"))
 
+    def planned_cells(self) -> Iterator[tuple[Cell, list[str]]]:
+        """Yield cells of the plan, each with the ids of all that differ from it by their repeat."""
+        return planned_cells(self._read("plan.jsonl"), self.planned)
+
     @property
-    def env(self) -> dict[str, Any]:
+    def environment(self) -> dict[str, Any]:
         """Versions, CPU, BLAS and git of the machine that last ran cells."""
         text = self._read("env.json")
         try:
@@ -127,6 +143,10 @@ class RunFolder:
     def rows(self) -> StoredRows:
         """Read the rows stored so far."""
         return read_rows(self._cells)
+
+    def rows_with_places(self) -> Iterator[tuple[Row, RowStart]]:
+        """Yield each stored row and where it is; of rows with one id the last holds."""
+        return rows_with_places(self._cells)
 
     def row(self, cell: str) -> Row | None:
         """Read the row of one cell; None where it has none."""
@@ -204,7 +224,7 @@ class RunFolder:
         """Open a writer with a new file, for rows that no worker can write."""
         return RowWriter(new_row_file(self._cells, writer))
 
-    def write_env(self, env: Mapping[str, Any]) -> None:
+    def write_environment(self, env: Mapping[str, Any]) -> None:
         """Replace env.json."""
         self.write("env.json", json.dumps(env, indent=2) + "\n")
 

@@ -14,7 +14,6 @@ from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.harness.suite.names import Names, TaskInfo, installed_names, name_error
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.metrics import checked_metric, metric_record
-from sysid_bench.tasks.task import find_task
 
 SECONDS: Final = 60.0
 """Time limit of importing and building one plug-in."""
@@ -27,7 +26,8 @@ def supervised_names(robots_dir: Path | None = None) -> Iterator[Names]:
     own = installed_names(robots_dir)
     with CallWorker(SECONDS) as worker:
         look_up = _LookUp(worker)
-        yield replace(own, plugin=partial(look_up.plugin, own.plugin), task=look_up.task)
+        plugin, task = partial(look_up.plugin, own.plugin), partial(look_up.task, own.task)
+        yield replace(own, plugin=plugin, task=task)
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,12 @@ class _LookUp:
             return build(kind, spec)
         return self._ask(kind, use, {"spec": dict(spec)}).get("metric")
 
-    def task(self, name: str, folder: Path | None) -> TaskInfo:
+    def task(
+        self, find: Callable[[str, Path | None], TaskInfo], name: str, folder: Path | None
+    ) -> TaskInfo:
         """Facts of a task."""
         if not naming.is_third_party("task", name):
-            return find_task(name, folder)
+            return find(name, folder)
         answer = self._ask("task", name, {"folder": None if folder is None else str(folder)})
         return _Task(answer["supports_recordings"])
 
@@ -85,7 +87,7 @@ def build_plugin(argument: Mapping[str, Any], channel: JobChannel) -> dict[str, 
 def _facts(argument: Mapping[str, Any]) -> dict[str, Any]:
     kind, folder = argument["kind"], argument.get("folder")
     if kind == "task":
-        task = find_task(argument["use"], None if folder is None else Path(folder))
+        task = installed_names().task(argument["use"], None if folder is None else Path(folder))
         return {"supports_recordings": bool(task.supports_recordings)}
     thing = naming.build(kind, argument["spec"])
     return {"metric": metric_record(checked_metric(thing))} if kind == "metric" else {}

@@ -11,7 +11,7 @@ from typing import Final
 
 import clarabel
 import numpy as np
-from scipy import sparse
+import scipy
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.spatial.inertia import pseudo_inertia
@@ -63,9 +63,9 @@ def distance_to_feasible(
     blocks = [flat, *(-_semidefinite_rows(body, index, p + 1) for body in bodies)]
     # Minimise t; the variables of the program are (theta, t).
     solution = clarabel.DefaultSolver(
-        sparse.csc_matrix((p + 1, p + 1)),
+        scipy.sparse.csc_matrix((p + 1, p + 1)),
         np.append(np.zeros(p), 1.0),
-        sparse.csc_matrix(np.vstack(blocks)),
+        scipy.sparse.csc_matrix(np.vstack(blocks)),
         np.append(h, np.zeros(10 * len(bodies))),
         [clarabel.NonnegativeConeT(len(h)), *[clarabel.PSDTriangleConeT(4)] * len(bodies)],
         _silent(),

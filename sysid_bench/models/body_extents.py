@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial.rotation import matrix_of_quaternion
-from sysid_bench.types import Array, Extent
+from sysid_bench.types import Array, BodyExtents
 
 if TYPE_CHECKING:
     import mujoco
@@ -26,7 +26,7 @@ HOUSING: Final = 0.1
 """m around the joints; little mass lies further out."""
 
 
-def body_extents(robot: RobotModel) -> Mapping[str, Extent]:
+def body_extents(robot: RobotModel) -> Mapping[str, BodyExtents]:
     """Return the bounding box of each body (m, body frame): around its frame, joints, shapes
     (MJCF), the frames of its children and all that is welded to it, widened by margins.
 
@@ -40,13 +40,13 @@ def body_extents(robot: RobotModel) -> Mapping[str, Extent]:
     }
 
 
-def _extent(mj: "mujoco.MjModel", body: int) -> Extent:
+def _extent(mj: "mujoco.MjModel", body: int) -> BodyExtents:
     points = _points(mj, body)
     low, high = points.min(axis=0), points.max(axis=0)
     margin = MARGIN if (mj.body_parentid[1:] == body).any() else LAST
     reach = margin + SHARE * float(np.linalg.norm(high - low))
     volume = float(np.prod(high - low + 2 * HOUSING))
-    return Extent(low - reach, high + reach, volume)
+    return BodyExtents(low - reach, high + reach, volume)
 
 
 def _points(mj: "mujoco.MjModel", body: int) -> Array:

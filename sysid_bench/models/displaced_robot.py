@@ -16,7 +16,7 @@ from sysid_bench.models.tree import tree_of
 from sysid_bench.spatial.rotation import (
     matrix_of_quaternion,
     product,
-    quaternion_of_vector,
+    quaternion_of_rotation,
 )
 from sysid_bench.types import Array
 
@@ -74,7 +74,7 @@ def _displaced_pose(mj: mujoco.MjModel, b: int, by: Displacement) -> tuple[Array
     shift, turn = by
     return (
         position + matrix_of_quaternion(quaternion) @ shift,
-        product(quaternion, quaternion_of_vector(turn)),
+        product(quaternion, quaternion_of_rotation(turn)),
     )
 
 

@@ -10,7 +10,7 @@ from sysid_bench.models.tree import BALL, FREE, HINGE
 from sysid_bench.spatial.rotation import (
     matrix_of_quaternion,
     product,
-    quaternion_of_vector,
+    quaternion_of_rotation,
 )
 from sysid_bench.types import Array
 
@@ -56,7 +56,7 @@ def _displaced_pose(mj: mujoco.MjModel, j: int, displacement: float) -> tuple[Ar
     R = matrix_of_quaternion(quaternion)
     if int(mj.jnt_type[j]) != HINGE:
         return origin + R @ axis * displacement, quaternion
-    turn, anchor = quaternion_of_vector(axis * displacement), np.array(mj.jnt_pos[j])
+    turn, anchor = quaternion_of_rotation(axis * displacement), np.array(mj.jnt_pos[j])
     # The anchor stays where it is; the body frame turns about it.
     origin = origin + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
     return origin, product(quaternion, turn)

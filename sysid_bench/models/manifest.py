@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError, unknown_name
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.models.package_file import PACKAGES, is_package_file, package_file, unknown_file
@@ -187,7 +187,7 @@ def find_manifest(
         return _from_package(source)
     if _is_path(source):
         return _from_path((folder or Path()) / source.removeprefix("file:"), source)
-    table = places.robots(robots_dir)
+    table = package_folders.robots(robots_dir)
     if source not in table:
         raise unknown_name("robot", source, table, "Or give the path of a URDF or MJCF file.")
     return read_manifest(table[source])
@@ -256,7 +256,7 @@ def _from_path(path: Path, source: str) -> Manifest:
     if path.is_dir():
         return read_manifest(_manifest_in(path))
     if not path.is_file():
-        known = ", ".join(places.robots())
+        known = ", ".join(package_folders.robots())
         raise UsageError(
             f"There is no model file {str(path)!r} ({source!r}); named robots: {known}."
         )

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError, reason_of
 
 PACKAGES: Final = ("example-robot-data", "robot_descriptions")
@@ -29,12 +29,12 @@ def package_file(source: str, label: str) -> tuple[Path, Path | None]:
     package, _, rest = source.partition(":")
     if package == "robot_descriptions":
         return _robot_description(rest, label)
-    return places.robot_data_folder() / rest, None
+    return package_folders.robot_data_folder() / rest, None
 
 
 def unknown_file(name: str) -> UsageError:
     """The error for an unknown file of example-robot-data, with the nearest names."""
-    folder = places.robot_data_folder()
+    folder = package_folders.robot_data_folder()
     known = [str(file.relative_to(folder)) for file in folder.rglob("*.urdf")]
     near = _nearest(name, known)
     nearest = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""

@@ -30,7 +30,7 @@ _SLOPE: Final[dict[str, Callable[[Array], Slopes]]] = {
 }
 
 
-def smoothed(regression: Regression) -> Regression:
+def smooth_regression(regression: Regression) -> Regression:
     """Return the regression with tanh(v / SMOOTH_RATE) in place of sign(v) in Coulomb friction."""
     kinds = {"fc": "fc smooth"}
     terms = tuple(replace(t, kind=kinds.get(t.kind, t.kind)) for t in regression.terms)

@@ -17,11 +17,11 @@ from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.types import Array, Trajectory
 
 
-def smoothed(regression: AnyRegression) -> AnyRegression:
+def smooth_regression(regression: AnyRegression) -> AnyRegression:
     """Return the regression with tanh(v / SMOOTH_RATE) in place of sign(v) in Coulomb friction."""
     if isinstance(regression, CoupledRegression):
-        return replace(regression, tree=adjoint.smoothed(regression.tree))
-    return adjoint.smoothed(regression)
+        return replace(regression, tree=adjoint.smooth_regression(regression.tree))
+    return adjoint.smooth_regression(regression)
 
 
 def pull_back(regression: AnyRegression, motion: Trajectory, G: Array) -> Slopes:

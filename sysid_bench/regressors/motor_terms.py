@@ -6,16 +6,13 @@ motor k therefore appear on the row of joint i with the factor (G^-1)_ki.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from sysid_bench.regressors.joint_features import JointFeatures
 from sysid_bench.regressors.regression import TERM
 from sysid_bench.types import Array, Trajectory
-
-MOTOR: Final = "motor"
-"""Prefix of motor names: motor1, motor2, ... in the order of the columns of G."""
+from sysid_bench.vocabulary import MOTOR
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,6 +75,13 @@ def svg_element(svg: bytes) -> str:
     return re.sub(r"<metadata>.*?</metadata>\s*", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
+def new_figure(height: float, width: float = WIDTH) -> "Figure":
+    """An empty figure; height and width in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
 def _file_bytes(draw: "Callable[[], Figure]", kind: str) -> bytes:
     """A drawing as the bytes of a file, in the style of this package, not of the user."""
     import matplotlib
@@ -95,12 +102,10 @@ def _picture(table: Table) -> "Figure":
 
 
 def _dots(table: Table) -> "Figure":
-    from matplotlib.figure import Figure
-
     lanes = max(len(table.columns), 1)
     step = 0.06 + 0.075 * lanes
     height = max(0.9 + step * len(table.rows), 1.3)
-    drawing = Figure(figsize=(WIDTH, height), layout="constrained")
+    drawing = new_figure(height)
     axes = drawing.add_subplot()
     axes.set_xscale("log" if _spans_decades(table) else "linear")
     for lane, column in enumerate(table.columns):
@@ -160,10 +165,8 @@ def _separate(axes: "Axes", table: Table) -> None:
 
 
 def _heat_map(table: Table) -> "Figure":
-    from matplotlib.figure import Figure
-
     values = np.array([[_log(table.entry(r, c)) for c in table.columns] for r in table.rows])
-    drawing = Figure(figsize=(WIDTH, 0.7 + 0.24 * len(table.rows)), layout="constrained")
+    drawing = new_figure(0.7 + 0.24 * len(table.rows))
     axes = drawing.add_subplot()
     low, high = _decades(values[np.isfinite(values)])
     axes.set_facecolor("#eeeeee")

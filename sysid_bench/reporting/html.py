@@ -98,12 +98,12 @@ def report_html(run: RunView) -> str:
 
 def _template() -> "Template":
     """The page's template; a value that it names and nobody gives is an error."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    import jinja2
 
-    env = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
+    env = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
-        undefined=StrictUndefined,
+        undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )

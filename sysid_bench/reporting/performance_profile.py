@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.reporting.figures import (
     COLOURS,
-    WIDTH,
+    new_figure,
     plain,
     svg_of,
     write_figure,
@@ -35,9 +35,7 @@ def profile_svg(ranking: Ranking) -> str:
 
 
 def _figure(ranking: Ranking) -> "Figure":
-    from matplotlib.figure import Figure
-
-    drawing = Figure(figsize=(WIDTH, 2.6), layout="constrained")
+    drawing = new_figure(2.6)
     axes = drawing.add_subplot()
     for rank in reversed(range(len(ranking.methods))):  # the first on top
         _line(axes, ranking, rank)

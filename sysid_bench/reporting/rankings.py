@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from sysid_bench.errors import unknown_name
-from sysid_bench.evaluation.comparison import (
-    failures_last,
+from sysid_bench.evaluation.ranking_statistic import (
+    failed_last,
     interquartile_mean,
     performance_profile,
     robot_interval,
@@ -41,7 +41,7 @@ NEAR: Final = 1.1
 @dataclass(frozen=True, eq=False)
 class Ranking:
     """Methods, the best first. `ratios` (cases, methods) are errors over the best of the case, NaN
-    where there is none; `wins` and `p` (methods, methods) as of evaluation/comparison.py."""
+    where there is none; `wins` and `p` (methods, methods) as of evaluation/ranking_statistic.py."""
 
     name: str
     title: str
@@ -196,7 +196,7 @@ def _groups(cells: "pd.DataFrame", apart: list[str]) -> Iterator[tuple[Key, "pd.
 def _ranking(cases: RankingCases, spec: Mapping[str, Any], values: Key, metric: Metric) -> Ranking:
     title = str(spec.get("title") or f"Methods by {metric.title}")
     # Ratios are averaged as logarithms: twice the best and half of it cancel.
-    logs = mean_by_robot(np.log(failures_last(cases.scaled_errors)), cases)
+    logs = mean_by_robot(np.log(failed_last(cases.scaled_errors)), cases)
     mean = interquartile_mean(np.exp(logs).reshape(-1, logs.shape[-1]))
     low, high = robot_interval(np.exp(logs))
     order = np.argsort(mean, kind="stable")

@@ -3,15 +3,13 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import rerun as rr
 
 from sysid_bench.errors import first_names
 from sysid_bench.types import CellData, Shape
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 MESH_BUDGET: Final = 5_000_000  # bytes of all meshes of one recording
 _MESH_SUFFIXES: Final = (".stl", ".obj", ".glb", ".gltf", ".dae")
@@ -63,11 +61,9 @@ def _total_bytes(files: Sequence[Path]) -> int:
 
 
 def log_scene(
-    stream: "rr.RecordingStream", scene: RecordingScene, picked: np.ndarray, times: "rr.TimeColumn"
+    stream: rr.RecordingStream, scene: RecordingScene, picked: np.ndarray, times: rr.TimeColumn
 ) -> None:
     """Logs the samples `picked` of the robot: `robot/<body>` and, for bare bodies, `sticks`."""
-    import rerun as rr
-
     cell = scene.cell
     if cell.positions is None or cell.quaternions is None:
         return
@@ -85,14 +81,10 @@ def log_scene(
 
 def _body_paths(bodies: Sequence[str]) -> list[str]:
     """Entity paths of the bodies; names may hold spaces, slashes and dots."""
-    import rerun as rr
-
     return [rr.new_entity_path(["robot", name or f"body{i}"]) for i, name in enumerate(bodies)]
 
 
-def _log_shape(stream: "rr.RecordingStream", cell: CellData, shape: Shape, number: int) -> None:
-    import rerun as rr
-
+def _log_shape(stream: rr.RecordingStream, cell: CellData, shape: Shape, number: int) -> None:
     path = f"{_body_paths(cell.bodies)[shape.body]}/shape{number}"
     scale = shape.size if shape.kind == "mesh" else None
     colour = _PAYLOAD if "payload" in cell.bodies[shape.body].lower() else _BODY
@@ -104,9 +96,7 @@ def _log_shape(stream: "rr.RecordingStream", cell: CellData, shape: Shape, numbe
     stream.log(path, pose, _geometry(shape, colour), static=True)
 
 
-def _geometry(shape: Shape, colour: tuple[int, int, int]) -> "rr.AsComponents":
-    import rerun as rr
-
+def _geometry(shape: Shape, colour: tuple[int, int, int]) -> rr.AsComponents:
     size, solid = shape.size, rr.components.FillMode.Solid
     if shape.kind == "mesh":
         return rr.Asset3D(path=shape.file, albedo_factor=colour)
@@ -126,14 +116,12 @@ def _geometry(shape: Shape, colour: tuple[int, int, int]) -> "rr.AsComponents":
 
 
 def _log_sticks(
-    stream: "rr.RecordingStream",
+    stream: rr.RecordingStream,
     scene: RecordingScene,
     positions: np.ndarray,
-    times: "rr.TimeColumn",
+    times: rr.TimeColumn,
 ) -> None:
     """Thick lines between the origins of bare bodies and their neighbours, balls at the joints."""
-    import rerun as rr
-
     radius = _stick_radius(positions)
     for i in scene.bodies_without_shape:
         ball = rr.Points3D([(0, 0, 0)], radii=[1.6 * radius], colors=[_JOINT])

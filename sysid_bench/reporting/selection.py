@@ -45,7 +45,8 @@ def _float_label(value: "float | np.floating[Any]") -> str:
 
 def with_labels(cells: "pd.DataFrame") -> "pd.DataFrame":
     """The same cells with text in every field that can make a row or column."""
-    texts = [name for name in cells.columns if _has_labels(cells[name])]
+    columns = [cells[name] for name in cells.columns if _has_labels(cells[name])]
+    texts = [str(column.name) for column in columns if set(map(type, column)) != {str}]
     return cells.assign(**{name: list(map(_text, cells[name])) for name in texts})
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from sysid_bench.reporting.figures import write_figure
+from sysid_bench.reporting.figures import new_figure, write_figure
 from sysid_bench.types import Array
 
 if TYPE_CHECKING:
@@ -30,9 +30,7 @@ def torque_figure(
 def _figure(
     t: Array, rows: Sequence[str], measured: Array, predicted: Array, units: Sequence[str]
 ) -> "Figure":
-    from matplotlib.figure import Figure
-
-    picture = Figure(figsize=(WIDTH, HEIGHT * len(rows) + 0.4), layout="constrained")
+    picture = new_figure(HEIGHT * len(rows) + 0.4, WIDTH)
     for i, axes in enumerate(picture.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]):
         axes.plot(t, measured[:, i], color="#0072b2", label="measured")
         axes.plot(t, predicted[:, i], color="#d55e00", label="predicted")

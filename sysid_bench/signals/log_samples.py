@@ -11,7 +11,7 @@ from sysid_bench.signals.log_checks import held_rows
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription, Signal
 from sysid_bench.signals.log_reader import read_table
 from sysid_bench.signals.log_table import table_of_rows
-from sysid_bench.signals.log_units import scales
+from sysid_bench.signals.log_units import unit_scale
 from sysid_bench.types import Array
 
 
@@ -130,7 +130,7 @@ def _columns(
             f"{log.source}: {name} has {values.shape[1]} columns for {len(log.joints)} joints; "
             f"write one column for each of {', '.join(log.joints)}."
         )
-    return values * scales(log, name, part, kinds), table.truncated
+    return values * unit_scale(log, name, part, kinds), table.truncated
 
 
 def _selected_rows(log: LogDescription, samples: int) -> slice:

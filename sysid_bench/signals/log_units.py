@@ -24,7 +24,7 @@ UNITS: Final[Mapping[str, Mapping[str, Mapping[str, float]]]] = {
 """Units of a signal by kind of joint, each with its value in SI; a current needs a gain."""
 
 
-def scales(log: LogDescription, name: str, part: Signal, kinds: Sequence[str]) -> Array:
+def unit_scale(log: LogDescription, name: str, part: Signal, kinds: Sequence[str]) -> Array:
     """Return the factors (k,) from a file's numbers to SI: unit, gain and ratio together.
 
     `kinds`: hinge or slide of each coordinate, "" where it is not a joint. Raises UsageError for a

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.rotation import product, quaternion_of_vector
+from sysid_bench.spatial.rotation import product, quaternion_of_rotation
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 
 
@@ -49,8 +49,13 @@ class Noise:
             return white
         c = self.tau_correlation
         start = (1 - np.sqrt(1 - c**2)) * white[:1]
-        scaled, _ = lfilter([np.sqrt(1 - c**2)], [1.0, -c], white, axis=0, zi=start)
-        return np.asarray(scaled)
+        return first_order(np.sqrt(1 - c**2), c, white, start)
+
+
+def first_order(gain: float, pole: float, x: Array, start: Array) -> Array:
+    """Return y (N, n) of y_t = pole y_(t-1) + gain x_t, where y_0 = gain x_0 + `start` (1, n)."""
+    y, _ = scipy.signal.lfilter([gain], [1.0, -pole], x, axis=0, zi=start)
+    return np.asarray(y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +145,6 @@ def with_position_error(robot: RobotModel, q: Array, error: Array) -> Array:
             out[:, qadr : qadr + 3] += error[:, dof : dof + 3]
             qadr, dof = qadr + 3, dof + 3
         out[:, qadr : qadr + 4] = product(
-            out[:, qadr : qadr + 4], quaternion_of_vector(error[:, dof : dof + 3])
+            out[:, qadr : qadr + 4], quaternion_of_rotation(error[:, dof : dof + 3])
         )
     return out

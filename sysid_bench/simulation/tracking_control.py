@@ -10,7 +10,6 @@ from typing import Final
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from scipy.signal import lfilter
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
 from sysid_bench.models.robot import Joint, RobotModel
@@ -23,6 +22,7 @@ from sysid_bench.simulation.motor_load import (
 )
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.simulation.plant_robot import plant_controller
+from sysid_bench.simulation.sensors import first_order
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 STIFF_FRICTION: Final = ([0.002, 1.0], [0.99, 0.9999, 0.001, 0.5, 2.0])
@@ -288,7 +288,7 @@ def commands(
     """
     difference = np.diff(encoder, axis=0, prepend=encoder[:1]) * controller.rate
     pole = float(np.exp(-2 * np.pi * controller.velocity_cutoff / controller.rate))
-    slope = lfilter([1 - pole], [1, -pole], difference, axis=0)
+    slope = first_order(1 - pole, pole, difference, np.zeros_like(difference[:1]))
     qadr = [joint.qadr for joint in _motors(robot)]
     ratio = controller.kd / controller.kp
     rates = commanded.v[:, robot.torque_dofs]

@@ -12,7 +12,7 @@ from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.spatial.rotation import (
     matrix_of_quaternion,
     quaternion_of_matrix,
-    quaternion_of_vector,
+    quaternion_of_rotation,
 )
 from sysid_bench.types import Array, Trajectory
 
@@ -168,7 +168,9 @@ def sensor_error(noise: WrenchNoise, rng: np.random.Generator) -> SensorError:
     size = np.repeat([LEVER, 1.0], 3)
     cross = noise.crosstalk * z_cross * (size[:, None] / size)
     np.fill_diagonal(cross, 1.0 + noise.gain * z_gain)
-    R = matrix_of_quaternion(quaternion_of_vector(noise.mounting * z_axis / np.linalg.norm(z_axis)))
+    R = matrix_of_quaternion(
+        quaternion_of_rotation(noise.mounting * z_axis / np.linalg.norm(z_axis))
+    )
     # One rotation turns moment and force alike.
     turn = np.kron(np.eye(2), R)
     offset = np.repeat([noise.moment_offset, noise.force_offset], 3) * z_offset

@@ -62,7 +62,7 @@ def inverse_quaternion(quaternion: Array) -> Array:
     return inverse
 
 
-def quaternion_of_vector(rotation_vector: Array) -> Array:
+def quaternion_of_rotation(rotation_vector: Array) -> Array:
     """Return exp of a rotation vector (..., 3) as a unit quaternion (..., 4)."""
     angle = np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
     # np.sinc is sin(pi x)/(pi x): smooth at zero, where a plain quotient is 0/0.

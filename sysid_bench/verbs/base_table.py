@@ -8,6 +8,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.experiments.base_table import base_table
 from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.models.load import load_robot
+from sysid_bench.tasks.task import find_task
 from sysid_bench.verbs.result import value_text
 
 ROUNDING: Final = 1e-6
@@ -35,6 +36,11 @@ def paper_table(
         return base_table(robot, terms, zero, given)
     except UsageError as error:
         raise UsageError(f"{values}: {error}") from error
+
+
+def supports_task(name: str) -> bool:
+    """Return True for a task whose unknowns are those of the table."""
+    return bool(find_task(name).identifies_whole_robot)
 
 
 def lines(answer: Mapping[str, Any]) -> list[str]:

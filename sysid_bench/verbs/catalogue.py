@@ -3,14 +3,19 @@
 import dataclasses
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from pydantic import BaseModel
 
-from sysid_bench import naming, places
+from sysid_bench import naming, package_folders
+from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
+from sysid_bench.experiments.job_channel import JobChannel
+from sysid_bench.harness.supervised_names import SECONDS
+from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
@@ -59,7 +64,7 @@ def show(name: str, robots_dir: Path | None = None) -> ShowResult:
     """
     if _is_robot(name, robots_dir):
         return ShowResult("robot", _robot(name, robots_dir))
-    names = {kind: _names(kind, robots_dir) for kind in _LISTS}
+    names = {kind: _names(kind, robots_dir) for kind in _LISTS}  # no plug-in is imported for them
     kind = next((kind for kind in _SHOWS if name in names[kind]), None)
     if kind is not None:
         return ShowResult(kind.removesuffix("s"), _SHOWS[kind](name))
@@ -71,11 +76,17 @@ def show(name: str, robots_dir: Path | None = None) -> ShowResult:
 def _is_robot(name: str, robots_dir: Path | None) -> bool:
     """Test for the file or the name of a robot, which need not exist where it is a path."""
     path = "/" in name or name.endswith((".urdf", ".xml"))
-    return path or is_model(name) or name in places.robots(robots_dir)
+    return path or is_model(name) or name in package_folders.robots(robots_dir)
 
 
 def _names(kind: str, robots_dir: Path | None) -> set[str]:
-    return {entry["name"] for entry in list_(kind, robots_dir)}
+    own: dict[str, Callable[[], Iterable[str]]] = {
+        "robots": partial(package_folders.robots, robots_dir),
+        "payloads": partial(iter, PAYLOADS),
+        "suites": package_folders.suite_files,
+        "metrics": partial(iter, METRICS),
+    }
+    return {*own.get(kind, list)(), *naming.known(kind.removesuffix("s"))}
 
 
 def _plural(kind: str) -> str:
@@ -118,7 +129,7 @@ def _given(by_joint: Mapping[str, BaseModel]) -> Entry:
 
 def _robots(robots_dir: Path | None) -> list[Entry]:
     entries = []
-    for name in places.robots(robots_dir):
+    for name in package_folders.robots(robots_dir):
         try:
             manifest = find_manifest(name, robots_dir)
             entries.append({"name": name, "title": manifest.title, "free_base": manifest.free_base})
@@ -144,26 +155,48 @@ def _payload(name: str) -> Entry:
 
 def _plugins(kind: str) -> Callable[[Path | None], list[Entry]]:
     def entries(robots_dir: Path | None) -> list[Entry]:
-        return [
-            {"name": name, "title": _plugin(kind)(name)["title"]} for name in naming.known(kind)
-        ]
+        with CallWorker(SECONDS) as worker:
+            found = [_plugin(kind, name, worker) for name in naming.known(kind)]
+        return [{"name": entry["name"], "title": entry["title"]} for entry in found]
 
     return entries
 
 
-def _plugin(kind: str) -> Callable[[str], Entry]:
+def _shown_plugin(kind: str) -> Callable[[str], Entry]:
     def entry(name: str) -> Entry:
-        try:
-            plugin = naming.resolve(kind, name)
-        except Exception as error:  # an entry point of another package that does not import
-            return {"name": name, "title": f"cannot be imported: {error}", "settings": {}}
-        settings = {}
-        if dataclasses.is_dataclass(plugin):
-            settings = {field.name: _default(field) for field in dataclasses.fields(plugin)}
-        title = _first_sentence(plugin.__doc__ or "")
-        return {"name": name, "title": title, "at": naming.known(kind)[name], "settings": settings}
+        with CallWorker(SECONDS) as worker:
+            return _plugin(kind, name, worker)
 
     return entry
+
+
+def _plugin(kind: str, name: str, worker: CallWorker) -> Entry:
+    """Entry of a plug-in; an entry point of another package is imported in a worker."""
+    argument = {"kind": kind, "name": name}
+    if naming.is_builtin(kind, name):
+        return plugin_entry(argument)
+    try:
+        return dict(worker.call(f"{__name__}:plugin_entry", argument, "cannot be imported"))
+    except WorkerError as error:
+        return {"name": name, "title": str(error), "at": naming.known(kind)[name], "settings": {}}
+
+
+def plugin_entry(argument: Mapping[str, str], channel: JobChannel | None = None) -> Entry:
+    """Import a plug-in; return its title, its settings, and what a task declares."""
+    kind, name = argument["kind"], argument["name"]
+    plugin = naming.resolve(kind, name)
+    settings = {}
+    if dataclasses.is_dataclass(plugin):
+        settings = {field.name: _default(field) for field in dataclasses.fields(plugin)}
+    title = _first_sentence(str(plugin.__doc__ or ""))
+    entry = {"name": name, "title": title, "at": naming.known(kind)[name], "settings": settings}
+    return entry | _declared(plugin) if kind == "task" else entry
+
+
+def _declared(task: Any) -> Entry:
+    """Attributes by which a task declares what it supports."""
+    keys = [key for key in TaskDefinition.__annotations__ if key != "name"]
+    return {key: _json_value(getattr(task, key)) for key in keys}
 
 
 def _first_sentence(text: str) -> str:
@@ -177,12 +210,21 @@ def _default(field: dataclasses.Field[Any]) -> Any:
     if field.default is dataclasses.MISSING:
         return None
     unit = field.metadata.get("unit")
-    return field.default if unit is None else f"{field.default} {unit}"
+    return _json_value(field.default) if unit is None else f"{field.default} {unit}"
+
+
+def _json_value(value: Any) -> Any:
+    """Value of a plug-in as JSON, its text where it is of another type."""
+    try:
+        return plain(value)
+    except TypeError:
+        return str(value)
 
 
 def _suites(robots_dir: Path | None) -> list[Entry]:
     return [
-        {"name": name, "title": _suite_title(file)} for name, file in places.suite_files().items()
+        {"name": name, "title": _suite_title(file)}
+        for name, file in package_folders.suite_files().items()
     ]
 
 
@@ -194,41 +236,34 @@ def _suite_title(file: Path) -> str:
 
 
 def _suite(name: str) -> Entry:
-    file = places.suite_files()[name]
+    file = package_folders.suite_files()[name]
     try:
         return {"name": name, "file": str(file), **parse_toml(read_text(file))}
     except (OSError, ValueError) as error:
         raise UsageError(f"The suite {str(file)!r} cannot be read: {error}.") from error
 
 
-def _task(name: str) -> Entry:
-    """A task with what it declares."""
-    definition = naming.resolve("task", name)
-    declared = [key for key in TaskDefinition.__annotations__ if key != "name"]
-    return {**_plugin("task")(name), **{key: getattr(definition, key) for key in declared}}
-
-
 def _metrics(robots_dir: Path | None) -> list[Entry]:
     """Built-in metrics with unit, direction and formula, then plug-ins of installed packages."""
-    built_in = [
-        {
-            "name": metric.name,
-            "title": ": ".join(
-                filter(None, (f"{metric.heading} {metric.arrow}".strip(), metric.formula))
-            ),
-            "unit": metric.unit,
-            "better": metric.better,
-            "level": metric.level,
-            "needs": list(metric.needs),
-            "formula": metric.formula,
-        }
-        for metric in METRICS.values()
-    ]
-    return built_in + _plugins("metric")(robots_dir)
+    return [*map(_builtin_metric, METRICS), *_plugins("metric")(robots_dir)]
+
+
+def _builtin_metric(name: str) -> Entry:
+    metric = METRICS[name]
+    heading = f"{metric.heading} {metric.arrow}".strip()
+    return {
+        "name": metric.name,
+        "title": ": ".join(filter(None, (heading, metric.formula))),
+        "unit": metric.unit,
+        "better": metric.better,
+        "level": metric.level,
+        "needs": list(metric.needs),
+        "formula": metric.formula,
+    }
 
 
 def _metric(name: str) -> Entry:
-    return next(entry for entry in _metrics(None) if entry["name"] == name)
+    return _builtin_metric(name) if name in METRICS else _shown_plugin("metric")(name)
 
 
 _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
@@ -247,14 +282,14 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
 }
 _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "payloads": _payload,
-    "tasks": _task,
-    "excitations": _plugin("excitation"),
-    "estimators": _plugin("estimator"),
-    "simulations": _plugin("simulation"),
-    "plants": _plugin("plant"),
-    "model-errors": _plugin("model_error"),
-    "sensor-errors": _plugin("sensor_error"),
+    "tasks": _shown_plugin("task"),
+    "excitations": _shown_plugin("excitation"),
+    "estimators": _shown_plugin("estimator"),
+    "simulations": _shown_plugin("simulation"),
+    "plants": _shown_plugin("plant"),
+    "model-errors": _shown_plugin("model_error"),
+    "sensor-errors": _shown_plugin("sensor_error"),
     "metrics": _metric,
-    "log-readers": _plugin("log_reader"),
+    "log-readers": _shown_plugin("log_reader"),
     "suites": _suite,
 }

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.evaluation.crosscheck import CrossCheck
+from sysid_bench.evaluation.crosscheck import Crosscheck
 from sysid_bench.evaluation.crosscheck import crosscheck as compare_engines
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
@@ -158,7 +158,7 @@ def _measured(manifest: Manifest, samples: int, free_base: bool | None) -> Cross
     )
 
 
-def _coupling(robot: RobotModel, verdict: CrossCheck) -> dict[str, Any] | None:
+def _coupling(robot: RobotModel, verdict: Crosscheck) -> dict[str, Any] | None:
     """Independent and dependent joints, figures, and base parameters of the coupled torques."""
     check = verdict.coupling
     if robot.coupling is None or check is None:

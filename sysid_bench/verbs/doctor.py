@@ -5,10 +5,10 @@ from dataclasses import asdict, dataclass
 from importlib import import_module
 from typing import Any, Final
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.regressors.kernel_c import selected_kernel
-from sysid_bench.reporting.cell_recording import view_command
+from sysid_bench.reporting.view import view_command
 from sysid_bench.simulation.compiled_steps import steps_library
 from sysid_bench.verbs.catalogue import list_
 from sysid_bench.verbs.result import Result
@@ -72,7 +72,7 @@ def _import_failure(package: str) -> str:
 
 def _example_robots() -> _Check:
     try:
-        return _Check("example-robot-data", True, str(places.robot_data_folder()))
+        return _Check("example-robot-data", True, str(package_folders.robot_data_folder()))
     except SysidBenchError as error:
         return _Check("example-robot-data", False, str(error))
 

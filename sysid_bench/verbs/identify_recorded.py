@@ -1,7 +1,7 @@
 """Identification of one robot from recordings of the real one."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,15 +30,11 @@ from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
-from sysid_bench.verbs.estimate_fields import (
-    estimate_fields,
-    parameters_with,
-    warnings_of,
-)
+from sysid_bench.verbs.estimate_fields import estimate_fields, warnings_of
 from sysid_bench.verbs.identify_request import IdentifyRequest
-from sysid_bench.verbs.identify_result import IdentifyResult, base_lines, std_lines
-from sysid_bench.verbs.log_warnings import log_warnings
-from sysid_bench.verbs.result import OMIT_NONE, file_text, value_text
+from sysid_bench.verbs.log_warnings import finding_warnings, log_warnings, repetition_warnings
+from sysid_bench.verbs.recorded_result import RecordedResult
+from sysid_bench.verbs.result import file_text
 from sysid_bench.verbs.task_terms import check_term_names
 from sysid_bench.verbs.write_model import check_files, write_model
 
@@ -76,74 +72,6 @@ class RecordedRequest(IdentifyRequest):
     position_given: bool = False
     accept: tuple[str, ...] = ()
     figure: Path | None = None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RecordedResult(IdentifyResult):
-    """Identification from recordings. `training` and `tests`: {joint: rmse, rms, relative} of the
-    predicted torques; `replayed`: errors of the training torque itself where a test repeats the
-    training motion; `logs`: the samples used of each file, with what was found in them."""
-
-    model: str
-    file: str
-    task: str
-    terms: list[str]
-    rows: list[str]
-    locked: dict[str, float]
-    estimator: str
-    signals: dict[str, Any]
-    denominator: str
-    selection: dict[str, Any] | None
-    rank: int | None
-    data_rank: int | None
-    parameters: int | None
-    rank_gap: float | None
-    near_degenerate: int
-    condition: float | None
-    condition_unit: float | None
-    rmse_train: float | None
-    rmse_test: float | None
-    torque_error: float | None
-    training: dict[str, dict[str, float]]
-    tests: dict[str, dict[str, dict[str, float]]]
-    replayed: dict[str, Any]
-    logs: list[dict[str, Any]]
-    std_from: str | None
-    base: list[dict[str, Any]]
-    bodies: dict[str, dict[str, Any]]
-    joints: dict[str, dict[str, dict[str, Any]]]
-    payload: dict[str, Any] | None
-    feasible: bool | None
-    warnings: list[str]
-    figure: str | None = field(default=None, metadata=OMIT_NONE)
-    model_out: str | None = field(default=None, metadata=OMIT_NONE)
-
-    def __post_init__(self) -> None:
-        self._make_plain()
-
-    def summary(self) -> str:
-        """Table of the joints' errors, then payload and warnings."""
-        test = next(iter(self.tests.values()), None)
-        lines = [
-            f"{self.model}, task {self.task}, {self.estimator}: rank {self.rank} "
-            f"of {self.parameters}, condition {value_text(self.condition)}",
-            f"  {self._signals_line()}",
-            *_selection_lines(self.selection),
-            "  joint                  RMS     train" + ("          test" if test else ""),
-            *(_joint_line(joint, train, test) for joint, train in self.training.items()),
-            *(_test_line(label, table) for label, table in list(self.tests.items())[1:]),
-            *base_lines(self.base),
-            *std_lines(self.std_from),
-            *_payload_lines(self.payload),
-        ]
-        return "\n".join(lines + self._closing_lines())
-
-    def _signals_line(self) -> str:
-        seconds = sum(log["seconds"] for log in self.logs if log["use"] == "train")
-        return (
-            f"{seconds:.1f} s of training, filter {self.signals['filter']!r}, derivatives "
-            f"{self.signals['derivatives']!r}; errors in % of the {self.denominator}"
-        )
 
 
 def identify_recorded(request: RecordedRequest) -> RecordedResult:
@@ -293,9 +221,9 @@ def _warnings(
     source = posed.source
     return [
         *source.training[0].robot.repairs,
-        *_findings((*source.training, *source.tests.values())),
+        *finding_warnings((*source.training, *source.tests.values())),
         *log_warnings(errors["training"], joints),
-        *_repeated(errors["replayed"]),
+        *repetition_warnings(errors["replayed"]),
         *warnings_of(estimate, posed.problem),
     ]
 
@@ -311,65 +239,11 @@ def _selection(selection: TermSelection | None) -> dict[str, Any] | None:
     }
 
 
-def _selection_lines(selection: Mapping[str, Any] | None) -> list[str]:
-    if selection is None:
-        return []
-    names = ", ".join(step["parameter"] for step in selection["added"]) or "nothing"
-    return [
-        f"  chosen on {selection['left_out']}: {names} (mean error there "
-        f"{100 * selection['error_before']:.1f} -> {100 * selection['error_after']:.1f} %)"
-    ]
-
-
 def _draw(path: Path, posed: Prepared[RecordedSource], beta: Array) -> None:
     """Measured and predicted torque of the first test log, or of the training one."""
     found = predict_log(posed, beta)
     units = [kind.removeprefix("joint ") for kind in found.problem.kinds]
     torque_figure(path, found.t, found.problem.rows, found.measured, found.predicted, units)
-
-
-def _joint_line(
-    joint: str, train: Mapping[str, Any], test: Mapping[str, Mapping[str, Any]] | None
-) -> str:
-    """RMS torque of a joint and its errors in training and in the first test."""
-    line = f"  {joint:18} {train['rms']:8.4g}  {_error(train)}"
-    return line + (f"  {_error(test[joint])}" if test else "")
-
-
-def _test_line(label: str, errors: Mapping[str, Mapping[str, Any]]) -> str:
-    """Errors of all joints in a further test."""
-    return f"  {label}: {', '.join(_error(joint).strip() for joint in errors.values())}"
-
-
-def _error(joint: Mapping[str, Any]) -> str:
-    relative = joint["relative"]
-    share = "     -" if relative is None else f"{100 * relative:5.1f}%"
-    return f"{joint['rmse']:8.3g} {share}"
-
-
-def _payload_lines(payload: Mapping[str, Any] | None) -> list[str]:
-    """Line of the identified payload; none for tasks without one."""
-    if payload is None:
-        return []
-    return [f"  payload: {(_mass_text if 'interval' in payload else _values_text)(payload)}"]
-
-
-def _mass_text(payload: Mapping[str, Any]) -> str:
-    low, high = payload["interval"]
-    return (
-        f"mass {payload['mass']:.4g} kg, {100 * payload['confidence']:.0f} % in [{low:.4g}, "
-        f"{high:.4g}] by leaving parts of the motion out"
-    )
-
-
-def _values_text(payload: Mapping[str, Any]) -> str:
-    """Parameters of the payload that are identifiable on their own, with units."""
-    units = {"m": "kg", "h": "kg m", "I": "kg m^2"}
-    values = [
-        f"{key} {value_text(payload['parameters'][key])} {units[key[0]]}"
-        for key in parameters_with(payload, "identifiable")
-    ]
-    return ", ".join(values) or "nothing of it is identifiable on its own"
 
 
 def _signals(preprocessing: LogProcessing) -> dict[str, Any]:
@@ -418,27 +292,3 @@ def _segment(processed: ProcessedLog, use: str) -> dict[str, Any]:
             for f in log.findings
         ],
     }
-
-
-def _findings(logs: Sequence[ProcessedLog]) -> list[str]:
-    return [
-        f"{one.log.description.source.name}: {finding.text}"
-        for one in logs
-        for finding in one.log.findings
-    ]
-
-
-def _repeated(replayed: Mapping[str, Mapping[str, float] | None]) -> list[str]:
-    """Warn about tests on the training motion: they say nothing about other motions."""
-    return [
-        _repeated_test(label, errors) for label, errors in replayed.items() if errors is not None
-    ]
-
-
-def _repeated_test(label: str, errors: Mapping[str, float]) -> str:
-    shares = " ".join(f"{100 * error:.1f}" for error in errors.values())
-    return (
-        f"{label} repeats the training motion: its errors show how well the same motion is "
-        "predicted again, not how well others are; the training torque itself, played "
-        f"again, errs by {shares} %"
-    )

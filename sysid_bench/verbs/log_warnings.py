@@ -1,7 +1,9 @@
-"""Warnings about implausible torques in recordings, from the identified model itself."""
+"""Warnings about recordings: findings, implausible torques, tests on the training motion."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
+
+from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 
 UNEXPLAINED: Final = 0.9
 """Relative training error of a joint above which the model explains nothing of its torque."""
@@ -52,3 +54,28 @@ def _pushes(terms: Mapping[str, Mapping[str, Any]]) -> bool:
 def _is_negative(term: Mapping[str, Any]) -> bool:
     """Test whether a coefficient is negative beyond its standard deviation, where that is known."""
     return term["value"] is not None and bool(term["value"] < -DEVIATIONS * (term["std"] or 0.0))
+
+
+def finding_warnings(logs: Sequence[ProcessedLog]) -> list[str]:
+    """Return the findings in recordings, each with its file."""
+    return [
+        f"{one.log.description.source.name}: {finding.text}"
+        for one in logs
+        for finding in one.log.findings
+    ]
+
+
+def repetition_warnings(replayed: Mapping[str, Mapping[str, float] | None]) -> list[str]:
+    """Return sentences for tests on the training motion: they say nothing about other motions."""
+    return [
+        _repeated_test(label, errors) for label, errors in replayed.items() if errors is not None
+    ]
+
+
+def _repeated_test(label: str, errors: Mapping[str, float]) -> str:
+    shares = " ".join(f"{100 * error:.1f}" for error in errors.values())
+    return (
+        f"{label} repeats the training motion: its errors show how well the same motion is "
+        "predicted again, not how well others are; the training torque itself, played "
+        f"again, errs by {shares} %"
+    )

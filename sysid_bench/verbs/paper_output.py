@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.harness.plan import Cell, fields
+from sysid_bench.harness.cell import Cell, fields
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
@@ -90,7 +90,7 @@ def _selected(run: "RunFolder", condition: str | None) -> "Sequence[Cell]":
     if condition is None:
         return run.plan.cells
     rows, wanted = run.rows().rows, Expression.parse(condition)
-    return [c for c in run.plan.cells if wanted.matches({**rows.get(c.id, {}), **fields(c)})]
+    return [c for c in run.plan.cells if wanted.holds({**rows.get(c.id, {}), **fields(c)})]
 
 
 def _file(run: "RunFolder", entry: "Paper", cell: "Cell", kind: str) -> Path:

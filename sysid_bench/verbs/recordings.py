@@ -12,17 +12,16 @@ from typing import Any, Final
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.experiments.third_party import is_third_party_cell, uses_third_party_data
+from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
+from sysid_bench.harness.cell import fields
 from sysid_bench.harness.job import job_of
-from sysid_bench.harness.plan import fields
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.work.worker_call import WorkerError, worker_call
-from sysid_bench.reporting.cell_recording import record as write_recording
-from sysid_bench.reporting.cell_recording import view as open_viewer
+from sysid_bench.metrics import ROW_FIELDS
+from sysid_bench.reporting import view as viewer
 from sysid_bench.units import quantity
 from sysid_bench.verbs.folders import find_cell, open_run
-from sysid_bench.vocabulary import ROW_FIELDS
 
 MOST: Final = 20
 """Recordings that a run writes by itself; `record` writes more."""
@@ -113,7 +112,7 @@ def view(folder: str | Path, identifier: str, web: bool = False) -> subprocess.P
     path = _path(run_folder, find_cell(run_folder, identifier))
     if not path.is_file():
         (path,) = record(folder, find_cell(run_folder, identifier))
-    return open_viewer(path, web)
+    return viewer.view(path, web)
 
 
 def _matching(run_folder: RunFolder, expression: str) -> list[str]:
@@ -124,7 +123,7 @@ def _matching(run_folder: RunFolder, expression: str) -> list[str]:
     return [
         cell.id
         for cell in run_folder.plan.cells
-        if cell.id in stored and condition.matches({**stored[cell.id], **fields(cell)})
+        if cell.id in stored and condition.holds({**stored[cell.id], **fields(cell)})
     ]
 
 
@@ -204,10 +203,12 @@ def _write(
 
 def _runs_third_party_code(job: Mapping[str, Any]) -> bool:
     entries = job["estimators"]
-    return uses_third_party_data(job) or any(is_third_party_cell(job, entry) for entry in entries)
+    return has_third_party_data(job) or any(is_third_party_cell(job, entry) for entry in entries)
 
 
 def write_cell(argument: Mapping[str, Any], channel: JobChannel | None = None) -> None:
     """Execute a cell and write its recording."""
+    from sysid_bench.reporting import cell_recording
+
     data = cell_data(argument["job"], argument["row"])
-    write_recording(data, Path(argument["path"]), argument["max_hz"])
+    cell_recording.record(data, Path(argument["path"]), argument["max_hz"])

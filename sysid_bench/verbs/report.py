@@ -76,7 +76,7 @@ def report(folder: str | Path) -> Path:
         RunView(
             folder=run_folder.path,
             suite=parse_toml(read_text(run_folder.path / "run.toml")),
-            env=run_folder.env,
+            env=run_folder.environment,
             cells=frames.cells,
             joints=frames.read("joints", JOINT_COLUMNS),
             tables=tables,
@@ -93,7 +93,7 @@ def report(folder: str | Path) -> Path:
 
 def _stale_note(run_folder: "RunFolder") -> str:
     """Sentence on the rows that are from other code than now; empty for none."""
-    return stale_note(other_code(run_folder.suite, run_folder.plan.cells, run_folder.rows().rows))
+    return stale_note(other_code(run_folder, run_folder.heads().rows))
 
 
 def table(folder: str | Path, name: str, form: str = "md") -> str:
@@ -215,7 +215,7 @@ def _incomplete_run(run_folder: "RunFolder", frames: "Frames") -> Iterator[None]
 
 
 def _choose(expression: str, cell: Mapping[str, Any]) -> bool:
-    return _parsed(expression).matches(cell)
+    return _parsed(expression).holds(cell)
 
 
 _parsed = cache(Expression.parse)

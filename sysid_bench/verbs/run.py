@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.harness.plan import Cell, expand
+from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.plan import expand
 from sysid_bench.harness.run import Rerun
 from sysid_bench.harness.run import RunResult as Outcome
 from sysid_bench.harness.run import run as execute
@@ -16,13 +17,13 @@ from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.suite.static_names import static_names
-from sysid_bench.harness.suite.third_party_code import code_note, third_party_plugins
+from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
 from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.verbs.recordings import record_selected, recording_notes
 from sysid_bench.verbs.report import printed_tables, report
 from sysid_bench.verbs.result import Result
-from sysid_bench.verbs.status import counts_text
+from sysid_bench.verbs.status import count_text
 
 INTERRUPTED = 130
 """Exit code of a run that was interrupted; the same call resumes it."""
@@ -82,7 +83,7 @@ class RunResult(Result):
         if not self.counts:
             notes = " ".join(self.notes)
             return f"No cell was selected; see 'sysid-bench plan'. {notes}".rstrip()
-        counts = counts_text(self.counts)
+        counts = count_text(self.counts)
         lines = [
             *printed_tables(folder),
             counts + (f", {self.open} open" if self.open else ""),
@@ -113,15 +114,15 @@ def plan(
     """
     own = nullcontext(static_names(robots_dir)) if no_code else supervised_names(robots_dir)
     with own as names:
-        loaded = load_suite(places.suite(str(suite)), names, overrides)
+        loaded = load_suite(package_folders.suite(str(suite)), names, overrides)
     whole = expand(loaded, names, large=large)
-    plugins = third_party_plugins(loaded)
+    plugins = third_party_names(loaded)
     unseen = [f"{kind} {name}" for kind, name in plugins if no_code]
     selected = replace(whole, cells=whole.select(select))
-    why = whole.missing_values(select) if select and not selected.cells else ()
+    why = whole.unknown_values(select) if select and not selected.cells else ()
     return PlanResult(
         cells=selected.cells,
-        experiments=selected.experiments,
+        experiments=selected.specs,
         excluded=whole.excluded,
         seconds=selected.seconds,
         notes=(*whole.notes, *why, *_not_imported(unseen)),

@@ -13,7 +13,7 @@ from sysid_bench.verbs.folders import find_cell, open_run
 from sysid_bench.verbs.result import Result
 
 
-def counts_text(counts: Mapping[str, int]) -> str:
+def count_text(counts: Mapping[str, int]) -> str:
     """Return counts as "3 ok, 1 failed"."""
     return ", ".join(f"{count} {status}" for status, count in counts.items())
 
@@ -32,7 +32,7 @@ class StatusResult(Result):
 
     def summary(self) -> str:
         """Counts, then one line for each reason."""
-        counts = counts_text(self.statuses) or "no rows"
+        counts = count_text(self.statuses) or "no rows"
         lines = [f"{self.cells} cells: {counts}, {self.open} open"]
         lines += [f"  {r['cells']} {r['status']}: {r['reason']}" for r in self.reasons]
         return "\n".join([*lines, *filter(None, [stale_note(self.other_code)])])
@@ -73,7 +73,7 @@ def status(folder: str | Path) -> StatusResult:
         open=len(planned) - len(rows),
         statuses=dict(Counter(row["status"] for row in rows)),
         reasons=_reasons(rows),
-        other_code=other_code(run_folder.suite, run_folder.plan.cells, stored),
+        other_code=other_code(run_folder, stored),
     )
 
 

@@ -149,7 +149,7 @@ def processor() -> str:
 
 
 def versions() -> str:
-    """What was compared with."""
+    """Versions of the peers."""
     from importlib.metadata import PackageNotFoundError, version
 
     found = [f"Python {platform.python_version()}"]

@@ -1,4 +1,4 @@
-"""Seconds and peak memory of the commands that read a run folder of many cells.
+"""Seconds, seconds of CPU and peak memory of the commands that read a run folder of many cells.
 
 python tests/benchmarks/large_run.py FOLDER [CELLS] makes the run FOLDER from one computed cell and
 prints a line for each command. Each command runs in a process of its own. The rows have the sizes
@@ -102,14 +102,15 @@ def _write_suite(folder: Path, repeats: int, estimators: tuple[str, ...]) -> Pat
     return path
 
 
-def measured(code: str) -> tuple[float, float]:
-    """Return the seconds and the peak memory (MB) of a process that runs some code."""
+def measured(code: str) -> tuple[float, float, float]:
+    """Return the seconds, those of CPU, and the peak memory (MB) of a process that runs a code."""
     start = time.perf_counter()
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     if status:
         raise RuntimeError(f"{code} ended with {status}.")
-    return time.perf_counter() - start, usage.ru_maxrss / 1024
+    cpu = usage.ru_utime + usage.ru_stime
+    return time.perf_counter() - start, cpu, usage.ru_maxrss / 1024
 
 
 def main(folder: str, cells: str = "50000") -> None:
@@ -121,12 +122,15 @@ def main(folder: str, cells: str = "50000") -> None:
         words[0]: f"from sysid_bench.cli import main; main({[words[0], folder, *words[1:]]!r})"
         for words in COMMANDS
     }
+    frames = {"frames": f"{here}l.RunFolder(l.Path({folder!r})).write_frames()"}
     if not (Path(folder) / "plan.jsonl").is_file():
         made = {"rows": f"{here}l.make_run(l.Path({folder!r}), {int(cells)})"}
-        steps = {**made, "frames": f"{here}l.RunFolder(l.Path({folder!r})).write_frames()", **steps}
+        steps = {**made, **frames, **steps}
+    elif not (Path(folder) / "consolidated.json").is_file():
+        steps = {**frames, **steps}
     for name, code in steps.items():
-        seconds, memory = measured(code)
-        print(f"{name:<8} {seconds:7.1f} s {memory:7.0f} MB", flush=True)
+        seconds, cpu, memory = measured(code)
+        print(f"{name:<8} {seconds:7.1f} s {cpu:7.1f} s CPU {memory:7.0f} MB", flush=True)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,8 @@ from scipy.linalg import lapack, solve_triangular
 
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.qr_factor import upper_factor
+from sysid_bench.regressors.block_qr import accumulate, accumulate_motions
 from sysid_bench.regressors.kernel_c import selected_kernel
-from sysid_bench.regressors.qr_accumulation import accumulate, accumulate_motions
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array, Factor, Trajectory
 from tests.robots import named_robot, states

@@ -1,4 +1,4 @@
-"""The command line as a user meets it: in a subprocess, in an empty folder."""
+"""The command line as a user meets it, in an empty folder."""
 
 import json
 import os
@@ -9,13 +9,33 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
+
+from sysid_bench.cli import main
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture
-def cli(tmp_path: Path) -> Run:
-    """`cli("plan", "smoke")` runs sysid-bench in an empty folder."""
+def cli(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """`cli("plan", "smoke")` runs sysid-bench in an empty folder, within this process.
+
+    Loading the libraries takes longer than most commands. Workers are processes all the same.
+    """
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        with monkeypatch.context() as patch:
+            patch.chdir(tmp_path)
+            patch.setattr(sys, "path", list(sys.path))
+            done = CliRunner(catch_exceptions=False).invoke(main, words, prog_name="sysid-bench")
+        return subprocess.CompletedProcess(words, done.exit_code, done.stdout, done.stderr)
+
+    return run
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Run:
+    """`program("plan", "smoke")` runs sysid-bench in an empty folder, as a process of its own."""
 
     def run(*words: str, timeout: float = 120) -> subprocess.CompletedProcess[str]:
         return subprocess.run(

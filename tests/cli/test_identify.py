@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench import IdentifyResult, places
+from sysid_bench import IdentifyResult, package_folders
 from sysid_bench.cli.values import parse_noise, parse_payload, parse_terms
 from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.identifiability.structural import structural_base
@@ -77,7 +77,7 @@ def test_basis_of_every_task(task: str, rank: int) -> None:
 
 @pytest.mark.parametrize("file", ["so100.urdf", "so101.urdf"])
 def test_near_degenerate_directions_are_named(file: str) -> None:
-    (path,) = places.robot_data_folder().rglob(file)
+    (path,) = package_folders.robot_data_folder().rglob(file)
     result = basis(path)
     assert (result["base_parameters"], result["near_degenerate"]) == (36, 2)
     directions = result["near_degenerate_directions"]

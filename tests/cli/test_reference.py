@@ -21,7 +21,7 @@ def entries(text: str, robot: str) -> list[float]:
 
 @pytest.mark.slow
 def test_the_reference_is_what_the_suite_gives(cli: Run) -> None:
-    done = cli("run", "smoke", "-o", "out", "--select", SELECT)
+    done = cli("run", "smoke", "-o", "out", "-j", "1", "--select", SELECT)
     assert done.returncode == 0, done.stderr
     printed = cli("table", "out", "main").stdout
     committed = REFERENCE.read_text(encoding="utf-8").partition("**Held-out torque error")[2]
@@ -34,7 +34,7 @@ def test_the_reference_is_what_the_suite_gives(cli: Run) -> None:
 
 def test_the_table_of_the_last_joint_is_what_the_suite_gives(cli: Run) -> None:
     """Of one arm: ranks and verdicts, line by line."""
-    done = cli("run", "terminal", "-o", "out", "--select", 'robot == "scara"')
+    done = cli("run", "terminal", "-o", "out", "-j", "1", "--select", 'robot == "scara"')
     assert done.returncode == 0, done.stderr
     committed = (REFERENCE.parent / "terminal.md").read_text(encoding="utf-8").splitlines()
     lines = [line for line in done.stdout.splitlines() if " scara | " in line]
@@ -57,7 +57,7 @@ def test_the_table_of_the_last_joint_has_twelve_arms() -> None:
 
 @pytest.mark.data
 def test_errors_across_days_are_what_the_suite_gives(cli: Run, data_folder: Path) -> None:
-    done = cli("run", "dvrk-real", "-o", "out", "--select",
+    done = cli("run", "dvrk-real", "-o", "out", "-j", "1", "--select",
                'excitation == "PSM" and estimator == "wls"')  # fmt: skip
     assert done.returncode == 0, done.stderr
     committed = (REFERENCE.parent / "dvrk-real.md").read_text(encoding="utf-8").splitlines()

@@ -12,10 +12,10 @@ from sysid_bench.models.coupling.constraints import PolynomialCoupling
 from sysid_bench.models.coupling.group import Group
 from sysid_bench.models.load import load_robot
 from sysid_bench.naming import build
+from sysid_bench.regressors.block_qr import accumulate
 from sysid_bench.regressors.coupled import torque_regression
-from sysid_bench.regressors.qr_accumulation import accumulate
 from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.kinematics_only import kinematics_only
+from sysid_bench.simulation.kinematics import kinematics_of
 from sysid_bench.simulation.mujoco_inverse import constrained_torque
 from sysid_bench.simulation.plant import plant_of
 from tests.coupling.mechanisms import KINDS, LOOPS, chain, four_bar, mechanism, mjcf
@@ -126,7 +126,7 @@ def test_a_method_simulates_the_same_closed_robot(kind: str) -> None:
     assert again.tau.shape == raw.tau.shape
     assert relative_gap(again.tau, raw.tau) <= 1e-6
     motion = states(made.robot, 10)
-    assert constrained_torque(kinematics_only(made.robot), motion).violation <= 1e-12
+    assert constrained_torque(kinematics_of(made.robot), motion).violation <= 1e-12
 
 
 @pytest.mark.parametrize("kind", LOOPS)

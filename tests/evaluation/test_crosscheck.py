@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation import crosscheck as module
-from sysid_bench.evaluation.crosscheck import CLOSURE, GAP, CrossCheck, crosscheck
+from sysid_bench.evaluation.crosscheck import CLOSURE, GAP, Crosscheck, crosscheck
 from sysid_bench.regressors import kernel_numpy as kernel
 from sysid_bench.regressors.kernel_c import SelectedKernel
 from sysid_bench.types import Array
@@ -97,8 +97,8 @@ def test_a_plant_that_moves_otherwise_is_caught(monkeypatch: pytest.MonkeyPatch)
     assert check.reason().startswith("closure")
 
 
-def made(gap: float = 0.0, closure: float = 0.0, native: float | None = None) -> CrossCheck:
-    return CrossCheck(gap, closure, native, "", np.zeros((1, 10)), ("m",))
+def made(gap: float = 0.0, closure: float = 0.0, native: float | None = None) -> Crosscheck:
+    return Crosscheck(gap, closure, native, "", np.zeros((1, 10)), ("m",))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e-6])

@@ -11,11 +11,11 @@ from sysid_bench.evaluation.score import score
 from sysid_bench.identification.estimators.lmi import LMI
 from sysid_bench.models.body_extents import body_extents
 from sysid_bench.spatial.inertia import phi_of
-from sysid_bench.types import Estimate, Extent, Score
+from sysid_bench.types import BodyExtents, Estimate, Score
 from tests.experiments.experiment_world import SHIPPED, ready, ready_once
 from tests.robots import named_robot
 
-BOX = Extent(np.array([-0.2, -0.2, -0.2]), np.array([0.2, 0.2, 0.6]), 0.01)
+BOX = BodyExtents(np.array([-0.2, -0.2, -0.2]), np.array([0.2, 0.2, 0.6]), 0.01)
 SOLID = np.diag([0.02, 0.02, 0.02])
 
 
@@ -60,7 +60,7 @@ def test_the_score_says_what_is_feasible_and_what_is_plausible() -> None:
     made = ready_once("ur5")
     boxes = body_extents(made.robot)
 
-    def figures(factor: float, boxes: Mapping[str, Extent] | None) -> Score:
+    def figures(factor: float, boxes: Mapping[str, BodyExtents] | None) -> Score:
         theta = factor * made.source.truth.theta
         estimate = Estimate(theta=theta, beta=made.problem.base.K @ theta)
         return score(estimate, made.problem, made.held_out, made.source.truth, boxes)

@@ -54,7 +54,7 @@ def rows_of(problems: list[Problem]) -> tuple[Array, Array]:
 
 
 def largest_of_its_kind(size: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
-    """For each row the largest RMS among rows of the same kind: forces are no torques."""
+    """For each row the largest RMS among rows of the same kind: forces are not torques."""
     return np.array(
         [max(s for s, other in zip(size, kinds, strict=True) if other == kind) for kind in kinds]
     )

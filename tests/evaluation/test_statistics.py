@@ -8,14 +8,6 @@ import pytest
 from scipy.stats import wilcoxon
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.comparison import (
-    holm,
-    interquartile_mean,
-    performance_profile,
-    robot_interval,
-    wilcoxon_holm,
-    win_rates,
-)
 from sysid_bench.evaluation.covariance import (
     ResidualScores,
     StandardError,
@@ -23,6 +15,14 @@ from sysid_bench.evaluation.covariance import (
     standard_errors,
 )
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
+from sysid_bench.evaluation.ranking_statistic import (
+    holm,
+    interquartile_mean,
+    performance_profile,
+    robot_interval,
+    wilcoxon_holm,
+    win_rates,
+)
 from sysid_bench.evaluation.repeat_statistic import WITH_BOUND, mean_error
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS

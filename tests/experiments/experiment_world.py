@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.experiments.job_channel import Death, JobChannel
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
@@ -22,7 +22,7 @@ from sysid_bench.naming import build
 from sysid_bench.types import Array, Row, Trajectory
 
 MODELS: Final = Path(__file__).parent / "models"
-SHIPPED: Final = tuple(places.robots())
+SHIPPED: Final = tuple(package_folders.robots())
 RICH: Final = "rich/robot.toml"
 """Two hinges and a slide with every joint term but Coulomb friction."""
 SMOOTH: Final = "smooth/robot.toml"
@@ -126,6 +126,9 @@ class Collected:
     def emit(self, row: Row) -> None:
         assert row["id"] in self.cells
         self.rows.append(row)
+
+    def progress(self, value: Any) -> None:
+        raise AssertionError("an experiment reports rows alone")
 
     def isolate(self, function: Callable[[JobChannel], Any]) -> Death | None:
         function(self)

@@ -19,7 +19,7 @@ from sysid_bench.types import (
 )
 
 ANSWER = object()
-"""A name that is no estimator."""
+"""A name that is not an estimator."""
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ from typing import Any
 import pytest
 
 from sysid_bench.experiments.seed import prior_seed
-from sysid_bench.harness.plan import Cell, Plan, expand
+from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.plan import Plan, expand
 from sysid_bench.harness.suite.load_suite import load_suite
-from sysid_bench.places import suite
+from sysid_bench.package_folders import suite
 from tests.experiments.experiment_world import argument, rows_of
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint
-from sysid_bench.harness.plan import Cell, Plan, expand
+from sysid_bench.harness.plan import Plan, expand
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_stored, parse_suite, suite_text

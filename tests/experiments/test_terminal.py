@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.cell_data import cell_data
@@ -45,9 +45,9 @@ LOAD = PAYLOADS["box-2kg"]
 
 
 def arm(name: str) -> RobotModel:
-    if name in places.robots():
+    if name in package_folders.robots():
         return named_robot(name, "box-2kg")
-    path = next(places.robot_data_folder().rglob(f"{name}.urdf"))
+    path = next(package_folders.robot_data_folder().rglob(f"{name}.urdf"))
     return load_robot(path, LOAD)
 
 

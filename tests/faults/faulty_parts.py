@@ -1,11 +1,17 @@
-"""Faulty parts of experiments: an excitation, an effect, a metric. `act` says what happens."""
+"""Faulty parts of experiments: an excitation, an effect, a task, a log reader, a metric. `act`
+selects what happens."""
 
 import ctypes
 import os
 import signal
 import time
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
+from sysid_bench.signals.log_readers.delimited_text import DelimitedText
+from sysid_bench.signals.log_table import LogTable
+from sysid_bench.tasks.robot import RobotTask
+from sysid_bench.tasks.task import Task
 from sysid_bench.types import Metric
 
 
@@ -34,6 +40,38 @@ class Excitation(_Part):
 class Effect(_Part):
     def prepare(self, robot: Any) -> Any:
         perform(self.act)
+
+
+class SoundTask(RobotTask):
+    act: ClassVar[str] = ""
+
+    def unknowns(self, *arguments: Any) -> Task:
+        perform(self.act)
+        return super().unknowns(*arguments)
+
+
+class CrashTask(SoundTask):
+    act = "crash"
+
+
+class KillTask(SoundTask):
+    act = "kill"
+
+
+class RaiseTask(SoundTask):
+    act = "raise"
+
+
+class HangTask(SoundTask):
+    act = "hang"
+
+
+class Reader(_Part):
+    suffixes: ClassVar[tuple[str, ...]] = ()
+
+    def read(self, path: Path) -> LogTable:
+        perform(self.act)
+        return DelimitedText().read(path)
 
 
 def metric(act: str = "") -> Metric:

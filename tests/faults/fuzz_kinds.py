@@ -16,7 +16,16 @@ import pandas as pd
 import pyarrow.parquet  # noqa: F401 - once, not in each process
 from scipy.io import savemat
 
-from sysid_bench import identify, init_robot, open_run, paper_table, places, plan, report, show
+from sysid_bench import (
+    identify,
+    init_robot,
+    open_run,
+    package_folders,
+    paper_table,
+    plan,
+    report,
+    show,
+)
 from sysid_bench.cli import main
 from sysid_bench.cli.values import parse_motors, parse_noise
 from sysid_bench.cli.values import parse_payload as payload_option
@@ -177,7 +186,7 @@ def _run_folder(folder: Path) -> None:
         lambda: status(path).summary(),
         lambda: table(path, "main"),
         lambda: cell(path, open_run(path).plan.cells[0].id).summary(),
-        lambda: open_run(path).env,
+        lambda: open_run(path).environment,
         lambda: report(path),
     ]
     refused = None
@@ -196,7 +205,7 @@ def _robot_toml(folder: Path) -> None:
 
 
 def _make_robots(folder: Path) -> None:
-    source = places.installed_folder("robots")
+    source = package_folders.installed_folder("robots")
     for name, of in (("scara", "scara"), ("psm", "dvrk_psm")):
         shutil.copytree(source / of, folder / name)
     (folder / "scara" / "robot.toml").write_text(seeds.MANIFEST)
@@ -209,7 +218,9 @@ def _dh(folder: Path) -> None:
 
 def _make_dh(folder: Path) -> None:
     _texts({"dh.csv": seeds.DH})(folder)
-    shutil.copy(places.installed_folder("robots") / "dvrk_psm" / "dh_loop.csv", folder / "loop.csv")
+    shutil.copy(
+        package_folders.installed_folder("robots") / "dvrk_psm" / "dh_loop.csv", folder / "loop.csv"
+    )
 
 
 def _mjcf(folder: Path) -> None:
@@ -242,7 +253,7 @@ def _quantity(text: str) -> None:
 
 def _condition(text: str) -> None:
     fields = {"robot": "ur5", "rate": 200.0, "noise": ("exact", "n1"), "torque_error": None}
-    Expression.parse(text).matches(MappingProxyType(fields))
+    Expression.parse(text).holds(MappingProxyType(fields))
 
 
 def _payload(text: str) -> None:

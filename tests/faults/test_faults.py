@@ -1,6 +1,7 @@
 """Laws of isolation: whatever one estimator does, the rows of all others are those of a run without
 it, bit for bit; nothing stays behind; and the exit code says what happened."""
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -36,13 +37,17 @@ STATUS: Mapping[str, str] = {
 }
 """The status of each fault; `ok` where the method answers rightly and misbehaves besides."""
 
+DEAD = ("crash", "lost", "timeout")
+"""Statuses of cells whose process did not write their row; one of `memory` may have done so."""
+
 PLACES = (0, 2, 5)
 """First, middle and last of an experiment with the sound methods."""
 
 
 def suite(*estimators: str) -> Any:
-    # A hang has to be waited for; on a loaded machine sound cells must still be in time.
-    timeout = "25 s" if fault("Hangs") in estimators else "60 s"
+    # A hang has to be waited for. Sound cells take .02 s and their preparation .1 s, the start of
+    # workers apart, so that they are in time on a loaded machine, too.
+    timeout = "12 s" if fault("Hangs") in estimators else "60 s"
     text = f"""
         schema = 1
         name = "faults"
@@ -68,9 +73,15 @@ def fault(name: str) -> str:
 
 
 def rows(result: RunResult) -> dict[str, dict[str, Any]]:
-    """Rows by estimator, without the fields of the machine."""
+    """Rows by estimator, without the fields of the machine, which are plausible."""
     stored = result.folder.rows()
     assert (stored.torn, stored.garbled) == (0, ())
+    for row in stored.rows.values():
+        assert 0.0 <= row["load"] < 1e4
+        peak = row["peak_memory"]  # MB; of a process that is gone it is not known
+        if row["status"] != "memory" and sys.platform == "linux":
+            assert (peak is None) == (row["status"] in DEAD)
+        assert peak is None or 20.0 < peak < 1500.0
     return {
         row["estimator"]: {k: v for k, v in row.items() if k not in MACHINE_FIELDS}
         for row in stored.rows.values()
@@ -112,6 +123,23 @@ def test_a_fault_is_one_row(
     assert list(scratch.iterdir()) == []
     logs = sum(file.stat().st_size for file in (tmp_path / "run" / "logs").iterdir())
     assert logs < 4e6
+
+
+@pytest.mark.parametrize("name", ["PatchesScores", "Aborts", "ClosesDescriptors"])
+def test_a_fault_where_python_cannot_fork(
+    tmp_path: Path, undisturbed: dict[str, Any], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """The process of a fault ends with its cell; a fresh one takes the cells that are left."""
+    (tmp_path / "sitecustomize.py").write_text("import select\n\ndel select.poll\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    order = list(SOUND)
+    for place in PLACES:
+        order.insert(place, fault(name))
+    result = run(suite(*order), tmp_path / "run", jobs=2)
+    found = rows(result)
+    at_fault = [found.pop(f"{name} at {place}") for place in PLACES]
+    assert [row["status"] for row in at_fault] == [STATUS[name]] * 3
+    assert found == undisturbed
 
 
 def test_all_faults_in_one_suite(

@@ -14,13 +14,15 @@ from harness_world import NAMES, read, small
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sysid_bench.harness import consolidate as consolidation
 from sysid_bench.harness import store
 from sysid_bench.harness.consolidate import consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import COVERAGE_FILE, FRAMES, FrameFiles
 from sysid_bench.harness.plan import expand
+from sysid_bench.harness.run_frames import frames_of_run
 from sysid_bench.harness.store import HEAD, RunFolder
-from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows
+from sysid_bench.harness.work.row_files import RowWriter, new_row_file, parse_row, read_rows
 from sysid_bench.types import Row
 
 FILES = (*(f"{name}.parquet" for name in FRAMES), COVERAGE_FILE)
@@ -87,18 +89,22 @@ def assert_reads_all(run: RunFolder) -> None:
 
 
 @settings(max_examples=20)
-@given(st.lists(contents, min_size=1, max_size=5))
-def test_parquet_gives_the_frames_of_any_rows(written: list[Row]) -> None:
+@given(st.lists(contents, min_size=1, max_size=5), st.randoms())
+def test_parquet_gives_the_frames_of_any_rows(written: list[Row], draw: random.Random) -> None:
+    """The rows come in any order, with a consolidation in between."""
     rows = [{"id": str(number), **row, "status": "ok"} for number, row in enumerate(written)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "plan.jsonl").touch()
-        with RowWriter(new_row_file(folder / "cells", "w")) as writer:
-            for row in rows:
-                writer.write(row)
-        assert list(read_rows(folder / "cells").rows.values()) == rows
-        assert json.dumps(list(read_rows(folder / "cells").rows.values())) == json.dumps(rows)
-        coverage = consolidate(folder, {row["id"]: {"id": row["id"]} for row in rows})
+        heads = {row["id"]: {"id": row["id"]} for row in rows}
+        order, half = draw.sample(rows, len(rows)), draw.randrange(len(rows))
+        for part in (order[:half], order[half:]):
+            with RowWriter(new_row_file(folder / "cells", "w")) as writer:
+                for row in part:
+                    writer.write(row)
+            coverage = consolidate(folder, heads)
+        assert list(read_rows(folder / "cells").rows.values()) == order
+        assert json.dumps(list(read_rows(folder / "cells").rows.values())) == json.dumps(order)
         assert_same(Frames(FrameFiles(folder, coverage).read), data_frames(rows))
 
 
@@ -121,6 +127,54 @@ def test_all_rows_in_parquet_are_not_parsed_again(
     monkeypatch.setattr("sysid_bench.harness.work.row_files.parse_row", None)
     assert_same(run.frames(), wanted)
     assert len(run.heads().rows) == len(wanted.cells)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_new_rows_join_the_earlier_files(
+    run: RunFolder, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows that Parquet files hold are not parsed again, in whatever order cells come."""
+    monkeypatch.setattr(consolidation, "_GROUP", 2)
+    parsed: list[bytes] = []
+
+    def parse(text: bytes) -> Row | None:
+        parsed.append(text)
+        return parse_row(text)
+
+    monkeypatch.setattr(consolidation, "parse_row", parse)
+    draw = random.Random(seed)
+    cells = draw.sample(run.plan.cells, len(run.plan.cells))
+    for turn in range(3):
+        with run.new_writer("w") as writer:
+            for cell in cells[turn::3]:
+                table = [{"name": f"m{i}", "true": draw.random()} for i in range(turn)]
+                values = {"rank": 1 if turn == 0 else 0.5, "note": None if turn == 0 else "a"}
+                writer.write({**cell.head, "status": "ok", **values, "parameters_table": table})
+        run.write_frames()
+        assert_reads_all(run)
+        run.write_frames()
+    assert len(parsed) == len(set(parsed)) == len(cells)
+
+
+def test_files_that_hold_all_rows_stay(run: RunFolder) -> None:
+    store_rows(run, 1)
+    run.write_frames()
+    before = [(run.path / name).stat().st_mtime_ns for name in FILES[:-1]]
+    run.write_frames()
+    assert [(run.path / name).stat().st_mtime_ns for name in FILES[:-1]] == before
+
+
+def test_a_run_is_consolidated_as_it_grows(run: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sysid_bench.harness.run_frames.FEW_BYTES", 0)
+    heard: list[str] = []
+    with frames_of_run(run, (), lambda kind, data: heard.append(kind)) as on_event:
+        store_rows(run, 1)
+        on_event("row", {})
+        assert not (run.path / COVERAGE_FILE).exists()
+        on_event("task", {})
+    assert heard == ["row", "task"]
+    monkeypatch.setattr("sysid_bench.harness.work.row_files.parse_row", None)
+    assert len(RunFolder.open(run.path).frames().cells) == len(run.heads().rows) > 0
 
 
 @pytest.mark.parametrize("kept", range(len(FILES)))

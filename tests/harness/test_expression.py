@@ -58,13 +58,13 @@ FALSE = (
 
 @pytest.mark.parametrize("text", TRUE)
 def test_true_of_the_cell(text: str) -> None:
-    assert Expression.parse(text).matches(CELL)
-    assert not Expression.parse(f"not ({text})").matches(CELL)
+    assert Expression.parse(text).holds(CELL)
+    assert not Expression.parse(f"not ({text})").holds(CELL)
 
 
 @pytest.mark.parametrize("text", FALSE)
 def test_false_of_the_cell(text: str) -> None:
-    assert not Expression.parse(text).matches(CELL)
+    assert not Expression.parse(text).holds(CELL)
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_fields_are_what_is_read() -> None:
 @given(st.text())
 def test_any_text_is_read_or_refused(text: str) -> None:
     with contextlib.suppress(UsageError):
-        assert Expression.parse(text).matches({}) in (True, False)
+        assert Expression.parse(text).holds({}) in (True, False)
 
 
 anything = (
@@ -141,10 +141,10 @@ literals = st.sampled_from(["1", "-2.5", "'a'", "'5 s'", "'1e999'", "true", "non
 
 @given(comparisons, literals, anything)
 def test_no_cell_makes_an_expression_raise(form: str, literal: str, value: Any) -> None:
-    assert Expression.parse(form.format(literal)).matches({"x": value}) in (True, False)
+    assert Expression.parse(form.format(literal)).holds({"x": value}) in (True, False)
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False), st.floats(allow_nan=False))
 def test_order_of_numbers_is_that_of_python(x: float, y: float) -> None:
     for sign, compare in (("<", operator.lt), (">=", operator.ge)):
-        assert Expression.parse(f"y {sign} {x!r}").matches({"y": y}) == compare(y, x)
+        assert Expression.parse(f"y {sign} {x!r}").holds({"y": y}) == compare(y, x)

@@ -10,8 +10,9 @@ from harness_world import NAMES, small
 
 from sysid_bench import versions
 from sysid_bench.harness import fingerprint as fingerprints
+from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint, fingerprint
-from sysid_bench.harness.plan import Cell, expand
+from sysid_bench.harness.plan import expand
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.versions import environment
 

@@ -21,7 +21,8 @@ from sysid_bench.experiments.seed import (
     sensor_seed,
 )
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.harness.plan import Plan, expand, fields
+from sysid_bench.harness.cell import fields
+from sysid_bench.harness.plan import Plan, expand
 from sysid_bench.vocabulary import LABELS
 
 
@@ -144,7 +145,7 @@ def test_cells_are_experiments_times_estimators() -> None:
     plan = plan_of(FULL)
     # 7 robots with payloads; exact once, noisy three times; two estimators
     assert len(plan.cells) == 7 * (1 + 3) * 2
-    assert len(plan.experiments) * 2 == len(plan.cells) == len({cell.id for cell in plan.cells})
+    assert len(plan.specs) * 2 == len(plan.cells) == len({cell.id for cell in plan.cells})
     assert any("repeat 0 stands for all 3" in note for note in plan.notes)
     assert plan.seconds == pytest.approx(sum(cell.seconds for cell in plan.cells)) != 0
 
@@ -250,12 +251,12 @@ def test_a_robot_goes_by_its_label_its_source_and_its_file(robot: str, count: in
 
 def test_texts_that_no_cell_has_are_reported_with_their_nearest() -> None:
     plan = plan_of(BASED)
-    (reported,) = plan.missing_values('robot in ["ur6", "leg"] and task == "robot" and repeat == 0')
+    (reported,) = plan.unknown_values('robot in ["ur6", "leg"] and task == "robot" and repeat == 0')
     assert "robot == 'ur6'" in reported
     assert "ur5" in reported
-    (reported,) = plan.missing_values('not "zzzz" == estimator')
+    (reported,) = plan.unknown_values('not "zzzz" == estimator')
     assert "estimator == 'zzzz'; there is ols." in reported
-    assert plan.missing_values('rate == "1 kHz" or robot != "nothing"') == []
+    assert plan.unknown_values('rate == "1 kHz" or robot != "nothing"') == []
 
 
 def test_an_unknown_field_selects_nothing_and_says_so() -> None:

@@ -235,6 +235,7 @@ def start(suite: Path, out: Path, log: Path) -> "subprocess.Popen[str]":
     )
 
 
+@pytest.mark.long
 def test_kill_dash_nine_at_any_moment_then_the_same_command(tmp_path: Path) -> None:
     suite, log = tmp_path / "suite.toml", tmp_path / "executed.log"
     suite.write_text(FULL.replace('use = "ols"', 'use = "ols"\nseconds = 0.1'))

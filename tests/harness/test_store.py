@@ -19,6 +19,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import data_frames
 from sysid_bench.harness.plan import expand
 from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.work import row_files
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_rows
 
 
@@ -32,7 +33,7 @@ def test_a_run_folder_records_what_it_was_made_of(tmp_path: Path) -> None:
     run = RunFolder.open(tmp_path / "run")
     assert run.suite == read(FULL)
     assert run.plan.cells == expand(read(FULL), NAMES).cells
-    assert run.env == {"python": "3"}
+    assert run.environment == {"python": "3"}
     assert run.rows().rows == {}
     assert len(run.cells) == 0
 
@@ -114,6 +115,25 @@ def test_a_row_that_is_no_json_leaves_no_trace(tmp_path: Path) -> None:
         writer.write({"id": "b", "status": "ok"})
     assert read_rows(tmp_path).garbled == ()
     assert set(stored_rows(writer.path)) == {"b"}
+
+
+def test_a_line_that_is_too_long_is_no_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(row_files, "LARGEST_ROW", 100)
+    path = new_row_file(tmp_path, "w")
+    row = b'{"id": "%s", "status": "ok", "x": "%s"}\n'
+    path.write_bytes(row % (b"a", b"") + row % (b"b", b"x" * 950) + row % (b"c", b""))
+    with path.open("ab") as file:
+        file.write(row[:-1] % (b"d", b"x" * 70) + b"x" * 500)
+    stored = read_rows(tmp_path)
+    assert list(stored.rows) == ["a", "c"]
+    assert (stored.torn, stored.garbled) == (1, (f"{path.name}:2",))
+    assert [line.end for line in row_files.lines(path)][-1] == path.stat().st_size
+    with (
+        RowWriter(new_row_file(tmp_path, "w")) as writer,
+        pytest.raises(UsageError, match="MB are stored at most"),
+    ):
+        writer.write({"id": "e", "status": "ok", "x": "x" * 100})
+    assert writer.path.read_bytes() == b""
 
 
 def test_numbers_that_are_none_become_none() -> None:

@@ -224,16 +224,16 @@ def test_settings_reach_everything_and_nothing_else() -> None:
 
 def test_words_are_those_of_the_other_packages() -> None:
     from sysid_bench.evaluation.repeat_statistic import WITH_BOUND
-    from sysid_bench.metrics import METRICS
+    from sysid_bench.metrics import METRICS, names_of
     from sysid_bench.models.manifest import TERMS
     from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
     from sysid_bench.signals.log_checks import NAMES
 
     assert set(words.TERMS) == set(TERMS)
-    of_tables = {words.VERDICT, words.COVERAGE, *words.REPEATED, *words.JOINT_METRICS}
-    assert {*words.METRICS, *of_tables} == set(METRICS)
+    of_axes = {words.VERDICT, words.COVERAGE, *names_of("joint")}
+    assert {*names_of("cell"), *names_of("repeats"), *of_axes} == set(METRICS)
     assert set(words.LEVEL_AXES) < {metric.level for metric in METRICS.values()}
-    assert set(words.REPEATED) == {"bias", *WITH_BOUND}
+    assert set(names_of("repeats")) == {"bias", *WITH_BOUND}
     assert set(words.FINDINGS) == set(NAMES)
     assert set(words.STATISTICS) == set(STATISTICS)
     assert set(words.INTERVALS) == set(INTERVALS)

@@ -16,7 +16,7 @@ import pytest
 
 from sysid_bench.harness.work.row_files import StoredRows, read_rows
 from sysid_bench.harness.work.supervise import Ending, supervise
-from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
+from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 
 HERE = Path(__file__).parent
 CHECKOUT = HERE.parents[1]
@@ -35,8 +35,10 @@ def run(
     timeout: float = 30.0,
     fail_fast: bool = False,
     on_event: Callable[[str, Mapping[str, Any]], None] | None = None,
+    start_timeout: float = 120.0,
 ) -> tuple[Ending, StoredRows]:
-    ending = supervise(tasks, WorkerSettings(folder, timeout, 1), jobs, fail_fast, on_event)
+    settings = WorkerSettings(folder, timeout, 1, start_timeout=start_timeout)
+    ending = supervise(tasks, settings, jobs, fail_fast, on_event)
     return ending, read_rows(folder / "cells")
 
 
@@ -94,7 +96,8 @@ def test_every_kind_of_end_has_its_row(tmp_path: Path, do: str, status: str, rea
     ],
 )
 def test_a_call_that_is_wrong_itself(tmp_path: Path, call: str, status: str, reason: str) -> None:
-    _, stored = run(tmp_path, [task(0, call=call)], timeout=1.0 if "hangs" in call else 30.0)
+    timeout = 1.0 if "hangs" in call else 30.0
+    _, stored = run(tmp_path, [task(0, call=call)], timeout=timeout, start_timeout=timeout)
     assert list(stored.rows) == ["0.0"]
     assert stored.rows["0.0"]["status"] == status
     assert reason in stored.rows["0.0"]["reason"]
@@ -223,7 +226,7 @@ def test_events_report_every_row_and_every_task(tmp_path: Path) -> None:
 
 def test_an_argument_larger_than_a_pipe_does_not_hold_the_supervisor(tmp_path: Path) -> None:
     big = Job("harness_hangs_at_import:act", "x" * 1_000_000, ({"id": "a"},))
-    _, stored = run(tmp_path, [big, task(1)], timeout=3.0)
+    _, stored = run(tmp_path, [big, task(1)], timeout=6.0, start_timeout=6.0)
     assert {name: row["status"] for name, row in stored.rows.items()} == {
         "a": "timeout",
         "1.0": "ok",
@@ -234,7 +237,7 @@ PARENT = """
 import sys, threading
 from pathlib import Path
 sys.path.insert(0, {here!r})
-from sysid_bench.harness.work.worker_handle import Job, WorkerSettings
+from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.harness.work.supervise import supervise
 cells = [str(n) for n in range(4)]
 def task(cell):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
@@ -50,7 +50,7 @@ def test_named_robots_have_their_ranks(name: str) -> None:
 
 @pytest.mark.parametrize("file", FILES)
 def test_other_files_have_their_ranks(file: str) -> None:
-    (path,) = places.robot_data_folder().rglob(file)
+    (path,) = package_folders.robot_data_folder().rglob(file)
     assert inertial_base(load_robot(path)).rank == FILES[file]
 
 
@@ -62,7 +62,7 @@ def test_a_payload_adds_no_base_parameter() -> None:
 @pytest.mark.parametrize("file", ["so100.urdf", "so101.urdf"])
 def test_axes_tilted_by_rounding_are_reported_as_near_degenerate(file: str) -> None:
     """Two axes are parallel but for truncated decimals; unit columns would hide that."""
-    (path,) = places.robot_data_folder().rglob(file)
+    (path,) = package_folders.robot_data_folder().rglob(file)
     base = inertial_base(load_robot(path))
     assert base.rank == 36
     assert base.near_degenerate == 2

@@ -8,7 +8,7 @@ from sysid_bench.identifiability.feasible_bounds import (
     check_bound,
     distance_to_feasible,
 )
-from sysid_bench.identifiability.symbolic_coefficient import random_values, symbolic_coefficient
+from sysid_bench.identifiability.symbolic_coefficients import random_values, symbolic_coefficients
 from sysid_bench.spatial.inertia import NAMES, pseudo_inertia
 from sysid_bench.types import Array, Body
 
@@ -22,7 +22,7 @@ BODY = Body("b", tuple(f"b.{name}" for name in NAMES))
     ["a2", "-a2^2", "1/a3", "2 a2p", "-4 a2^2", "a2/a2p", "a2 a3/a2p", "0.5 d4", "a3 d4", "3"],
 )
 def test_a_monomial_is_found(words: str) -> None:
-    assert symbolic_coefficient([_value(words, one) for one in SETS], SETS) == words
+    assert symbolic_coefficients([_value(words, one) for one in SETS], SETS) == words
 
 
 @pytest.mark.parametrize(
@@ -31,14 +31,14 @@ def test_a_monomial_is_found(words: str) -> None:
 )
 def test_a_sum_is_found_with_its_value(first: str, second: str, sign: int) -> None:
     values = [_value(first, one) + sign * _value(second, one) for one in SETS]
-    words = symbolic_coefficient(values, SETS)
+    words = symbolic_coefficients(values, SETS)
     assert words is not None
     assert set(words.replace(" - ", " + ").removeprefix("-").split(" + ")) == {first, second}
 
 
 def test_what_no_lengths_explain_is_not_named() -> None:
-    assert symbolic_coefficient([0.123, 0.234, 0.345], SETS) is None
-    assert symbolic_coefficient([np.sin(one["a2"]) for one in SETS], SETS) is None
+    assert symbolic_coefficients([0.123, 0.234, 0.345], SETS) is None
+    assert symbolic_coefficients([np.sin(one["a2"]) for one in SETS], SETS) is None
 
 
 def _value(words: str, lengths: dict[str, float]) -> float:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.identifiability.base_expressions import (
     base_expressions,
     dropped_expressions,
@@ -80,7 +80,7 @@ def test_the_rank_of_the_mjcf_collection_is_the_structural_one(data_folder: Path
 
 @pytest.mark.parametrize("file", ["so100.urdf", "so101.urdf"])
 def test_directions_caused_by_rounding_are_named_and_make_up_the_difference(file: str) -> None:
-    (path,) = places.robot_data_folder().rglob(file)
+    (path,) = package_folders.robot_data_folder().rglob(file)
     robot = load_robot(path)
     base, R = inertial_base(robot), structural_factor(robot, robot.inertial_columns)
     directions = dropped_expressions(R, base)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sysid_bench.conformance.problem_variants import first_samples
+from sysid_bench.conformance.scaled_problem import first_samples
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.bounded import Bounded
 from sysid_bench.identification.estimators.entropic import Entropic

@@ -1,4 +1,4 @@
-"""What holds for every robot: Y is linear in theta, and two engines agree with it."""
+"""Laws of every robot: Y is linear in theta, and two engines agree with it."""
 
 import json
 from dataclasses import replace
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UnsupportedError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import PAYLOADS
@@ -81,7 +81,7 @@ def rnea(model: pin.Model, robot: RobotModel, motion: Trajectory) -> Array:
 
 def test_the_collection_of_urdfs_is_whole() -> None:
     assert len(urdf_files()) == 66
-    for file in places.robot_data_folder().rglob("*.urdf"):
+    for file in package_folders.robot_data_folder().rglob("*.urdf"):
         if str(file).endswith(MOTIONLESS):
             with pytest.raises(ModelError, match="no moving joint"):
                 load_robot(file)
@@ -105,7 +105,9 @@ def test_every_urdf_as_pinocchio_reads_it_itself(file: str) -> None:
 
 @pytest.mark.parametrize("file", FLOATING)
 def test_urdfs_that_float(file: str) -> None:
-    (path,) = [p for p in places.robot_data_folder().rglob(Path(file).name) if file in str(p)]
+    (path,) = [
+        p for p in package_folders.robot_data_folder().rglob(Path(file).name) if file in str(p)
+    ]
     robot = load_robot(path, free_base=True)
     assert robot.floating
     check(robot)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.models.load import load_robot
 from tests.robots import random_mjcf
@@ -75,7 +75,7 @@ def survives_or_says_why(text: str, suffix: str, folder: Path) -> bool:
 
 @pytest.mark.parametrize("file", FILES)
 def test_a_damaged_urdf_loads_or_is_refused(file: str, tmp_path: Path) -> None:
-    text = (places.robot_data_folder() / file).read_text(encoding="utf-8")
+    text = (package_folders.robot_data_folder() / file).read_text(encoding="utf-8")
     assert survives_or_says_why(text, ".urdf", tmp_path)
     loaded = [survives_or_says_why(damaged(text, seed), ".urdf", tmp_path) for seed in range(100)]
     assert any(loaded)

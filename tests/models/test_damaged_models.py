@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.verbs.crosscheck import crosscheck
 
@@ -112,7 +112,9 @@ def damaged(seed: int, folder: Path) -> Path:
     if (seed // len(WAYS)) % 2:
         text, suffix = random_robot(seed, ALWAYS), ".xml"
     else:
-        text = (places.robot_data_folder() / draw.choice(URDFS)).read_text(encoding="utf-8")
+        text = (package_folders.robot_data_folder() / draw.choice(URDFS)).read_text(
+            encoding="utf-8"
+        )
         text = re.sub(r"<!--.*?-->|<(transmission|gazebo).*?</\1>", "", text, flags=re.DOTALL)
         suffix = ".urdf"
     file = folder / f"robot{suffix}"
@@ -138,5 +140,5 @@ def test_a_damaged_file_is_one_sentence(seed: int, tmp_path: Path) -> None:
 
 def test_undamaged_the_same_texts_are_robots(tmp_path: Path) -> None:
     (tmp_path / "r.xml").write_text(random_robot(1, ALWAYS))
-    files = [tmp_path / "r.xml", *(places.robot_data_folder() / file for file in URDFS)]
+    files = [tmp_path / "r.xml", *(package_folders.robot_data_folder() / file for file in URDFS)]
     assert all(verdict["ok"] for verdict in crosscheck(*files, samples=2))

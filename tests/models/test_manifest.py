@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, SysidBenchError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest, read_manifest
@@ -177,7 +177,7 @@ def test_every_way_to_name_a_robot_finds_the_same_file(
 
 @pytest.mark.parametrize("name", ["", "robots", "."])
 def test_names_that_resemble_none_list_eight_robots(name: str) -> None:
-    known = places.robots()
+    known = package_folders.robots()
     with pytest.raises(UsageError) as refusal:
         find_manifest(name)
     found = re.search(rf"There are ([\w, ]+) and {len(known) - 8} more", str(refusal.value))
@@ -189,7 +189,7 @@ def test_names_that_resemble_none_list_eight_robots(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["ur55", "pandas"])
 def test_unknown_names_list_the_nearest_eight(name: str) -> None:
-    known = places.robots()
+    known = package_folders.robots()
     with pytest.raises(UsageError) as refusal:
         find_manifest(name)
     found = re.search(rf"The nearest of {len(known)}: ([\w, ]+)\.", str(refusal.value))

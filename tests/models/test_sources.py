@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -23,7 +23,7 @@ FILE = "ur_description/urdf/ur5_robot.urdf"
 @pytest.mark.parametrize("file", urdf_files())
 def test_every_file_of_a_package_is_a_source(file: str) -> None:
     manifest = find_manifest(f"example-robot-data:{file}")
-    assert manifest.path == places.robot_data_folder() / file
+    assert manifest.path == package_folders.robot_data_folder() / file
     assert manifest.name == Path(file).stem
 
 
@@ -34,11 +34,11 @@ def test_an_unknown_file_of_a_package_names_the_nearest() -> None:
 
 def test_a_robot_description_is_a_source(monkeypatch: pytest.MonkeyPatch) -> None:
     module = types.ModuleType("robot_descriptions.my_description")
-    module.URDF_PATH = str(places.robot_data_folder() / FILE)  # type: ignore[attr-defined]
+    module.URDF_PATH = str(package_folders.robot_data_folder() / FILE)  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "robot_descriptions", types.ModuleType("robot_descriptions"))
     monkeypatch.setitem(sys.modules, "robot_descriptions.my_description", module)
     manifest = find_manifest("robot_descriptions:my_description")
-    assert (manifest.name, manifest.path) == ("my", places.robot_data_folder() / FILE)
+    assert (manifest.name, manifest.path) == ("my", package_folders.robot_data_folder() / FILE)
     with pytest.raises(ModelError, match="not installed or not known"):
         find_manifest("robot_descriptions:absent_description")
 
@@ -62,7 +62,7 @@ use = "ols"
 
 
 def specs(base: str, use: str = '"ur5"') -> list[ExperimentSpec]:
-    return list(expand(parse_suite(SUITE.format(use=use, base=base))).experiments)
+    return list(expand(parse_suite(SUITE.format(use=use, base=base))).specs)
 
 
 def test_a_base_that_is_not_given_leaves_the_id_alone() -> None:

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import ModelError
 from sysid_bench.models.urdf.canonical_urdf import Mimic, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml
@@ -70,7 +70,7 @@ def skeleton(text: str) -> dict[str, tuple[str | None, str]]:
 
 @pytest.mark.parametrize("file", urdf_files())
 def test_what_is_not_repaired_keeps_all_its_numbers(file: str) -> None:
-    text = (places.robot_data_folder() / file).read_text(encoding="utf-8")
+    text = (package_folders.robot_data_folder() / file).read_text(encoding="utf-8")
     urdf = canonical_urdf(text, file)
     mended = {name for words in urdf.repairs for name in re.findall(r"link '([^']+)'", words)}
     before, after = inertials(text), inertials(urdf.text)
@@ -85,7 +85,7 @@ def test_what_is_not_repaired_keeps_all_its_numbers(file: str) -> None:
 @pytest.mark.parametrize("file", urdf_files())
 def test_the_canonical_text_is_its_own(file: str) -> None:
     """Mended once, there is nothing left to mend."""
-    urdf = canonical_urdf((places.robot_data_folder() / file).read_bytes(), file)
+    urdf = canonical_urdf((package_folders.robot_data_folder() / file).read_bytes(), file)
     again = canonical_urdf(urdf.text, file)
     assert again.repairs == ()
     assert inertials(again.text) == inertials(urdf.text)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
@@ -85,7 +85,7 @@ def test_round_trips_of_the_mjcf_collection(data_folder: Path, tmp_path: Path) -
 
 def test_round_trips_of_urdfs(tmp_path: Path) -> None:
     for seed, file in enumerate(urdf_files()[::4]):
-        check_round_trips(places.robot_data_folder() / file, seed, tmp_path)
+        check_round_trips(package_folders.robot_data_folder() / file, seed, tmp_path)
 
 
 @pytest.mark.parametrize("seed", range(40))

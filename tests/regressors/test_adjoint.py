@@ -12,7 +12,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.adjoint import (
     pull_back,
     pull_back_torque,
-    smoothed,
+    smooth_regression,
 )
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.regression import Regression, regression
@@ -61,7 +61,7 @@ def test_slopes_of_the_regressor_are_its_differences_on_any_tree(text: str, seed
     robot = robot_of(text)
     motion = states(robot, 3, seed)
     names = robot.inertial_columns + robot.term_columns(ALL_TERMS)
-    columns = smoothed(regression(robot, names))
+    columns = smooth_regression(regression(robot, names))
     G = np.random.default_rng(seed).normal(size=(3, robot.nv, len(names)))
     ours = pull_back(columns, motion, G)
     assert_slopes_agree(robot, ours, by_differences(robot, motion, weighted(columns, G)))
@@ -99,4 +99,6 @@ def test_the_smooth_sign_is_the_sign_away_from_standstill() -> None:
     motion = states(robot, 50)
     fast = replace(motion, v=np.where(np.abs(motion.v) < 1.0, 1.0, motion.v))
     sharp = regression(robot, names).dense(fast).Y
-    np.testing.assert_allclose(smoothed(regression(robot, names)).dense(fast).Y, sharp, atol=1e-9)
+    np.testing.assert_allclose(
+        smooth_regression(regression(robot, names)).dense(fast).Y, sharp, atol=1e-9
+    )

@@ -15,10 +15,10 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors import kernel_c as compiled
+from sysid_bench.regressors.block_qr import accumulate, accumulate_motions
 from sysid_bench.regressors.kernel_c import SOURCE, VARIABLE, SelectedKernel, selected_kernel
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.pinocchio import pinocchio_regressor
-from sysid_bench.regressors.qr_accumulation import accumulate, accumulate_motions
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.regressors.symbolic_regressor import c_source
 from sysid_bench.types import Array, Trajectory

@@ -9,7 +9,7 @@ from sysid_bench.models.manifest import TERMS
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.qr_factor import upper_factor
 from sysid_bench.regressors import kernel_numpy as kernel
-from sysid_bench.regressors.qr_accumulation import accumulate, dense_blocks
+from sysid_bench.regressors.block_qr import accumulate, dense_blocks
 from sysid_bench.regressors.regression import Regression, regression
 from sysid_bench.types import Array
 from tests.robots import named_robot, random_robot, relative_gap, robot_of, states

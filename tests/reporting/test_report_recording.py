@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from sysid_bench.errors import UsageError
-from sysid_bench.reporting.cell_recording import TIMELINE, record, view, view_command
+from sysid_bench.reporting.cell_recording import TIMELINE, record
 from sysid_bench.reporting.cell_summary import summary
 from sysid_bench.reporting.scene import MESH_BUDGET, scene_of
+from sysid_bench.reporting.view import view, view_command
 from sysid_bench.types import CellData, Shape, Trajectory
 
 ONE, ORIGIN = np.array([1.0, 0, 0, 0]), np.zeros(3)

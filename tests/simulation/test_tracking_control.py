@@ -10,7 +10,7 @@ from sysid_bench.errors import SimulationError, UnsupportedError, UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.regression import regression
-from sysid_bench.simulation.kinematics_only import kinematics_only
+from sysid_bench.simulation.kinematics import kinematics_of
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl, commands
 from sysid_bench.types import Array, Controller, Oracle
@@ -224,7 +224,7 @@ def test_other_recording_rates_are_refused(recording: float) -> None:
 @pytest.mark.parametrize("name", ["ur5", "icub", "file:free.xml", "file:ball.xml", RICH])
 def test_a_bare_robot_keeps_its_kinematics_and_nothing_else(name: str) -> None:
     robot = robot_of(name, "box-2kg")
-    bare = kinematics_only(robot)
+    bare = kinematics_of(robot)
     for field in ("body_pos", "body_quat", "body_parentid", "jnt_type", "jnt_qposadr", "qpos0"):
         np.testing.assert_allclose(
             getattr(bare.mj, field), getattr(robot.mj, field), rtol=0, atol=1e-15

@@ -12,7 +12,7 @@ from sysid_bench.spatial.rotation import (
     matrix_of_quaternion,
     product,
     quaternion_of_matrix,
-    quaternion_of_vector,
+    quaternion_of_rotation,
     skew,
 )
 from sysid_bench.types import Array
@@ -81,7 +81,7 @@ def test_any_rotation_matrix_is_met_again(seed: int) -> None:
 @given(seed=SEEDS, angle=st.sampled_from(ANGLES))
 def test_a_rotation_vector_is_the_matrix_exponential(seed: int, angle: float) -> None:
     r = _of_length(angle, seed)
-    R = matrix_of_quaternion(quaternion_of_vector(r))
+    R = matrix_of_quaternion(quaternion_of_rotation(r))
     np.testing.assert_allclose(R, expm(skew(r)), atol=1e-13)
 
 
@@ -108,7 +108,7 @@ def test_body_rates_are_difference_quotients(angle: float) -> None:
     dr, ddr = np.random.default_rng(101).normal(size=(2, 3))  # not along r0
     h = 1e-4
     t = h * np.arange(-2, 3)[:, None]
-    R = matrix_of_quaternion(quaternion_of_vector(r0 + dr * t + 0.5 * ddr * t**2))
+    R = matrix_of_quaternion(quaternion_of_rotation(r0 + dr * t + 0.5 * ddr * t**2))
     dR = (R[0] - 8 * R[1] + 8 * R[3] - R[4]) / (12 * h)
     ddR = (-R[0] + 16 * R[1] - 30 * R[2] + 16 * R[3] - R[4]) / (12 * h**2)
     w, alpha = body_rates(r0, dr, ddr)

@@ -11,9 +11,10 @@ from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.naming import build
 from sysid_bench.regressors.joint_features import JointFeatures, features_of
-from sysid_bench.regressors.motor_terms import MOTOR, MotorColumns, motor_names
+from sysid_bench.regressors.motor_terms import MotorColumns, motor_names
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.types import Array, Trajectory
+from sysid_bench.vocabulary import MOTOR
 
 WIDTHS: Final = (0.003, 0.01, 0.03)
 """Widths of play as shares of a joint's range: backlash of cables is of this order."""

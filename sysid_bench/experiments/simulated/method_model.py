@@ -11,7 +11,7 @@ from sysid_bench.experiments.simulated.ft_sensors import sampled_motion
 from sysid_bench.experiments.simulated.problem import term_torque
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.simulation.kinematics_only import kinematics_only
+from sysid_bench.simulation.kinematics import kinematics_of
 from sysid_bench.simulation.parametrised_plant import KnownModel, parametrised_plant
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.tasks.task import Task
@@ -75,7 +75,7 @@ def known_model(robot: RobotModel, task: Task) -> KnownModel:
     """The robot without its unknown parameters: kinematics, and the parts that the task knows."""
     coupling = task.known_coupling
     return KnownModel(
-        kinematics_only(robot), task.parameters, task.bodies, task.known_links, task.known_terms,
+        kinematics_of(robot), task.parameters, task.bodies, task.known_links, task.known_terms,
         np.zeros((robot.nv, robot.nv)) if coupling is None else coupling,
     )  # fmt: skip
 

@@ -27,7 +27,7 @@ from sysid_bench.regressors.nested_sensors import measured_regression
 from sysid_bench.simulation.parametrised_plant import KnownModel
 from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
 from sysid_bench.tasks.task import Task, TaskDefinition, find_task
-from sysid_bench.types import BaseMap, Extent, Prior, Problem
+from sysid_bench.types import BaseMap, BodyExtents, Prior, Problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class NoiseFreePart:
         return known_model(self.builder.robot, self.task)
 
     @cached_property
-    def extents(self) -> Mapping[str, Extent]:
+    def extents(self) -> Mapping[str, BodyExtents]:
         """Extent of each body, by name."""
         return body_extents(self.builder.robot)
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, instruments_of
+from sysid_bench.regressors.block_qr import accumulate, dense_blocks
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.nested_sensors import MeasuredRegressor
-from sysid_bench.regressors.qr_accumulation import accumulate, dense_blocks
 from sysid_bench.regressors.regression import TERM
 from sysid_bench.regressors.wrench import transform_wrench
 from sysid_bench.tasks.task import Task

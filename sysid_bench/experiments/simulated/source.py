@@ -21,7 +21,7 @@ from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.tasks.task import Task
-from sysid_bench.types import Array, Estimate, Extent, Problem, Row, Trajectory, Truth
+from sysid_bench.types import Array, BodyExtents, Estimate, Problem, Row, Trajectory, Truth
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class SimulatedSource:
         return self.task.truth
 
     @property
-    def extents(self) -> Mapping[str, Extent]:
+    def extents(self) -> Mapping[str, BodyExtents]:
         """Extent of each body, by name."""
         return self.noise_free.extents
 

@@ -10,10 +10,10 @@ from pydantic import BaseModel, BeforeValidator, PlainValidator, ValidationInfo
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.harness.suite.expression import Expression
 from sysid_bench.harness.suite.names import Names, name_error
-from sysid_bench.metrics import METRICS
+from sysid_bench.metrics import METRICS, ROW_FIELDS
 from sysid_bench.types import Metric
 from sysid_bench.units import quantity
-from sysid_bench.vocabulary import CELL_FIELDS, ROW_FIELDS
+from sysid_bench.vocabulary import CELL_FIELDS
 
 Value = TypeVar("Value")
 

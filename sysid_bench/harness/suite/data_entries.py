@@ -19,7 +19,7 @@ from sysid_bench.harness.suite.checks import (
     plugin_kind,
     quantity_of,
 )
-from sysid_bench.harness.suite.report_entries import Section
+from sysid_bench.harness.suite.report_entries import SuiteTable
 from sysid_bench.signals.filters import filter_of
 from sysid_bench.units import interval
 
@@ -27,7 +27,7 @@ Share = Annotated[Any, quantity_of("%")]
 Length = Annotated[Any, quantity_of("mm")]
 
 
-class Noise(Section):
+class Noise(SuiteTable):
     """Standard deviations of noise. `quantum` is the step of the encoder, `tau_correlation` the
     correlation of the torque's noise between successive samples (0: white)."""
 
@@ -48,7 +48,7 @@ class Noise(Section):
     touch: Annotated[Any, quantity_of("N")] = None  # on the last body, for the middle third
 
 
-class Prior(Section):
+class Prior(SuiteTable):
     """Standard deviations of the prior around the truth; `known` those of the parameters that the
     task takes as given, which are exact without it."""
 
@@ -99,7 +99,7 @@ def _contacts(value: Any) -> Any:
     return value
 
 
-class Signals(Section):
+class Signals(SuiteTable):
     filter: Annotated[str, PlainValidator(_filter)] = "none"
     derivatives: Annotated[str, one_of("way to differentiate", ("from q", "exact"))] = "exact"
     torque: Annotated[str, one_of("way to take torque", ("filtered", "raw"))] = "filtered"

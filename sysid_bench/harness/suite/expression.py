@@ -69,7 +69,7 @@ class Expression:
                     found += [(_name(field, ""), text) for text in texts if isinstance(text, str)]
         return found
 
-    def matches(self, cell: Mapping[str, Any]) -> bool:
+    def holds(self, cell: Mapping[str, Any]) -> bool:
         """Return whether a cell, a flat mapping with dotted keys, meets the condition.
 
         An absent field or None meets `== none` alone. A tuple holds alternative names: one that

@@ -42,7 +42,7 @@ from sysid_bench.harness.suite.report_entries import (
     Paper,
     RankingEntry,
     RowCondition,
-    Section,
+    SuiteTable,
     TableEntry,
 )
 from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, metric_record
@@ -55,7 +55,7 @@ from sysid_bench.vocabulary import FINDINGS
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
 
 
-class Plugin(Section):
+class Plugin(SuiteTable):
     """A plug-in: its name and its settings."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
@@ -157,7 +157,7 @@ def _task_of_recordings(value: Any, info: ValidationInfo) -> str:
     return str(value)
 
 
-class Defaults(Section):
+class DefaultSettings(SuiteTable):
     """Sweeps: each key holds a tuple of values."""
 
     task: Annotated[tuple[Annotated[str, PlainValidator(_task)], ...], Sweep] = ("robot",)
@@ -198,7 +198,7 @@ def _sensor(value: str | None, info: ValidationInfo) -> str | None:
     return value
 
 
-class RobotEntry(Section):
+class RobotEntry(SuiteTable):
     use: Annotated[tuple[Annotated[str, PlainValidator(_robot_name)], ...], Sweep]
     payloads: Annotated[tuple[Load, ...], Sweep] = ("none",)
     free_base: StrictBool | None = None  # None: as the robot's manifest has it
@@ -229,7 +229,7 @@ def _candidate(value: Any) -> Any:
 Candidates = tuple[Annotated[str, PlainValidator(_candidate)], ...]
 
 
-class LogEntry(Section):
+class LogEntry(SuiteTable):
     """Recordings of a real robot; `filter`, `moving`, `terms` and `choose` may be sweeps."""
 
     robot: Annotated[Any, PlainValidator(_robot_name)]
@@ -252,12 +252,12 @@ class LogEntry(Section):
         return self.name or " + ".join(name_of(log) for log in self.train)
 
 
-class Exclude(Section):
+class Exclude(SuiteTable):
     when: PlanCondition
     reason: StrictStr
 
 
-class Crosscheck(Section):
+class Crosscheck(SuiteTable):
     tolerance: Annotated[Any, quantity_of("1", positive=True)] = 1e-12
     on_fail: Annotated[
         str, one_of("answer to a failed cross-check", ("skip-robot", "continue"))
@@ -302,26 +302,26 @@ class MetricEntry(Plugin):
         return metric_from_record(self.record or {})
 
 
-class Worst(Section):
+class Worst(SuiteTable):
     metric: CellMetric
     count: StrictInt = Field(default=1, ge=1)
     per: Label | None = None
 
 
-class Record(Section):
+class Record(SuiteTable):
     when: RowCondition | None = None
     worst: Worst | None = None
     max_hz: Annotated[Any, quantity_of("Hz", positive=True)] = 50.0
 
 
-class Run(Section):
+class Run(SuiteTable):
     timeout: Annotated[Any, quantity_of("s", positive=True)] = "60 s"
     memory: Annotated[Any, quantity_of("B", positive=True)] = "4 GB"
     threads: StrictInt = Field(default=1, ge=1)
     repeats: StrictInt = Field(default=1, ge=1)
 
 
-class Origin(Section):
+class Origin(SuiteTable):
     """Origin of a suite: its folder, the user's robots, the typed command."""
 
     folder: StrictStr
@@ -329,7 +329,7 @@ class Origin(Section):
     command: StrictStr | None = None
 
 
-class Suite(Section):
+class Suite(SuiteTable):
     """A suite with every key filled in, sweeps as tuples, quantities as written."""
 
     schema_: Annotated[Literal[1], Field(alias="schema")]
@@ -338,7 +338,7 @@ class Suite(Section):
     seed: StrictInt = Field(default=0, ge=0)
     origin: Origin | None = None
     run: Run = Run()
-    defaults: Defaults = Field(default={}, validate_default=True)
+    defaults: DefaultSettings = Field(default={}, validate_default=True)
     robot: tuple[RobotEntry, ...] = ()
     log: tuple[LogEntry, ...] = ()
     estimator: Annotated[tuple[Estimator, ...], BeforeValidator(nonempty)]

@@ -29,7 +29,7 @@ from sysid_bench.vocabulary import (
 RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
 
 
-class Section(BaseModel):
+class SuiteTable(BaseModel):
     """A table of the suite file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -40,7 +40,7 @@ CellMetric = Annotated[str, metric_name("metric", lambda metric: metric.level ==
 RankedMetric = Annotated[str, metric_name("metric to rank by", lambda metric: metric.ranked)]
 
 
-class TableCells(Section):
+class TableCells(SuiteTable):
     metric: AnyMetric | None = None
     stat: Annotated[str, one_of("statistic", STATISTICS)] = "median"
     interval: Annotated[str, one_of("interval", INTERVALS)] = "none"
@@ -53,7 +53,7 @@ Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A
 Axis = Annotated[str, one_of("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM, JOINT))]
 
 
-class TableEntry(Section):
+class TableEntry(SuiteTable):
     name: Folder
     title: StrictStr | None = None
     rows: tuple[Axis, ...] = ("robot", "payload")
@@ -88,7 +88,7 @@ class TableEntry(Section):
         return self
 
 
-class Paper(Section):
+class Paper(SuiteTable):
     """A table or figure as papers print it: `model` (bodies and joints), `base-parameters` with the
     values of a cell, `torques` measured and predicted along a test log."""
 
@@ -99,7 +99,7 @@ class Paper(Section):
     test: StrictStr | None = None
 
 
-class RankingEntry(Section):
+class RankingEntry(SuiteTable):
     """Comparison of methods over robots; one ranking for each value of the labels `apart`."""
 
     name: Folder

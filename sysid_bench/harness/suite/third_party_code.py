@@ -10,7 +10,7 @@ from sysid_bench.naming import is_third_party, known
 from sysid_bench.signals.log_description import log_description
 
 
-def third_party_plugins(suite: Suite) -> tuple[tuple[str, str], ...]:
+def third_party_names(suite: Suite) -> tuple[tuple[str, str], ...]:
     """Return (kind, name) of each third-party plug-in that a suite names, once each."""
     return tuple(dict.fromkeys(used for used in _plugins(suite) if is_third_party(*used)))
 

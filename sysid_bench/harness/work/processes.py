@@ -38,7 +38,7 @@ def with_parent(parent: int, at_its_end: int = signal.SIGKILL) -> None:
         os._exit(1)
 
 
-def go_on_guarded(parent: int, close: Callable[[], None]) -> None:
+def start_guarded(parent: int, close: Callable[[], None]) -> None:
     """Go on in a fork of this process, on Linux; this process stays, as the guard of the fork.
 
     When the fork or `parent` ends, however it does, the guard ends all that the fork has started,

@@ -32,6 +32,6 @@ def _are_columns(columns: Any) -> bool:
     return all(isinstance(v, list) for v in values) and len(set(map(len, values))) == 1
 
 
-def not_files(folder: Path, pattern: str) -> list[str]:
+def other_files(folder: Path, pattern: str) -> list[str]:
     """Return the names of folders, devices, pipes and dangling links: they are not read."""
     return sorted(path.name for path in folder.glob(pattern) if not path.is_file())

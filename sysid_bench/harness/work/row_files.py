@@ -12,11 +12,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import IO, Any, Final, NamedTuple
 
 from sysid_bench.canonical_json import plain
-from sysid_bench.harness.work.row_check import TABLES, is_row, not_files
+from sysid_bench.errors import UsageError
+from sysid_bench.harness.work.row_check import TABLES, is_row, other_files
 from sysid_bench.types import Row
+
+LARGEST_ROW: Final = 2**26
+"""Most bytes of a row; a longer line is not read into memory."""
 
 SYNC_SECONDS = 1.0
 """Interval of fsync; once per row would cost four times as much as writing it."""
@@ -41,6 +45,17 @@ class Line(NamedTuple):
     unfinished: bool
 
 
+class RowStart(NamedTuple):
+    """Row file and offset of a row."""
+
+    path: Path
+    start: int
+
+    def read(self) -> Row:
+        """Return the row."""
+        return with_entries(json.loads(next(lines(self.path, 0, self.start)).text))
+
+
 class RowWriter:
     """Appends rows to its own file; once `append` returns, the operating system holds the row."""
 
@@ -50,8 +65,15 @@ class RowWriter:
         self._synced = time.monotonic()
 
     def write(self, row: Row) -> None:
-        """Append one line. Raises TypeError before writing for values that are not JSON."""
-        self._append(json.dumps(_by_column(plain(row))).encode() + b"\n")
+        """Append one line. Raises before writing: TypeError for values that are not JSON,
+        UsageError for a row that no reader takes."""
+        line = json.dumps(_by_column(plain(row))).encode() + b"\n"
+        if len(line) > LARGEST_ROW:
+            raise UsageError(
+                f"The row has {len(line) / 1e6:.0f} MB; {LARGEST_ROW / 1e6:.0f} MB are stored at "
+                "most. Let the method return less in 'stats'."
+            )
+        self._append(line)
         if time.monotonic() - self._synced > SYNC_SECONDS:
             self._sync()
 
@@ -112,7 +134,7 @@ def read_rows(
     tables of the rows.
     """
     rows: dict[str, Row] = {}
-    torn, garbled = 0, not_files(folder, "*.jsonl")
+    torn, garbled = 0, other_files(folder, "*.jsonl")
     for path in row_files(folder):
         for line in lines(path, *(start or {}).get(path.name, (0, 0))):
             row = parse_row(line.text)
@@ -124,6 +146,15 @@ def read_rows(
             else:
                 garbled.append(f"{path.name}:{line.number}")
     return StoredRows(rows, torn, tuple(garbled))
+
+
+def rows_with_places(folder: Path) -> Iterator[tuple[Row, RowStart]]:
+    """Yield each row of a folder of row files and its place, one in memory at a time."""
+    for path in row_files(folder):
+        for line in lines(path):
+            row = parse_row(line.text)
+            if row is not None:
+                yield with_entries(row), RowStart(path, line.end - len(line.text))
 
 
 def find_row(folder: Path, cell: str) -> Row | None:
@@ -157,13 +188,25 @@ def _number(path: Path) -> int:
 
 
 def lines(path: Path, number: int = 0, offset: int = 0) -> Iterator[Line]:
-    """Yield the lines with a text behind a line and its offset, one in memory at a time."""
+    """Yield the lines with a text behind a line and its offset, one in memory at a time. The
+    text of one with more than LARGEST_ROW bytes, which is not a row, is left out."""
     with path.open("rb") as file:
         file.seek(offset)
-        for text in file:
-            number, offset = number + 1, offset + len(text)
-            if text.strip():
-                yield Line(number, text, offset, not text.endswith(b"\n"))
+        while text := file.readline(LARGEST_ROW):
+            number, is_ended = number + 1, text.endswith(b"\n")
+            is_long = len(text) == LARGEST_ROW and not is_ended
+            if is_long:
+                text, is_ended = b"", _skip_line(file)
+            if is_long or text.strip():
+                yield Line(number, text, file.tell(), not is_ended)
+
+
+def _skip_line(file: IO[bytes]) -> bool:
+    """Read on to the end of a line, a part at a time; False where it does not end."""
+    while part := file.readline(LARGEST_ROW):
+        if part.endswith(b"\n"):
+            return True
+    return False
 
 
 def parse_row(line: bytes) -> Row | None:

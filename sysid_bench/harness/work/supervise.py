@@ -15,12 +15,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.harness.work.interrupts import on_interrupt
+from sysid_bench.errors import FAILURES, UsageError, reason_of
+from sysid_bench.experiments.machine_use import machine_fields
+from sysid_bench.harness.work.interrupt import on_interrupt
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file
-from sysid_bench.harness.work.worker_handle import Inbox, Job, Worker, WorkerSettings
+from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 from sysid_bench.types import Row
-from sysid_bench.vocabulary import FAILURES
 
 OnEvent = Callable[[str, Mapping[str, Any]], None]
 """Called as on_event("start", {worker, cells}), ("row", {id, status, reason}) and
@@ -103,7 +103,7 @@ class _Supervisor:
 
     def _assign_jobs(self) -> None:
         while self.waiting:
-            worker = next((idle for idle in self.workers if idle.job is None), None)
+            worker = next((idle for idle in self.workers if idle.is_idle), None)
             if worker is None:
                 if len(self.workers) >= max(1, self.max_workers):
                     return
@@ -139,6 +139,8 @@ class _Supervisor:
             self._end_dead(worker)
         elif notice.get("job") != worker.number or worker.job is None:
             return  # of a job that has ended
+        elif "progress" in notice:
+            return
         elif "begin" in notice:
             worker.start_time_limit()
         elif "cell" in notice:
@@ -150,11 +152,13 @@ class _Supervisor:
             self._handle_end(worker, notice)
 
     def _handle_end(self, worker: Worker, notice: Mapping[str, Any]) -> None:
-        """Handle the last notice of a job: {done}, {failed}, {dead} or {full}."""
+        """Handle the last notice of a job: {done}, {failed}, {dead}, {full} or {left}."""
         if "full" in notice:
             raise self._storage_error(notice["full"])
-        if "dead" in notice:
-            self._end_job(worker, notice["status"], notice["dead"])
+        worker.has_left = "left" in notice
+        if "dead" in notice or worker.has_left:
+            reason = notice.get("dead", "its process ended without a row")
+            self._end_job(worker, notice.get("status", "failed"), reason)
         elif "done" in notice:
             call = worker.job.call if worker.job else ""
             self._settle(worker, worker.open_cells, "failed", f"{call} ended without a row.")
@@ -172,11 +176,11 @@ class _Supervisor:
             self._check_row_files()
         for worker in list(self.workers):
             if worker.deadline <= now:
-                limit = f"longer than the limit of {self.settings.timeout:g} s"
+                limit = f"longer than the limit of {worker.limit:g} s"
                 self._kill(worker, "timeout", limit)
             elif worker.process.poll() is not None:
                 self._end_dead(worker)
-            elif look and worker.job is not None and worker.is_over_memory():
+            elif look and worker.job is not None and worker.is_out_of_memory():
                 limit = f"more than the limit of {(self.settings.memory or 0.0) / 1e9:g} GB"
                 self._kill(worker, "memory", limit)
 
@@ -210,9 +214,9 @@ class _Supervisor:
         self.workers.remove(worker)
 
     def _end_dead(self, worker: Worker) -> None:
-        worker.kill()
+        end = worker.end()
         self._hear_rest(worker)
-        self._end_job(worker, *worker.end_of_process())
+        self._end_job(worker, *end)
         self.workers.remove(worker)
 
     def _hear_rest(self, worker: Worker) -> None:
@@ -228,7 +232,7 @@ class _Supervisor:
                     self._handle_notice(worker, notice)
         for item in others:
             self.inbox.put(item)
-        for row in worker.unannounced_rows():
+        for row in worker.rows_of_open_cells():
             worker.close_cell(row["id"])
             self._count(row["id"], row.get("status"), row.get("reason"))
 
@@ -265,11 +269,9 @@ class _Supervisor:
         more: Mapping[str, Any] | None = None,
     ) -> None:
         """Write rows with this status for cells of the present job."""
+        fields = {"status": status, "reason": reason, **(more or {}), **machine_fields(None)}
         for cell in list(cells):
-            head = worker.open_cells.pop(cell)
-            self._write(
-                {**_row_head(head, status), "status": status, "reason": reason, **(more or {})}
-            )
+            self._write({**_row_head(worker.open_cells.pop(cell), status), **fields})
 
     def _write(self, row: Row) -> None:
         with self._storing():

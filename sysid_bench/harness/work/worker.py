@@ -2,10 +2,11 @@
 
 In: settings {parent, path, rows, memory}, then jobs {number, call, argument, cells, losses}; null
 ends the worker. Out, each with the number of its job: {begin}, {cell: id} before a cell,
-{row: id, status, reason}, and at the end {done: value}, {failed: reason, status, traceback},
-{dead: reason, status}, or {full: reason} where a row cannot be stored. A row is stored before it is
-announced, so that it survives the supervisor. The worker ends at once when its input ends. On Linux
-it is the fork of a guard, which leaves nothing of it behind (see processes.py).
+{row: id, status, reason}, {progress: value}, and at the end {done: value},
+{failed: reason, status, traceback}, {dead: reason, status}, or {full: reason} where a row cannot be
+stored; with {left: true} third-party code has run in this process, which ends then. A row is stored
+before it is announced, so that it survives the supervisor. The worker ends at once when its input
+ends. On Linux it is the fork of a guard, which leaves nothing of it behind (see processes.py).
 """
 
 import contextlib
@@ -27,9 +28,10 @@ from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError, reason_of, status_of
 from sysid_bench.experiments.job_channel import Death, JobChannel, JobDeath
 from sysid_bench.harness.work.isolate import CAN_FORK, Message, Send, isolate
-from sysid_bench.harness.work.processes import go_on_guarded
+from sysid_bench.harness.work.processes import start_guarded
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
+from sysid_bench.vocabulary import LABELS
 
 try:
     import resource
@@ -43,6 +45,15 @@ class _StorageError(Exception):
     """A row that the file system does not take."""
 
 
+class _Left(BaseException):
+    """End of a job in a process that third-party code may have changed; `death`: its end before a
+    row."""
+
+    def __init__(self, death: Death | None) -> None:
+        super().__init__()
+        self.death = death
+
+
 def main() -> None:
     """Run jobs until the input ends."""
     jobs_in, notices_out = _take_pipes()
@@ -51,7 +62,7 @@ def main() -> None:
     settings = json.loads(jobs_in.readline() or b"null")
     if settings is None:
         return
-    go_on_guarded(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
+    start_guarded(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
     _limit_memory(settings["memory"])
     threading.Thread(target=_listen, args=(jobs_in, inbox), daemon=True).start()
     sys.path[:] = list(dict.fromkeys([*settings["path"], *sys.path]))
@@ -61,7 +72,9 @@ def main() -> None:
             if job is None:
                 writer.close()
                 os._exit(0)  # exit hooks of libraries may hang
-            _run(job, writer, _notifier(notices_out, job["number"]))
+            if not _run(job, writer, _notifier(notices_out, job["number"])):
+                writer.close()
+                os._exit(0)
 
 
 def _take_pipes() -> tuple[BinaryIO, BinaryIO]:
@@ -115,7 +128,8 @@ def _notifier(notices_out: BinaryIO, number: int) -> Send:
     return notify
 
 
-def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> None:
+def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> bool:
+    """Run a job; return True where this process can take another one."""
     try:
         function = _function(job["call"])
         notify({"begin": True})
@@ -125,11 +139,17 @@ def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> None:
         notify({"full": reason_of(error.__cause__ or error)})
     except JobDeath as ended:
         notify({"dead": ended.death.reason, "status": ended.death.status})
+    except _Left as left:
+        death = left.death
+        end = {} if death is None else {"dead": death.reason, "status": death.status}
+        notify({"left": True, **end})
+        return False
     except BaseException as error:  # sys.exit() of a plug-in fails its job, and nothing more
         text = traceback.format_exc()
         notify({"failed": reason_of(error), "status": status_of(error), "traceback": text})
     else:
         notify({"done": value})
+    return True
 
 
 def _function(call: str) -> Function:
@@ -162,14 +182,26 @@ class _Channel:
 
     def isolate(self, function: Callable[[JobChannel], Any]) -> Death | None:
         if not CAN_FORK:
-            function(self)
-            return None
+            raise _Left(self._end_here(function))
         return isolate(
             lambda send: function(_ForkedChannel(self.call, self.open_cells, send)), self._receive
         )
 
+    def _end_here(self, function: Callable[[JobChannel], Any]) -> Death | None:
+        """Run a function in this process, which goes on with nothing else then."""
+        try:
+            function(self)
+        except (_Left, _StorageError):
+            raise
+        except BaseException as error:
+            return Death(status_of(error), reason_of(error), traceback.format_exc())
+        return None
+
     def begin(self, cell: str) -> None:
         raise NotImplementedError
+
+    def progress(self, value: Any) -> None:
+        """Pass on a figure; a fork has nobody who listens."""
 
     def _store(self, row: Row) -> None:
         raise NotImplementedError
@@ -197,14 +229,28 @@ class _StoringChannel(_Channel):
     def begin(self, cell: str) -> None:
         self.notify({"cell": cell})
 
+    def progress(self, value: Any) -> None:
+        self.notify({"progress": value})
+
     def _store(self, row: Row) -> None:
         if row.get("status") == "lost":
             row = {**row, "losses": self.losses.get(row["id"], 0) + 1}
         try:
-            self.writer.write(row)
+            row = self._written(row)
         except OSError as error:
             raise _StorageError from error
         self.notify({"row": row["id"], "status": row.get("status"), "reason": row.get("reason")})
+
+    def _written(self, row: Row) -> Row:
+        """Write a row, or in place of one that is too large its labels with the reason."""
+        try:
+            self.writer.write(row)
+        except UsageError as error:
+            labels = ("id", "experiment", *LABELS, "repeat", "fingerprint")
+            row = {key: row[key] for key in labels if key in row}
+            row |= {"status": "failed", "reason": str(error)}
+            self.writer.write(row)
+        return row
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import json
 import queue
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,12 +11,18 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from sysid_bench.errors import SysidBenchError, UsageError
-from sysid_bench.harness.work.worker_handle import Inbox, Job, Worker, WorkerSettings
+from sysid_bench.harness.work.worker_process import Inbox, Job, Worker, WorkerSettings
 
 MEMORY: Final = 4e9
 """Default limit (bytes) of a call."""
 _POLL_SECONDS: Final = 0.2
 _REST: Final = "It ran in a process of its own, which has ended; all else is as it was."
+
+OnProgress = Callable[[Any], None]
+
+
+def _ignore(progress: Any) -> None:
+    pass
 
 
 class WorkerError(SysidBenchError):
@@ -30,10 +36,15 @@ class WorkerError(SysidBenchError):
 @dataclass(eq=False)
 class CallWorker:
     """Worker process for calls one after the other; it starts with the first call, and again after
-    a call that has ended it. `timeout` (s) holds for each call, its start-up apart."""
+    a call that has ended it. `timeout` (s) holds for each call, its start-up apart.
+
+    An interrupt ends the worker, or with `interrupt_timeout` (s) interrupts the function, which may
+    return a value within this time; a second one ends the worker.
+    """
 
     timeout: float
     memory: float | None = MEMORY
+    interrupt_timeout: float = 0.0
     output: str = field(default="", init=False)  # that a worker had printed when it ended
 
     def __post_init__(self) -> None:
@@ -53,8 +64,11 @@ class CallWorker:
         self._end()
         self._folder.cleanup()
 
-    def call(self, function: str, argument: Any, title: str) -> Any:
-        """Return the JSON value of "module:function", called with (argument, JobChannel).
+    def call(
+        self, function: str, argument: Any, title: str, on_progress: OnProgress = _ignore
+    ) -> Any:
+        """Return the JSON value of "module:function", called with (argument, JobChannel), whose
+        progress is given to `on_progress`.
 
         Raises WorkerError, whose message begins with `title`, where it raises, hangs, ends its
         process or needs more memory than the limit; UsageError for an argument that is not JSON.
@@ -66,7 +80,7 @@ class CallWorker:
         worker = self._started()
         worker.start_job(Job(function, argument, cells=()))
         try:
-            notice = self._wait(worker)
+            notice = self._last_notice(worker, on_progress)
         except BaseException:
             self._end()
             raise
@@ -83,7 +97,19 @@ class CallWorker:
             self._worker = Worker("worker1", settings, self._inbox)
         return self._worker
 
-    def _wait(self, worker: Worker) -> Mapping[str, Any]:
+    def _last_notice(self, worker: Worker, on_progress: OnProgress) -> Mapping[str, Any]:
+        try:
+            return self._wait(worker, on_progress)
+        except KeyboardInterrupt:
+            if self.interrupt_timeout <= 0.0:
+                raise
+            worker.interrupt(self.interrupt_timeout)
+            notice = self._wait(worker, _ignore)
+            if "done" not in notice:
+                raise
+            return notice
+
+    def _wait(self, worker: Worker, on_progress: OnProgress) -> Mapping[str, Any]:
         """Return the last notice of the present job, or {dead, status} of a worker that ended."""
         while True:
             pause = max(0.0, min(_POLL_SECONDS, worker.deadline - time.monotonic()))
@@ -100,23 +126,24 @@ class CallWorker:
                 return self._end_of(worker)
             if "begin" in notice:
                 worker.start_time_limit()
+            elif "progress" in notice:
+                on_progress(notice["progress"])
             elif notice.keys() & {"done", "failed", "dead"}:
                 return notice
 
     def _over_limit(self, worker: Worker) -> Mapping[str, Any] | None:
         if worker.deadline <= time.monotonic():
-            reason = f"it ran longer than the limit of {self.timeout:g} s"
+            reason = f"it ran longer than the limit of {worker.limit:g} s"
             return {"dead": reason, "status": "timeout"}
         if worker.process.poll() is not None:
             return self._end_of(worker)
-        if worker.is_over_memory():
+        if worker.is_out_of_memory():
             reason = f"it took more memory than the limit of {(self.memory or 0.0) / 1e9:g} GB"
             return {"dead": reason, "status": "memory"}
         return None
 
     def _end_of(self, worker: Worker) -> Mapping[str, Any]:
-        worker.kill()
-        status, reason = worker.end_of_process()
+        status, reason = worker.end()
         return {"dead": reason, "status": status}
 
     def _end(self) -> None:

@@ -5,12 +5,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.identification.simulation_based.filters import (
+from sysid_bench.identification.simulation_based.forward_model import finite_difference
+from sysid_bench.identification.simulation_based.joint_filter import (
     FilterEstimate,
     JointFilter,
     joint_filter,
 )
-from sysid_bench.identification.simulation_based.forward_model import finite_difference
 from sysid_bench.types import Array, Estimate, Experiment
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import chdtr, chdtri
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.linear.m_estimation import row_scales
+from sysid_bench.identification.linear.m_estimation import row_scale
 from sysid_bench.identification.linear.residuals import (
     has_converged,
     residuals,
@@ -43,7 +43,7 @@ class IRLS:
         # Joints that no parameter acts on have no residual to whiten.
         felt = np.array([len(factor.columns) > 0 for factor in problem.factors])
         farthest, share = _within(self.cut, int(felt.sum()))
-        whiten = np.diag(1 / row_scales(problem, residuals(problem, beta))[felt])
+        whiten = np.diag(1 / row_scale(problem, residuals(problem, beta))[felt])
         for iteration in range(1, self.iterations + 1):
             residual = residuals(problem, beta)[:, felt]
             if iteration <= HOLD_AFTER:

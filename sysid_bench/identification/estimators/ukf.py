@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.errors import EstimationError
-from sysid_bench.identification.simulation_based.filters import (
+from sysid_bench.identification.simulation_based.joint_filter import (
     FilterEstimate,
     JointFilter,
     joint_filter,

@@ -8,7 +8,7 @@ from typing import Final
 
 import clarabel
 import numpy as np
-from scipy import sparse
+import scipy
 from scipy.linalg import cho_factor, cho_solve
 
 from sysid_bench.errors import EstimationError
@@ -56,7 +56,7 @@ class Limits:
 class _Cones:
     """Constraints h - G x in a product of cones: `linear` half-spaces, then PSD triangles."""
 
-    G: sparse.csc_matrix
+    G: "scipy.sparse.csc_matrix"
     h: Array
     linear: int
     bodies: int
@@ -84,17 +84,17 @@ def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Lim
     rows: list[_Bound] = [(np.array([i]), np.array([-1.0]), 0.0) for i in feasible.nonnegative]
     for at in feasible.indices:
         rows += _body_rows(at, limits)
-    G = sparse.lil_matrix((len(rows), p))
+    G = scipy.sparse.lil_matrix((len(rows), p))
     for k, (at, coefficients, _) in enumerate(rows):
         G[k, at] = coefficients
     h = np.array([bound for *_, bound in rows])
     if limits.margin is None or nb == 0:
         return _Cones(G.tocsc(), h, len(rows), 0)
     triangle = _triangle(limits.margin)
-    blocks = sparse.lil_matrix((10 * nb, p))
+    blocks = scipy.sparse.lil_matrix((10 * nb, p))
     for b, at in enumerate(feasible.indices):
         blocks[10 * b : 10 * b + 10, at] = -triangle
-    stacked = sparse.vstack([G, blocks], format="csc")
+    stacked = scipy.sparse.vstack([G, blocks], format="csc")
     # J >= LEAST 1 rather than J >= 0: the solver's tolerance then stays on the feasible side.
     least = np.tile(-LEAST * _entries(np.eye(4)), nb)
     return _Cones(stacked, np.append(h, least), len(rows), nb)
@@ -212,9 +212,9 @@ def _solved(
     origin, T = origin + T @ free, T * size
     for step in STEPS:
         answer = clarabel.DefaultSolver(
-            sparse.csc_matrix(np.triu(P)),
+            scipy.sparse.csc_matrix(np.triu(P)),
             np.zeros(len(q)),
-            sparse.csc_matrix(cones.G @ T),
+            scipy.sparse.csc_matrix(cones.G @ T),
             cones.h - cones.G @ origin,
             cones.cones(),
             _settings(step),

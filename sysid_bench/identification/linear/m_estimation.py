@@ -55,7 +55,7 @@ def m_estimate(
     for iteration in range(1, iterations + 1):
         residual = residuals(problem, beta)
         if scales is None or iteration <= hold_after:
-            scales = row_scales(problem, residual)
+            scales = row_scale(problem, residual)
         R = stacked_factor(problem, (1.0 / scales).tolist())[:-1, :-1]
         roots = np.sqrt(loss.weight(residual / scales)) / scales
         change, _ = step(R, _scaled_blocks(problem, residual, roots))
@@ -90,6 +90,6 @@ def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
     return Estimate(fit.beta, covariance=spread @ spread.T, stats=stats)
 
 
-def row_scales(problem: Problem, residual: Array) -> Array:
+def row_scale(problem: Problem, residual: Array) -> Array:
     """MAD scale (rows,) of residuals (N, rows), above rounding."""
     return with_floor(problem, np.median(np.abs(residual), axis=0) / MAD_OF_GAUSSIAN)

@@ -22,8 +22,7 @@ class Parquet:
     def read(self, path: Path) -> LogTable:
         """Return the columns by name; raises UsageError where none holds numbers, or for a damaged
         file."""
-        import pyarrow  # 0.2 s, spent only where such a file is read
-        import pyarrow.parquet
+        import pyarrow.parquet  # 0.2 s, spent only where such a file is read
 
         try:
             check_file(path, LARGEST_LOG)

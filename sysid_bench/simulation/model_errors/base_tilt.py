@@ -9,7 +9,7 @@ from sysid_bench.models.displaced_robot import with_gravity
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.directions import random_directions
 from sysid_bench.simulation.sizes import check_not_negative
-from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_vector
+from sysid_bench.spatial.rotation import matrix_of_quaternion, quaternion_of_rotation
 from sysid_bench.types import Array
 
 
@@ -35,7 +35,7 @@ class BaseTilt:
         if self.angle == 0.0 or not gravity.any():
             return robot
         axis = along @ _across(gravity)
-        R = matrix_of_quaternion(quaternion_of_vector(self.angle * axis))
+        R = matrix_of_quaternion(quaternion_of_rotation(self.angle * axis))
         return with_gravity(robot, R @ gravity)
 
 

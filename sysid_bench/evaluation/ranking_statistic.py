@@ -9,7 +9,7 @@ from itertools import combinations
 from typing import Final, Literal
 
 import numpy as np
-from scipy.stats import wilcoxon
+import scipy
 
 from sysid_bench.types import Array
 
@@ -81,7 +81,7 @@ def wilcoxon_holm_reference(values: Array, reference: int) -> Array:
 
 def _corrected_p_values(values: Array, pairs: Sequence[tuple[int, int]]) -> Array:
     # Rounding makes equal ratios exact ties.
-    logs = np.round(np.log(failures_last(values)), 9)
+    logs = np.round(np.log(failed_last(values)), 9)
     first, second = np.array(pairs, dtype=int).reshape(-1, 2).T
     differences = logs[:, first] - logs[:, second]
     p = np.ones(len(pairs))
@@ -89,7 +89,7 @@ def _corrected_p_values(values: Array, pairs: Sequence[tuple[int, int]]) -> Arra
     if different.any():
         # By default SciPy resolves ties by permutations: minutes for all pairs of 24 methods.
         method: Literal["exact", "approx"] = "exact" if len(values) <= 50 else "approx"
-        p[different] = wilcoxon(differences[:, different], axis=0, method=method).pvalue
+        p[different] = scipy.stats.wilcoxon(differences[:, different], axis=0, method=method).pvalue
     return holm(p)
 
 
@@ -127,7 +127,7 @@ def performance_profile(values: Array, ratios: Array) -> Array:
     return np.asarray(within.mean(axis=1))
 
 
-def failures_last(values: Array) -> Array:
+def failed_last(values: Array) -> Array:
     """Return values (cases, methods) with each failure replaced by ten times the worst of its
     case."""
     none = np.isnan(values).all(axis=1, keepdims=True)

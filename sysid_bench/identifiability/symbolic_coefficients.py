@@ -41,7 +41,7 @@ def random_values(symbols: Mapping[str, float], count: int = 3) -> list[dict[str
     ]
 
 
-def symbolic_coefficient(
+def symbolic_coefficients(
     values: Sequence[float], lengths: Sequence[Mapping[str, float]]
 ) -> str | None:
     """Return the simplest expression with these values at these sets of lengths; None if there is

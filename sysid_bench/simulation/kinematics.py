@@ -14,7 +14,7 @@ from sysid_bench.models.robot import JointTerms, RobotModel
 from sysid_bench.spatial.rotation import quaternion_of_matrix
 
 
-def kinematics_only(robot: RobotModel) -> RobotModel:
+def kinematics_of(robot: RobotModel) -> RobotModel:
     """Return a robot with the kinematics, names, limits and spring references of another, and
     nothing else.
 

@@ -26,6 +26,8 @@ from sysid_bench.types import Row
 Inbox = queue.SimpleQueue[tuple["Worker | None", dict[str, Any] | None]]
 """(worker, notice); None at the end of its output. (None, None) wakes the supervisor."""
 
+_END_SECONDS = 10.0
+"""Time for a process to end by itself, after its output and before its guard."""
 _GUARD_SECONDS = 15.0
 """Time for a guard to end a worker and all that it has started."""
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -55,6 +57,7 @@ class WorkerSettings:
     threads: int
     keep_open: tuple[int, ...] = ()
     memory: float | None = None  # bytes of a worker and of all that it starts
+    start_timeout: float = 120.0  # s, for the start of a worker, where that is above `timeout`
 
 
 @dataclass(eq=False)
@@ -70,6 +73,8 @@ class Worker:
     open_cells: dict[str, Row] = field(default_factory=dict)
     current: str | None = None  # the cell that has begun
     has_begun: bool = False  # True once the job has begun a cell: its experiment is prepared
+    has_left: bool = False  # True where the process takes no other job
+    limit: float = float("inf")  # s, until the deadline
     deadline: float = float("inf")
 
     def __post_init__(self) -> None:
@@ -86,7 +91,11 @@ class Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            env={**_environment(self.settings.threads), MARK: self._mark, "TMPDIR": self._scratch},
+            env={
+                **worker_environment(self.settings.threads),
+                MARK: self._mark,
+                "TMPDIR": self._scratch,
+            },
             pass_fds=self.settings.keep_open,
             start_new_session=True,  # Ctrl-C reaches the supervisor alone
         )
@@ -103,13 +112,19 @@ class Worker:
             }
         )
 
+    @property
+    def is_idle(self) -> bool:
+        """True where a job can be started."""
+        return self.job is None and not self.has_left
+
     def start_job(self, job: Job) -> None:
-        """Send a job; its time limit counts from now, and again once its module is imported."""
+        """Send a job. It has the time limit of a start now, and its own once its module, which a
+        fresh worker loads for seconds, is imported."""
         self.job, self.number = job, self.number + 1
         self.current, self.has_begun = None, False
         self.open_cells = {cell["id"]: cell for cell in job.cells}
         self._log_start = self._log.total
-        self.start_time_limit()
+        self._set_deadline(max(self.settings.timeout, self.settings.start_timeout))
         losses = {cell["id"]: cell["losses"] for cell in job.cells if cell.get("losses")}
         self._outbox.put(
             {
@@ -134,14 +149,25 @@ class Worker:
         self.start_time_limit()
 
     def start_time_limit(self) -> None:
-        """Give the whole time limit again: start-up, preparation and each cell have one each."""
-        self.deadline = time.monotonic() + self.settings.timeout
+        """Give the whole time limit again: preparation and each cell have one each."""
+        self._set_deadline(self.settings.timeout)
+
+    def _set_deadline(self, limit: float) -> None:
+        self.limit, self.deadline = limit, time.monotonic() + limit
 
     def end_job(self) -> None:
         """Forget the job."""
         self.job, self.current, self.open_cells, self.deadline = None, None, {}, float("inf")
 
-    def is_over_memory(self) -> bool:
+    def interrupt(self, seconds: float) -> None:
+        """Interrupt the job, as Ctrl-C does, which then has this time to end."""
+        self.deadline = time.monotonic()
+        if hasattr(os, "killpg"):
+            self.deadline += seconds
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.process.pid, signal.SIGINT)  # its guard takes no SIGINT
+
+    def is_out_of_memory(self) -> bool:
         """True where the worker and all that it started are over the limit."""
         limit = self.settings.memory
         return limit is not None and memory_use(self.process.pid, limit) > limit
@@ -164,7 +190,18 @@ class Worker:
         self._log.close()
         shutil.rmtree(self._scratch, ignore_errors=True)
 
-    def unannounced_rows(self) -> list[Row]:
+    def end(self) -> tuple[str, str]:
+        """Return status and sentence for the end of a process whose output has ended; one that goes
+        on nevertheless, with closed pipes, is killed."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(timeout=_END_SECONDS)
+        has_ended = self.process.poll() is not None
+        self.kill()
+        if has_ended:
+            return self._end_of_process()
+        return "crash", "its process closed the pipe of its result"
+
+    def rows_of_open_cells(self) -> list[Row]:
         """Return the stored rows of open cells: the process has ended before their notices."""
         stored = stored_rows(self.rows_file) if self.open_cells else {}
         return [row for cell, row in stored.items() if cell in self.open_cells]
@@ -176,7 +213,7 @@ class Worker:
             self.process.wait(timeout=5.0)
         self.kill()
 
-    def end_of_process(self) -> tuple[str, str]:
+    def _end_of_process(self) -> tuple[str, str]:
         """Return status and sentence for the end of the process, with its last output."""
         status, reason = end_of_process(self.process.returncode)
         text = self._error_text()
@@ -226,7 +263,8 @@ class Worker:
                     pipe.close()
 
 
-def _environment(threads: int) -> Mapping[str, str]:
+def worker_environment(threads: int) -> Mapping[str, str]:
+    """Return the environment of a process that imports this package, with a number of threads."""
     environment = {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, str(threads))}
     home = Path(__file__).resolve().parents[3]
     if home.name not in ("site-packages", "dist-packages"):

@@ -1,4 +1,4 @@
-"""Places: the nearest folder wins, both layouts are found, recorded data is never missed."""
+"""Folders of robots and suites: the nearest wins, both layouts are found, no data is missed."""
 
 import os
 import shutil
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid_bench import places
+from sysid_bench import package_folders
 from sysid_bench.errors import UsageError
 
 CHECKOUT = Path(__file__).parents[1]
@@ -34,7 +34,7 @@ def installation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty installation: <folder>/sysid_bench, without robots and suites as yet."""
     package = tmp_path / "site" / "sysid_bench"
     package.mkdir(parents=True)
-    monkeypatch.setattr(places, "__file__", str(package / "places.py"))
+    monkeypatch.setattr(package_folders, "__file__", str(package / "package_folders.py"))
     return package
 
 
@@ -49,13 +49,13 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_this_checkout_has_its_data(kind: str) -> None:
-    assert places.installed_folder(kind) == CHECKOUT / kind
+    assert package_folders.installed_folder(kind) == CHECKOUT / kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_checkout_keeps_data_beside_the_package(kind: str, installation: Path) -> None:
     (installation.parent / kind).mkdir()
-    assert places.installed_folder(kind) == installation.parent / kind
+    assert package_folders.installed_folder(kind) == installation.parent / kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -63,14 +63,14 @@ def test_a_wheel_keeps_data_inside_whatever_lies_beside(kind: str, installation:
     # Beside an installed package lies site-packages, where "robots" may be anybody's.
     (installation / kind).mkdir()
     (installation.parent / kind).mkdir()
-    assert places.installed_folder(kind) == installation / kind
+    assert package_folders.installed_folder(kind) == installation / kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.usefixtures("installation")
 def test_an_installation_without_data_says_so(kind: str) -> None:
     with pytest.raises(UsageError, match=kind):
-        places.installed_folder(kind)
+        package_folders.installed_folder(kind)
 
 
 def test_the_nearest_robot_of_a_name_wins(installation: Path, here: Path, tmp_path: Path) -> None:
@@ -80,39 +80,39 @@ def test_the_nearest_robot_of_a_name_wins(installation: Path, here: Path, tmp_pa
     for folder in (here / "robots", installation / "robots"):
         robot(folder, "here_and_there")
     robot(installation / "robots", "there")
-    found = {name: file.resolve() for name, file in places.robots(extra).items()}
+    found = {name: file.resolve() for name, file in package_folders.robots(extra).items()}
     assert found == {
         "everywhere": extra / "everywhere" / "robot.toml",
         "here_and_there": here / "robots" / "here_and_there" / "robot.toml",
         "there": installation / "robots" / "there" / "robot.toml",
     }
-    assert set(places.robots()) == set(found)
+    assert set(package_folders.robots()) == set(found)
 
 
 def test_a_folder_without_a_manifest_is_no_robot(installation: Path, here: Path) -> None:
     (installation / "robots" / "bare").mkdir(parents=True)
     robot(here / "robots", "whole")
-    assert set(places.robots()) == {"whole"}
+    assert set(package_folders.robots()) == {"whole"}
 
 
 def test_a_folder_that_is_absent_is_left_out(installation: Path, here: Path) -> None:
     (installation / "robots").mkdir()
-    assert places.robot_folders(here / "absent") == [installation / "robots"]
+    assert package_folders.robot_folders(here / "absent") == [installation / "robots"]
 
 
 def test_the_nearest_suite_of_a_name_wins(installation: Path, here: Path) -> None:
     mine = suite(here / "suites", "smoke")
     suite(installation / "suites", "smoke")
     theirs = suite(installation / "suites", "payload")
-    assert places.suite("smoke").resolve() == mine
-    assert places.suite("payload") == theirs
+    assert package_folders.suite("smoke").resolve() == mine
+    assert package_folders.suite("payload") == theirs
 
 
 def test_a_path_of_a_suite_means_that_file(installation: Path, here: Path) -> None:
     suite(installation / "suites", "smoke")
     mine = suite(here, "smoke")
-    assert places.suite("smoke.toml").resolve() == mine
-    assert places.suite(str(mine)) == mine
+    assert package_folders.suite("smoke.toml").resolve() == mine
+    assert package_folders.suite(str(mine)) == mine
 
 
 @pytest.mark.parametrize("name", ["smok", "smok.toml", "folder/smoke"])
@@ -122,15 +122,15 @@ def test_a_suite_that_is_absent_is_answered_with_those_that_exist(
 ) -> None:
     suite(installation / "suites", "smoke")
     with pytest.raises(UsageError) as error:
-        places.suite(name)
+        package_folders.suite(name)
     assert repr(name) in str(error.value)
     assert "smoke" in str(error.value).replace(repr(name), "")
 
 
 def test_example_robot_data_is_found_without_importing_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "example_robot_data", None)  # an import would raise
-    places.robot_data_folder.cache_clear()
-    folder = places.robot_data_folder()
+    package_folders.robot_data_folder.cache_clear()
+    folder = package_folders.robot_data_folder()
     assert (folder / "panda_description" / "urdf" / "panda.urdf").is_file()
 
 
@@ -165,6 +165,7 @@ def outcome(folder: Path, data: str | None) -> tuple[int, str]:
     (folder / "test_whole.py").write_text(WHOLE_MODULE)
     settings = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     settings.pop("SYSID_BENCH_DATA", None)
+    settings["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # conftest.py alone is on trial
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", "."]
     done = subprocess.run(
         [*command, "--continue-on-collection-errors"],

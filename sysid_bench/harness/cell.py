@@ -1,0 +1,100 @@
+"""One planned cell of a suite, and its fields in expressions."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import PurePosixPath
+from typing import Any
+
+from sysid_bench.canonical_json import canonical_hash
+from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.harness.labels import BASES
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One future row. `facts` are fields that depend on the models behind the names."""
+
+    spec: ExperimentSpec
+    estimator: Mapping[str, Any]  # {use, settings...} without a label
+    labels: Mapping[str, str]  # vocabulary.LABELS -> text
+    facts: Mapping[str, Any]
+    seconds: float  # expected; the share of one estimator in its experiment
+
+    @cached_property
+    def id(self) -> str:
+        """12 hex digits of the experiment and the estimator without its label."""
+        return canonical_hash([self.spec.id, self.estimator])[:12]
+
+    @property
+    def experiment(self) -> str:
+        """The experiment's id, shared by its estimators."""
+        return self.spec.id
+
+    @property
+    def head(self) -> dict[str, Any]:
+        """The first fields of the row of this cell, of any status."""
+        return {
+            "id": self.id,
+            "experiment": self.experiment,
+            **self.labels,
+            "repeat": self.spec.repeat,
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """One line of plan.jsonl."""
+        return {
+            "id": self.id,
+            "experiment": self.experiment,
+            "labels": dict(self.labels),
+            "facts": dict(self.facts),
+            "seconds": self.seconds,
+            "estimator": dict(self.estimator),
+            "spec": self.spec.to_json(),
+        }
+
+
+def fields(cell: Cell) -> dict[str, Any]:
+    """Return the flat mapping that expressions read; a tuple holds alternative names."""
+    spec = cell.spec
+    flat: dict[str, Any] = {
+        **cell.labels,
+        "id": cell.id,
+        "experiment": cell.experiment,
+        "repeat": spec.repeat,
+        "rate": spec.rate,
+        "terms": cell.labels["terms"],
+        **cell.facts,
+        **{f"signals.{key}": value for key, value in spec.signals.items()},
+    }
+    for key, value in spec.noise.items():
+        flat["noise." + key.removesuffix("_relative")] = value
+    if not isinstance(spec.prior, str):
+        flat |= {f"prior.{key}": value for key, value in spec.prior.items()}
+    plugins = {
+        "plant": spec.plant,
+        "excitation": spec.excitation,
+        "simulation": spec.simulation,
+        "estimator": cell.estimator,
+    }
+    for axis, plugin in plugins.items():
+        flat |= {f"{axis}.{key}": value for key, value in plugin.items()}
+        flat[axis] = _names(cell.labels[axis], plugin["use"], plugin["use"].rpartition(":")[2])
+    flat["task"] = _names(cell.labels["task"], spec.task, spec.task.rpartition(":")[2])
+    flat["robot"] = _names(cell.labels["robot"], *_robot_names(cell.labels["robot"], spec.robot))
+    return flat
+
+
+def _robot_names(label: str, source: str) -> Iterator[str]:
+    """Yield names of a robot besides its label: without its base, as written, and its file."""
+    for base in BASES.values():
+        if base and label.endswith(base):
+            yield label.removesuffix(base)
+    yield source
+    if "/" in source:
+        yield PurePosixPath(source).stem
+
+
+def _names(*names: str) -> str | tuple[str, ...]:
+    different = tuple(dict.fromkeys(names))
+    return different[0] if len(different) == 1 else different

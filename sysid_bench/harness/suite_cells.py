@@ -1,0 +1,159 @@
+"""Cells of a suite: all combinations of its axes, and its recordings, with each estimator."""
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from sysid_bench.canonical_json import canonical
+from sysid_bench.errors import SysidBenchError
+from sysid_bench.experiments.spec import (
+    ExperimentSpec,
+    normal_noise,
+    normal_payload,
+    normal_prior,
+)
+from sysid_bench.harness.cell import Cell
+from sysid_bench.harness.labels import labels_of, robot_key
+from sysid_bench.harness.log_specs import log_labels, log_specs
+from sysid_bench.harness.plan_size import has_random_sensors, is_random_prior, prior_table
+from sysid_bench.harness.suite.data_entries import Signals
+from sysid_bench.harness.suite.model import Suite
+from sysid_bench.harness.suite.names import Names
+from sysid_bench.models.payload import parse_payload
+from sysid_bench.units import quantity
+from sysid_bench.vocabulary import LABELS
+
+# Rough cost on one core of 2025: set-up and cross-check of a robot, simulation and regressor per
+# sample of a motion, reduction and scores per estimator.
+_SETUP_SECONDS = 0.3
+_SAMPLE_SECONDS = 1e-4
+_ESTIMATOR_SECONDS = 0.05
+_LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
+
+
+def is_random(spec: ExperimentSpec) -> bool:
+    """True where the repeats of an experiment differ from each other."""
+    simulated = spec.log is None and spec.simulation["use"] == "inverse"
+    drawn = bool(spec.redrawn) or has_random_sensors(spec.plant)
+    return not simulated or drawn or bool(spec.noise) or is_random_prior(spec.prior)
+
+
+def suite_cells(suite: Suite, names: Names) -> list[Cell]:
+    """Return the cells of recordings, then those of simulated experiments."""
+    label = labels_of(suite, names)
+    estimators = [estimator.spec for estimator in suite.estimator]
+    return _log_cells(suite, names, label["estimator"]) + [
+        Cell(
+            spec, estimator, _labelled(spec, estimator, label), facts, _cost(spec, len(estimators))
+        )
+        for spec, facts in _simulated(suite, names)
+        for estimator in estimators
+    ]
+
+
+def _simulated(suite: Suite, names: Names) -> Iterator[tuple[ExperimentSpec, dict[str, Any]]]:
+    """Yield the simulated experiments with the facts about their robot and payload."""
+    for entry, source in suite.robots:
+        robot, free_base = names.robot(source, suite.folder), entry.free_base
+        free = bool(robot.free_base) if free_base is None else free_base
+        for written in entry.payloads:
+            facts = {"robot.free_base": free, "payload.mass": names.payload(written).mass}
+            for spec in _specs(suite, source, normal_payload(written)):
+                yield replace(spec, free_base=free_base, sensor=entry.sensor), facts
+
+
+def _log_cells(suite: Suite, names: Names, label: Mapping[str, str]) -> list[Cell]:
+    """Cells of recordings, whose labels of simulation read "recorded"."""
+    cells = []
+    estimators = [estimator.spec for estimator in suite.estimator]
+    drafts = [(entry, spec) for entry in suite.log for spec in log_specs(entry)]
+    for entry, spec in drafts:
+        labels = log_labels(entry, spec, names.robot(spec.robot, suite.folder).name)
+        seconds = _SETUP_SECONDS / len(estimators) + _LOG_SECONDS
+        cells += [
+            Cell(spec, estimator, {**labels, "estimator": label[canonical(estimator)]}, {}, seconds)
+            for estimator in estimators
+        ]
+    return cells
+
+
+def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[ExperimentSpec]:
+    axes = suite.defaults
+    for task, terms, plant, prior, excitation, held_out, simulation, rate, noise, signals in (
+        itertools.product(
+            axes.task, axes.terms, axes.plant, axes.prior, axes.excitation, axes.held_out,
+            axes.simulation, axes.rate, axes.noise, axes.signals,
+        )
+    ):  # fmt: skip
+        spec = ExperimentSpec(
+            seed=suite.seed,
+            robot=robot,
+            payload=payload,
+            task=task,
+            terms=terms,
+            plant=plant.spec,
+            prior=normal_prior(prior_table(prior)),
+            excitation=excitation.spec,
+            held_out=tuple(motion.spec for motion in held_out),
+            simulation=simulation.spec,
+            rate=quantity(rate, "Hz"),
+            noise=normal_noise(noise.model_dump(exclude_none=True)),
+            signals=_signals(signals),
+            repeat=0,
+        )
+        repeats = suite.run.repeats if is_random(spec) else 1
+        yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
+
+
+def _signals(signals: Signals) -> dict[str, Any]:
+    """Return the table of signals as JSON. Defaults of keys that are younger than ids are left out,
+    so that ids stay."""
+    written = signals.model_dump(exclude_none=True)
+    if signals.runs == "B":
+        del written["runs"]
+    if signals.calibration is not None:
+        written["calibration"] = [normal_payload(load) for load in signals.calibration]
+    return written
+
+
+def _labelled(
+    spec: ExperimentSpec, estimator: Mapping[str, Any], label: Mapping[str, Mapping[str, str]]
+) -> dict[str, str]:
+    plain = {
+        "robot": label["robot"][canonical(robot_key(spec.robot, spec.free_base, spec.sensor))],
+        "task": label["task"][canonical(spec.task)],
+        "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
+        "rate": f"{spec.rate:.12g} Hz",
+        "signals": _signals_text(spec.signals),
+        "estimator": label["estimator"][canonical(estimator)],
+    }
+    found = {
+        axis: label[axis][canonical(getattr(spec, axis))] for axis in LABELS if axis not in plain
+    }
+    return {axis: plain.get(axis) or found[axis] for axis in LABELS}
+
+
+def _signals_text(signals: Mapping[str, Any]) -> str:
+    raw = ", raw torque" if signals.get("torque") == "raw" else ""
+    loads = [parse_payload(load).name for load in signals.get("calibration", ())]
+    calibrated = f", calibrated with {', '.join(loads)}" if loads else ""
+    runs = f", runs {signals['runs']}" if "runs" in signals else ""
+    contacts = signals.get("contacts", [])
+    periods = contacts if isinstance(contacts, str) else ", ".join(contacts)
+    free = f", contacts {periods}" if periods else ""
+    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}{free}{runs}"
+
+
+def _cost(spec: ExperimentSpec, estimators: int) -> float:
+    period = _number(spec.excitation.get("period"), "s", 5.0)
+    cycles = _number(spec.excitation.get("cycles"), "1", 2.0)
+    samples = period * cycles * spec.rate * (1 + len(spec.held_out))
+    return (_SETUP_SECONDS + _SAMPLE_SECONDS * samples) / estimators + _ESTIMATOR_SECONDS
+
+
+def _number(written: Any, unit: str, default: float) -> float:
+    try:
+        return quantity(written, unit)
+    except SysidBenchError:  # a plug-in may use this key for something else
+        return default

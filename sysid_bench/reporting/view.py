@@ -1,0 +1,35 @@
+"""The viewer of recordings, a program of its own."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from sysid_bench.errors import UsageError
+
+
+def view(path: Path, web: bool = False) -> subprocess.Popen[bytes]:
+    """Open the viewer on this machine alone; the process is the caller's to wait for.
+
+    Raises UsageError where the recording or the viewer is absent.
+    """
+    if not path.is_file():
+        raise UsageError(
+            f"The recording {str(path)!r} does not exist; make it with sysid-bench record."
+        )
+    command = [
+        str(view_command()),
+        "--bind",
+        "127.0.0.1",
+        *(["--web-viewer"] if web else []),
+        str(path),
+    ]
+    return subprocess.Popen(command)
+
+
+def view_command() -> Path:
+    """The `rerun` program that belongs to this Python."""
+    folder = Path(sys.executable).parent
+    for name in ("rerun", "rerun.exe", "Scripts/rerun.exe"):
+        if (folder / name).is_file():
+            return folder / name
+    raise UsageError(f"The program rerun is missing next to {sys.executable!r}; install rerun-sdk.")
