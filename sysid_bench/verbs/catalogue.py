@@ -21,6 +21,7 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.tasks.task import TaskDefinition
+from sysid_bench.units import quantity
 from sysid_bench.verbs.result import Result
 
 Entry = dict[str, Any]
@@ -210,7 +211,10 @@ def _default(field: dataclasses.Field[Any]) -> Any:
     if field.default is dataclasses.MISSING:
         return None
     unit = field.metadata.get("unit")
-    return _json_value(field.default) if unit is None else f"{field.default} {unit}"
+    if unit is None or not isinstance(field.default, (int, float)):
+        return _json_value(field.default)
+    # A default is an SI number: 0.03 of a setting in % reads 3 %.
+    return f"{field.default / quantity(1.0, unit):.12g} {unit}"
 
 
 def _json_value(value: Any) -> Any:
