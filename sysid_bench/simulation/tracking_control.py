@@ -127,9 +127,8 @@ class TrackingControl:
         for name, array in (("position", motion.q), ("acceleration", motion.a)):
             check_finite(robot.name, array, f"{name} in closed loop")
         _check_tracking(robot, commanded, motion, tau)
-        return Oracle(
-            motion, tau[:, robot.torque_dofs], _motor_motion(plant, motion, signals, lead)
-        )
+        encoders = _motor_motion(plant, motion, signals, lead)
+        return Oracle(motion, tau[:, robot.torque_dofs], encoders, mj.opt.timestep)
 
     def _simulate(
         self,

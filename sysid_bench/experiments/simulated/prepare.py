@@ -25,6 +25,7 @@ from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
+from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.types import Array, Experiment, Problem, Recording, Run
 
 
@@ -52,6 +53,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
         known=builder.known(motion)[:, builder.row_indices],
         bound=sampled.cramer_rao_bound(builder),
         left_out=processed.left_out,
+        step=sampled.oracle.step,
         standstill=along.left_out,
     )
     return Prepared(
@@ -73,7 +75,8 @@ def _experiment(
     simulate: Callable[[Any], Recording] = refuse_simulation
     known: Callable[[Any], Array] = refuse_simulation
     if not noise_free.task.cuts:
-        simulate = SimulateModel(noise_free.known_model, processed.raw)
+        candidate = Candidate(**(noise_free.spec.candidate or {}))
+        simulate = SimulateModel(noise_free.known_model, processed.raw, candidate)
         known = KnownTorque(noise_free.known_model, rows)
     along = builder.rows_along(recording.motion, processed.rows)
     return Experiment(

@@ -25,17 +25,17 @@ class Stribeck:
     v0: float = field(default=0.005, metadata={"unit": "rad|m"})  # per second
     vanishes_at_rest: ClassVar[bool] = True
 
-    def prepare(self, robot: RobotModel) -> "_StribeckLaw":
+    def prepare(self, robot: RobotModel) -> "StribeckLaw":
         """Return the force law for this robot."""
         gravity = gravity_rms(robot, robot.mj)
         gravity = np.maximum(gravity, 1e-3 * gravity.max())
         scale = np.zeros(robot.nv)
         scale[robot.scalar_dofs] = self.share * gravity[robot.scalar_dofs]
-        return _StribeckLaw(np.concatenate([scale, [self.vs, self.v0]]))
+        return StribeckLaw(np.concatenate([scale, [self.vs, self.v0]]))
 
 
 @dataclass(frozen=True, eq=False)
-class _StribeckLaw:
+class StribeckLaw:
     """Force law of Stribeck friction; `numbers` (nv + 2,) are F (nv,), vs, v0."""
 
     numbers: Array
