@@ -119,7 +119,7 @@ def test_one_simulator_for_plant_and_candidates_is_stated_below_tables(tmp_path:
         suite = suite_of(plants, f'{{ step = "{step}" }}')
         folder = tmp_path / step.replace(" ", "")
         run(suite, folder, jobs=1, select='estimator == "wls"')
-        notes[step] = table(folder, "error").summary()
+        notes[step] = table(folder, "error")
     assert "share step and integrator in 1 of 1 cells" in notes["0.5 ms"]
     assert "share step" not in notes["1 ms"]
 
