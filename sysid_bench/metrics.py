@@ -34,6 +34,10 @@ _ACCURACY: Final = (
     _error("rmse_test", "Held-out RMSE", "RMS error over all held-out motions and joints", _TORQUE),
     _error("torque_error", "Relative held-out torque error",
            "RMS over joints of (RMS error / RMS whole torque)"),
+    _error("torque_error_moving", "Relative held-out torque error of moving joints",
+           "the same over rows with |v| of the joint at least 10 % of its RMS"),
+    _error("torque_error_weighted", "Relative held-out torque error by torque",
+           "RMS over joints, each weighted by its RMS torque"),
     _error("torque_error_sample", "Held-out torque error per sample",
            "mean over samples of |error| / |torque|"),
     _error("torque_error_worst", "Held-out torque error of the worst joint",
@@ -66,6 +70,7 @@ _DATA: Final = (
     Metric("d_optimality", "Log-determinant of information", better="higher", needs=("held-out",),
            formula="log det of the information about held-out torques"),
     Metric("left_out", "Share of samples taken for contacts"),
+    Metric("standstill", "Share of rows left out at standstill"),
 )  # fmt: skip
 
 _LOAD: Final = (

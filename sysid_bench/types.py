@@ -246,6 +246,10 @@ class Run:
     recording: Recording  # filtered as the suite says
 
 
+def _unchanged(x: Array) -> Array:
+    return x
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """Data of an estimator that simulates or models the noise, in addition to its `problem`.
@@ -255,7 +259,8 @@ class Experiment:
     the commanded motion and returns a noise-free Recording with exact v and a; it raises
     UnsupportedError without a controller. `known(motion)` is the torque (n, rows) of the known
     parameters. `runs` are all recordings in time order where the suite has some without the
-    payload; `recording` is then the first loaded one.
+    payload; `recording` is then the first loaded one. `filter_rows(x)` processes values x (N, rows,
+    ...) at the samples of `recording` as the pipeline has processed W and b of `problem`.
     """
 
     problem: Problem
@@ -265,6 +270,7 @@ class Experiment:
     simulate: Callable[[Float[Array, " p"]], Recording] = field(repr=False)
     known: Callable[[Trajectory], Float[Array, "n rows"]] = field(repr=False)
     runs: tuple[Run, ...] = ()
+    filter_rows: Callable[[Array], Array] = field(default=_unchanged, repr=False)
 
 
 EstimateStatus = Literal["ok", "failed", "unsupported"]
@@ -306,6 +312,8 @@ class Score:
     rmse_train: float | None = None
     rmse_test: float | None = None
     torque_error: float | None = None
+    torque_error_moving: float | None = None
+    torque_error_weighted: float | None = None
     torque_error_sample: float | None = None
     torque_error_worst: float | None = None
     torque_error_by_motion: Mapping[str, float | None] = field(default_factory=dict)
@@ -329,6 +337,7 @@ class Score:
     structural_rank: int | None = None
     excited_rank: int | None = None
     left_out: float | None = None
+    standstill: float | None = None
     unpredictable: int | None = None
     sensed_torque_ratio: float | None = None
     sensed_wrench_ratio: float | None = None

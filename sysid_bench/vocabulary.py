@@ -35,6 +35,7 @@ LABELS: Final = (
     "rate",
     "noise",
     "signals",
+    "pipeline",
     "estimator",
 )
 """Labels of a row: one text per axis of a suite."""
@@ -72,6 +73,7 @@ CELL_FIELDS: Final = frozenset(LABELS) | {
     "plant.use",
     "excitation.use",
     "simulation.use",
+    "pipeline.use",
     "estimator.use",
 }
 """Fields of a planned cell in expressions, besides the written settings of its plug-ins."""

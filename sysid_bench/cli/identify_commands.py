@@ -25,7 +25,9 @@ from sysid_bench.cli.values import (
     parse_names,
     parse_noise,
     parse_payload,
+    parse_pipeline,
     parse_terms,
+    pipeline_name,
 )
 from sysid_bench.errors import UsageError
 
@@ -59,6 +61,7 @@ class _Method(OptionsRecord):
     noise: str | None
     contacts: str | None
     complete: str | None
+    pipeline: str | None
     seed: int
 
 
@@ -173,6 +176,12 @@ _method_options = group_options(
             type=click.Choice(["entropic", "euclidean", "pullback"]),
             help="Whole, feasible bodies nearest to the prior in this distance.",
         ),
+        click.option(
+            "--pipeline",
+            metavar="NAME",
+            help="Signals and rows of the fit: plain, raw, parallel, or a table "
+            '\'{ use = "parallel", cutoff = "6 Hz" }\'.',
+        ),
         click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0)),
     ],
 )
@@ -239,6 +248,7 @@ def identify(
         position_given=of_logs.position_given,
         accept=parse_names(of_logs.accept),
         figure=of_logs.figure,
+        pipeline=parse_pipeline(method.pipeline),
     )
     print_result(result, output.as_json)
     return OK
@@ -249,6 +259,7 @@ def _plugins(
 ) -> Iterator[tuple[str, str | None]]:
     """Yield (kind, name) of the plug-ins in use."""
     yield from (("estimator", method.estimator), ("task", unknowns.task))
+    yield "pipeline", pipeline_name(parse_pipeline(method.pipeline))
     for name in parse_names(of_logs.candidates):
         yield "term", name.removeprefix("motor.")
     if source.logs:

@@ -29,14 +29,30 @@ def parse_terms(text: str | None) -> tuple[str, ...] | None:
 
 def parse_payload(text: str) -> str | dict[str, Any]:
     """Name of a payload, or the TOML table that a text in braces holds."""
+    example = '{ mass = 1.2, com = [0, 0, 0.05], inertia = "sphere 0.05 m" }'
+    return _name_or_table("payload", text, example)
+
+
+def parse_pipeline(text: str | None) -> str | dict[str, Any] | None:
+    """Name of a pipeline, or the TOML table that a text in braces holds."""
+    example = '{ use = "parallel", cutoff = "6 Hz" }'
+    return None if text is None else _name_or_table("pipeline", text, example)
+
+
+def pipeline_name(pipeline: str | dict[str, Any] | None) -> str | None:
+    """Name of a pipeline's code; None where none is named."""
+    return str(pipeline.get("use")) if isinstance(pipeline, dict) else pipeline
+
+
+def _name_or_table(option: str, text: str, example: str) -> str | dict[str, Any]:
+    """A name, or a TOML table in braces; raise UsageError with an example for another text."""
     if not text.lstrip().startswith("{"):
         return text
     try:
-        return dict(_toml(f"payload = {text}")["payload"])
+        return dict(_toml(f"{option} = {text}")[option])
     except ValueError as error:
         raise UsageError(
-            f"The payload {text!r} is not a TOML table ({error}); write --payload "
-            "'{ mass = 1.2, com = [0, 0, 0.05], inertia = \"sphere 0.05 m\" }'."
+            f"The {option} {text!r} is not a TOML table ({error}); write --{option} '{example}'."
         ) from error
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.evaluation.rms import known_rms
-from sysid_bench.evaluation.score import base_parameters, feasible_figures
+from sysid_bench.evaluation.score import RowErrors, base_parameters, feasible_figures
 from sysid_bench.identification.linear.normal_qr import residual_norm
 from sysid_bench.types import Array, Estimate, Problem, Score
 
@@ -50,16 +50,24 @@ def torque_error(tests: Mapping[str, Problem], beta: Array) -> float | None:
     )
 
 
+def weighted_error(tests: Mapping[str, Problem], beta: Array) -> float | None:
+    """Return the error over all test recordings with joints weighted by their RMS torque; None
+    without any."""
+    return RowErrors(list(tests.values()), beta).weighted if tests else None
+
+
 def score_recorded(
     estimate: Estimate,
     problem: Problem,
     tests: Mapping[str, Problem],
     about_data: Mapping[str, Any],
+    moving: Mapping[str, Problem] | None = None,
 ) -> Score:
     """Return the scores of one estimate on recordings, without ground truth.
 
     `about_data` is the result of `data_figures`. Errors of joints are those of training and of the
-    tests; the latter are RMS over the test recordings.
+    tests; the latter are RMS over the test recordings. `moving` are the tests without rows at
+    standstill (None: not scored).
     """
     beta = base_parameters(estimate)
     if beta is None:
@@ -71,6 +79,8 @@ def score_recorded(
         rmse_train=rms_error(problem, beta),
         rmse_test=known_rms(rms_error(test, beta) for test in tests.values()),
         torque_error=torque_error(tests, beta),
+        torque_error_moving=torque_error(moving or {}, beta),
+        torque_error_weighted=weighted_error(tests, beta),
         torque_error_worst=_worst(joints),
         torque_error_by_motion={n: torque_error({n: test}, beta) for n, test in tests.items()},
         joints=joints,

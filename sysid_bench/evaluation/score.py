@@ -35,10 +35,12 @@ def score(
     extents: Mapping[str, BodyExtents] | None = None,
     about_data: Mapping[str, Any] | None = None,
     errors: Mapping[str, StandardError] | None = None,
+    moving: Mapping[str, Problem] | None = None,
 ) -> Score:
     """Return the scores of one estimate against the truth.
 
-    `held_out` are test problems with exact signals. `extents` are bounding boxes of bodies by name,
+    `held_out` are test problems with exact signals, `moving` the same without rows at standstill
+    (None: not scored). `extents` are bounding boxes of bodies by name,
     for the plausibility check (None: no check); `errors` are standard errors by kind, whose
     coverage is reported (None: not reported). `about_data` is the result of `data_figures`,
     computed once for many estimates of a problem; it is reported for failed estimates too.
@@ -53,6 +55,7 @@ def score(
     return Score(
         **about_data,
         **_held_out_figures(test, held_out, beta_true),
+        **moving_figures(list((moving or {}).values()), beta),
         rmse_train=train.rms_error,
         beta_error=_relative(beta - beta_true, beta_true),
         coverage={kind: _coverage(e, beta, beta_true) for kind, e in (errors or {}).items()},
@@ -75,6 +78,7 @@ def _held_out_figures(
     return {
         "rmse_test": test.rms_error,
         "torque_error": test.torque_error,
+        "torque_error_weighted": test.weighted,
         "torque_error_sample": _sample_error(test.problems, beta),
         "torque_error_worst": test.worst,
         "torque_error_by_motion": {
@@ -82,6 +86,11 @@ def _held_out_figures(
         },
         "parameter_error": _parameter_error(test.problems, beta, beta_true),
     }
+
+
+def moving_figures(moving: list[Problem], beta: Array) -> dict[str, Any]:
+    """Return the error on the rows of moving joints; {} without held-out motions."""
+    return {"torque_error_moving": RowErrors(moving, beta).torque_error} if moving else {}
 
 
 def data_figures(problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
@@ -139,9 +148,18 @@ def _d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
 def _row_rms(problems: list[Problem]) -> Array:
     """RMS torque of each row (rows,) over all samples, known contributions included; zero where it
     is a rounding error."""
-    squares = np.array([problem.samples * _torque(problem) ** 2 for problem in problems])
-    rms = np.sqrt(squares.sum(axis=0) / sum(problem.samples for problem in problems))
+    squares = np.array([row_counts(problem) * _torque(problem) ** 2 for problem in problems])
+    rms = np.sqrt(squares.sum(axis=0) / _all_counts(problems))
     return np.where(rms > ROUNDING * rms.max(initial=0.0), rms, 0.0)
+
+
+def row_counts(problem: Problem) -> Array:
+    """Return the samples of each row (rows,), at least 1: rows at standstill may be left out."""
+    return np.array([max(factor.samples, 1) for factor in problem.factors])
+
+
+def _all_counts(problems: list[Problem]) -> Array:
+    return np.asarray(sum(row_counts(problem) for problem in problems))
 
 
 def _torque(problem: Problem) -> Array:
@@ -150,7 +168,7 @@ def _torque(problem: Problem) -> Array:
         return problem.torque
     # The last column of R is Q'b, which has the norm of b: Q is orthogonal.
     norms = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
-    return np.asarray(norms / np.sqrt(problem.samples))
+    return np.asarray(norms / np.sqrt(row_counts(problem)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +182,7 @@ class RowErrors:
     def errors(self) -> Array:
         """RMS error."""
         squares = np.array([residual_norm(p, self.beta) ** 2 for p in self.problems])
-        return np.asarray(np.sqrt(squares.sum(axis=0) / sum(p.samples for p in self.problems)))
+        return np.asarray(np.sqrt(squares.sum(axis=0) / _all_counts(self.problems)))
 
     @cached_property
     def rms(self) -> Array:
@@ -175,12 +193,16 @@ class RowErrors:
     def judged_rows(self) -> Array:
         """Mask of the rows with enough torque to count in means."""
         # The relative error of a joint that carries hardly any torque is that of its noise.
-        names = np.array(self.problems[0].kinds or ("",) * len(self.rms))
         large = np.zeros(len(self.rms), dtype=bool)
-        for kind in set(names):
-            of_kind = names == kind
+        for of_kind in self._kinds:
             large[of_kind] = self.rms[of_kind] >= SMALL_JOINT * self.rms[of_kind].max()
         return np.asarray(large & (self.rms > 0))
+
+    @cached_property
+    def _kinds(self) -> list[Array]:
+        """Mask of the rows of each kind: only their torques have a common unit."""
+        names = np.array(self.problems[0].kinds or ("",) * len(self.rms))
+        return [names == kind for kind in dict.fromkeys(names)]
 
     @cached_property
     def relative(self) -> Array:
@@ -203,6 +225,18 @@ class RowErrors:
     def torque_error(self) -> float | None:
         """RMS of the judged relative errors."""
         return float(np.sqrt((self.judged**2).mean())) if len(self.judged) else None
+
+    @property
+    def weighted(self) -> float | None:
+        """RMS of the relative errors with each joint weighted by its RMS torque; kinds of rows,
+        whose torques have no common unit, count equally."""
+        rows = [kind & np.isfinite(self.relative) for kind in self._kinds]
+        squares = [
+            np.average(self.relative[part] ** 2, weights=self.rms[part])
+            for part in rows
+            if part.any()
+        ]
+        return float(np.sqrt(np.mean(squares))) if squares else None
 
     @property
     def worst(self) -> float | None:

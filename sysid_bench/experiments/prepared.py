@@ -1,7 +1,7 @@
 """Outcome of the pipeline, simulated or recorded: the data of methods, and how they are scored."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -35,7 +35,8 @@ class Prepared(Generic[S_co]):
     """One experiment, ready for its estimators.
 
     Methods get `problem` and `experiment`. `held_out` (other motions with exact signals, or test
-    logs) and `source` are for scoring alone.
+    logs), `held_out_moving` (the same without rows at standstill) and `source` are for scoring
+    alone.
     """
 
     robot: RobotModel
@@ -43,6 +44,7 @@ class Prepared(Generic[S_co]):
     experiment: Experiment
     held_out: Mapping[str, Problem]
     source: S_co
+    held_out_moving: Mapping[str, Problem] = field(default_factory=dict)
 
     @cached_property
     def figures(self) -> dict[str, Any]:

@@ -38,7 +38,9 @@ class ExperimentSpec:
     repeat: int
     free_base: bool | None = None  # None: as the robot's manifest has it
     log: Mapping[str, Any] | None = None  # a recording of a real robot, as a suite's [[log]] has it
+    pipeline: Mapping[str, Any] | None = None  # {use, settings}; None: `plain`, by `signals`
     sensor: str | None = None  # the force/torque sensor; None: the only one of the manifest
+    redrawn: tuple[str, ...] = ()  # what each repeat draws anew: "motions", "plant"
 
     @cached_property
     def id(self) -> str:
@@ -48,9 +50,11 @@ class ExperimentSpec:
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
         data = {field.name: getattr(self, field.name) for field in fields(self)}
-        for key in ("free_base", "sensor", "log"):
+        for key in ("free_base", "sensor", "log", "pipeline"):
             if data[key] is None:  # ids are older than these fields
                 del data[key]
+        if not data["redrawn"]:
+            del data["redrawn"]
         return data
 
     @classmethod
@@ -63,6 +67,7 @@ class ExperimentSpec:
                     **data,
                     "terms": None if terms is None else tuple(terms),
                     "held_out": tuple(data["held_out"]),
+                    "redrawn": tuple(data.get("redrawn", ())),
                 }
             )
         except (KeyError, TypeError) as error:

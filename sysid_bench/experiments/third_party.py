@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
+from sysid_bench.experiments.simulated.composed_plant import plant_plugins
 from sysid_bench.naming import is_builtin, known
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
@@ -13,7 +14,8 @@ from sysid_bench.vocabulary import MOTOR, TERMS
 
 
 def has_third_party_data(argument: Mapping[str, Any]) -> bool:
-    """True where plug-ins of others make the data: motions, effects, tasks, log readers, terms."""
+    """True where plug-ins of others make the data: motions, effects, pipelines, tasks, log readers,
+    terms."""
     spec = argument["experiment"]
     if spec.get("log") is None:
         names = _simulation_plugins(spec)
@@ -30,15 +32,24 @@ def is_third_party_cell(argument: Mapping[str, Any], entry: Mapping[str, Any]) -
 def _simulation_plugins(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the plug-ins of a simulated experiment."""
     yield "task", spec["task"]
-    for kind in ("plant", "excitation", "simulation"):
+    yield from ((kind, str(plugin["use"])) for kind, plugin in plant_plugins(spec["plant"]))
+    for kind in ("excitation", "simulation"):
         yield kind, spec[kind]["use"]
     for motion in spec["held_out"]:
         yield "excitation", motion["use"]
+    yield from _pipelines(spec)
+
+
+def _pipelines(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield (kind, name) of the pipeline that is named."""
+    if spec.get("pipeline") is not None:
+        yield "pipeline", spec["pipeline"]["use"]
 
 
 def _log_plugins(spec: Mapping[str, Any], folder: Path) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the plug-ins of an experiment with recordings."""
     yield "task", spec["task"]
+    yield from _pipelines(spec)
     log = spec["log"]
     for name in (*(spec["terms"] or ()), *log["choose"]):
         if name.removeprefix(f"{MOTOR}.") not in TERMS:

@@ -9,6 +9,7 @@ from typing import Any
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.labels import BASES
+from sysid_bench.signals.pipeline_choice import PLAIN
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ def fields(cell: Cell) -> dict[str, Any]:
         "plant": spec.plant,
         "excitation": spec.excitation,
         "simulation": spec.simulation,
+        "pipeline": spec.pipeline or {"use": PLAIN},
         "estimator": cell.estimator,
     }
     for axis, plugin in plugins.items():

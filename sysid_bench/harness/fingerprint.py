@@ -12,6 +12,7 @@ from typing import Any
 from sysid_bench import naming
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import SysidBenchError
+from sysid_bench.experiments.simulated.composed_plant import plant_plugins
 from sysid_bench.harness.cell import Cell
 from sysid_bench.input_files import file_hash, is_file, read_bytes
 from sysid_bench.models.manifest import find_manifest
@@ -48,16 +49,18 @@ def cell_fingerprint(
     spec = cell.spec
     plugins: dict[str, list[Mapping[str, Any]]] = {
         "task": [{"use": spec.task}],
-        "plant": [spec.plant],
         "excitation": [spec.excitation, *spec.held_out],
         "simulation": [spec.simulation],
         "estimator": [cell.estimator],
         "metric": [*metrics],
     }
+    if spec.pipeline is not None:
+        plugins["pipeline"] = [spec.pipeline]
     files = _model_files(spec.robot, robots_dir, folder)
     if files is None:
         return ""
     named = [(kind, plugin) for kind, group in plugins.items() for plugin in group]
+    named += [] if spec.log is not None else plant_plugins(spec.plant)
     targets = [_target(kind, plugin, folder) for kind, plugin in named]
     specs = [resolve_files(plugin, folder) for _, plugin in named]
     read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
@@ -68,6 +71,7 @@ def cell_fingerprint(
             _target("task", {"use": spec.task}, folder),
             _target("estimator", cell.estimator, folder),
             *(_target("metric", metric, folder) for metric in metrics),
+            *(_target("pipeline", used, folder) for used in plugins.get("pipeline", ())),
         ]
         return fingerprint([*files, *log_files(spec.log, folder or Path())], used)
     return fingerprint([*files, *read], targets)

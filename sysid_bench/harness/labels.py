@@ -5,6 +5,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical, canonical_hash
+from sysid_bench.experiments.simulated.composed_plant import (
+    COMPOSED,
+    plant_name,
+    plant_plugins,
+)
 from sysid_bench.experiments.spec import normal_noise, normal_payload, normal_prior
 from sysid_bench.harness.suite.data_entries import Noise, Prior
 from sysid_bench.harness.suite.model import Plugin, RobotEntry, Suite
@@ -29,7 +34,7 @@ def _unique_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
     return labels
 
 
-def _plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
+def plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
     """Return short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
     use = str(spec["use"])
     short = label or use.rpartition(":")[2]
@@ -37,6 +42,15 @@ def _plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[st
         f"{key}={value}" for key, value in spec.items() if key not in ("use", "label")
     )
     return short, f"{short} {settings}" if settings else f"{short} ({use})" if ":" in use else short
+
+
+def _plant_texts(spec: Mapping[str, Any]) -> tuple[str, str]:
+    """Return short and long text of a plant: "L2" and "L2 stribeck share=0.2 delay"."""
+    if spec["use"] != COMPOSED:
+        return plugin_texts(spec, spec.get("label"))
+    short = plant_name(spec)
+    parts = (plugin_texts(part)[1] for _, part in plant_plugins(spec))
+    return short, " ".join((short, *parts))
 
 
 def table_text(written: str | Mapping[str, Any], empty: str) -> str:
@@ -49,15 +63,18 @@ def table_text(written: str | Mapping[str, Any], empty: str) -> str:
 def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     """Return axis -> canonical value -> label."""
     axes = suite.defaults
-    plugins = {"plant": axes.plant, "excitation": axes.excitation, "simulation": axes.simulation}
+    plugins = {
+        "excitation": axes.excitation, "simulation": axes.simulation, "pipeline": axes.pipeline,
+    }  # fmt: skip
     labels = {
-        axis: _unique_labels((p.spec, *_plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
+        axis: _unique_labels((p.spec, *plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
         for axis, specs in plugins.items()
     }
+    labels["plant"] = _unique_labels((p.spec, *_plant_texts(p.spec)) for p in axes.plant)
     labels["estimator"] = _unique_labels(
-        (e.spec, *_plugin_texts(e.spec, e.label)) for e in suite.estimator
+        (e.spec, *plugin_texts(e.spec, e.label)) for e in suite.estimator
     )
-    labels["task"] = _unique_labels((task, *_plugin_texts({"use": task})) for task in axes.task)
+    labels["task"] = _unique_labels((task, *plugin_texts({"use": task})) for task in axes.task)
     labels["robot"] = _unique_labels(
         (
             robot_key(source, entry.free_base, entry.sensor),
@@ -102,6 +119,6 @@ def _prior_texts(prior: Prior | str) -> tuple[Any, str, str]:
 
 
 def _motion_texts(motions: Sequence[Plugin]) -> tuple[Any, str, str]:
-    texts = [_plugin_texts(motion.spec) for motion in motions]
+    texts = [plugin_texts(motion.spec) for motion in motions]
     value = [motion.spec for motion in motions]
     return value, ", ".join(short for short, _ in texts), ", ".join(long for _, long in texts)

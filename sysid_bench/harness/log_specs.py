@@ -5,8 +5,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.harness.labels import plugin_texts
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
+from sysid_bench.signals.pipeline_choice import PLAIN, named_pipeline
 from sysid_bench.vocabulary import LABELS
 
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
@@ -15,8 +17,10 @@ RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 
 def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
     """Yield one specification for each combination of the sweeps of a log."""
-    sweeps = itertools.product(entry.terms, entry.choose, entry.filter, entry.moving)
-    for terms, choose, filter, moving in sweeps:
+    sweeps = itertools.product(
+        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline
+    )
+    for terms, choose, filter, moving, pipeline in sweeps:
         signals = {"filter": filter, "derivatives": entry.derivatives}
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
@@ -33,6 +37,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             noise={},
             signals={k: x for k, x in signals.items() if x not in (None, "default")},
             repeat=0,
+            pipeline=named_pipeline(pipeline.spec),
             log={
                 "train": list(entry.train),
                 "test": list(entry.test),
@@ -43,6 +48,11 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
                 "true_mass": entry.true_mass,
             },
         )
+
+
+def pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
+    """Return "parallel cutoff=6 Hz" for the pipeline of a log."""
+    return plugin_texts(pipeline or {"use": PLAIN})[1]
 
 
 def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
@@ -60,5 +70,6 @@ def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, s
         "held_out": ", ".join(name_of(log) for log in entry.test) or "none",
         "signals": f"{spec.signals.get('filter', 'default')}, "
         f"{spec.signals.get('derivatives', 'default')}{moving}",
+        "pipeline": pipeline_label(spec.pipeline),
     }
     return {axis: labels.get(axis, "recorded") for axis in LABELS if axis != "estimator"}

@@ -126,7 +126,7 @@ def _notes(suite: Suite, kept: Sequence[Cell], unique: Sequence[Cell]) -> Iterat
             "Experiments without noise under the simulation 'inverse' give the same numbers each "
             f"time: repeat 0 stands for all {suite.run.repeats}."
         )
-    if any(cell.spec.noise and cell.spec.signals["derivatives"] == "exact" for cell in unique):
+    if any(cell.spec.noise and cell.spec.signals.get("derivatives") == "exact" for cell in unique):
         yield (
             "Some cells have noise and derivatives = 'exact': their v and a come from ideal "
             "sensors, without noise. signals = { derivatives = 'from q', filter = ... } makes them "

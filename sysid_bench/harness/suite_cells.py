@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import SysidBenchError
@@ -16,11 +16,12 @@ from sysid_bench.experiments.spec import (
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.labels import labels_of, robot_key
 from sysid_bench.harness.log_specs import log_labels, log_specs
-from sysid_bench.harness.plan_size import is_random_prior, prior_table
+from sysid_bench.harness.plan_size import has_random_sensors, is_random_prior, prior_table
 from sysid_bench.harness.suite.data_entries import Signals
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.models.payload import parse_payload
+from sysid_bench.signals.pipeline_choice import PLAIN, named_pipeline, own_signals
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import LABELS
 
@@ -29,13 +30,16 @@ from sysid_bench.vocabulary import LABELS
 _SETUP_SECONDS = 0.3
 _SAMPLE_SECONDS = 1e-4
 _ESTIMATOR_SECONDS = 0.05
+OWN: Final = "of the pipeline"
+"""Label of signals where the pipeline has settings of its own."""
 _LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
 
 
 def is_random(spec: ExperimentSpec) -> bool:
     """True where the repeats of an experiment differ from each other."""
     simulated = spec.log is None and spec.simulation["use"] == "inverse"
-    return not simulated or bool(spec.noise) or is_random_prior(spec.prior)
+    drawn = bool(spec.redrawn) or has_random_sensors(spec.plant)
+    return not simulated or drawn or bool(spec.noise) or is_random_prior(spec.prior)
 
 
 def suite_cells(suite: Suite, names: Names) -> list[Cell]:
@@ -79,12 +83,13 @@ def _log_cells(suite: Suite, names: Names, label: Mapping[str, str]) -> list[Cel
 
 def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[ExperimentSpec]:
     axes = suite.defaults
-    for task, terms, plant, prior, excitation, held_out, simulation, rate, noise, signals in (
+    for task, terms, plant, prior, excitation, held_out, simulation, rate, noise, signals, line in (
         itertools.product(
             axes.task, axes.terms, axes.plant, axes.prior, axes.excitation, axes.held_out,
-            axes.simulation, axes.rate, axes.noise, axes.signals,
+            axes.simulation, axes.rate, axes.noise, axes.signals, axes.pipeline,
         )
     ):  # fmt: skip
+        pipeline = named_pipeline(line.spec)
         spec = ExperimentSpec(
             seed=suite.seed,
             robot=robot,
@@ -98,8 +103,9 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
             simulation=simulation.spec,
             rate=quantity(rate, "Hz"),
             noise=normal_noise(noise.model_dump(exclude_none=True)),
-            signals=_signals(signals),
+            signals=own_signals(_signals(signals), pipeline),
             repeat=0,
+            pipeline=pipeline,
         )
         repeats = suite.run.repeats if is_random(spec) else 1
         yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
@@ -125,6 +131,7 @@ def _labelled(
         "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
         "rate": f"{spec.rate:.12g} Hz",
         "signals": _signals_text(spec.signals),
+        "pipeline": label["pipeline"][canonical(spec.pipeline or {"use": PLAIN})],
         "estimator": label["estimator"][canonical(estimator)],
     }
     found = {
@@ -141,7 +148,8 @@ def _signals_text(signals: Mapping[str, Any]) -> str:
     contacts = signals.get("contacts", [])
     periods = contacts if isinstance(contacts, str) else ", ".join(contacts)
     free = f", contacts {periods}" if periods else ""
-    return f"{signals['filter']}, {signals['derivatives']}{raw}{calibrated}{free}{runs}"
+    first = f"{signals['filter']}, {signals['derivatives']}" if "filter" in signals else OWN
+    return f"{first}{raw}{calibrated}{free}{runs}"
 
 
 def _cost(spec: ExperimentSpec, estimators: int) -> float:

@@ -10,7 +10,8 @@ if TYPE_CHECKING:
 
 _SETTINGS: Final = (
     ("Simulation", "simulation"), ("Excitation", "excitation"), ("Rate", "rate"),
-    ("Noise", "noise"), ("Signals", "signals"), ("Held-out motions", "held_out"),
+    ("Noise", "noise"), ("Signals", "signals"), ("Pipeline", "pipeline"),
+    ("Held-out motions", "held_out"),
 )  # fmt: skip
 _PLANTS: Final = {"matched": " (the robot with exactly the terms of its model)"}
 _EMPTY: Final = {"noise": "exact"}

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _CASE: Final = (
     "robot", "payload", "task", "terms", "plant", "prior", "excitation", "held_out", "simulation",
-    "rate", "noise", "signals", "repeat",
+    "rate", "noise", "signals", "pipeline", "repeat",
 )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 SETTING: Final = (
     *("robot", "payload", "task", "terms", "plant", "prior", "excitation", "held_out"),
-    *("simulation", "rate", "noise", "signals", "estimator"),
+    *("simulation", "rate", "noise", "signals", "pipeline", "estimator"),
 )
 PARAMETER_COLUMNS: Final = ("id", "body", "name", "base_error", "bound")
 """Columns of the parameters that are read here."""

@@ -15,7 +15,8 @@ Choose = Callable[[str, Mapping[str, Any]], bool]
 
 _BLOCK: Final = 1000  # cells that are mappings at a time
 SWEEPABLE: Final = (
-    "robot", "payload", "task", "plant", "excitation", "simulation", "noise", "estimator",
+    "robot", "payload", "task", "plant", "excitation", "simulation", "noise", "pipeline",
+    "estimator",
 )  # fmt: skip
 """Fields that make experiments different; a table that pools over one of these has a note."""
 

@@ -14,7 +14,17 @@ from sysid_bench.vocabulary import BESTS
 if TYPE_CHECKING:
     import pandas as pd
 
-_SPEC_KEYS: Final = ("name", "title", "rows", "columns", "cells", "metrics", "best", "select")
+_SPEC_KEYS: Final = (
+    "name",
+    "title",
+    "rows",
+    "columns",
+    "cells",
+    "metrics",
+    "best",
+    "select",
+    "effects",
+)
 _CELL_KEYS: Final = ("metric", "stat", "interval")
 
 
@@ -31,6 +41,7 @@ class TableLayout:
     stat: str
     interval: str
     has_metric_columns: bool
+    effects: bool = False  # main effects of rows and columns below the table
 
     @property
     def fields(self) -> Key:
@@ -66,6 +77,7 @@ def layout_of(
         stat=wanted.get("stat", "median"),
         interval=wanted.get("interval", "none"),
         has_metric_columns=bool(spec.get("metrics")),
+        effects=bool(spec.get("effects")),
     )
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from sysid_bench.evaluation.repeat_statistic import ENOUGH_REPEATS
 from sysid_bench.metrics import REASONS
+from sysid_bench.reporting.main_effects import effect_notes
 from sysid_bench.reporting.notation import ABSENT
 from sysid_bench.reporting.selection import SWEEPABLE
 from sysid_bench.reporting.table_entries import Entries
@@ -22,6 +23,8 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
         yield from _names(cells, layout, metric)
         yield from _reasons(cells, metric)
     yield from _too_few(layout, entries)
+    if layout.effects:
+        yield from effect_notes(dict(entries), (layout.rows, layout.columns))
 
 
 def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:

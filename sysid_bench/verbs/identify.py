@@ -32,6 +32,7 @@ def identify(
     complete: str | None = None, filter: str | None = None, derivatives: str | None = None,
     moving: float = 0.0, choose: Sequence[str] = (), position_given: bool = False,
     accept: Sequence[str] = (), figure: PathLike | None = None,
+    pipeline: str | Mapping[str, Any] | None = None,
 ) -> IdentifyResult:  # fmt: skip
     """Identify a robot: from the recordings `log`, judged on `test`, or from its own simulation.
 
@@ -44,6 +45,7 @@ def identify(
     shared: dict[str, Any] = {
         "model": str(model), "task": task, "terms": _terms(terms), "estimator": estimator,
         "model_out": _path(model_out), "json_out": _path(json_out), "robots_dir": robots_dir,
+        "pipeline": pipeline,
     }  # fmt: skip
     of_logs: dict[str, Any] = {
         "accept": tuple(accept), "choose": tuple(choose), "position_given": position_given,

@@ -13,6 +13,7 @@ from sysid_bench.evaluation.recorded_score import (
     joint_errors,
     rms_error,
     torque_error,
+    weighted_error,
 )
 from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.experiments.prepared import Prepared
@@ -142,6 +143,7 @@ def _options(request: RecordedRequest) -> LogOptions:
         candidates=request.choose,
         position_given=request.position_given,
         accept=request.accept,
+        pipeline=request.named_pipeline,
     )
 
 
@@ -188,6 +190,9 @@ def _errors(posed: Prepared[RecordedSource], beta: Array) -> dict[str, Any]:
         "rmse_train": rms_error(problem, beta),
         "rmse_test": _mean([rms_error(test, beta) for test in tests.values()]),
         "torque_error": torque_error(tests, beta),
+        "torque_error_moving": torque_error(posed.held_out_moving, beta),
+        "torque_error_weighted": weighted_error(tests, beta),
+        "standstill": posed.figures["standstill"],
         "training": joint_errors(problem, beta),
         "tests": {label: joint_errors(test, beta) for label, test in tests.items()},
         "replayed": {
@@ -253,6 +258,7 @@ def _signals(preprocessing: LogProcessing) -> dict[str, Any]:
         "derivatives": preprocessing.derivatives,
         "torque": "filtered",
         "moving": preprocessing.moving,
+        "pipeline": preprocessing.name,
     }
 
 

@@ -1,9 +1,12 @@
 """Request of an identification: what simulated and recorded data have in common."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from sysid_bench.errors import UsageError
+from sysid_bench.signals.pipeline_choice import PLAIN, named_pipeline
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -12,6 +15,7 @@ class IdentifyRequest:
 
     `model`: a robot's name, a URDF or an MJCF file; `terms`: joint terms that are also unknown
     (None: those of the task); `estimator`: a plug-in (None: the usual one for the data).
+    `pipeline`: signal pipeline of the fit, a name or {use, settings} (None: plain filtering).
     `model_out`: the model file again, with the identified values; `json_out`: the result as a file.
     """
 
@@ -19,9 +23,16 @@ class IdentifyRequest:
     task: str = "robot"
     terms: tuple[str, ...] | None = None
     estimator: str | None = None
+    pipeline: str | Mapping[str, Any] | None = None
     model_out: Path | None = None
     json_out: Path | None = None
     robots_dir: Path | None = None
+
+    @property
+    def named_pipeline(self) -> dict[str, Any] | None:
+        """The pipeline as an experiment names it."""
+        written = PLAIN if self.pipeline is None else self.pipeline
+        return named_pipeline({"use": written} if isinstance(written, str) else written)
 
 
 def check_seed(seed: int) -> None:

@@ -16,6 +16,7 @@ from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_pa
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.naming import build
+from sysid_bench.signals.pipeline_choice import own_signals
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.estimate_fields import (
@@ -42,7 +43,7 @@ IDEAL: Final = {"filter": "none", "derivatives": "exact"}
 """Signals: rates are differentiated from the encoders once these are noisy."""
 _SCORES: Final = (
     *("rank", "data_rank", "parameters", "condition", "condition_unit", "rmse_train", "rmse_test"),
-    *("torque_error", "feasible", "plausible"),
+    *("torque_error", "torque_error_moving", "torque_error_weighted", "feasible", "plausible"),
 )
 """Scores that the result reports."""
 
@@ -69,7 +70,8 @@ class SimulatedRequest(IdentifyRequest):
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulatedResult(IdentifyResult):
     """Identification from simulated data. `left_out`: share of the samples taken for contacts;
-    `gap`: of the cross-check; `sensor`: excitation and errors behind a force/torque sensor."""
+    `standstill`: share of the rows left out of the fit; `gap`: of the cross-check; `sensor`:
+    excitation and errors behind a force/torque sensor."""
 
     model: str
     file: str
@@ -85,6 +87,9 @@ class SimulatedResult(IdentifyResult):
     rmse_train: float | None
     rmse_test: float | None
     torque_error: float | None
+    torque_error_moving: float | None
+    torque_error_weighted: float | None
+    standstill: float
     left_out: float
     gap: float
     std_from: str | None
@@ -178,7 +183,10 @@ def _result(
 ) -> SimulatedResult:
     problem, source = ready.problem, ready.source
     definition = source.task.definition
-    scores = score(estimate, problem, ready.held_out, source.truth, source.extents)
+    scores = score(
+        estimate, problem, ready.held_out, source.truth, source.extents,
+        moving=ready.held_out_moving,
+    )  # fmt: skip
     fields = estimate_fields(estimate, problem, standard_errors(problem, estimate))
     first_body = next(iter(fields["bodies"].values()))
     return SimulatedResult(
@@ -191,6 +199,7 @@ def _result(
         **{name: getattr(scores, name) for name in _SCORES},
         **fields,
         left_out=source.left_out,
+        standstill=source.standstill,
         gap=loaded.check.gap,
         payload=first_body if definition.identifies_payload else None,
         completed=request.complete,
@@ -231,7 +240,8 @@ def _spec(request: SimulatedRequest) -> ExperimentSpec:
         simulation={"use": "inverse"},
         rate=200.0,
         noise=noise,
-        signals=_signals(noise, request.contacts),
+        signals=own_signals(_signals(noise, request.contacts), request.named_pipeline),
+        pipeline=request.named_pipeline,
         repeat=0,
         sensor=request.sensor,
         free_base=request.free_base,

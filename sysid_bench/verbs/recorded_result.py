@@ -35,6 +35,9 @@ class RecordedResult(IdentifyResult):
     rmse_train: float | None
     rmse_test: float | None
     torque_error: float | None
+    torque_error_moving: float | None
+    torque_error_weighted: float | None
+    standstill: float
     training: dict[str, dict[str, float]]
     tests: dict[str, dict[str, dict[str, float]]]
     replayed: dict[str, Any]
@@ -72,8 +75,9 @@ class RecordedResult(IdentifyResult):
     def _signals_line(self) -> str:
         seconds = sum(log["seconds"] for log in self.logs if log["use"] == "train")
         return (
-            f"{seconds:.1f} s of training, filter {self.signals['filter']!r}, derivatives "
-            f"{self.signals['derivatives']!r}; errors in % of the {self.denominator}"
+            f"{seconds:.1f} s of training, pipeline {self.signals['pipeline']!r}, "
+            f"filter {self.signals['filter']!r}, "
+            f"derivatives {self.signals['derivatives']!r}; errors in % of the {self.denominator}"
         )
 
 

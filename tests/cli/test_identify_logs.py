@@ -388,3 +388,22 @@ def test_a_period_is_a_time(tmp_path: Path) -> None:
         path = write(tmp_path, once, period=wrong)
         with pytest.raises(UsageError, match=f"period.*{why}"):
             identify("ur5", log=[path])
+
+
+@pytest.mark.parametrize("task", ["robot", "payload"])
+def test_pipelines_are_judged_on_the_same_rows(folder: Path, task: str) -> None:
+    """Whatever the fit leaves out or filters, test logs keep all rows and the plain filter."""
+    logs = [folder / "run.toml", *([folder / "loaded.toml"] if task == "payload" else [])]
+    words: dict[str, Any] = {"log": logs, "test": [folder / "other.toml"], "task": task}
+    plain = identify("ur5", **words)
+    rms = [test["rms"] for test in next(iter(plain["tests"].values())).values()]
+    for pipeline in ("parallel", "raw", {"use": "parallel", "cutoff": "8 Hz", "weight": 0.2}):
+        result = identify("ur5", pipeline=pipeline, **words)
+        tests = next(iter(result["tests"].values())).values()
+        assert [test["rms"] for test in tests] == rms
+        for name in ("torque_error", "torque_error_moving", "torque_error_weighted"):
+            assert result[name] < 1.5 * plain[name], name
+        assert (result["standstill"] > 0) == (pipeline == "parallel")
+    assert plain["standstill"] == 0.0
+    with pytest.raises(UsageError, match="paralel"):
+        identify("ur5", pipeline="paralel", **words)

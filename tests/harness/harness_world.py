@@ -14,6 +14,7 @@ PLUGINS = {
     "excitation": ("fourier", "fourier-other", "ptp"),
     "simulation": ("inverse", "closed-loop"),
     "plant": ("matched", "stribeck"),
+    "pipeline": ("plain", "raw", "parallel"),
 }
 
 

@@ -15,6 +15,7 @@ from sysid_bench.experiments.seed import (
     held_out_seed,
     motion_seed,
     noise_seed,
+    plant_seed,
     prior_seed,
     seed_of,
     sensor_seed,
@@ -47,6 +48,8 @@ CHANGES: dict[str, Any] = {
     "repeat": 0,
     "free_base": True,
     "sensor": "wrist",
+    "pipeline": {"use": "parallel"},
+    "redrawn": ("motions",),
     "log": {"train": ["run.toml"]},
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
@@ -55,6 +58,7 @@ SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
     prior_seed: {"seed", "robot", "payload", "task"},
     sensor_seed: {"seed", "robot", "repeat", "sensor"},
     lambda spec: held_out_seed(spec, 0): {"seed", "robot", "held_out"},
+    plant_seed: {"seed", "robot"},
 }
 
 
@@ -68,7 +72,9 @@ def test_an_id_depends_on_every_part(part: str) -> None:
 
 
 @pytest.mark.parametrize("part", CHANGES)
-@pytest.mark.parametrize("seed", SEEDS, ids=["motion", "noise", "prior", "sensor", "held-out"])
+@pytest.mark.parametrize(
+    "seed", SEEDS, ids=["motion", "noise", "prior", "sensor", "held-out", "plant"]
+)
 def test_a_seed_depends_on_its_parts_alone(
     seed: Callable[[ExperimentSpec], int], part: str
 ) -> None:
@@ -270,3 +276,35 @@ def test_a_ranking_against_a_method_that_is_not_there_is_found_before_the_run() 
 def test_torques_are_shown_along_a_log() -> None:
     with pytest.raises(UsageError, match=r"no \[\[log\]\]"):
         read(small() + '\n[[paper]]\nname = "torques"\nshow = "torques"\n')
+
+
+# --- Pipelines ----------------------------------------------------------------------------------
+
+
+def test_the_pipeline_plain_is_no_part_of_an_id() -> None:
+    """Ids are older than pipelines: `plain` is the table `signals`."""
+    silent, named = plan_of(small()), plan_of(small('[defaults]\npipeline = "plain"'))
+    assert [cell.id for cell in silent.cells] == [cell.id for cell in named.cells]
+    assert {cell.labels["pipeline"] for cell in silent.cells} == {"plain"}
+    other = plan_of(small('[defaults]\npipeline = { use = "plain", standstill = "10 %" }'))
+    assert not {cell.id for cell in silent.cells} & {cell.id for cell in other.cells}
+
+
+def test_only_plain_reads_the_filters_of_signals() -> None:
+    """A pipeline of its own settings is planned once, however many filters `plain` tries."""
+    sweep = """
+    [defaults]
+    pipeline = ["plain", { use = "parallel", cutoff = "6 Hz" }]
+    signals = [{ filter = "none" }, { filter = "average 5" }]
+    """
+    cells = plan_of(small(sweep)).cells
+    counts = dict.fromkeys(("plain", "parallel"), 0)
+    for cell in cells:
+        counts[cell.labels["pipeline"].split()[0]] += 1
+    assert counts["plain"] == 2 * counts["parallel"] > 0
+    chosen = expand_fields(cells, "pipeline.cutoff")
+    assert chosen == {None, "6 Hz"}
+
+
+def expand_fields(cells: Any, name: str) -> set[Any]:
+    return {fields(cell).get(name) for cell in cells}

@@ -2,7 +2,7 @@
 for suites."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +24,9 @@ from sysid_bench.models.manifest import Manifest
 from sysid_bench.naming import resolve_files
 from sysid_bench.signals.log_checks import refuse_findings
 from sysid_bench.signals.log_description import LogDescription, log_description, name_of
+from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_of
 from sysid_bench.signals.processing import processing_of
+from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.types import Experiment, Problem
 from sysid_bench.units import quantity
 
@@ -43,6 +45,7 @@ TERMS: Final = ("viscous", "coulomb", "offset")
 class LogOptions:
     """`terms` None: the robot's own. `filter` None: FILTER, or none at low rates. `derivatives`
     None: from v where every log has v. `moving`: rows slower than this (rad/s, m/s) are left out.
+    `pipeline` {use, settings} of the training logs, its file below `folder`; None: plain filtering.
     `candidates`, `position_given`: see `build_problems`. `accept`: contradictions that may pass.
     `true_mass`: kg, of the payload on a scale."""
 
@@ -55,6 +58,8 @@ class LogOptions:
     position_given: bool = False
     accept: tuple[str, ...] = ()
     true_mass: float | None = None
+    pipeline: Mapping[str, Any] | None = None
+    folder: Path | None = None
 
 
 def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[RecordedSource]:
@@ -83,6 +88,8 @@ def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogO
         position_given=bool(log["position_given"]),
         accept=tuple(log["accept"]),
         true_mass=None if mass is None else quantity(mass, "kg"),
+        pipeline=spec.pipeline,
+        folder=folder,
     )
 
 
@@ -100,11 +107,12 @@ def prepare_logs(
     descriptions = [*training, *tests.values()]
     manifest = locked_manifest(manifest, load_robot(manifest), descriptions)
     preprocessing = _preprocessing(descriptions, options)
-    logs = [process_log(description, manifest, preprocessing) for description in descriptions]
+    fits = [process_log(log, manifest, preprocessing, training=True) for log in training]
+    judged = [process_log(log, manifest, preprocessing, training=False) for log in tests.values()]
+    logs = [*fits, *judged]
     for log in logs:
         refuse_findings(log.log.findings, options.accept, str(log.log.description.source))
-    test_logs = dict(zip(tests, logs[len(training) :], strict=True))
-    return build_problems(logs[: len(training)], test_logs, preprocessing, options)
+    return build_problems(fits, dict(zip(tests, judged, strict=True)), preprocessing, options)
 
 
 def build_problems(
@@ -139,8 +147,11 @@ def build_problems(
     )
     problem = builder.build(training, base)
     held_out = {name: builder.build([test], base) for name, test in tests.items()}
+    moving = {
+        name: builder.build([replace(test, rows=MOVING)], base) for name, test in tests.items()
+    }
     experiment = _experiment(problem, builder, training[0])
-    return Prepared(unknowns.robot, problem, experiment, held_out, source)
+    return Prepared(unknowns.robot, problem, experiment, held_out, source, moving)
 
 
 def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLog) -> Experiment:
@@ -171,8 +182,12 @@ def log_files(log: Mapping[str, Any], folder: Path) -> list[Path]:
 def _preprocessing(logs: Sequence[LogDescription], options: LogOptions) -> LogProcessing:
     filters = options.filter or _default_filter(logs)
     derivatives = options.derivatives or _default_derivatives(logs)
-    processing = processing_of({"filter": filters, "derivatives": derivatives})
-    return LogProcessing(processing, options.moving, filters, derivatives)
+    signals = {"filter": filters, "derivatives": derivatives}
+    pipeline = pipeline_of(options.pipeline, signals, options.folder)
+    return LogProcessing(
+        processing_of(signals), pipeline, options.moving, filters, derivatives,
+        PLAIN if options.pipeline is None else str(options.pipeline["use"]),
+    )  # fmt: skip
 
 
 def _default_filter(logs: Sequence[LogDescription]) -> str:

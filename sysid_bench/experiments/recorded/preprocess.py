@@ -1,7 +1,7 @@
 """Preprocessing of logs: filtered motion and torque, with the robot and its payload."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,19 +13,33 @@ from sysid_bench.models.payload import PAYLOADS, Payload, parse_payload
 from sysid_bench.models.robot import Joint, RobotModel
 from sysid_bench.signals.log import Log, read_log
 from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.pipeline_choice import PLAIN
 from sysid_bench.signals.processing import Processing
+from sysid_bench.signals.row_processing import Pipeline, ProcessedSignals, RowProcessing
 from sysid_bench.types import Recording, Trajectory
 
 
 @dataclass(frozen=True)
 class LogProcessing:
-    """Settings for all logs: `processing` gives motion and torque. Rows whose joint moves slower
-    than `moving` (rad/s, m/s) are left out: no model has static friction."""
+    """Settings for all logs: `pipeline` gives motion, torque and rows of training logs. Motion and
+    torque of test logs are those of `processing`, whatever the pipeline, so that
+    pipelines are compared on the same rows. Rows whose joint moves slower than `moving` (rad/s,
+    m/s) are left out of both: no model has static friction."""
 
     processing: Processing
+    pipeline: Pipeline | None = None  # None: `processing`
     moving: float = 0.0
     filter: str = ""  # as written
     derivatives: str = ""
+    name: str = PLAIN  # of the pipeline
+
+    def signals(
+        self, recording: Recording, joints: tuple[Joint, ...], training: bool
+    ) -> ProcessedSignals:
+        """Motion, torque and row processing of a recording for the fit or for a test."""
+        if training and self.pipeline is not None:
+            return self.pipeline.process(recording, joints)
+        return ProcessedSignals(self.processing.apply(recording, joints))
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +50,7 @@ class ProcessedLog:
     robot: RobotModel
     recording: Recording
     motors: Trajectory | None = None  # (N, k) each, where the log states a transmission
+    rows: RowProcessing = field(default_factory=RowProcessing)  # of W beta = b
 
     @property
     def payload(self) -> Payload:
@@ -44,9 +59,10 @@ class ProcessedLog:
 
 
 def process_log(
-    log: LogDescription, manifest: Manifest, preprocessing: LogProcessing
+    log: LogDescription, manifest: Manifest, preprocessing: LogProcessing, training: bool = True
 ) -> ProcessedLog:
-    """Read and preprocess a log; its contradictions are still to be refused.
+    """Read and preprocess a log for the fit or for a test; its contradictions are still to be
+    refused.
 
     Raises UsageError for a file or a filter that cannot be used.
     """
@@ -54,27 +70,28 @@ def process_log(
     robot = load_robot(manifest, payload)
     read = read_log(log, robot)
     try:
-        recording = preprocessing.processing.apply(read.recording, robot.joints)
+        processed = preprocessing.signals(read.recording, robot.joints, training)
     except UsageError as error:
         raise UsageError(f"{log.source}: {error}") from error
     # Dependent joints follow from the filtered independent ones: the closure is nonlinear.
-    motion = robot.completed(recording.motion)
+    motion = robot.completed(processed.recording.motion)
     return ProcessedLog(
         read,
         robot,
-        replace(recording, q=motion.q, v=motion.v, a=motion.a),
-        _motors(read, preprocessing),
+        replace(processed.recording, q=motion.q, v=motion.v, a=motion.a),
+        _motors(read, preprocessing, training),
+        processed.rows,
     )
 
 
-def _motors(log: Log, preprocessing: LogProcessing) -> Trajectory | None:
+def _motors(log: Log, preprocessing: LogProcessing, training: bool) -> Trajectory | None:
     """Motion of the motors, filtered like that of the joints."""
     if log.coordinates is None or log.description.transmission is None:
         return None
     joints = tuple(
         Joint(name, "hinge", k, k, (name,)) for k, name in enumerate(log.description.joints)
     )
-    motion = preprocessing.processing.apply(log.coordinates, joints).motion
+    motion = preprocessing.signals(log.coordinates, joints, training).recording.motion
     # q = G q_motor, and G is constant: rates transform alike.
     q, v, a = np.linalg.solve(
         log.description.transmission, np.stack([motion.q.T, motion.v.T, motion.a.T])

@@ -1,12 +1,19 @@
 """Problems W beta = b of logs, as triangular factors row by row."""
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final
 
 import numpy as np
 
+from sysid_bench.experiments.processed_rows import (
+    MotionRows,
+    ProcessedRows,
+    RegressorBlock,
+    motion_rows,
+    row_samples,
+)
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import MASS, Unknowns
 from sysid_bench.models.robot import RobotModel
@@ -66,7 +73,7 @@ class LogProblemBuilder:
     def build(self, logs: Sequence[ProcessedLog], base: BaseMap) -> Problem:
         """The problem W beta = b of all rows of the logs."""
         rows = self.unknowns.rows
-        parts = [self._factors(log) for log in logs]
+        parts, along = [self._factors(log) for log in logs], [self.rows_along(log) for log in logs]
         return Problem(
             parameters=self.unknowns.parameters,
             base=base,
@@ -75,11 +82,11 @@ class LogProblemBuilder:
             factors=tuple(map(row_factor, zip(*parts, strict=True))),
             bodies=self.unknowns.bodies,
             blocks=partial(_blocks, self, tuple(logs)),
-            samples=sum(len(log.recording) for log in logs),
+            samples=sum(one.samples for one in along),
             kinds=self.unknowns.kinds,
-            torque=np.array([self._rms_torque(logs, row) for row in rows]),
+            torque=self._rms_torque(logs, along),
             # Motions of several logs differ: their spread is more than that of the noise.
-            period=logs[0].recording.motion.period_samples if len(logs) == 1 else 0,
+            period=along[0].period(logs[0].recording.motion) if len(logs) == 1 else 0,
         )
 
     def regression(self, log: ProcessedLog) -> tuple[AnyRegression, Array]:
@@ -111,6 +118,9 @@ class LogProblemBuilder:
     def factors(self, log: ProcessedLog, labels: Array, count: int) -> list[list[Factor]]:
         """For each label 0 ... count - 1 the factors of all joints at samples that have it (N,),
         in one pass over the motion."""
+        along = self.rows_along(log)
+        if along.is_processed:
+            return self._processed(log, along).factors_by_label(labels, count)
         regression, indices = self.regression(log)
         tau = self.torque(log)
         joints = []
@@ -163,14 +173,57 @@ class LogProblemBuilder:
             W[:, i, columns] = values[block.samples]
         return W
 
-    def _rms_torque(self, logs: Sequence[ProcessedLog], row: str) -> float:
-        """RMS of the measured torque of a joint, known parts included."""
-        parts = [
-            log.recording.tau[self.moving_rows(log, row), log.robot.torque_rows.index(row)]
-            for log in logs
-        ]
-        tau = np.concatenate(parts)
-        return float(np.sqrt((tau**2).mean())) if len(tau) else 0.0
+    def blocks(self, log: ProcessedLog) -> Iterator[RowBlock]:
+        """Dense rows W, b of a log; those that are left out are zero."""
+        along = self.rows_along(log)
+        return self._processed(log, along).blocks() if along.is_processed else self._blocks(log)
+
+    def _blocks(self, log: ProcessedLog) -> Iterator[RowBlock]:
+        regression, indices = self.regression(log)
+        names, tau = self.unknowns.rows, self.torque(log)
+        rows = [regression.rows.index(row) for row in names]
+        moving = np.stack([self.moving_rows(log, row) for row in names], axis=1)
+        features = [self.extra_columns(log, row) for row in names]
+        for block in regression.blocks(log.recording.motion):
+            kept = moving[block.samples]
+            W = self.dense(block, indices, features)
+            yield W * kept[:, :, None], tau[block.samples][:, rows] * kept
+
+    def _rms_torque(self, logs: Sequence[ProcessedLog], along: Sequence[MotionRows]) -> Array:
+        """RMS (rows,) of the measured torque of each joint, known parts included."""
+        values: list[float] = []
+        for i, row in enumerate(self.unknowns.rows):
+            parts = [
+                one.kept(i, log.recording.tau[:, log.robot.torque_rows.index(row)])
+                for log, one in zip(logs, along, strict=True)
+            ]
+            count = sum(one.count(i) for one in along)
+            values.append(float((np.concatenate(parts) ** 2).sum()) / max(count, 1))
+        return np.sqrt(values)
+
+    def rows_along(self, log: ProcessedLog) -> MotionRows:
+        """The processing of the rows of a log; those of slow joints have no weight."""
+        moving = [self.moving_rows(log, row) for row in self.unknowns.rows]
+        rows = motion_rows(log.rows, log.robot, self.unknowns.rows, log.recording.motion)
+        return replace(rows, weights=rows.weights * np.stack(moving, axis=1))
+
+    def left_out(self, logs: Sequence[ProcessedLog]) -> float:
+        """Share of the rows of some logs that are left out."""
+        return float(np.concatenate([self.rows_along(log).weights == 0.0 for log in logs]).mean())
+
+    def _processed(self, log: ProcessedLog, along: MotionRows) -> ProcessedRows:
+        """The rows of a log as its pipeline leaves them."""
+        regression, known = self.regression(log)
+        blocks: list[RegressorBlock] = list(regression.blocks(log.recording.motion))
+        tau = self.torque(log)
+        columns, values = [], []
+        for k, row in enumerate(self.unknowns.rows):
+            i, (extra, indices) = regression.rows.index(row), self.extra_columns(log, row)
+            columns.append(np.concatenate([known[regression.touched[i]], indices]))
+            values.append(along.of_row(k, row_samples(blocks, i, tau[:, i], extra)))
+        return ProcessedRows(
+            self.unknowns.rows, tuple(columns), tuple(values), along, len(self.columns)
+        )
 
     def moving_rows(self, log: ProcessedLog, row: str) -> Array:
         """Samples (N,) at which a joint moves fast enough."""
@@ -210,19 +263,7 @@ def _padded(factor: Factor, columns: Array) -> Array:
 def _blocks(builder: LogProblemBuilder, logs: tuple[ProcessedLog, ...]) -> Iterator[RowBlock]:
     """Dense rows W, b; those of joints that move too slowly are zero."""
     for log in logs:
-        yield from _log_blocks(builder, log)
-
-
-def _log_blocks(builder: LogProblemBuilder, log: ProcessedLog) -> Iterator[RowBlock]:
-    regression, indices = builder.regression(log)
-    names, tau = builder.unknowns.rows, builder.torque(log)
-    rows = [regression.rows.index(row) for row in names]
-    moving = np.stack([builder.moving_rows(log, row) for row in names], axis=1)
-    features = [builder.extra_columns(log, row) for row in names]
-    for block in regression.blocks(log.recording.motion):
-        kept = moving[block.samples]
-        W = builder.dense(block, indices, features)
-        yield W * kept[:, :, None], tau[block.samples][:, rows] * kept
+        yield from builder.blocks(log)
 
 
 def _torque_per_kilogram(log: ProcessedLog) -> Array:

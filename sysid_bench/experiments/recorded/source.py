@@ -37,8 +37,8 @@ class RecordedSource:
         return ""
 
     def figures(self, problem: Problem, held_out: Mapping[str, Problem]) -> dict[str, Any]:
-        """Rank and conditioning of the training data."""
-        return data_figures(problem, {})
+        """Rank and conditioning of the training data, and the share of rows left out."""
+        return data_figures(problem, {}) | {"standstill": self.builder.left_out(self.training)}
 
     def fields(self) -> Row:
         """Preprocessing, findings and selected terms, as the field `log`."""
@@ -47,6 +47,7 @@ class RecordedSource:
             "log": {
                 "filter": preprocessing.filter,
                 "derivatives": preprocessing.derivatives,
+                "pipeline": preprocessing.name,
                 "seconds": sum(float(np.ptp(log.recording.t)) for log in self.training),
                 "findings": "; ".join(dict.fromkeys(self._findings())),
                 **_selection_fields(self.selection),
@@ -63,7 +64,9 @@ class RecordedSource:
         """Scores of an estimate against the measured torque, with the mass of an unknown payload,
         and the table of its parameters."""
         problem = prepared.problem
-        scores = score_recorded(estimate, problem, prepared.held_out, prepared.figures)
+        scores = score_recorded(
+            estimate, problem, prepared.held_out, prepared.figures, prepared.held_out_moving
+        )
         scores = replace(scores, joints=tuple(self._with_repeatability(scores.joints, problem)))
         beta = base_parameters(estimate)
         if beta is not None:
@@ -116,7 +119,7 @@ def _selection_fields(selection: TermSelection | None) -> Row:
 
 @dataclass(frozen=True, eq=False)
 class LogTorque:
-    """Times (N,), measured and predicted torque (N, rows) of a log, and its problem."""
+    """Times (N,), measured and predicted torque (N, rows) of a log at the rows of its problem."""
 
     t: Array
     measured: Array
@@ -133,8 +136,8 @@ def predict_log(
     """
     problem, log = _log_named(prepared, test)
     measured, predicted = predict_torque(problem, beta)
-    N = len(log.recording)
-    return LogTorque(log.recording.t, measured[:N], predicted[:N], problem)
+    t = log.recording.t[:: log.rows.step]
+    return LogTorque(t, measured[: len(t)], predicted[: len(t)], problem)
 
 
 def _log_named(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.errors import EstimationError, UnsupportedError
-from sysid_bench.experiments.simulated.ft_sensors import sampled_motion
+from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.simulated.problem import term_torque
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler

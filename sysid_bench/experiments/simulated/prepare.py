@@ -10,6 +10,7 @@ import numpy as np
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.seed import noise_seed
+from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.method_model import (
     KnownTorque,
@@ -24,7 +25,6 @@ from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
-from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array, Experiment, Problem, Recording, Run
 
 
@@ -37,13 +37,14 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     builder, simulated = noise_free.builder, noise_free.simulated
     order = recordings_of(spec, noise_free.task)
     first_loaded = next(repetition for repetition in order if repetition.loaded)
-    sensors = MeasuredSensors(spec, simulated.plant, noise_free.task)
+    sensors = MeasuredSensors(spec, simulated.built, noise_free.task)
     sampled = record(spec, simulated, sensors, first_loaded)
     processed = preprocess(spec, loaded, builder, sampled)
     runs = _runs(spec, noise_free, order, Run(True, processed.recording))
     experiment = _experiment(noise_free, processed, runs)
     _make_read_only(experiment)
     motion = processed.recording.motion
+    along = builder.rows_along(motion, processed.rows)
     source = SimulatedSource(
         spec=spec,
         noise_free=noise_free,
@@ -51,8 +52,16 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
         known=builder.known(motion)[:, builder.row_indices],
         bound=sampled.cramer_rao_bound(builder),
         left_out=processed.left_out,
+        standstill=along.left_out,
     )
-    return Prepared(loaded.robot, experiment.problem, experiment, noise_free.held_out, source)
+    return Prepared(
+        loaded.robot,
+        experiment.problem,
+        experiment,
+        noise_free.held_out,
+        source,
+        noise_free.held_out_moving,
+    )
 
 
 def _experiment(
@@ -66,14 +75,16 @@ def _experiment(
     if not noise_free.task.cuts:
         simulate = SimulateModel(noise_free.known_model, processed.raw)
         known = KnownTorque(noise_free.known_model, rows)
+    along = builder.rows_along(recording.motion, processed.rows)
     return Experiment(
-        problem=builder.build(recording.motion, measured, noise_free.prior),
+        problem=builder.build(recording.motion, measured, noise_free.prior, along),
         recording=recording,
         raw=processed.raw,
         regress=partial(regressor_blocks, builder.regression, rows, builder.instruments),
         simulate=simulate,
         known=known,
         runs=runs,
+        filter_rows=along.filtered,
     )
 
 
@@ -105,15 +116,14 @@ def _runs(
         return ()
     loaded = noise_free.simulated
     robot = load_robot(loaded.loaded.robot.manifest, parse_payload("none"), spec.free_base)
-    plant = plant_of(robot, [loaded.loaded.build_plugin("plant", spec.plant)])
-    robots = {True: loaded, False: replace(loaded, plant=plant)}
+    robots = {True: loaded, False: replace(loaded, built=built_plant(spec, loaded.loaded, robot))}
     runs = []
     for repetition in order:
         if repetition.seed == noise_seed(spec):
             runs.append(main)
             continue
         simulated = robots[repetition.loaded]
-        sensors = MeasuredSensors(spec, simulated.plant, noise_free.task)
+        sensors = MeasuredSensors(spec, simulated.built, noise_free.task)
         sampled = record(spec, simulated, sensors, repetition)
         runs.append(Run(repetition.loaded, sampled.recording))
     return tuple(runs)

@@ -1,14 +1,15 @@
 """Preprocessing of simulated recordings: in-situ calibration of sensors, removal of contacts."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_signals
 from sysid_bench.experiments.simulated.record import SampledRecording, SimulatedRobot, record
@@ -20,7 +21,8 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.sensor import cut_at, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.simulation.plant import plant_of
+from sysid_bench.signals.filters import NoFilter
+from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Recording
 from sysid_bench.units import interval
@@ -29,11 +31,13 @@ from sysid_bench.units import interval
 @dataclass(frozen=True, eq=False)
 class ProcessedRecording:
     """A recording with its sensors calibrated: `raw` unfiltered, `recording` filtered and without
-    contact periods, which were the share `left_out` of its samples."""
+    contact periods, which were the share `left_out` of its samples; `rows` of W beta = b are still
+    to be processed."""
 
     raw: Recording
     recording: Recording
     left_out: float
+    rows: RowProcessing = field(default_factory=RowProcessing)
 
 
 def preprocess(
@@ -47,8 +51,13 @@ def preprocess(
     if "calibration" in spec.signals and builder.task.cuts:
         calibration = _estimate_calibration(spec, loaded, builder.task)
         raw, recording = (_calibrated(one, calibration) for one in (raw, recording))
+    if spec.signals.get("contacts") and not isinstance(sampled.rows.filter, NoFilter):
+        raise UnsupportedError(
+            "Contact periods leave gaps, which a filter of rows cannot cross: use the pipeline "
+            "'plain' with signals.contacts."
+        )
     recording, left_out = _without_contact(spec.signals.get("contacts"), recording, builder)
-    return ProcessedRecording(raw, recording, left_out)
+    return ProcessedRecording(raw, recording, left_out, sampled.rows)
 
 
 def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task) -> Calibration:
@@ -58,10 +67,10 @@ def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task)
     for run, payload in enumerate(spec.signals["calibration"], 1):
         robot = load_robot(loaded.robot.manifest, parse_payload(payload), spec.free_base)
         cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
-        plant = plant_of(robot, [loaded.build_plugin("plant", spec.plant)])
-        sensors = MeasuredSensors(spec, plant, replace(task, cuts=cuts), run)
+        built = built_plant(spec, loaded, robot)
+        sensors = MeasuredSensors(spec, built, replace(task, cuts=cuts), run)
         simulated = SimulatedRobot(
-            spec, replace(loaded, robot=robot), plant, partial(design_problem, robot)
+            spec, replace(loaded, robot=robot), built, partial(design_problem, robot)
         )
         recording = record(spec, simulated, sensors).recording
         instruments = instruments_of(robot, cuts)

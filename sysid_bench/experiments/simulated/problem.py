@@ -1,11 +1,18 @@
 """Problems W beta = b of a robot and a task, from motions and measured signals."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 
+from sysid_bench.experiments.processed_rows import (
+    MotionRows,
+    ProcessedRows,
+    RegressorBlock,
+    motion_rows,
+    row_samples,
+)
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import Instruments, instruments_of
 from sysid_bench.regressors.block_qr import accumulate, dense_blocks
@@ -13,6 +20,7 @@ from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.regressors.nested_sensors import MeasuredRegressor
 from sysid_bench.regressors.regression import TERM
 from sysid_bench.regressors.wrench import transform_wrench
+from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import joint_positions
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, BaseMap, Prior, Problem, Recording, Trajectory
@@ -42,23 +50,33 @@ class ProblemBuilder:
         rows = measured if self.task.rows is None else self.task.rows
         return tuple(measured.index(row) for row in rows)
 
-    def build(self, motion: Trajectory, measured: Array, prior: Prior | None = None) -> Problem:
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Names of the task's rows."""
+        return tuple(self.instruments.measured[i] for i in self.row_indices)
+
+    def rows_along(self, motion: Trajectory, processing: RowProcessing) -> MotionRows:
+        """The processing of the task's rows along a motion."""
+        return motion_rows(processing, self.robot, self.row_names, motion)
+
+    def build(
+        self,
+        motion: Trajectory,
+        measured: Array,
+        prior: Prior | None = None,
+        rows: MotionRows | None = None,
+    ) -> Problem:
         """W beta = b along a motion, with b the measured signals (N, n + 6 sensors) minus the known
-        torque and the wrenches of the sensors that end the sub-tree."""
-        b = measured - self.known(motion)
-        # A sub-tree between two sensors feels the difference of their wrenches at one point.
-        for stop in self.task.end_sensors:
-            cut, names = self.task.cuts[0], self.instruments.measured
-            root, end = ([names.index(row) for row in sensor.rows] for sensor in (cut, stop))
-            b[:, root] -= transform_wrench(self.instruments, motion, cut, stop, measured[:, end])
-        motion = self.instruments.motion(motion)
-        return Problem(
+        torque and the wrenches of the sensors that end the sub-tree; `rows`: their processing."""
+        b = self._right_hand_side(motion, measured)
+        whole = self.instruments.motion(motion)
+        problem = Problem(
             parameters=self.task.parameters,
             base=self.base,
-            rows=tuple(self.instruments.measured[i] for i in self.row_indices),
-            factors=accumulate(self.regression, motion, b, self.row_indices),
+            rows=self.row_names,
+            factors=(),
             bodies=self.task.bodies,
-            blocks=partial(dense_blocks, self.regression, motion, b, self.row_indices),
+            blocks=partial(dense_blocks, self.regression, whole, b, self.row_indices),
             samples=len(motion),
             prior=prior,
             kinds=tuple(self.instruments.kinds[i] for i in self.row_indices),
@@ -66,6 +84,40 @@ class ProblemBuilder:
             torque=np.sqrt((measured[:, self.row_indices] ** 2).mean(axis=0)),
             period=motion.period_samples,
         )
+        if rows is None or not rows.is_processed:
+            factors = accumulate(self.regression, whole, b, self.row_indices)
+            return replace(problem, factors=factors)
+        processed = self._processed(whole, b, rows)
+        return replace(
+            problem,
+            factors=processed.factors,
+            blocks=processed.blocks,
+            samples=rows.samples,
+            torque=rows.rms(measured[:, self.row_indices]),
+            period=rows.period(motion),
+        )
+
+    def _processed(self, whole: Trajectory, b: Array, rows: MotionRows) -> ProcessedRows:
+        """The rows of the task along a motion as a pipeline leaves them."""
+        blocks: list[RegressorBlock] = list(self.regression.blocks(whole))
+        indices = self.row_indices
+        return ProcessedRows(
+            self.row_names,
+            tuple(self.regression.touched[i] for i in indices),
+            tuple(rows.of_row(k, row_samples(blocks, i, b[:, i])) for k, i in enumerate(indices)),
+            rows,
+            self.base.rank,
+        )
+
+    def _right_hand_side(self, motion: Trajectory, measured: Array) -> Array:
+        """b (N, n + 6 sensors) of measured signals."""
+        b = measured - self.known(motion)
+        # A sub-tree between two sensors feels the difference of their wrenches at one point.
+        for stop in self.task.end_sensors:
+            cut, names = self.task.cuts[0], self.instruments.measured
+            root, end = ([names.index(row) for row in sensor.rows] for sensor in (cut, stop))
+            b[:, root] -= transform_wrench(self.instruments, motion, cut, stop, measured[:, end])
+        return np.asarray(b)
 
     def known(self, motion: Trajectory) -> Array:
         """Torque and wrench (N, n + 6 sensors) of the parts that the task declares known."""

@@ -100,7 +100,7 @@ def _settings(data: Mapping[str, Any]) -> Iterable[str]:
     defaults = data.get("defaults")
     axes = dict(defaults) if isinstance(defaults, Mapping) else {}
     axes["estimator"] = data.get("estimator")
-    for axis in ("plant", "excitation", "simulation", "estimator"):
+    for axis in ("plant", "excitation", "simulation", "pipeline", "estimator"):
         specs = axes.get(axis)
         for spec in specs if isinstance(specs, list) else [specs]:
             if isinstance(spec, Mapping):

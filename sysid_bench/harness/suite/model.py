@@ -1,6 +1,6 @@
 """Keys of a suite file. Values stay as written; units and names are checked."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -20,6 +20,7 @@ from pydantic import (
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
+from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_plugins
 from sysid_bench.harness.suite.checks import (
     check_context,
     checked,
@@ -48,6 +49,7 @@ from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, met
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import resolve_files
 from sysid_bench.signals.log_description import log_description, name_of
+from sysid_bench.signals.pipeline_choice import PLAIN
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import FINDINGS
 
@@ -66,11 +68,16 @@ class Plugin(SuiteTable):
         """Return {use, settings...}, without a label."""
         return {"use": self.use, **(self.model_extra or {})}
 
+    def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
+        """Return (kind, {use, settings}) of each plug-in that this entry needs."""
+        return [(self.kind, self.spec)]
+
     @model_validator(mode="after")
     def known(self, info: ValidationInfo) -> "Plugin":
         checked(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
-        spec = resolve_files(self.spec, check_context(info).folder)
-        checked(lambda: check_context(info).names.plugin(self.kind, spec))
+        context = check_context(info)
+        for kind, spec in checked(self.looked_up):
+            checked(partial(context.names.plugin, kind, resolve_files(spec, context.folder)))
         return self
 
 
@@ -94,12 +101,30 @@ class Simulation(Plugin):
 
 
 class Plant(Plugin):
+    """An effect, or {use = "composed"} with lists of effects, model errors and sensor errors; a
+    size may be drawn from a range."""
+
     kind = "plant"
+
+    def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
+        """Return (kind, {use, settings}) of each effect and error, ranges at either limit."""
+        return [
+            (kind, settings)
+            for kind, spec in plant_plugins(self.spec)
+            for settings in limits_of_sizes(spec)
+        ]
+
+
+class Pipeline(Plugin):
+    kind = "pipeline"
 
 
 Named = BeforeValidator(to_plugin)
 Sweep = BeforeValidator(items)
 ListSweep = BeforeValidator(key_list)
+
+
+Pipelines = Annotated[tuple[Annotated[Pipeline, Named], ...], Sweep]
 
 
 def _term(value: Any) -> Any:
@@ -164,6 +189,7 @@ class DefaultSettings(SuiteTable):
     )
     noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
     signals: Annotated[tuple[Signals, ...], Sweep] = (Signals(),)
+    pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
 
 
 def _robot_name(value: Any, info: ValidationInfo) -> str:
@@ -213,7 +239,8 @@ Candidates = tuple[Annotated[str, PlainValidator(_candidate)], ...]
 
 
 class LogEntry(SuiteTable):
-    """Recordings of a real robot; `filter`, `moving`, `terms` and `choose` may be sweeps."""
+    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `terms` and `choose` may be
+    sweeps."""
 
     robot: Annotated[Any, PlainValidator(_robot_name)]
     name: StrictStr | None = None
@@ -225,6 +252,7 @@ class LogEntry(SuiteTable):
     filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
     derivatives: Annotated[str, one_of("way to differentiate", ("from q", "from v"))] | None = None
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
+    pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
     accept: tuple[Annotated[str, one_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False
     true_mass: Annotated[Any, quantity_of("kg", positive=True)] = None

@@ -7,6 +7,7 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     PlainValidator,
+    StrictBool,
     StrictStr,
     StringConstraints,
     ValidationInfo,
@@ -63,6 +64,17 @@ class TableEntry(SuiteTable):
     cells: TableCells = TableCells()
     best: Annotated[str, one_of("way to mark the best", BESTS)] = "none"
     select: RowCondition | None = None
+    effects: StrictBool = False
+    """Main effects of rows and columns as ratios: what a pipeline and what a method contributes."""
+
+    @model_validator(mode="after")
+    def _effects_have_two_sides(self) -> "TableEntry":
+        if self.effects and (self.metrics or not self.columns):
+            raise ValueError(
+                "effects = true compares rows with columns: give columns = [...] and one metric, "
+                "cells = { metric = ... }."
+            )
+        return self
 
     @model_validator(mode="after")
     def _metrics_fit_the_axes(self, info: ValidationInfo) -> "TableEntry":

@@ -91,5 +91,8 @@ def m_estimate_result(problem: Problem, loss: Loss, fit: Fit) -> Estimate:
 
 
 def row_scale(problem: Problem, residual: Array) -> Array:
-    """MAD scale (rows,) of residuals (N, rows), above rounding."""
-    return with_floor(problem, np.median(np.abs(residual), axis=0) / MAD_OF_GAUSSIAN)
+    """MAD scale (rows,) of residuals (N, rows), above rounding, over the samples of each row."""
+    # Samples that are left out have a residual of zero: they are the first of the sorted ones.
+    columns = zip(np.sort(np.abs(residual), axis=0).T, problem.factors, strict=True)
+    medians = np.array([np.median(size[-max(f.samples, 1) :]) for size, f in columns])
+    return with_floor(problem, medians / MAD_OF_GAUSSIAN)

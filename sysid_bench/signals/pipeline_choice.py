@@ -1,0 +1,51 @@
+"""The pipeline that an experiment names, with the settings that its table `signals` gives."""
+
+from collections.abc import Mapping
+from inspect import signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from sysid_bench.naming import build, resolve, resolve_files
+
+if TYPE_CHECKING:
+    from sysid_bench.signals.row_processing import Pipeline  # loads MuJoCo, which plans do without
+
+KIND: Final = "pipeline"
+PLAIN: Final = "plain"
+"""The pipeline of a suite or a log that names none: the table `signals` alone."""
+
+OF_SIGNALS: Final = ("filter", "derivatives", "torque")
+"""Keys of the table `signals` that are settings of a pipeline; the others are applied elsewhere."""
+
+
+def pipeline_of(
+    written: Mapping[str, Any] | None, signals: Mapping[str, Any], folder: Path | None = None
+) -> "Pipeline":
+    """Return the pipeline {use, settings}, None: `plain`. Settings that it has in common with the
+    table `signals`, and that are not its own, are taken from there.
+
+    Raises UsageError for unknown names and settings.
+    """
+    spec = resolve_files(written or {"use": PLAIN}, folder)
+    make = resolve(KIND, spec["use"])
+    taken = signature(make).parameters if callable(make) else {}
+    shared = {key: signals[key] for key in OF_SIGNALS if key in signals and key in taken}
+    return cast("Pipeline", build(KIND, {**shared, **spec}))
+
+
+def named_pipeline(written: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the pipeline {use, settings} of a specification; None for `plain` without settings,
+    since ids are older than pipelines."""
+    return None if written == {"use": PLAIN} else dict(written)
+
+
+def own_signals(signals: Mapping[str, Any], pipeline: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return a table `signals` without the keys that a pipeline other than `plain` ignores."""
+    if reads_signals(pipeline):
+        return dict(signals)
+    return {key: value for key, value in signals.items() if key not in OF_SIGNALS}
+
+
+def reads_signals(written: Mapping[str, Any] | None) -> bool:
+    """Return True for the pipeline whose settings are the table `signals`."""
+    return written is None or written["use"] == PLAIN
