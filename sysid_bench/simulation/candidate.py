@@ -45,7 +45,8 @@ class Candidate:
         if self.friction == "sticking" or not plant.terms.coulomb.any():
             return plant
         coulomb = plant.terms.coulomb
-        law = StribeckLaw(np.concatenate([coulomb, [np.inf, SMOOTHING]]))
+        same = np.full(len(coulomb), np.inf), np.full(len(coulomb), SMOOTHING)
+        law = StribeckLaw(np.concatenate([coulomb, *same]))
         terms = replace(plant.terms, coulomb=np.zeros_like(coulomb))
         return replace(plant, terms=terms, laws=(law, *plant.laws))
 

@@ -21,7 +21,10 @@ from sysid_bench.simulation.plant import Plant
 from sysid_bench.simulation.transmission import Drive, Rotors
 from sysid_bench.types import Array
 
-KINDS: Final = {"stribeck": 0, "coupled": 1, "lugre": 2}
+KINDS: Final = {
+    "stribeck": 0, "coupled": 1, "lugre": 2, "friction": 3, "periodic": 4, "gravity spring": 5,
+    "cables": 6,
+}  # fmt: skip
 """Force laws that steps.c implements, with their codes there."""
 
 INPUTS: Final = {"feedback": 0, "interpolated": 1, "held": 2}
