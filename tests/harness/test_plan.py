@@ -50,6 +50,7 @@ CHANGES: dict[str, Any] = {
     "sensor": "wrist",
     "pipeline": {"use": "parallel"},
     "redrawn": ("motions",),
+    "candidate": {"step": 1e-3},
     "log": {"train": ["run.toml"]},
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
