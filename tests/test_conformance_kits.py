@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.conformance import check_plugin_of, failed_checks
-from sysid_bench.conformance.effect import effect_cases
+from sysid_bench.conformance.effect_cases import effect_cases
 from sysid_bench.conformance.excitation import design_cases
 from sysid_bench.conformance.model_error_checks import model_error_cases
 from sysid_bench.conformance.sensor_error_checks import sensor_error_cases
