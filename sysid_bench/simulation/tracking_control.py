@@ -145,9 +145,8 @@ class TrackingControl:
             return _rollout(plant, mj, commanded, _interpolated(control, each), each)
         data = mujoco.MjData(mj)
         data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
-        return simulate_steps(
-            Loop(plant, mj, data, drive, t=commanded.t, control=control, each=each)
-        )
+        loop = Loop(plant, mj, data, drive, t=commanded.t, control=control, each=each)
+        return simulate_steps(loop)
 
     def controller(self, plant: Plant) -> Controller:
         """Return the controller of a plant, with gains (n,), one per motor."""

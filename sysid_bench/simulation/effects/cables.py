@@ -43,8 +43,8 @@ class Cables:
         load = np.where(np.isin(np.arange(robot.nv), robot.scalar_dofs), typical_load(robot), 0.0)
         low, high = robot.limits.q_low, robot.limits.q_high
         limited = np.isfinite(low) & np.isfinite(high) & (high > low)
-        half = np.where(limited, np.minimum(0.5 * (high - low), np.pi), np.pi)
-        centre = np.where(limited, 0.5 * (low + high), 0.0)
+        low, high = np.where(limited, low, -np.pi), np.where(limited, high, np.pi)
+        half, centre = np.minimum(0.5 * (high - low), np.pi), 0.5 * (low + high)
         numbers = [bending * load / half, centre, hysteresis * load, width]
         return _CableLaw(np.concatenate(numbers))
 
