@@ -71,6 +71,12 @@ _DATA: Final = (
            formula="log det of the information about held-out torques"),
     Metric("left_out", "Share of samples taken for contacts"),
     Metric("standstill", "Share of rows left out at standstill"),
+    Metric("q_margin", "Share of the position limits left", better="higher",
+           formula="smallest over all motions and joints; negative beyond a limit"),
+    Metric("v_margin", "Share of the velocity limits left", better="higher",
+           formula="smallest over all motions and joints; negative beyond a limit"),
+    Metric("a_margin", "Share of the acceleration limits left", better="higher",
+           formula="smallest over all motions and joints; negative beyond a limit"),
 )  # fmt: skip
 
 _LOAD: Final = (

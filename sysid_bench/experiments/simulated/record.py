@@ -10,6 +10,7 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.excitation.design_problem import DesignProblem
+from sysid_bench.excitation.limit_margins import Margins
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.seed import (
@@ -19,7 +20,7 @@ from sysid_bench.experiments.seed import (
     noise_seed,
     run_seed,
 )
-from sysid_bench.experiments.simulated.commanded import design_motion
+from sysid_bench.experiments.simulated.commanded import CommandedMotion, commanded_motion
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
@@ -58,10 +59,38 @@ class SimulatedRobot:
         return round(rate / self.spec.rate)
 
     @cached_property
+    def training(self) -> CommandedMotion:
+        """The training motion at the rate of the simulation, with its margins to the limits."""
+        rate = self.simulation.design_rate(self.spec.rate)
+        return self._checked(self.spec.excitation, rate, motion_seed(self.spec))
+
+    @property
     def commanded(self) -> Trajectory:
-        """The commanded motion, at the rate of the simulation."""
-        problem = self.design_problem(self.simulation.design_rate(self.spec.rate))
-        return design_motion(self.spec.excitation, self.loaded, problem, motion_seed(self.spec))
+        """The commanded training motion, at the rate of the simulation."""
+        return self.training.motion
+
+    @cached_property
+    def other_motions(self) -> tuple[CommandedMotion, ...]:
+        """The held-out motions, at the rate of the recording; with elastic joints at that of the
+        simulation."""
+        rate = self.spec.rate
+        if self.plant.transmission is not None:
+            rate = self.simulation.design_rate(rate)
+        return tuple(
+            self._checked(excitation, rate, held_out_seed(self.spec, index))
+            for index, excitation in enumerate(self.spec.held_out)
+        )
+
+    @property
+    def margins(self) -> Margins:
+        """Margins to the limits along all motions, held-out ones included."""
+        margins = self.training.margins
+        for other in self.other_motions:
+            margins = margins.with_motion(other.margins)
+        return margins
+
+    def _checked(self, excitation: Mapping[str, Any], rate: float, seed: int) -> CommandedMotion:
+        return commanded_motion(excitation, self.loaded, self.design_problem(rate), seed)
 
     def run(self, error: Array) -> tuple[Oracle, Controller | None]:
         """Ground truth of the motion with encoder errors (N, n), and the controller."""
@@ -249,28 +278,20 @@ def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[st
     motion that scores are based on.
     """
     motions: dict[str, Oracle] = {}
+    run = _inverse_run if simulated.plant.transmission is None else _simulated_run
     for index, excitation in enumerate(spec.held_out):
         name = excitation["use"]
-        run = _inverse_run if simulated.plant.transmission is None else _simulated_run
-        oracle = run(spec, simulated, excitation, held_out_seed(spec, index))
+        oracle = run(simulated, simulated.other_motions[index].motion)
         motions[name if name not in motions else f"{name}-{index}"] = oracle
     return motions
 
 
-def _inverse_run(
-    spec: ExperimentSpec, simulated: SimulatedRobot, excitation: Mapping[str, Any], seed: int
-) -> Oracle:
-    problem = simulated.design_problem(spec.rate)
-    motion = design_motion(excitation, simulated.loaded, problem, seed)
+def _inverse_run(simulated: SimulatedRobot, motion: Trajectory) -> Oracle:
     no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
     return Inverse().run(simulated.plant, motion, no_error)[0]
 
 
-def _simulated_run(
-    spec: ExperimentSpec, simulated: SimulatedRobot, excitation: Mapping[str, Any], seed: int
-) -> Oracle:
-    problem = simulated.design_problem(simulated.simulation.design_rate(spec.rate))
-    motion = design_motion(excitation, simulated.loaded, problem, seed)
+def _simulated_run(simulated: SimulatedRobot, motion: Trajectory) -> Oracle:
     no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
     oracle = simulated.simulation.run(simulated.plant, motion, no_error)[0]
     each = simulated.sample_step

@@ -7,6 +7,7 @@ from typing import Any
 
 from sysid_bench.evaluation.covariance import StandardError, standard_errors
 from sysid_bench.evaluation.score import base_parameters, data_figures, score
+from sysid_bench.excitation.limit_margins import margin_fields
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.ft_score import (
     ContactTest,
@@ -77,8 +78,9 @@ class SimulatedSource:
         }
 
     def fields(self) -> Row:
-        """Ranks of the sub-tree behind a sensor."""
-        return {} if self.excitation is None else rank_fields(self.excitation)
+        """Margins of the motions to the limits, and ranks of the sub-tree behind a sensor."""
+        ranks = {} if self.excitation is None else rank_fields(self.excitation)
+        return margin_fields(self.noise_free.simulated.margins) | ranks
 
     def score(self, prepared: Prepared["SimulatedSource"], method: Any, estimate: Estimate) -> Row:
         """Scores of an estimate against the truth, and the table of its parameters."""

@@ -20,6 +20,7 @@ from pydantic import (
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
+from sysid_bench.excitation.limit_rule import marks_limits, own_settings
 from sysid_bench.harness.suite.checks import (
     check_context,
     checked,
@@ -70,9 +71,14 @@ class Plugin(SuiteTable):
     @model_validator(mode="after")
     def known(self, info: ValidationInfo) -> "Plugin":
         checked(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
-        spec = resolve_files(self.spec, check_context(info).folder)
+        spec = resolve_files(self.plugin_spec, check_context(info).folder)
         checked(lambda: check_context(info).names.plugin(self.kind, spec))
         return self
+
+    @property
+    def plugin_spec(self) -> dict[str, Any]:
+        """Return {use, settings...} as the plug-in is given them."""
+        return self.spec
 
 
 class Estimator(Plugin):
@@ -88,6 +94,16 @@ class Estimator(Plugin):
 
 class Excitation(Plugin):
     kind = "excitation"
+
+    @property
+    def plugin_spec(self) -> dict[str, Any]:
+        """Return the specification without the rule for limits, which is not the plug-in's."""
+        return own_settings(self.spec)
+
+    @model_validator(mode="after")
+    def _rule_for_limits(self) -> "Excitation":
+        checked(lambda: marks_limits(self.spec))
+        return self
 
 
 class Simulation(Plugin):
