@@ -16,7 +16,16 @@ from sysid_bench.cli.options import (
 )
 from sysid_bench.cli.supervise import supervised
 
-_CHECKED = ("estimator", "excitation", "plant", "simulation", "metric", "log-reader", "task")
+_CHECKED = (
+    "estimator",
+    "excitation",
+    "plant",
+    "simulation",
+    "pipeline",
+    "metric",
+    "log-reader",
+    "task",
+)
 """Kinds with a conformance kit; spelled out, because the kits take a second to load."""
 
 

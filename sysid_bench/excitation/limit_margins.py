@@ -15,7 +15,7 @@ from sysid_bench.excitation.motion_check import ROUNDING, increments
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Row, Trajectory
 
-PLACES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+PLACES: Final = (0.25, 0.5, 0.75, 1.0)
 """Places from one sample to the next, as shares of the step: a grid four times finer."""
 
 CHUNK: Final = 1024
@@ -82,8 +82,8 @@ def margin_fields(margins: Margins) -> Row:
 
 
 def _stated_bounds(robot: RobotModel) -> tuple[Array, Array]:
-    """Return centres and reaches (3, nv) of q, v, a (rad, m, s); a reach is infinite without a
-    limit."""
+    """Return centres and reaches (3, nv) of q, v, a (rad, m, s), the centres of v and a zero; a
+    reach is infinite without a limit."""
     limits = robot.limits
     low, high, v, a = (x.copy() for x in (limits.q_low, limits.q_high, limits.v, limits.a))
     closure = robot.coupling
@@ -106,20 +106,23 @@ def _largest_uses(motion: Trajectory, robot: RobotModel) -> tuple[Array, Array]:
     limit, and their times (3, nv) in s."""
     centre, reach = _stated_bounds(robot)
     step = float(motion.t[1] - motion.t[0])
-    powers = step ** np.arange(3)[:, None]
-    ends = _ends(motion, robot, step)
     # In units of the step, in which the weights of the polynomials are plain numbers.
-    centre, reach = (centre * powers)[:, None], (reach * powers)[:, None]
-    use, time = np.zeros((3, robot.nv)), np.zeros((3, robot.nv))
+    ends = _ends(motion, robot, step)
+    ends[0] -= centre[0]
+    size, place = np.abs(ends[[0, 2, 4]]).max(axis=1), np.abs(ends[[0, 2, 4]]).argmax(axis=1)
     for start in range(0, ends.shape[1], CHUNK):
         part = ends[:, start : start + CHUNK]
-        for place, weights in _WEIGHTS.items():
+        for share, weights in _WEIGHTS.items():
             values = np.tensordot(weights, part, axes=1)  # (6, n, nv): quintic, cubics
-            each = np.minimum(_use(values[:3], centre, reach), _use(values[3:], centre, reach))
-            found = each.max(axis=1)
-            when = motion.t[start] + step * (each.argmax(axis=1) + place)
-            time, use = np.where(found > use, when, time), np.maximum(found, use)
-    return use, time
+            np.abs(values, out=values)
+            between = np.minimum(values[:3], values[3:], out=values[:3])
+            k = between.argmax(axis=1)
+            found = np.take_along_axis(between, k[:, None], axis=1)[:, 0]
+            place = np.where(found > size, start + k + share, place)
+            size = np.maximum(found, size)
+    # A limit of zero is kept by zero alone, an infinite one by all.
+    allowed = np.maximum(reach * step ** np.arange(3)[:, None], np.finfo(float).tiny)
+    return size / allowed, motion.t[0] + step * place
 
 
 def _ends(motion: Trajectory, robot: RobotModel, step: float) -> Array:
@@ -132,12 +135,6 @@ def _ends(motion: Trajectory, robot: RobotModel, step: float) -> Array:
     moves, _ = increments(motion, robot.joints)
     v, a = step * motion.v, step**2 * motion.a
     return np.array([q[:-1], moves, v[:-1], v[1:], a[:-1], a[1:]])
-
-
-def _use(x: Array, centre: Array, reach: Array) -> Array:
-    # A limit of zero is kept by zero alone, an infinite one by all.
-    use: Array = np.abs(x - centre) / np.maximum(reach, np.finfo(float).tiny)
-    return use
 
 
 def _weights(s: float) -> Array:
