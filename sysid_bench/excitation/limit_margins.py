@@ -132,7 +132,7 @@ def _ends(motion: Trajectory, robot: RobotModel, step: float) -> Array:
     for joint in robot.joints:
         if joint.kind in ("hinge", "slide"):
             q[:, joint.vadr] = motion.q[:, joint.qadr]
-    moves, _ = increments(motion, robot.joints)
+    moves = increments(motion, robot.joints).moves
     v, a = step * motion.v, step**2 * motion.a
     return np.array([q[:-1], moves, v[:-1], v[1:], a[:-1], a[1:]])
 

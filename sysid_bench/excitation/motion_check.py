@@ -31,6 +31,21 @@ GRID: Final = 1e-6
 """Share of the step by which times may leave their even grid: sums of rounded steps."""
 
 
+DIGITS: Final = 64
+"""Rounding errors of a position that closed chains or series have added up."""
+
+
+@dataclass(frozen=True, eq=False)
+class Increments:
+    """What a signal gains from sample to sample, by degree of freedom, `moves` (N - 1, nv): of a
+    quaternion the rotation vector between both. `swing` (N - 2, nv): half the cross product of
+    successive rotation vectors, by which their axis swings. `size` (nv,): of the signal itself."""
+
+    moves: Array
+    swing: Array
+    size: Array
+
+
 @dataclass(frozen=True)
 class Mismatch:
     """Largest difference of a rate from the differences of its signal, at a sample and a degree of
@@ -129,13 +144,13 @@ def _quaternion_problems(motion: Trajectory, joints: Sequence[Joint]) -> Iterato
 def derivative_problems(motion: Trajectory, joints: Sequence[Joint]) -> Iterator[str]:
     """Yield a sentence where v is not the derivative of q, and where a is not that of v."""
     step = float(motion.t[-1] - motion.t[0]) / (len(motion) - 1)
-    moves, swing = increments(motion, joints)
+    gains = increments(motion, joints)
+    rates = Increments(
+        np.diff(motion.v, axis=0), np.zeros_like(gains.swing), np.abs(motion.v).max(axis=0)
+    )
     names = [dof for joint in joints for dof in joint.dofs]
-    for name, of, gains, rate, turn in (
-        ("v", "q", moves, motion.v, swing),
-        ("a", "v", np.diff(motion.v, axis=0), motion.a, np.zeros_like(swing)),
-    ):
-        found = mismatch(gains, turn, rate, step)
+    for name, of, change, rate in (("v", "q", gains, motion.v), ("a", "v", rates, motion.a)):
+        found = mismatch(change, rate, step)
         if found is not None:
             yield (
                 f"{name} of {names[found.dof]} differs from the differences of {of} at "
@@ -145,29 +160,30 @@ def derivative_problems(motion: Trajectory, joints: Sequence[Joint]) -> Iterator
             )
 
 
-def increments(motion: Trajectory, joints: Sequence[Joint]) -> tuple[Array, Array]:
-    """Return what each position gains from sample to sample (N - 1, nv), by degree of freedom:
-    of a quaternion the rotation vector between both; and half the cross product of successive
-    rotation vectors (N - 2, nv), by which their axis swings."""
-    moves = np.zeros((len(motion) - 1, motion.v.shape[1]))
-    swing = np.zeros((len(motion) - 2, motion.v.shape[1]))
+def increments(motion: Trajectory, joints: Sequence[Joint]) -> Increments:
+    """Return the increments of the positions of a motion."""
+    N, nv = motion.v.shape
+    moves, swing, size = np.zeros((N - 1, nv)), np.zeros((N - 2, nv)), np.ones(nv)
     for joint in joints:
         first, dof = joint.qadr, joint.vadr
         if joint.kind != "ball":
             count = 3 if joint.kind == "free" else 1
-            moves[:, dof : dof + count] = np.diff(motion.q[:, first : first + count], axis=0)
+            x = motion.q[:, first : first + count]
+            moves[:, dof : dof + count] = np.diff(x, axis=0)
+            size[dof : dof + count] = np.abs(x).max(axis=0)
             first, dof = first + count, dof + count
         if joint.kind in ("ball", "free"):
             turns = motion.q[:, first : first + 4]
             turn = rotation_of_quaternion(product(inverse_quaternion(turns[:-1]), turns[1:]))
             moves[:, dof : dof + 3] = turn
             swing[:, dof : dof + 3] = 0.5 * np.cross(turn[:-1], turn[1:])
-    return moves, swing
+    return Increments(moves, swing, size)
 
 
-def mismatch(moves: Array, swing: Array, rate: Array, step: float) -> Mismatch | None:
+def mismatch(change: Increments, rate: Array, step: float) -> Mismatch | None:
     """Return the largest difference of `rate` (N, n) from the differences of a signal, in units of
-    its tolerance; None where all are within. `moves` (N - 1, n) and `swing` are `increments`."""
+    its tolerance; None where all are within."""
+    moves = change.moves
     N = len(rate)
     taylor = np.full((N, 1), 1 / 6)
     taylor[[0, -1]] = 1 / 3  # one-sided differences of second order
@@ -178,8 +194,10 @@ def mismatch(moves: Array, swing: Array, rate: Array, step: float) -> Mismatch |
     bends = _near(np.abs(np.diff(rate, n=2, axis=0)), N) * step
     # A spike in one of signal and rate widens its own differences alone: the other ones count. The
     # third derivative of a rotation vector is that of its rate, and half of w x dw/dt.
-    tolerance = CORNERS * taylor * (np.minimum(third, bends) + _near(np.abs(swing), N)) / step
-    digits = 64 * np.finfo(float).eps * np.abs(moves.cumsum(axis=0)).max(axis=0, initial=1.0)
+    tolerance = (
+        CORNERS * taylor * (np.minimum(third, bends) + _near(np.abs(change.swing), N)) / step
+    )
+    digits = DIGITS * np.finfo(float).eps * np.maximum(change.size, 1.0)
     tolerance += ROUNDING * np.abs(rate).max(axis=0) + digits / step
     error = np.abs(rate - expected / step) / tolerance
     k, j = np.unravel_index(int(np.argmax(error)), error.shape)
