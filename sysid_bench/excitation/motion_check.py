@@ -39,7 +39,8 @@ DIGITS: Final = 64
 class Increments:
     """What a signal gains from sample to sample, by degree of freedom, `moves` (N - 1, nv): of a
     quaternion the rotation vector between both. `swing` (N - 2, nv): half the cross product of
-    successive rotation vectors, by which their axis swings. `size` (nv,): of the signal itself."""
+    successive rotation vectors, by which their axis swings. `size` (nv,): that of the numbers it is
+    computed from, at least 1."""
 
     moves: Array
     swing: Array
@@ -145,9 +146,8 @@ def derivative_problems(motion: Trajectory, joints: Sequence[Joint]) -> Iterator
     """Yield a sentence where v is not the derivative of q, and where a is not that of v."""
     step = float(motion.t[-1] - motion.t[0]) / (len(motion) - 1)
     gains = increments(motion, joints)
-    rates = Increments(
-        np.diff(motion.v, axis=0), np.zeros_like(gains.swing), np.abs(motion.v).max(axis=0)
-    )
+    # Rates of splines have the rounding of the positions that they are made of.
+    rates = Increments(np.diff(motion.v, axis=0), np.zeros_like(gains.swing), gains.size / step)
     names = [dof for joint in joints for dof in joint.dofs]
     for name, of, change, rate in (("v", "q", gains, motion.v), ("a", "v", rates, motion.a)):
         found = mismatch(change, rate, step)
@@ -170,7 +170,7 @@ def increments(motion: Trajectory, joints: Sequence[Joint]) -> Increments:
             count = 3 if joint.kind == "free" else 1
             x = motion.q[:, first : first + count]
             moves[:, dof : dof + count] = np.diff(x, axis=0)
-            size[dof : dof + count] = np.abs(x).max(axis=0)
+            size[dof : dof + count] = np.maximum(1.0, np.abs(x).max(axis=0))
             first, dof = first + count, dof + count
         if joint.kind in ("ball", "free"):
             turns = motion.q[:, first : first + 4]
@@ -197,7 +197,7 @@ def mismatch(change: Increments, rate: Array, step: float) -> Mismatch | None:
     tolerance = (
         CORNERS * taylor * (np.minimum(third, bends) + _near(np.abs(change.swing), N)) / step
     )
-    digits = DIGITS * np.finfo(float).eps * np.maximum(change.size, 1.0)
+    digits = DIGITS * np.finfo(float).eps * change.size
     tolerance += ROUNDING * np.abs(rate).max(axis=0) + digits / step
     error = np.abs(rate - expected / step) / tolerance
     k, j = np.unravel_index(int(np.argmax(error)), error.shape)

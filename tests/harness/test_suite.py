@@ -104,6 +104,7 @@ MISTAKES = [
     ('name   = "smoke"', 'name   = "smoke/../x"', "name", "smoke/../x"),
     ('timeout = "60 s"', 'timeout = "0 s"', "run.timeout", "positive"),
     ("period = ", "periods = 1979-05-27, period = ", "defaults.excitation", "JSON"),
+    ("period = ", 'limits = "ignore", period = ', "defaults.excitation", "There are: mark, refuse"),
 ]
 
 
