@@ -74,6 +74,12 @@ _DATA: Final = (
     Metric("plant_step", "Step of the plant", "s"),
     Metric("candidate_step", "Step of candidate models", "s"),
     Metric("same_simulator", "Plant and candidate models with one step and integrator"),
+    Metric("q_margin", "Share of the position limits left", better="higher",
+           formula="smallest over all motions and joints; negative beyond a limit"),
+    Metric("v_margin", "Share of the velocity limits left", better="higher",
+           formula="smallest over all motions and joints; negative beyond a limit"),
+    Metric("a_margin", "Share of the acceleration limits left", better="higher",
+           formula="smallest over all motions and joints; negative beyond a limit"),
 )  # fmt: skip
 
 _LOAD: Final = (

@@ -15,7 +15,8 @@ from sysid_bench.naming import build
 
 def assert_conforms(plugin: Any, kind: str = "estimator", file: Path | str | None = None) -> None:
     """Check a plug-in (an object, a name or the {use = ...} of a suite) against the laws of its
-    kind: "estimator", "excitation", "plant", "simulation", "metric", "log-reader" or "task".
+    kind: "estimator", "excitation", "plant", "simulation", "pipeline", "metric", "log-reader" or
+    "task".
 
     `file`: recorded file for a log reader, None: files that the check writes.
 

@@ -12,12 +12,15 @@ from sysid_bench.conformance import check_plugin_of, failed_checks
 from sysid_bench.conformance.effect_cases import effect_cases
 from sysid_bench.conformance.excitation import design_cases
 from sysid_bench.conformance.model_error_checks import model_error_cases
+from sysid_bench.conformance.pipeline import pipeline_cases
 from sysid_bench.conformance.sensor_error_checks import sensor_error_cases
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.models.displaced_robot import with_gravity
 from sysid_bench.naming import BUILTIN, build
 from sysid_bench.pytest_plugin import assert_conforms
+from sysid_bench.signals.pipelines.plain import Plain
+from sysid_bench.signals.row_processing import ProcessedSignals, RowProcessing
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.model_errors.base_tilt import BaseTilt
 
@@ -27,7 +30,10 @@ QUICK = sorted(set(BUILTIN["excitation"]) - {"file", "optimised"})
 
 @pytest.mark.parametrize("name", QUICK)
 def test_built_in_excitations_conform(name: str) -> None:
-    settings = {"fourier-other": {"harmonics": 3, "period": "4 s"}}
+    settings: dict[str, dict[str, Any]] = {
+        "fourier-other": {"harmonics": 3, "period": "4 s"},
+        "static": {"moves": 3},
+    }
     assert_conforms({"use": name, **settings.get(name, {})}, "excitation")
 
 
@@ -55,6 +61,12 @@ def test_built_in_sensor_errors_conform(name: str) -> None:
 @pytest.mark.parametrize("name", BUILTIN["simulation"])
 def test_built_in_simulations_conform(name: str) -> None:
     assert_conforms(name, "simulation")
+
+
+@pytest.mark.parametrize("name", BUILTIN["pipeline"])
+def test_built_in_pipelines_conform(name: str) -> None:
+    assert_conforms(name, "pipeline")
+    assert_conforms({"use": name, "standstill": 0.2, "weight": 0.5}, "pipeline")
 
 
 def test_every_kind_with_a_kit_is_a_kind_of_plug_in() -> None:
@@ -111,6 +123,27 @@ EXCITATIONS = {
     "tuple": "design returned tuple, not a Trajectory",
     "changing": "it changed an array of the design problem",
 }
+
+
+@dataclass(frozen=True)
+class RateDependent:
+    """A Fourier series whose length or content depends on the rate."""
+
+    mistake: str
+
+    def design(self, brief: Any, rng: np.random.Generator) -> Any:
+        if self.mistake == "length":
+            return Fourier(period=200.0 / brief.rate, cycles=1).design(brief, rng)
+        return Fourier(harmonics=int(brief.rate / 80), period=2.0, cycles=1).design(brief, rng)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "message"),
+    [("length", "at 100 Hz it takes 1.99 s"), ("content", "q at 100 Hz differs from that at 400")],
+)
+def test_a_motion_that_depends_on_its_rate_is_found(mistake: str, message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        assert_conforms(RateDependent(mistake), "excitation")
 
 
 @pytest.fixture
@@ -424,3 +457,94 @@ SIMULATIONS = {
 def test_a_broken_simulation_is_found(mistake: str) -> None:
     lines = failed_checks(check_plugin_of("simulation", BrokenSimulation(mistake)))
     assert re.search(SIMULATIONS[mistake], "\n".join(lines)), lines
+
+
+# --- Broken pipelines ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Delay:
+    """A filter that delays by one sample."""
+
+    def smooth(self, x: Any, rate: float) -> Any:
+        return np.concatenate([x[:1], x[:-1]])
+
+
+@dataclass(frozen=True)
+class Squares(Delay):
+    """A filter that is not linear."""
+
+    def smooth(self, x: Any, rate: float) -> Any:
+        return x * np.abs(x)
+
+
+class Forgetful(RowProcessing):
+    """Rows at standstill are counted, but not left out."""
+
+    def apply(self, x: Any, weights: Any, rate: float) -> Any:
+        return super().apply(x, np.ones(len(x)), rate)
+
+
+class Generous(RowProcessing):
+    """Rows at standstill are left out, but counted."""
+
+    def count(self, weights: Any) -> int:
+        return len(weights)
+
+
+@dataclass(frozen=True)
+class BrokenPipeline:
+    """Plain filtering with one mistake."""
+
+    mistake: str
+    ideal_rates = True
+
+    def process(self, recording: Any, joints: Any) -> Any:
+        if self.mistake == "writing":
+            recording.q[:] += 1e-9
+        done = Plain(standstill=0.2).process(recording, joints)
+        given: Any = done.recording
+        late: Any = Delay()
+        squares: Any = Squares()
+        rows = {
+            "late rows": RowProcessing(late),
+            "squares": RowProcessing(squares),
+            "forgetful": Forgetful(standstill=0.2),
+            "generous": Generous(standstill=0.2),
+        }
+        signals: dict[str, dict[str, Any]] = {
+            "late": {"tau": np.concatenate([given.tau[:1], given.tau[:-1]])},
+            "nan": {"a": np.where(given.t[:, None] > 1, np.nan, given.a)},
+            "gain": {"tau": 1.01 * given.tau},
+            "random": {"q": given.q + 1e-12 * np.random.default_rng().normal(size=given.q.shape)},
+            "shifted": {"t": given.t + 1e-3},
+            "no rates": {"v": None},
+        }
+        if self.mistake == "tuple":
+            return given, rows
+        given = replace(given, **signals.get(self.mistake, {}))
+        return ProcessedSignals(given, rows.get(self.mistake, done.rows))
+
+
+PIPELINES = {
+    "late": "played backwards, tau differs",
+    "late rows": "played backwards, the rows differs",
+    "squares": "its rows break W beta = b",
+    "forgetful": "rows with weight zero still have an influence",
+    "generous": "it counts 2000 rows",
+    "nan": "a has values that are not finite",
+    "gain": "at rest tau changes by",
+    "random": "q differs from one call to the next",
+    "shifted": "its samples are not those of the recording",
+    "no rates": "its recording has no v and a",
+    "tuple": "process returned tuple, not ProcessedSignals",
+    "writing": "it changed the recording",
+}
+
+
+@pytest.mark.parametrize("mistake", PIPELINES)
+def test_a_broken_pipeline_is_found(mistake: str) -> None:
+    pipeline_cases.cache_clear()
+    lines = failed_checks(check_plugin_of("pipeline", BrokenPipeline(mistake)))
+    pipeline_cases.cache_clear()
+    assert re.search(PIPELINES[mistake], "\n".join(lines)), lines

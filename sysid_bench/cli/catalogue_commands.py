@@ -18,7 +18,7 @@ from sysid_bench.cli.supervise import supervised
 
 _CHECKED = (
     *("estimator", "excitation", "plant", "simulation", "metric", "log-reader", "task"),
-    *("model-error", "sensor-error"),
+    *("model-error", "sensor-error", "pipeline"),
 )
 """Kinds with a conformance kit; spelled out, because the kits take a second to load."""
 

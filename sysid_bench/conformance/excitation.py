@@ -18,17 +18,16 @@ from sysid_bench.conformance.findings import (
     data_hash,
     finding_of_error,
     findings_of,
-    first_error,
-    shape_error,
 )
 from sysid_bench.excitation.collision_model import collision_model
 from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import information_model, torque_model
 from sysid_bench.excitation.limit_use import largest_use
+from sysid_bench.excitation.motion_check import derivative_problems, shape_problem, time_problem
 from sysid_bench.excitation.robot_limits import joint_limits
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.models.robot import Joint
-from sysid_bench.types import Array, Trajectory
+from sysid_bench.types import Trajectory
 
 RATE: Final = 100.0
 """Hz; a usual rate of recordings."""
@@ -36,9 +35,12 @@ RATE: Final = 100.0
 FINER: Final = 4
 """The grid of the laws, in samples per sample at RATE."""
 
-MISMATCH: Final = 0.05
-"""Largest RMS difference between v or a and the differences of q or v, relative to their RMS: a
-wrong unit or sign gives about one, central differences at 400 Hz and jumps of a about 0.01."""
+SAME: Final = 1e-7
+"""Largest difference (SI units, relative above 1) of one motion at two rates: rounding, and that
+of solvers of closed chains."""
+
+ENDING: Final = 4
+"""Samples by which the end of a motion may differ between two rates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,27 +102,11 @@ def _motion(excitation: Any, case: DesignCase) -> Trajectory:
 
 def _has_shapes(case: DesignCase, motion: Trajectory) -> str | None:
     """t (N,), q (N, nq), v and a (N, nv), all finite."""
-    if not isinstance(motion, Trajectory):
-        return f"design returned {type(motion).__name__}, not a Trajectory"
-    N = len(motion.t)
-    nq, nv = len(case.brief.q0), sum(len(joint.dofs) for joint in case.brief.joints)
-    return first_error(
-        shape_error(name, getattr(motion, name), (N, width))
-        for name, width in (("q", nq), ("v", nv), ("a", nv))
-    )
+    return shape_problem(motion, case.brief.joints)
 
 
 def _has_a_steady_time_grid(excitation: Any, case: DesignCase, motion: Trajectory) -> str | None:
-    steps = np.diff(motion.t)
-    if len(steps) == 0 or not (steps > 0).all():
-        return "its times do not increase from sample to sample"
-    # Times are sums or products of the step: rounding grows with their number.
-    step = 1.0 / case.brief.rate
-    if np.abs(steps - step).max() > 1e-6 * step:
-        return (
-            f"its time steps are {steps.min():.3g} to {steps.max():.3g} s instead of {step:.3g} s"
-        )
-    return None
+    return time_problem(motion.t, case.brief.rate)
 
 
 def _keeps_the_limits(excitation: Any, case: DesignCase, motion: Trajectory) -> str | None:
@@ -141,31 +127,26 @@ def _keeps_the_limits(excitation: Any, case: DesignCase, motion: Trajectory) -> 
 def _has_consistent_derivatives(
     excitation: Any, case: DesignCase, motion: Trajectory
 ) -> str | None:
-    """v and a equal the central differences of q and v, hinges and slides alone: velocities of
-    free and ball joints are not derivatives of their quaternions."""
-    joints = _scalar_joints(case)
-    q = motion.q[:, [joint.qadr for joint in joints]]
-    v, a = (array[:, [joint.vadr for joint in joints]] for array in (motion.v, motion.a))
-    names = [joint.name for joint in joints]
-    return first_error(
-        _derivative_error(name, rate, of, signal, motion.t, names)
-        for name, rate, of, signal in (("v", v, "q", q), ("a", a, "v", v))
-    )
+    """v and a are the derivatives of q and v, those of rotations in the frame of the body."""
+    return next(derivative_problems(motion, case.brief.joints), None)
 
 
-def _derivative_error(
-    name: str, rate: Array, of: str, signal: Array, t: Array, joints: Sequence[str]
+def _is_the_same_curve_at_another_rate(
+    excitation: Any, case: DesignCase, motion: Trajectory
 ) -> str | None:
-    """Violation where `rate` differs from the differences of `signal`, both (N, n)."""
-    # The first and the last sample have no central difference.
-    error = _rms(rate[1:-1] - _central_differences(signal, t)) / _floored(_rms(rate))
-    if not error.size or not error.max() > MISMATCH:
-        return None
-    worst = int(np.argmax(error))
-    return (
-        f"{name} of {joints[worst]} differs from the differences of {of} by "
-        f"{100 * error[worst]:.0f} % of its RMS"
-    )
+    """A design at a lower rate has every FINER-th sample of the motion: training and held-out
+    motions, playback and closed loop differ in rate alone."""
+    slower = excitation.design(case.brief.at(RATE), np.random.default_rng(1))
+    count = min(len(slower), (len(motion) - 1) // FINER + 1)
+    # A motion may end a few samples later, to reach the end of a move.
+    if abs(len(slower) * FINER - len(motion)) > ENDING * FINER:
+        return f"at {RATE:g} Hz it takes {slower.t[-1]:.4g} s instead of {motion.t[-1]:.4g} s"
+    for name in ("q", "v", "a"):
+        fine, coarse = getattr(motion, name)[::FINER][:count], getattr(slower, name)[:count]
+        error = np.abs(fine - coarse).max()
+        if error > SAME * max(1.0, np.abs(fine).max()):
+            return f"{name} at {RATE:g} Hz differs from that at {FINER * RATE:g} Hz by {error:.2g}"
+    return None
 
 
 def _scalar_joints(case: DesignCase) -> list[Joint]:
@@ -186,18 +167,5 @@ LAWS: Final[dict[str, Law]] = {
     "keeps the limits": _keeps_the_limits,
     "has consistent derivatives": _has_consistent_derivatives,
     "is reproducible": _is_reproducible,
+    "is the same curve at another rate": _is_the_same_curve_at_another_rate,
 }
-
-
-def _central_differences(x: Array, t: Array) -> Array:
-    """(x_(k+1) - x_(k-1)) / (t_(k+1) - t_(k-1)), (N - 2, n) of x (N, n)."""
-    return np.asarray((x[2:] - x[:-2]) / (t[2:] - t[:-2])[:, None])
-
-
-def _rms(x: Array) -> Array:
-    return np.asarray(np.sqrt((x**2).mean(axis=0)))
-
-
-def _floored(size: Array) -> Array:
-    # A joint at rest has differences of rounding error alone.
-    return np.asarray(np.maximum(size, 1e-6))

@@ -13,6 +13,7 @@ from sysid_bench.conformance.findings import Finding
 from sysid_bench.conformance.log_reader_checks import check_log_reader
 from sysid_bench.conformance.metric import check_metric_plugin
 from sysid_bench.conformance.model_error_checks import check_model_error
+from sysid_bench.conformance.pipeline import check_pipeline
 from sysid_bench.conformance.sensor_error_checks import check_sensor_error
 from sysid_bench.conformance.simulation import check_simulation
 from sysid_bench.conformance.task_checks import check_task
@@ -36,6 +37,7 @@ KITS: Final[Mapping[str, Kit]] = MappingProxyType(
         "excitation": check_excitation,
         "plant": check_effect,
         "simulation": check_simulation,
+        "pipeline": check_pipeline,
         "metric": check_metric_plugin,
         "log_reader": check_log_reader,
         "task": check_task,

@@ -1,4 +1,8 @@
-"""Motion from a CSV file: a column `t` (s) and one per joint, by its name (rad, m)."""
+"""Motion from a CSV file: a column `t` (s) and one per joint, by its name (rad, m).
+
+Recorded motions are replayed on robots with coupled joints, too: dependent joints are solved from
+the independent ones, and columns of theirs are not read.
+"""
 
 import csv
 from dataclasses import dataclass, field
@@ -12,13 +16,11 @@ from sysid_bench.csv_text import cell_text
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import DesignProblem, is_count
 from sysid_bench.input_files import read_text
+from sysid_bench.models.robot import Joint
 from sysid_bench.types import Array, Trajectory
 
 _NEGLIGIBLE: Final = 1e-8
 """Share of the largest harmonic below which others stem from the rounding of the file."""
-
-_TOLERANCE: Final = 1e-6
-"""Share of a limit by which rounding in a file may exceed it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,9 @@ class MotionFile:
             raise UsageError(f"{self}: several cycles need a period.")
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        """Return the motion; raises UsageError for a file that does not fit robot or limits."""
+        """Return the motion; raises UsageError for a file that does not fit the robot, ModelError
+        where a closed chain cannot be closed along it. Limits are checked as those of any motion
+        (limit_margins.py)."""
         t, x = _read(Path(self.file), _names(brief, self.file))
         name = Path(self.file).stem
         if self.period is None:
@@ -55,18 +59,24 @@ class MotionFile:
                 )
             grid = brief.times(self.cycles * self.period)
             motion = _series(x, self.period, grid)
-        _check(brief, motion, self.file)
         return brief.trajectory(grid, *motion, name, self.period)
 
 
 def _names(brief: DesignProblem, file: str) -> list[str]:
-    if any(joint.kind not in ("hinge", "slide") for joint in brief.joints):
+    """Names of the joints of the profiles: all, or the independent ones of closed chains."""
+    moving = {int(dof) for dof in brief.dofs}
+    joints = [joint for joint in brief.joints if moving.intersection(_dofs(joint))]
+    if any(joint.kind not in ("hinge", "slide") for joint in joints):
         raise UsageError(f"{file}: a motion file can only move robots of hinges and slides.")
-    return [joint.name for joint in brief.joints]
+    return [joint.name for joint in joints]
+
+
+def _dofs(joint: Joint) -> range:
+    return range(joint.vadr, joint.vadr + len(joint.dofs))
 
 
 def _read(path: Path, names: list[str]) -> tuple[Array, Array]:
-    """Return times (N,) and positions (N, nv) in the order of the names."""
+    """Return times (N,) and positions (N, n) in the order of the names."""
     columns, table = _read_table(path)
     missing = {"t", *names} - set(columns)
     if missing or table.ndim != 2 or table.shape[1] != len(columns):
@@ -113,21 +123,3 @@ def _series(x: Array, period: float, grid: Array) -> tuple[Array, Array, Array]:
     # Real signals have conjugate harmonics at -k: twice the real part stands for both.
     parts = [2 * (wave @ ((1j * w[:, None]) ** n * c[k])).real for n in range(3)]
     return c[0].real + parts[0], parts[1], parts[2]
-
-
-def _check(brief: DesignProblem, motion: tuple[Array, Array, Array], file: str) -> None:
-    x, dx, ddx = motion
-    reach = brief.high - brief.low
-    # Rounding in the file may leave a limit by a hair; anything more is another motion.
-    worst = {
-        "position": np.maximum(x.max(axis=0) - brief.high, brief.low - x.min(axis=0)) / reach,
-        "velocity": np.abs(dx).max(axis=0) / brief.v - 1,
-        "acceleration": np.abs(ddx).max(axis=0) / brief.a - 1,
-    }
-    for quantity, over in worst.items():
-        j = int(np.argmax(over))
-        if not over[j] <= _TOLERANCE:
-            raise UsageError(
-                f"{file}: the {quantity} of {brief.joints[j].name} exceeds its limit by "
-                f"{100 * over[j]:.3g} %; slow the motion down, or raise the limit in the manifest."
-            )

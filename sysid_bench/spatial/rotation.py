@@ -70,6 +70,17 @@ def quaternion_of_rotation(rotation_vector: Array) -> Array:
     return np.concatenate([np.cos(angle / 2), half], axis=-1)
 
 
+def rotation_of_quaternion(quaternion: Array) -> Array:
+    """Return the rotation vector (..., 3), at most pi long, of a unit quaternion (..., 4): its
+    logarithm."""
+    # q and -q are the same rotation; w >= 0 is the shorter way.
+    turn = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, turn[..., :1])
+    vector: Array = turn[..., 1:] * np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 2.0)
+    return vector
+
+
 def body_rates(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array]:
     """Return angular velocity and acceleration in the body frame (..., 3) of R = exp([r]_x).
 

@@ -1,5 +1,6 @@
 """Motions from files: what was written comes back, at any rate; others are refused."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.excitation.motion_file import MotionFile
 from sysid_bench.excitation.point_to_point import PointToPoint
+from sysid_bench.experiments.simulated.commanded import commanded_motion
 from sysid_bench.types import Trajectory
-from tests.experiments.experiment_world import OWN, robot_of
+from tests.experiments.experiment_world import OWN, robot_of, subject_of
 
 ROBOTS = ("ur5", "tx40", OWN[0])
 RNG = np.random.default_rng(0)
@@ -74,7 +76,6 @@ BAD: dict[str, tuple[str | None, dict[str, Any], str]] = {
     "back in time": (table([0.0, *EVEN]), {}, "rising"),
     "uneven": (table([*EVEN, 5.0]), {}, "evenly"),
     "another period": (table(EVEN), {"period": 3.0}, "not the period"),
-    "too far": (table(EVEN, 1e3), {}, "exceeds its limit"),
 }
 
 
@@ -94,6 +95,50 @@ def test_what_is_no_motion_of_this_robot_is_reported(tmp_path: Path, case: str) 
         file.write_text("\n".join(wide))
     with pytest.raises(UsageError, match=given):
         MotionFile(str(file), **settings).design(design_problem(robot, 100.0), RNG)
+
+
+def test_a_motion_beyond_the_limits_is_refused_or_marked(tmp_path: Path) -> None:
+    subject = subject_of(OWN[0])
+    names = [joint.name for joint in subject.robot.joints]
+    file = tmp_path / "far.csv"
+    rows = [",".join(["t", *names]), *(",".join([f"{t}"] + ["1e3"] * len(names)) for t in EVEN)]
+    file.write_text("\n".join(rows))
+    excitation = {"use": "file", "file": str(file)}
+    problem = design_problem(subject.robot, 100.0)
+    with pytest.raises(UsageError, match=r"position of \w+ exceeds its limit by .*limits = "):
+        commanded_motion(excitation, subject, problem, 1)
+    margins = commanded_motion({**excitation, "limits": "mark"}, subject, problem, 1).margins
+    assert margins.q is not None
+    assert margins.q < -1.0
+    assert "exceeds its limit" in margins.broken
+    with pytest.raises(UsageError, match="There are: mark, refuse"):
+        commanded_motion({**excitation, "limits": "ignore"}, subject, problem, 1)
+
+
+COUPLED = ("dvrk_mtm", "dvrk_psm", "random:four-bar:1", "random:slider-crank:2")
+
+
+@pytest.mark.parametrize("robot", COUPLED)
+@pytest.mark.parametrize("period", [5.0, None])
+def test_recorded_motions_of_coupled_robots_are_replayed(
+    tmp_path: Path, robot: str, period: float | None
+) -> None:
+    """All columns are written, those of dependent joints wrong: they are solved again."""
+    subject = subject_of(robot)
+    model, brief = subject.robot, design_problem(subject.robot, 200.0)
+    exact = Fourier(period=5.0, cycles=1).design(brief, np.random.default_rng(1))
+    assert model.coupling is not None
+    noisy = exact.q.copy()
+    noisy[:, model.coupling.qadr[model.coupling.dependent]] += 0.3
+    file = written(tmp_path, robot, replace(exact, q=noisy))
+    settings = {} if period is None else {"period": "5 s"}
+    excitation = {"use": "file", "file": str(file), **settings}
+    found = commanded_motion(excitation, subject, brief, 1)
+    N = len(found.motion)
+    for name, size in (("q", 1e-7), ("v", 1e-5), ("a", 2e-2 if period is None else 1e-3)):
+        ours, theirs = getattr(found.motion, name), getattr(exact, name)[:N]
+        np.testing.assert_allclose(ours, theirs, atol=size * max(1.0, np.abs(theirs).max()))
+    assert found.margins.broken == ""
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,13 @@ def test_a_mistake_is_reported_with_its_line_and_what_there_is(
     assert reported in rest
 
 
+def test_the_rule_for_limits_is_a_setting_of_every_excitation() -> None:
+    marked = read(FULL.replace("period = ", 'limits = "mark", period = ', 1))
+    assert any(entry.spec.get("limits") == "mark" for entry in marked.defaults.excitation)
+    with pytest.raises(UsageError, match="There are: mark, refuse"):
+        read(FULL.replace("period = ", 'limits = "ignore", period = ', 1))
+
+
 def test_all_mistakes_are_reported_at_once() -> None:
     text = FULL
     single = [mistake for mistake in MISTAKES if FULL.count(mistake[0]) == 1]

@@ -1,4 +1,5 @@
-"""Commanded motions of experiments; optimised ones are cached by the content of their inputs.
+"""Commanded motions of experiments, checked whoever made them; optimised ones are cached by the
+content of their inputs.
 
 An optimised motion depends on the robot, the task, the limits, the known torques, its settings, its
 seed and the code alone. Cells that agree in these share it, within a worker and, through a folder
@@ -10,7 +11,7 @@ import io
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache, singledispatch
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +20,9 @@ import numpy as np
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.design_problem import DesignProblem
+from sysid_bench.excitation.limit_margins import Margins, check_limits, limit_margins
+from sysid_bench.excitation.limit_rule import marks_limits, own_settings
+from sysid_bench.excitation.motion_check import check_motion
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.input_files import read_bytes
 from sysid_bench.types import Array, Trajectory
@@ -30,10 +34,35 @@ _CHECKSUM: Final = hashlib.sha256().digest_size
 """Bytes before the array in a file of the cache."""
 
 
+@dataclass(frozen=True, eq=False)
+class CommandedMotion:
+    """A consistent motion, and what it leaves of the limits of the robot."""
+
+    motion: Trajectory
+    margins: Margins
+
+
+def commanded_motion(
+    excitation: Mapping[str, Any], loaded: LoadedRobot, problem: DesignProblem, seed: int
+) -> CommandedMotion:
+    """The checked motion of an excitation as a suite names it.
+
+    Raises UsageError for a motion that is inconsistent, or that breaks a limit unless the
+    excitation has `limits = "mark"`.
+    """
+    origin = f"excitation {excitation['use']!r}"
+    motion = design_motion(own_settings(excitation), loaded, problem, seed)
+    check_motion(motion, loaded.robot.joints, problem.rate, origin)
+    margins = limit_margins(motion, loaded.robot)
+    if not marks_limits(excitation):
+        check_limits(margins, origin)
+    return CommandedMotion(motion, margins)
+
+
 def design_motion(
     excitation: Mapping[str, Any], loaded: LoadedRobot, problem: DesignProblem, seed: int
 ) -> Trajectory:
-    """The motion of an excitation as a suite names it."""
+    """The motion of an excitation {use, its own settings}, as the plug-in returns it."""
     plugin = loaded.build_plugin("excitation", excitation)
     rng = np.random.default_rng(seed)
     motion: Trajectory

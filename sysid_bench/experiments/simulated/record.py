@@ -10,6 +10,7 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.cramer_rao import torque_bound, white_bound
 from sysid_bench.excitation.design_problem import DesignProblem
+from sysid_bench.excitation.limit_margins import Margins
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.seed import (
@@ -20,7 +21,7 @@ from sysid_bench.experiments.seed import (
     run_seed,
 )
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
-from sysid_bench.experiments.simulated.commanded import design_motion
+from sysid_bench.experiments.simulated.commanded import CommandedMotion, commanded_motion
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
@@ -59,10 +60,38 @@ class SimulatedRobot:
         return round(rate / self.spec.rate)
 
     @cached_property
+    def training(self) -> CommandedMotion:
+        """The training motion at the rate of the simulation, with its margins to the limits."""
+        rate = self.simulation.design_rate(self.spec.rate)
+        return self._checked(self.spec.excitation, rate, motion_seed(self.spec))
+
+    @property
     def commanded(self) -> Trajectory:
-        """The commanded motion of the model's joints, at the rate of the simulation."""
-        problem = self.design_problem(self.simulation.design_rate(self.spec.rate))
-        return design_motion(self.spec.excitation, self.loaded, problem, motion_seed(self.spec))
+        """The commanded training motion, at the rate of the simulation."""
+        return self.training.motion
+
+    @cached_property
+    def other_motions(self) -> tuple[CommandedMotion, ...]:
+        """The held-out motions, at the rate of the recording; with elastic joints at that of the
+        simulation."""
+        rate = self.spec.rate
+        if self.built.plant.transmission is not None:
+            rate = self.simulation.design_rate(rate)
+        return tuple(
+            self._checked(excitation, rate, held_out_seed(self.spec, index))
+            for index, excitation in enumerate(self.spec.held_out)
+        )
+
+    @property
+    def margins(self) -> Margins:
+        """Margins to the limits along all motions, held-out ones included."""
+        margins = self.training.margins
+        for other in self.other_motions:
+            margins = margins.with_motion(other.margins)
+        return margins
+
+    def _checked(self, excitation: Mapping[str, Any], rate: float, seed: int) -> CommandedMotion:
+        return commanded_motion(excitation, self.loaded, self.design_problem(rate), seed)
 
     def run(self, error: Array) -> tuple[Oracle, Controller | None]:
         """Ground truth of the plant's motion with encoder errors (N, n) of the model's joints, and
@@ -72,15 +101,10 @@ class SimulatedRobot:
             return self._undisturbed, None
         return self._moved(self.simulation, self.commanded, error)
 
-    def held_out(self, excitation: Mapping[str, Any], seed: int) -> Oracle:
-        """Ground truth of the plant on another motion, at the rate of the recording."""
+    def held_out(self, motion: Trajectory) -> Oracle:
+        """Ground truth of the plant on one of the other motions, at the rate of the recording."""
         if self.built.plant.transmission is None:
-            motion = design_motion(
-                excitation, self.loaded, self.design_problem(self.spec.rate), seed
-            )
             return self._moved(Inverse(), motion, self._no_error(motion))[0]
-        problem = self.design_problem(self.simulation.design_rate(self.spec.rate))
-        motion = design_motion(excitation, self.loaded, problem, seed)
         oracle = self._moved(self.simulation, motion, self._no_error(motion))[0]
         each = self.sample_step
         return Oracle(sampled_motion(oracle.motion, each), oracle.tau[::each])
@@ -259,8 +283,7 @@ def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[st
     """
     motions: dict[str, Oracle] = {}
     for index, excitation in enumerate(spec.held_out):
-        seed = held_out_seed(spec, index)
         name = excitation["use"]
-        oracle = simulated.held_out(excitation, seed)
+        oracle = simulated.held_out(simulated.other_motions[index].motion)
         motions[name if name not in motions else f"{name}-{index}"] = oracle
     return motions

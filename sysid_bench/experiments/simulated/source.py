@@ -7,6 +7,7 @@ from typing import Any
 
 from sysid_bench.evaluation.covariance import StandardError, standard_errors
 from sysid_bench.evaluation.score import base_parameters, data_figures, score
+from sysid_bench.excitation.limit_margins import margin_fields
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.simulated.ft_score import (
@@ -81,10 +82,11 @@ class SimulatedSource:
         }
 
     def fields(self) -> Row:
-        """Ranks of the sub-tree behind a sensor, and the sizes that were drawn for the plant."""
+        """Margins to the limits, ranks behind a sensor, and sizes that were drawn for the plant."""
         ranks = {} if self.excitation is None else rank_fields(self.excitation)
         drawn = [dict(values) for values in self.built.values]
-        return ranks | self._simulators() | ({"plant_values": drawn} if drawn else {})
+        margins = margin_fields(self.noise_free.simulated.margins)
+        return margins | ranks | self._simulators() | ({"plant_values": drawn} if drawn else {})
 
     def _simulators(self) -> Row:
         """Steps of the plant and of candidate models, and whether they are one simulator."""

@@ -20,6 +20,7 @@ from pydantic import (
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
+from sysid_bench.excitation.limit_rule import marks_limits, own_settings
 from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_plugins
 from sysid_bench.harness.suite.checks import (
     check_context,
@@ -79,7 +80,7 @@ class Plugin(SuiteTable):
 
     def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
         """Return (kind, {use, settings}) of each plug-in that this entry needs."""
-        return [(self.kind, self.spec)]
+        return [(self.kind, self.plugin_spec)]
 
     @model_validator(mode="after")
     def known(self, info: ValidationInfo) -> "Plugin":
@@ -88,6 +89,11 @@ class Plugin(SuiteTable):
         for kind, spec in checked(self.looked_up):
             checked(partial(context.names.plugin, kind, resolve_files(spec, context.folder)))
         return self
+
+    @property
+    def plugin_spec(self) -> dict[str, Any]:
+        """Return {use, settings...} as the plug-in is given them."""
+        return self.spec
 
 
 class Estimator(Plugin):
@@ -103,6 +109,16 @@ class Estimator(Plugin):
 
 class Excitation(Plugin):
     kind = "excitation"
+
+    @property
+    def plugin_spec(self) -> dict[str, Any]:
+        """Return the specification without the rule for limits, which is not the plug-in's."""
+        return own_settings(self.spec)
+
+    @model_validator(mode="after")
+    def _rule_for_limits(self) -> "Excitation":
+        checked(lambda: marks_limits(self.spec))
+        return self
 
 
 class Simulation(Plugin):
