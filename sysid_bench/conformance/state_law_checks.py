@@ -64,9 +64,9 @@ def _is_finite(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
         ("its torque", np.asarray(torque), v.shape), ("its states", np.asarray(state), start.shape),
     )  # fmt: skip
     wrong = first_error(shape_error(*one) for one in one_step)
-    return wrong or shape_error(
-        "its torque", torque_along(case, _InPython(law)), case.motion.v.shape
-    )
+    if wrong is not None:
+        return wrong
+    return shape_error("its torque", torque_along(case, _InPython(law)), case.motion.v.shape)
 
 
 def _keeps_no_state_of_its_own(effect: Any, case: EffectCase, law: StateLaw) -> str | None:

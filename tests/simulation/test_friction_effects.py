@@ -73,9 +73,9 @@ def test_all_effects_together_move_every_joint_and_stay_finite(robot: RobotModel
 @pytest.mark.parametrize("amplitude", [1e-4, 4e-4, 2e-3, 0.1])
 @each_robot
 def test_play_dissipates_the_area_of_its_loop(robot: RobotModel, amplitude: float) -> None:
-    Fc, w = robot.joint_terms.coulomb, Play().width
+    Fc, w = robot.joint_terms.coulomb, 5e-4
     q = amplitude * np.sin(np.pi * T)
-    tau = along(robot, Play(), q)
+    tau = along(robot, Play(width=w), q)
     expected = 4 * Fc * max(amplitude - w, 0.0)
     np.testing.assert_allclose(work(tau, q), expected, rtol=1e-3, atol=1e-6 * Fc.max() * amplitude)
     # Friction turns around within 2 w of a reversal, wherever it happens.
