@@ -43,8 +43,8 @@ def along(robot: RobotModel, effect: Any, q: Array, load: float = 0.0) -> Array:
     """Torque (N, nv) of an effect along a motion q (N,) of every joint, from rest."""
     v = np.gradient(q, T)
     v[0] = 0.0
-    every = [np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v, load + 0 * v)]
-    return laws_along([effect.prepare(robot)], T, *every, 4)
+    every, rate, loads = (np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v, load + 0 * v))
+    return laws_along([effect.prepare(robot)], T, every, rate, loads, 4)
 
 
 def work(tau: Array, q: Array) -> Array:
