@@ -8,6 +8,7 @@ energy from every joint over a closed cycle, `sizes` the settings that are zero 
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -23,9 +24,12 @@ from sysid_bench.conformance.findings import (
     shape_error,
 )
 from sysid_bench.conformance.size_zero import without_error
-from sysid_bench.conformance.state_law_checks import STATE_LAWS, TRANSMISSION_LAWS
+from sysid_bench.conformance.state_law_checks import (
+    STATE_LAWS,
+    TRANSMISSION_LAWS,
+    torque_along,
+)
 from sysid_bench.simulation.force_laws import StateLaw
-from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.transmission import Transmission
 from sysid_bench.types import Array, Trajectory
@@ -124,26 +128,30 @@ def _vanishes_at_rest(effect: Any, case: EffectCase, law: ForceLaw) -> str | Non
     return None if largest == 0.0 else f"its torque at rest is up to {largest:.3g} N m or N"
 
 
-def _played(case: EffectCase, motion: Trajectory, effects: Sequence[Any]) -> Array:
-    """Torque (N, n) of a plant with effects along a motion."""
-    still = np.zeros((len(motion), len(case.robot.torque_dofs)))
-    return Inverse().run(plant_of(case.robot, effects), motion, still)[0].tau
+def _friction(case: EffectCase, motion: Trajectory, effects: Sequence[Any]) -> Array:
+    """Torque (N, nv) of the friction terms and force laws of a plant along a motion."""
+    plant = plant_of(case.robot, effects)
+    terms, v = plant.terms, motion.v
+    total = terms.viscous * v + terms.coulomb * np.sign(v)
+    for law in plant.laws:
+        if isinstance(law, StateLaw):
+            total = total + torque_along(replace(case, motion=motion), law)
+        else:
+            total = total + _torque(law, motion)
+    return np.asarray(total)
 
 
 def _dissipates(effect: Any, case: EffectCase, law: Any) -> str | None:
     """Friction with the effect takes energy from each joint in the second of two cycles."""
     if not getattr(effect, "dissipates", False):
         return None
-    motion, robot = _twice(case.motion), case.robot
-    terms, v = robot.joint_terms, motion.v[:, robot.torque_dofs]
-    own = (terms.viscous * motion.v + terms.coulomb * np.sign(motion.v))[:, robot.torque_dofs]
-    friction = own + _played(case, motion, [effect]) - _played(case, motion, [])
-    power = (friction * v)[len(case.motion) :]
+    motion = _twice(case.motion)
+    power = (_friction(case, motion, [effect]) * motion.v)[len(case.motion) :]
     injected = -power.sum(axis=0) / np.maximum(np.abs(power).sum(axis=0), 1e-12)
     worst = int(np.argmax(injected))
     if injected[worst] <= INJECTED:
         return None
-    return f"friction drives {robot.torque_rows[worst]} over a closed cycle"
+    return f"friction drives {case.robot.rows[worst]} over a closed cycle"
 
 
 def _twice(motion: Trajectory) -> Trajectory:
@@ -157,8 +165,8 @@ def _vanishes_at_size_zero(effect: Any, case: EffectCase, law: Any) -> str | Non
     """Torques bit for bit those without the effect where its `sizes` are zero."""
     if not getattr(effect, "sizes", ()):
         return None
-    without = _played(case, case.motion, [without_error(effect)])
-    if np.array_equal(without, _played(case, case.motion, [])):
+    without = _friction(case, case.motion, [without_error(effect)])
+    if np.array_equal(without, _friction(case, case.motion, [])):
         return None
     return "with its sizes zero, torques are not bit for bit those without it"
 

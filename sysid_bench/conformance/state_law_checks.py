@@ -21,7 +21,7 @@ from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.types import Array, Trajectory
 
-STEPS: Final = 8
+STEPS: Final = 4
 """Steps per sample of a motion."""
 
 COMPILED: Final = 1e-12
@@ -50,7 +50,8 @@ def _signals(case: EffectCase) -> tuple[Array, Array, Array]:
     return joint_positions(case.robot, motion), motion.v.copy(), load
 
 
-def _along(case: EffectCase, law: StateLaw) -> Array:
+def torque_along(case: EffectCase, law: StateLaw) -> Array:
+    """Return the torque (N, nv) of a law along the motion of a case."""
     return laws_along([law], case.motion.t, *_signals(case), STEPS)
 
 
@@ -63,7 +64,9 @@ def _is_finite(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
         ("its torque", np.asarray(torque), v.shape), ("its states", np.asarray(state), start.shape),
     )  # fmt: skip
     wrong = first_error(shape_error(*one) for one in one_step)
-    return wrong or shape_error("its torque", _along(case, _InPython(law)), case.motion.v.shape)
+    if wrong is not None:
+        return wrong
+    return shape_error("its torque", torque_along(case, _InPython(law)), case.motion.v.shape)
 
 
 def _keeps_no_state_of_its_own(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
@@ -79,7 +82,7 @@ def _keeps_no_state_of_its_own(effect: Any, case: EffectCase, law: StateLaw) -> 
 
 
 def _is_deterministic(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
-    if np.array_equal(_along(case, law), _along(case, effect.prepare(case.robot))):
+    if np.array_equal(torque_along(case, law), torque_along(case, effect.prepare(case.robot))):
         return None
     return "prepared twice it gives two torques: draw random numbers from a seed of its own"
 
@@ -87,8 +90,8 @@ def _is_deterministic(effect: Any, case: EffectCase, law: StateLaw) -> str | Non
 def _is_compiled_as_in_python(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
     if getattr(law, "kind", None) not in KINDS:
         return None
-    python = _along(case, _InPython(law))
-    error = float(np.abs(_along(case, law) - python).max())
+    python = torque_along(case, _InPython(law))
+    error = float(np.abs(torque_along(case, law) - python).max())
     if error <= COMPILED * max(float(np.abs(python).max()), 1.0):
         return None
     return f"compiled and in Python its torques differ by {error:.3g} N m or N"

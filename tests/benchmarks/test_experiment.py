@@ -5,6 +5,7 @@ Absolute times say more about the machine than about the code.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -22,13 +23,14 @@ from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.models.load import load_robot
+from sysid_bench.naming import BUILTIN, build
 from sysid_bench.regressors.regression import regression
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl, commands
 from sysid_bench.simulation.tracking_model import tracking_model
 from sysid_bench.tasks.task import task_of
-from sysid_bench.types import Array
+from sysid_bench.types import Array, Trajectory
 
 Compare = Callable[..., dict[str, float]]
 Line = Callable[..., None]
@@ -177,6 +179,30 @@ def test_an_experiment_against_a_bare_rollout(bench: Bench, compare: Compare, li
     must, aim = (2.2, 1.8) if bench.terms else (1.8, 1.5)
     what = "with friction" if bench.terms else "rigid"
     line(f"experiment / bare rollout, {what}", seconds["whole"] / seconds["bare"], must, aim)
+
+
+def test_all_effects_together_against_a_bare_rollout(
+    bench: Bench, compare: Compare, line: Line
+) -> None:
+    """Every effect of the plant in closed loop, at the step that its stiffest spring needs."""
+    effects = [build("plant", name) for name in sorted({*BUILTIN["plant"]} - {"matched", "play"})]
+    plant, motion = plant_of(bench.robot, effects), bench.motion
+    controller = bench.loop.controller(plant)
+    fine = tracking_model(plant, controller, bench.loop.step_choice).opt.timestep
+    bare = tracking_model(bench.plant, controller, bench.loop.step_choice)
+    bare.opt.timestep = fine
+    one = Trajectory(motion.t[:1000], motion.q[:1000], motion.v[:1000], motion.a[:1000])
+    each = round((one.t[1] - one.t[0]) / fine)
+    control = np.repeat(bench.control[:, :1000], each, axis=1)
+
+    def rollout() -> None:
+        batch = Batch(bare, 1, nthread=1)
+        batch.bind("qpos")[0], batch.bind("qvel")[0] = one.q[0], one.v[0]
+        batch.rollout(control.shape[1], control, record=["qpos", "qvel", "qacc", "qfrc_actuator"])
+
+    whole = partial(bench.loop.run, plant, one, bench.silence[:1000])
+    seconds = compare({"whole": whole, "bare": rollout}, 5)
+    line("all effects / bare rollout", seconds["whole"] / seconds["bare"], 2.0, 1.5)
 
 
 def test_force_laws_and_company_against_a_bare_rollout(

@@ -43,8 +43,8 @@ def along(robot: RobotModel, effect: Any, q: Array, load: float = 0.0) -> Array:
     """Torque (N, nv) of an effect along a motion q (N,) of every joint, from rest."""
     v = np.gradient(q, T)
     v[0] = 0.0
-    every, rate, torque = (np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v, load + 0 * v))
-    return laws_along([effect.prepare(robot)], T, every, rate, torque, 4)
+    every, rate, loads = (np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v, load + 0 * v))
+    return laws_along([effect.prepare(robot)], T, every, rate, loads, 4)
 
 
 def work(tau: Array, q: Array) -> Array:
@@ -73,9 +73,9 @@ def test_all_effects_together_move_every_joint_and_stay_finite(robot: RobotModel
 @pytest.mark.parametrize("amplitude", [1e-4, 4e-4, 2e-3, 0.1])
 @each_robot
 def test_play_dissipates_the_area_of_its_loop(robot: RobotModel, amplitude: float) -> None:
-    Fc, w = robot.joint_terms.coulomb, float(np.max(Play().width))
+    Fc, w = robot.joint_terms.coulomb, 5e-4
     q = amplitude * np.sin(np.pi * T)
-    tau = along(robot, Play(), q)
+    tau = along(robot, Play(width=w), q)
     expected = 4 * Fc * max(amplitude - w, 0.0)
     np.testing.assert_allclose(work(tau, q), expected, rtol=1e-3, atol=1e-6 * Fc.max() * amplitude)
     # Friction turns around within 2 w of a reversal, wherever it happens.
