@@ -217,6 +217,7 @@ class Problem:
     kinds: tuple[str, ...] = ()  # of rows, "joint N m", "base N": only equal kinds are compared
     torque: Float[Array, " rows"] | None = None  # RMS of each row's total torque; None: that of b
     period: int = 0  # samples per period; 0: not periodic
+    motions: tuple["Problem", ...] = ()  # those of the single motions; (): there is one alone
 
     @cached_property
     def stacked(self) -> tuple[Float[Array, "M r"], Float[Array, " M"]]:
