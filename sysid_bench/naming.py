@@ -5,11 +5,9 @@ compares the table with the folders. Plug-in authors add names with an entry poi
 `sysid_bench.<kind>s`, or use "module:object" without registration.
 """
 
-import dataclasses
 import hashlib
 import importlib
 import importlib.util
-import inspect
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache, lru_cache
@@ -21,7 +19,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import check_file, is_file
-from sysid_bench.units import quantity
+from sysid_bench.plugin_settings import plugin_settings
 
 BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
@@ -105,6 +103,23 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "elastic-joints": "sysid_bench.simulation.effects.elastic_joints:ElasticJoints",
             "lugre": "sysid_bench.simulation.effects.lugre:LuGre",
             "stribeck": "sysid_bench.simulation.effects.stribeck:Stribeck",
+        },
+        "model_error": {
+            "base-tilt": "sysid_bench.simulation.model_errors.base_tilt:BaseTilt",
+            "coupling": "sysid_bench.simulation.model_errors.coupling:CouplingError",
+            "gear-ratio": "sysid_bench.simulation.model_errors.gear_ratio:GearRatio",
+            "kinematics": "sysid_bench.simulation.model_errors.kinematics:Kinematics",
+            "payload-mount": "sysid_bench.simulation.model_errors.payload_mount:PayloadMount",
+        },
+        "sensor_error": {
+            "current-ripple": "sysid_bench.simulation.sensor_errors.current_ripple:CurrentRipple",
+            "delay": "sysid_bench.simulation.sensor_errors.delay:Delay",
+            "eccentricity": "sysid_bench.simulation.sensor_errors.eccentricity:Eccentricity",
+            "jitter": "sysid_bench.simulation.sensor_errors.jitter:Jitter",
+            "lost-samples": "sysid_bench.simulation.sensor_errors.lost_samples:LostSamples",
+            "torque-drift": "sysid_bench.simulation.sensor_errors.torque_drift:TorqueDrift",
+            "torque-gain": "sysid_bench.simulation.sensor_errors.torque_gain:TorqueGain",
+            "torque-noise": "sysid_bench.simulation.sensor_errors.torque_noise:TorqueNoise",
         },
     }
 )
@@ -193,7 +208,7 @@ def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
     make = resolve(kind, spec["use"])
     settings = {key: value for key, value in spec.items() if key not in ("use", "label")}
     if callable(make):
-        return make(**_settings(f"{shown} {spec['use']!r}", make, settings))
+        return make(**plugin_settings(f"{shown} {spec['use']!r}", make, settings))
     if settings:
         raise UsageError(f"{shown} {spec['use']!r} takes no settings; got {sorted(settings)}.")
     return make
@@ -212,52 +227,6 @@ def resolve_files(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any
     if isinstance(file, str):
         resolved["file"] = str(folder / file)
     return resolved
-
-
-def _settings(plugin: str, make: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a plug-in in SI units; raise UsageError for unknown, missing or wrong ones."""
-    try:
-        parameters = inspect.signature(make).parameters
-    except (TypeError, ValueError):  # written in C, without a signature
-        return dict(given)
-    _check_settings(plugin, parameters, given)
-    units = _units(make)
-    return {key: _setting(plugin, key, value, units.get(key)) for key, value in given.items()}
-
-
-def _check_settings(
-    plugin: str, parameters: Mapping[str, inspect.Parameter], given: Mapping[str, Any]
-) -> None:
-    """Raise UsageError for a setting that the plug-in does not take, and for one that it lacks."""
-    unknown = [key for key in given if key not in parameters]
-    if unknown and not _takes_any(parameters):
-        raise unknown_name(f"setting of the {plugin}", unknown[0], parameters)
-    missing = [key for key, p in parameters.items() if _is_required(p) and key not in given]
-    if missing:
-        raise UsageError(f"{plugin} needs the settings {', '.join(missing)}.")
-
-
-def _is_required(parameter: inspect.Parameter) -> bool:
-    variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
-    return parameter.default is inspect.Parameter.empty and parameter.kind not in variadic
-
-
-def _takes_any(parameters: Mapping[str, inspect.Parameter]) -> bool:
-    """Test for `**settings`, which take every key."""
-    return any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
-
-
-def _units(make: Any) -> dict[str, str]:
-    """{setting: unit} of the dataclass fields that are read with their unit."""
-    fields = dataclasses.fields(make) if dataclasses.is_dataclass(make) else ()
-    return {f.name: f.metadata["unit"] for f in fields if "unit" in f.metadata}
-
-
-def _setting(plugin: str, key: str, value: Any, unit: str | None) -> Any:
-    try:
-        return value if unit is None else quantity(value, unit)
-    except UsageError as error:
-        raise UsageError(f"{plugin}, {key}: {error}") from error
 
 
 def _target(point: EntryPoint) -> str:

@@ -11,11 +11,15 @@ import pytest
 from sysid_bench.conformance import check_plugin_of, failed_checks
 from sysid_bench.conformance.effect import effect_cases
 from sysid_bench.conformance.excitation import design_cases
+from sysid_bench.conformance.model_error_checks import model_error_cases
+from sysid_bench.conformance.sensor_error_checks import sensor_error_cases
 from sysid_bench.errors import UsageError
 from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.models.displaced_robot import with_gravity
 from sysid_bench.naming import BUILTIN, build
 from sysid_bench.pytest_plugin import assert_conforms
 from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.model_errors.base_tilt import BaseTilt
 
 QUICK = sorted(set(BUILTIN["excitation"]) - {"file", "optimised"})
 """A motion from a file has the limits of its file; an optimised one takes most of a minute."""
@@ -36,6 +40,16 @@ def test_an_optimised_motion_conforms() -> None:
 @pytest.mark.parametrize("name", BUILTIN["plant"])
 def test_built_in_plant_effects_conform(name: str) -> None:
     assert_conforms(name, "plant")
+
+
+@pytest.mark.parametrize("name", BUILTIN["model_error"])
+def test_built_in_model_errors_conform(name: str) -> None:
+    assert_conforms(name, "model_error")
+
+
+@pytest.mark.parametrize("name", BUILTIN["sensor_error"])
+def test_built_in_sensor_errors_conform(name: str) -> None:
+    assert_conforms(name, "sensor_error")
 
 
 @pytest.mark.parametrize("name", BUILTIN["simulation"])
@@ -111,6 +125,124 @@ def restored_briefs() -> Any:
 def test_a_broken_excitation_is_found(mistake: str) -> None:
     with pytest.raises(AssertionError, match=EXCITATIONS[mistake]):
         assert_conforms(BrokenExcitation(mistake), "excitation")
+
+
+# --- Broken model errors and sensor errors ------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class BrokenModelError:
+    """Tilted gravity with one mistake."""
+
+    mistake: str
+    angle: float = 0.01
+    sizes = ("angle",)
+
+    def apply(self, robot: Any, rng: np.random.Generator) -> Any:
+        match self.mistake:
+            case "truth":
+                return replace(robot, phi=1.1 * robot.phi)
+            case "random":
+                return BaseTilt(self.angle).apply(robot, np.random.default_rng())
+            case "size":
+                return BaseTilt(self.angle + 0.01).apply(robot, rng)
+            case "bodies":
+                return replace(robot, body_names=robot.body_names[::-1])
+            case "nan":
+                return with_gravity(robot, np.full(3, np.nan))
+            case "tree":
+                return robot.tree
+        robot.phi[:] *= 1.1
+        return robot
+
+
+MODEL_ERRORS = {
+    "truth": "keeps the true parameters",
+    "random": "is deterministic",
+    "size": "vanishes at size zero",
+    "bodies": "its bodies are not those of the model",
+    "nan": "moves along a motion of the model",
+    "tree": "it is a Tree",
+    "changing": "it changed the model's robot",
+}
+
+
+@pytest.fixture
+def restored_robots() -> Any:
+    """The shared robots are put right after a plug-in that changes them."""
+    kept = [case.robot.phi.copy() for case in model_error_cases()]
+    yield
+    for case, phi in zip(model_error_cases(), kept, strict=True):
+        case.robot.phi[:] = phi
+
+
+@pytest.mark.parametrize("mistake", MODEL_ERRORS)
+@pytest.mark.usefixtures("restored_robots")
+def test_a_broken_model_error_is_found(mistake: str) -> None:
+    with pytest.raises(AssertionError, match=MODEL_ERRORS[mistake]):
+        assert_conforms(BrokenModelError(mistake), "model_error")
+
+
+@dataclass(frozen=True)
+class BrokenStage:
+    """A torque reading with one mistake."""
+
+    mistake: str
+    gain: float
+
+    def torque_reading(self, signal: Any, rng: np.random.Generator) -> Any:
+        match self.mistake:
+            case "narrow":
+                return signal.tau[:, 1:]
+            case "nan":
+                return signal.tau * np.nan
+            case "random":
+                return signal.tau + np.random.default_rng().normal(size=signal.tau.shape)
+            case "size":
+                return signal.tau + 0.1
+            case "changing":
+                signal.tau[0] += self.gain
+        return (1.0 + self.gain) * signal.tau
+
+    def stored(self, count: int, rng: np.random.Generator) -> Any:
+        return np.arange(count) + (self.mistake == "future")
+
+
+@dataclass(frozen=True)
+class BrokenSensorError:
+    """A gain error with one mistake."""
+
+    mistake: str
+    gain: float = 0.1
+    sizes = ("gain",)
+
+    def prepare(self, robot: Any, rng: np.random.Generator) -> Any:
+        return object() if self.mistake == "nothing" else BrokenStage(self.mistake, self.gain)
+
+
+SENSOR_ERRORS = {
+    "narrow": "torque_reading has the shape",
+    "nan": "not finite",
+    "random": "is deterministic",
+    "size": "with its sizes zero, torque_reading is not exact",
+    "future": "was not taken yet",
+    "nothing": "without encoder_error, torque_reading",
+    "changing": "it changed the robot or a signal",
+}
+
+
+@pytest.fixture
+def restored_signals() -> Any:
+    """The shared signals are put right after a plug-in that changes them."""
+    yield
+    sensor_error_cases.cache_clear()
+
+
+@pytest.mark.parametrize("mistake", SENSOR_ERRORS)
+@pytest.mark.usefixtures("restored_signals")
+def test_a_broken_sensor_error_is_found(mistake: str) -> None:
+    with pytest.raises(AssertionError, match=SENSOR_ERRORS[mistake]):
+        assert_conforms(BrokenSensorError(mistake), "sensor_error")
 
 
 # --- Broken effects -----------------------------------------------------------------------------

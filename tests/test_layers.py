@@ -27,6 +27,7 @@ BASE = frozenset(
         "c_library",
         "input_files",
         "csv_text",
+        "plugin_settings",
     }
     | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
 )

@@ -83,6 +83,8 @@ def test_a_builtin_name_stands_for_something_that_is_there(kind: str, name: str)
         ("estimator", "identification/estimators"),
         ("plant", "simulation/effects"),
         ("pipeline", "signals/pipelines"),
+        ("model_error", "simulation/model_errors"),
+        ("sensor_error", "simulation/sensor_errors"),
         ("log_reader", "signals/log_readers"),
     ],
 )

@@ -16,15 +16,18 @@ from sysid_bench.cli.options import (
 )
 from sysid_bench.cli.supervise import supervised
 
-_CHECKED = ("estimator", "excitation", "plant", "simulation", "metric", "log-reader", "task")
+_CHECKED = (
+    *("estimator", "excitation", "plant", "simulation", "metric", "log-reader", "task"),
+    *("model-error", "sensor-error"),
+)
 """Kinds with a conformance kit; spelled out, because the kits take a second to load."""
 
 
 @click.command(name="list")
 @click.argument(
     "kind",
-    metavar="robots|payloads|tasks|excitations|estimators|suites|simulations|plants|pipelines|"
-    "metrics|log-readers",
+    metavar="robots|payloads|tasks|excitations|estimators|suites|simulations|plants|"
+    "model-errors|sensor-errors|pipelines|metrics|log-readers",
 )
 @robots_option
 @json_option

@@ -12,6 +12,8 @@ from sysid_bench.conformance.excitation import check_excitation
 from sysid_bench.conformance.findings import Finding
 from sysid_bench.conformance.log_reader_checks import check_log_reader
 from sysid_bench.conformance.metric import check_metric_plugin
+from sysid_bench.conformance.model_error_checks import check_model_error
+from sysid_bench.conformance.sensor_error_checks import check_sensor_error
 from sysid_bench.conformance.simulation import check_simulation
 from sysid_bench.conformance.task_checks import check_task
 from sysid_bench.errors import UsageError, unknown_name
@@ -37,6 +39,8 @@ KITS: Final[Mapping[str, Kit]] = MappingProxyType(
         "metric": check_metric_plugin,
         "log_reader": check_log_reader,
         "task": check_task,
+        "model_error": check_model_error,
+        "sensor_error": check_sensor_error,
     }
 )
 

@@ -15,7 +15,7 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.payload import parse_payload
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
-from sysid_bench.naming import build, resolve_files
+from sysid_bench.naming import build, resolve, resolve_files
 from sysid_bench.types import BaseMap
 
 KEPT = 16
@@ -33,6 +33,10 @@ class LoadedRobot:
     def build_plugin(self, kind: str, spec: Mapping[str, Any]) -> Any:
         """The plug-in that a suite names, built with its settings."""
         return build(kind, resolve_files(spec, self.folder))
+
+    def plugin_class(self, kind: str, spec: Mapping[str, Any]) -> Any:
+        """The object that `build_plugin` calls with the settings."""
+        return resolve(kind, str(resolve_files(spec, self.folder)["use"]))
 
     @cached_property
     def check(self) -> Crosscheck:

@@ -45,6 +45,15 @@ def drift_seed(spec: ExperimentSpec) -> int:
     return seed_of(noise_seed(spec), "drift")
 
 
+def plant_seed(spec: ExperimentSpec, *channel: Any) -> int:
+    """Seed of one random size or direction of a plant: the same for every payload, task, motion and
+    level of noise, and for all repeats unless `plant` is redrawn."""
+    parts = (spec.robot, *channel)
+    if "plant" in spec.redrawn:
+        parts += (spec.repeat,)
+    return seed_of(spec.seed, "plant", *parts)
+
+
 def known_seed(spec: ExperimentSpec) -> int:
     """Seed of the errors of the known parts of a task, the same for every payload."""
     return seed_of(spec.seed, "known", spec.robot, spec.task)

@@ -40,6 +40,7 @@ class ExperimentSpec:
     log: Mapping[str, Any] | None = None  # a recording of a real robot, as a suite's [[log]] has it
     pipeline: Mapping[str, Any] | None = None  # {use, settings}; None: `plain`, by `signals`
     sensor: str | None = None  # the force/torque sensor; None: the only one of the manifest
+    redrawn: tuple[str, ...] = ()  # what each repeat draws anew: "motions", "plant"
 
     @cached_property
     def id(self) -> str:
@@ -52,6 +53,8 @@ class ExperimentSpec:
         for key in ("free_base", "sensor", "log", "pipeline"):
             if data[key] is None:  # ids are older than these fields
                 del data[key]
+        if not data["redrawn"]:
+            del data["redrawn"]
         return data
 
     @classmethod
@@ -64,6 +67,7 @@ class ExperimentSpec:
                     **data,
                     "terms": None if terms is None else tuple(terms),
                     "held_out": tuple(data["held_out"]),
+                    "redrawn": tuple(data.get("redrawn", ())),
                 }
             )
         except (KeyError, TypeError) as error:

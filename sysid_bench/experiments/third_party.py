@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
+from sysid_bench.experiments.simulated.composed_plant import plant_plugins
 from sysid_bench.naming import is_builtin, known
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
@@ -31,7 +32,8 @@ def is_third_party_cell(argument: Mapping[str, Any], entry: Mapping[str, Any]) -
 def _simulation_plugins(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the plug-ins of a simulated experiment."""
     yield "task", spec["task"]
-    for kind in ("plant", "excitation", "simulation"):
+    yield from ((kind, str(plugin["use"])) for kind, plugin in plant_plugins(spec["plant"]))
+    for kind in ("excitation", "simulation"):
         yield kind, spec[kind]["use"]
     for motion in spec["held_out"]:
         yield "excitation", motion["use"]

@@ -12,6 +12,7 @@ from typing import Any
 from sysid_bench import naming
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import SysidBenchError
+from sysid_bench.experiments.simulated.composed_plant import plant_plugins
 from sysid_bench.harness.cell import Cell
 from sysid_bench.input_files import file_hash, is_file, read_bytes
 from sysid_bench.models.manifest import find_manifest
@@ -48,7 +49,6 @@ def cell_fingerprint(
     spec = cell.spec
     plugins: dict[str, list[Mapping[str, Any]]] = {
         "task": [{"use": spec.task}],
-        "plant": [spec.plant],
         "excitation": [spec.excitation, *spec.held_out],
         "simulation": [spec.simulation],
         "estimator": [cell.estimator],
@@ -60,6 +60,7 @@ def cell_fingerprint(
     if files is None:
         return ""
     named = [(kind, plugin) for kind, group in plugins.items() for plugin in group]
+    named += [] if spec.log is not None else plant_plugins(spec.plant)
     targets = [_target(kind, plugin, folder) for kind, plugin in named]
     specs = [resolve_files(plugin, folder) for _, plugin in named]
     read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]

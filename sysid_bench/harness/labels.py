@@ -5,6 +5,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical, canonical_hash
+from sysid_bench.experiments.simulated.composed_plant import (
+    COMPOSED,
+    plant_name,
+    plant_plugins,
+)
 from sysid_bench.experiments.spec import normal_noise, normal_payload, normal_prior
 from sysid_bench.harness.suite.data_entries import Noise, Prior
 from sysid_bench.harness.suite.model import Plugin, RobotEntry, Suite
@@ -39,6 +44,15 @@ def plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str
     return short, f"{short} {settings}" if settings else f"{short} ({use})" if ":" in use else short
 
 
+def _plant_texts(spec: Mapping[str, Any]) -> tuple[str, str]:
+    """Return short and long text of a plant: "L2" and "L2 stribeck share=0.2 delay"."""
+    if spec["use"] != COMPOSED:
+        return plugin_texts(spec, spec.get("label"))
+    short = plant_name(spec)
+    parts = (plugin_texts(part)[1] for _, part in plant_plugins(spec))
+    return short, " ".join((short, *parts))
+
+
 def table_text(written: str | Mapping[str, Any], empty: str) -> str:
     """Return "q 1e-4 rad, tau 0.5 %" for a table of quantities; words stay."""
     if isinstance(written, str):
@@ -50,13 +64,13 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     """Return axis -> canonical value -> label."""
     axes = suite.defaults
     plugins = {
-        "plant": axes.plant, "excitation": axes.excitation, "simulation": axes.simulation,
-        "pipeline": axes.pipeline,
+        "excitation": axes.excitation, "simulation": axes.simulation, "pipeline": axes.pipeline,
     }  # fmt: skip
     labels = {
         axis: _unique_labels((p.spec, *plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
         for axis, specs in plugins.items()
     }
+    labels["plant"] = _unique_labels((p.spec, *_plant_texts(p.spec)) for p in axes.plant)
     labels["estimator"] = _unique_labels(
         (e.spec, *plugin_texts(e.spec, e.label)) for e in suite.estimator
     )

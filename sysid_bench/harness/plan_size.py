@@ -5,6 +5,7 @@ from math import prod
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError
+from sysid_bench.experiments.simulated.composed_plant import COMPOSED, composed_plant
 from sysid_bench.experiments.spec import REDRAWN, normal_noise, normal_prior
 from sysid_bench.harness.suite.data_entries import Prior
 from sysid_bench.harness.suite.model import LogEntry, Suite
@@ -12,8 +13,8 @@ from sysid_bench.harness.suite.model import LogEntry, Suite
 MANY: Final = 1_000_000
 """Most cells of a plan that nobody has to ask for: more are a mistake more often than a wish."""
 
-_AXES: Final = ("task", "terms", "plant", "excitation", "held_out", "rate", "signals", "pipeline")
-_NOISY_AXES: Final = ("noise", "prior", "simulation")
+_AXES: Final = ("task", "terms", "excitation", "held_out", "rate", "signals", "pipeline")
+_NOISY_AXES: Final = ("plant", "noise", "prior", "simulation")
 """Axes that decide on repeats: an experiment that draws nothing is not repeated."""
 
 
@@ -34,6 +35,11 @@ def is_random_prior(prior: str | Mapping[str, Any]) -> bool:
     return not isinstance(prior, str) and bool(prior.get(REDRAWN))
 
 
+def has_random_sensors(plant: Mapping[str, Any]) -> bool:
+    """True for a plant whose sensors have errors, which repeats may draw again."""
+    return plant["use"] == COMPOSED and composed_plant(plant).has_random_signals
+
+
 def prior_table(prior: Prior | str) -> str | dict[str, Any]:
     """Return a prior as its words or keys."""
     return prior if isinstance(prior, str) else prior.model_dump(exclude_none=True)
@@ -49,7 +55,9 @@ def _simulated(suite: Suite) -> tuple[int, str]:
     count = prod(sizes.values()) * (drawn * repeats + fixed)
     text = _product({**sizes, **noisy, "repeats": repeats})
     if fixed and repeats > 1:
-        text += f" (repeats of {drawn} of {drawn + fixed} kinds of noise, prior and simulation)"
+        text += (
+            f" (repeats of {drawn} of {drawn + fixed} kinds of plant, noise, prior and simulation)"
+        )
     return count, text
 
 
@@ -65,7 +73,8 @@ def _fixed(suite: Suite) -> int:
     axes = suite.defaults
     exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in axes.noise)
     given = sum(not is_random_prior(normal_prior(prior_table(prior))) for prior in axes.prior)
-    return exact * given * sum(entry.use == "inverse" for entry in axes.simulation)
+    quiet = sum(not has_random_sensors(plant.spec) for plant in axes.plant)
+    return quiet * exact * given * sum(entry.use == "inverse" for entry in axes.simulation)
 
 
 def _recorded(suite: Suite, log: LogEntry) -> tuple[int, str]:

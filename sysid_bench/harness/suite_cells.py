@@ -16,7 +16,7 @@ from sysid_bench.experiments.spec import (
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.labels import labels_of, robot_key
 from sysid_bench.harness.log_specs import log_labels, log_specs
-from sysid_bench.harness.plan_size import is_random_prior, prior_table
+from sysid_bench.harness.plan_size import has_random_sensors, is_random_prior, prior_table
 from sysid_bench.harness.suite.data_entries import Signals
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
@@ -38,7 +38,8 @@ _LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
 def is_random(spec: ExperimentSpec) -> bool:
     """True where the repeats of an experiment differ from each other."""
     simulated = spec.log is None and spec.simulation["use"] == "inverse"
-    return not simulated or bool(spec.noise) or is_random_prior(spec.prior)
+    drawn = bool(spec.redrawn) or has_random_sensors(spec.plant)
+    return not simulated or drawn or bool(spec.noise) or is_random_prior(spec.prior)
 
 
 def suite_cells(suite: Suite, names: Names) -> list[Cell]:

@@ -93,6 +93,9 @@ class RobotModel:
     repairs: tuple[str, ...] = ()
     coupling: Coupling | None = None
     """Coupled joints (mimics, equalities, closed chains); None where every joint is independent."""
+    drive_ratio: Array | None = None
+    """Displacement of each joint (nv,) per displacement that the identified model takes from its
+    drive; None: they are equal. Only the plant's robot has one."""
 
     @property
     def rows(self) -> tuple[str, ...]:

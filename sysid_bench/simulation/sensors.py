@@ -73,14 +73,21 @@ def draw_noise(count: int, recorded: int, rows: int, rng: np.random.Generator) -
 
 
 def position_error(
-    noise: Noise, draws: NoiseDraws, q: Array | None = None, rounded: Array | slice = slice(None)
+    noise: Noise,
+    draws: NoiseDraws,
+    q: Array | None = None,
+    rounded: Array | slice = slice(None),
+    repeated: Array | None = None,
 ) -> Array:
     """Return the error of every encoder reading (N, rows), rad or m.
 
     With positions q (N, rows) it includes quantisation, in the degrees of freedom `rounded`; the
-    orientation of a floating base has no encoder.
+    orientation of a floating base has no encoder. `repeated` (N, rows) are errors of the encoders
+    that depend on the position.
     """
     error = noise.q * draws.encoder
+    if repeated is not None:
+        error = error + repeated
     # Quantisation rounds the noisy reading, so that its error depends on the position itself.
     if noise.quantum > 0 and q is not None:
         read = q[:, rounded] + error[:, rounded]
@@ -98,7 +105,7 @@ def measure(
     controller: Controller | None,
     ideal_rates: bool,
 ) -> Recording:
-    """Return the recording of every `every`-th simulation step.
+    """Return the recording of every `stride`-th simulation step.
 
     `error` (N, n) is that of the encoders, `torque_error` (K, n) that of each recorded torque
     sample. With `ideal_rates`, exact v and a are recorded too. Dependent joints have no encoder:

@@ -16,6 +16,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.compiled_steps import Loop, Signals, simulate_steps
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
+from sysid_bench.simulation.plant_robot import plant_controller
 from sysid_bench.simulation.sensors import first_order
 from sysid_bench.simulation.tracking_model import (
     INTEGRATORS,
@@ -102,7 +103,8 @@ class TrackingControl:
                 f"{robot.name}: closed-loop needs a fixed base, and hinges and slides alone."
             )
         controller = self.controller(plant)
-        return self.track(plant, controller, commanded, encoder), controller
+        moved = plant_controller(controller, robot)
+        return self.track(plant, moved, commanded, encoder), controller
 
     def track(
         self, plant: Plant, controller: Controller, commanded: Trajectory, encoder: Array

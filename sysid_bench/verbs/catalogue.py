@@ -21,6 +21,7 @@ from sysid_bench.metrics import METRICS
 from sysid_bench.models.manifest import find_manifest, is_model
 from sysid_bench.models.payload import PAYLOADS
 from sysid_bench.tasks.task import TaskDefinition
+from sysid_bench.units import quantity
 from sysid_bench.verbs.result import Result
 
 Entry = dict[str, Any]
@@ -48,8 +49,8 @@ class ShowResult(Result):
 
 def list_(kind: str, robots_dir: Path | None = None) -> list[Entry]:
     """Return everything of a kind (robots, payloads, tasks, excitations, estimators, suites,
-    simulations, plants, pipelines, metrics, log-readers; singular or plural) with name and title;
-    the title of an entry that cannot be read states the reason."""
+    simulations, plants, model-errors, sensor-errors, pipelines, metrics, log-readers; singular or
+    plural) with name and title; the title of an entry that cannot be read states the reason."""
     plural = _plural(kind)
     if plural not in _LISTS:
         raise unknown_name("kind", kind, _LISTS)
@@ -210,7 +211,10 @@ def _default(field: dataclasses.Field[Any]) -> Any:
     if field.default is dataclasses.MISSING:
         return None
     unit = field.metadata.get("unit")
-    return _json_value(field.default) if unit is None else f"{field.default} {unit}"
+    if unit is None or not isinstance(field.default, (int, float)):
+        return _json_value(field.default)
+    # A default is an SI number: 0.03 of a setting in % reads 3 %.
+    return f"{field.default / quantity(1.0, unit):.12g} {unit}"
 
 
 def _json_value(value: Any) -> Any:
@@ -274,6 +278,8 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "estimators": _plugins("estimator"),
     "simulations": _plugins("simulation"),
     "plants": _plugins("plant"),
+    "model-errors": _plugins("model_error"),
+    "sensor-errors": _plugins("sensor_error"),
     "pipelines": _plugins("pipeline"),
     "metrics": _metrics,
     "log-readers": _plugins("log_reader"),
@@ -286,6 +292,8 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "estimators": _shown_plugin("estimator"),
     "simulations": _shown_plugin("simulation"),
     "plants": _shown_plugin("plant"),
+    "model-errors": _shown_plugin("model_error"),
+    "sensor-errors": _shown_plugin("sensor_error"),
     "pipelines": _shown_plugin("pipeline"),
     "metrics": _metric,
     "log-readers": _shown_plugin("log_reader"),

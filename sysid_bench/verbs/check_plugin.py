@@ -41,9 +41,9 @@ def check_plugin(
     file: Path | None = None,
 ) -> CheckPluginResult:
     """Check a plug-in: built in, "module:object", "file:path.py:object", or {use = ...} with
-    settings. `kind`: estimator, excitation, plant, simulation, metric, log-reader or task; `file`:
-    recorded file for a log reader. Raises UsageError for an unknown name or kind, and for a log
-    reader of a format that needs a file."""
+    settings. `kind`: estimator, excitation, plant, model-error, sensor-error, simulation, metric,
+    log-reader or task; `file`: recorded file for a log reader. Raises UsageError for an unknown
+    name or kind, and for a log reader of a format that needs a file."""
     plugin = build(checked_kind(kind), name)
     findings = check_plugin_of(kind, plugin, robots_dir, file)
     use = name if isinstance(name, str) else name["use"]

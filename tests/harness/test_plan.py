@@ -15,6 +15,7 @@ from sysid_bench.experiments.seed import (
     held_out_seed,
     motion_seed,
     noise_seed,
+    plant_seed,
     prior_seed,
     seed_of,
     sensor_seed,
@@ -48,6 +49,7 @@ CHANGES: dict[str, Any] = {
     "free_base": True,
     "sensor": "wrist",
     "pipeline": {"use": "parallel"},
+    "redrawn": ("motions",),
     "log": {"train": ["run.toml"]},
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
@@ -56,6 +58,7 @@ SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
     prior_seed: {"seed", "robot", "payload", "task"},
     sensor_seed: {"seed", "robot", "repeat", "sensor"},
     lambda spec: held_out_seed(spec, 0): {"seed", "robot", "held_out"},
+    plant_seed: {"seed", "robot"},
 }
 
 
@@ -69,7 +72,9 @@ def test_an_id_depends_on_every_part(part: str) -> None:
 
 
 @pytest.mark.parametrize("part", CHANGES)
-@pytest.mark.parametrize("seed", SEEDS, ids=["motion", "noise", "prior", "sensor", "held-out"])
+@pytest.mark.parametrize(
+    "seed", SEEDS, ids=["motion", "noise", "prior", "sensor", "held-out", "plant"]
+)
 def test_a_seed_depends_on_its_parts_alone(
     seed: Callable[[ExperimentSpec], int], part: str
 ) -> None:

@@ -16,6 +16,7 @@ from sysid_bench.evaluation.wrench_estimation import (
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.point_to_point import PointToPoint
 from sysid_bench.experiments.seed import noise_seed, seed_of
+from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation, excitation_of, structural_subspaces
 from sysid_bench.models.robot import RobotModel
@@ -80,21 +81,23 @@ def sensor_excitation(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> 
     )
 
 
-def contact_test(spec: ExperimentSpec, robot: RobotModel, task: Task) -> ContactTest | None:
-    """The contact test of an experiment; None where a further sensor ends the sub-tree."""
+def contact_test(spec: ExperimentSpec, built: BuiltPlant, task: Task) -> ContactTest | None:
+    """The contact test of an experiment: the plant's robot moves and is touched, the model's
+    estimates. None where a further sensor ends the sub-tree."""
     if task.end_sensors:
         return None
-    cut = task.cuts[0]
+    cut, robot, moved = task.cuts[0], built.model, built.plant.robot
     rng = np.random.default_rng(seed_of(spec.seed, "touch", spec.robot))
     motion = PointToPoint().design(design_problem(robot, RATE), rng)
     wrench = random_wrench(motion, TOUCH, rng)
     # The first half is without contact: there the parameters alone are compared.
     wrench[: len(motion) // 2] = 0.0
-    touch, plant = Contact(last_body(robot, cut), wrench), plant_of(robot)
+    carried_out = built.coordinates.to_plant(motion)
+    touch, plant = Contact(last_body(robot, cut), wrench), plant_of(moved)
     method = sensor_newton_euler(robot, cut, motion, robot.body_names[touch.body])
-    tau = newton_euler(robot.tree, robot.tree.link_parameters(robot.phi), motion)
-    tau -= contact_torque(plant, touch, motion)  # J' f of the contact, which the motors oppose
-    f_b = sensor_wrench(plant, (cut,), motion, touch)
+    tau = newton_euler(moved.tree, moved.tree.link_parameters(moved.phi), carried_out)
+    tau -= contact_torque(plant, touch, carried_out)  # J' f of the contact, which the motors oppose
+    f_b = sensor_wrench(plant, (cut,), carried_out, touch)
     white = np.random.default_rng(seed_of(noise_seed(spec), "touch"))
     f_b += wrench_noise(spec.noise).white() * white.normal(size=f_b.shape)
     return ContactTest(method, f_b, tau[:, list(method.tree.dofs)], wrench)

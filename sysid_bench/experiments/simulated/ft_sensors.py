@@ -7,9 +7,9 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.seed import noise_seed, seed_of, sensor_seed
+from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.sensor import last_body
-from sysid_bench.simulation.plant import Plant
 from sysid_bench.simulation.wrench_sensors import (
     Contact,
     SensorError,
@@ -28,12 +28,13 @@ class MeasuredSensors:
     """The sensors of a task on the moving plant. Without any, recordings are left as they are."""
 
     spec: ExperimentSpec
-    plant: Plant
+    built: BuiltPlant
     task: Task
     run: int = 0  # other runs of the same sensor have other noise
 
     def measure(self, raw: Recording, oracle: Oracle, decimation: int) -> Recording:
-        """The recording `raw` of every `decimation`-th step, with the readings of the sensors.
+        """The recording `raw` of every `decimation`-th step of the plant's motion, with the
+        readings of the sensors.
 
         Raises UnsupportedError for a contact in a simulation that does not feel it.
         """
@@ -46,8 +47,9 @@ class MeasuredSensors:
         contact = self._contact(motion)
         if contact is not None:
             # The motors hold the robot on its motion against the contact.
-            tau = contact_torque(self.plant, contact, motion)
-            raw = replace(raw, tau=raw.tau - self.plant.robot.reduced(motion.q, tau))
+            plant = self.built.plant
+            tau = plant.robot.reduced(motion.q, contact_torque(plant, contact, motion))
+            raw = replace(raw, tau=raw.tau - self.built.coordinates.torque_to_model(tau))
         exact = _by_sensor(self._wrench(motion, contact))
         errors = _sensor_errors(self.spec, len(self.task.cuts))
         parts = [
@@ -57,20 +59,22 @@ class MeasuredSensors:
         rows = tuple(row for cut in self.task.cuts for row in cut.rows)
         return replace(raw, wrench=np.hstack(parts), wrench_rows=rows)
 
-    def noise_free(self, oracle: Oracle) -> Array:
-        """Noise-free torques and wrenches (N, nv + 6 sensors), with the constant offsets of the
-        sensors where those are among the unknowns."""
+    def noise_free(self, oracle: Oracle) -> tuple[Trajectory, Array]:
+        """The plant's motion as the model counts it, and the noise-free torques and wrenches (N,
+        nv + 6 sensors), with the constant offsets of the sensors where those are among the
+        unknowns."""
+        seen = self.built.coordinates.to_model(oracle)
         if not self.task.cuts:
-            return oracle.tau
+            return seen.motion, seen.tau
         wrench = self._wrench(oracle.motion)
         # Constant offsets are unknowns of a task that has more than ten parameters for each body.
         alone = self.task.definition.measures_sensor_only
         if alone and len(self.task.parameters) > 10 * len(self.task.bodies):
             wrench += self.task.truth.theta[10 * len(self.task.bodies) :]
-        return np.hstack([oracle.tau, wrench])
+        return seen.motion, np.hstack([seen.tau, wrench])
 
     def _wrench(self, motion: Trajectory, contact: Contact | None = None) -> Array:
-        return sensor_wrench(self.plant, self.task.cuts, motion, contact)
+        return sensor_wrench(self.built.plant, self.task.cuts, motion, contact)
 
     def _contact(self, motion: Trajectory) -> Contact | None:
         """A contact on the last body during the middle third of a motion."""
@@ -84,7 +88,7 @@ class MeasuredSensors:
         rng = np.random.default_rng(seed_of(noise_seed(self.spec), "touched", self.run))
         wrench, part = random_wrench(motion, force, rng), len(motion) // 3
         wrench[:part] = wrench[2 * part :] = 0.0
-        return Contact(last_body(self.plant.robot, self.task.cuts[0]), wrench)
+        return Contact(last_body(self.built.plant.robot, self.task.cuts[0]), wrench)
 
 
 def sensor_offset(spec: ExperimentSpec, count: int) -> Array:

@@ -13,6 +13,7 @@ from sysid_bench.excitation.design_problem import DesignProblem, design_problem
 from sysid_bench.excitation.information import TorqueModel, information_model
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.seed import known_seed, prior_seed
+from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sensor_offset
 from sysid_bench.experiments.simulated.method_model import known_model
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
@@ -25,15 +26,18 @@ from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.nested_sensors import measured_regression
 from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.simulation.parametrised_plant import KnownModel
-from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.prior import PriorSpread, prior_of, with_known_errors
 from sysid_bench.tasks.task import Task, TaskDefinition, find_task
-from sysid_bench.types import Array, BaseMap, BodyExtents, Oracle, Prior, Problem
+from sysid_bench.types import Array, BaseMap, BodyExtents, Oracle, Prior, Problem, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseFreePart:
-    """Task, plant, prior and held-out motions of an experiment."""
+    """Task, plant, prior and held-out motions of an experiment.
+
+    The task, its truth and prior, the regressors and the motions are those of the identified model;
+    what moves is the plant (`simulated.built`), which may have another geometry.
+    """
 
     spec: ExperimentSpec
     task: Task
@@ -55,30 +59,26 @@ class NoiseFreePart:
     def held_out(self) -> dict[str, Problem]:
         """Problems of other motions, with exact signals."""
         return {
-            name: self.builder.build(oracle.motion, self._exact(oracle))
-            for name, oracle in self._oracles.items()
+            name: self.builder.build(*self._exact(oracle)) for name, oracle in self._oracles.items()
         }
 
     @cached_property
     def held_out_moving(self) -> dict[str, Problem]:
         """The same problems without the rows of joints at standstill."""
-        return {
-            name: self.builder.build(
-                oracle.motion,
-                self._exact(oracle),
-                rows=self.builder.rows_along(oracle.motion, MOVING),
-            )
-            for name, oracle in self._oracles.items()
-        }
+        problems = {}
+        for name, oracle in self._oracles.items():
+            motion, measured = self._exact(oracle)
+            rows = self.builder.rows_along(motion, MOVING)
+            problems[name] = self.builder.build(motion, measured, rows=rows)
+        return problems
 
     @cached_property
     def _oracles(self) -> dict[str, Oracle]:
         return held_out_motions(self.spec, self.simulated)
 
-    def _exact(self, oracle: Oracle) -> Array:
-        """Noise-free torques and wrenches (N, n + 6 sensors)."""
-        sensors = MeasuredSensors(self.spec, self.simulated.plant, self.task)
-        return sensors.noise_free(oracle)
+    def _exact(self, oracle: Oracle) -> tuple[Trajectory, Array]:
+        """Motion as the model counts it, and noise-free torques and wrenches (N, n + 6 sensors)."""
+        return MeasuredSensors(self.spec, self.simulated.built, self.task).noise_free(oracle)
 
 
 def noise_free_part(spec: ExperimentSpec, loaded: LoadedRobot) -> NoiseFreePart:
@@ -94,7 +94,9 @@ def _without_noise(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentSpec:
     """
     if find_task(spec.task, loaded.folder).measures_sensor_only:
         return spec
-    redrawn = not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
+    redrawn = "plant" in spec.redrawn or (
+        not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
+    )
     repeat = spec.repeat if redrawn else 0
     return replace(spec, noise={}, signals={}, pipeline=None, repeat=repeat)
 
@@ -112,10 +114,10 @@ def _shared_part(text: str, loaded: LoadedRobot) -> NoiseFreePart:
     instruments = instruments_of(robot, task.cuts)
     regression = measured_regression(robot, base.names, instruments, task.rows)
     builder = ProblemBuilder(robot, task, base, regression)
-    plant = plant_of(robot, [loaded.build_plugin("plant", spec.plant)])
+    built = built_plant(spec, loaded, robot)
     prior = _prior(spec, task)
     design = partial(_design_problem, robot, task, base, prior)
-    return NoiseFreePart(spec, task, builder, SimulatedRobot(spec, loaded, plant, design), prior)
+    return NoiseFreePart(spec, task, builder, SimulatedRobot(spec, loaded, built, design), prior)
 
 
 def unknown_terms(spec: ExperimentSpec, robot: RobotModel, task: TaskDefinition) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.seed import noise_seed
+from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.method_model import (
     KnownTorque,
@@ -24,7 +25,6 @@ from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
-from sysid_bench.simulation.plant import plant_of
 from sysid_bench.types import Array, Experiment, Problem, Recording, Run
 
 
@@ -37,7 +37,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     builder, simulated = noise_free.builder, noise_free.simulated
     order = recordings_of(spec, noise_free.task)
     first_loaded = next(repetition for repetition in order if repetition.loaded)
-    sensors = MeasuredSensors(spec, simulated.plant, noise_free.task)
+    sensors = MeasuredSensors(spec, simulated.built, noise_free.task)
     sampled = record(spec, simulated, sensors, first_loaded)
     processed = preprocess(spec, loaded, builder, sampled)
     runs = _runs(spec, noise_free, order, Run(True, processed.recording))
@@ -116,15 +116,14 @@ def _runs(
         return ()
     loaded = noise_free.simulated
     robot = load_robot(loaded.loaded.robot.manifest, parse_payload("none"), spec.free_base)
-    plant = plant_of(robot, [loaded.loaded.build_plugin("plant", spec.plant)])
-    robots = {True: loaded, False: replace(loaded, plant=plant)}
+    robots = {True: loaded, False: replace(loaded, built=built_plant(spec, loaded.loaded, robot))}
     runs = []
     for repetition in order:
         if repetition.seed == noise_seed(spec):
             runs.append(main)
             continue
         simulated = robots[repetition.loaded]
-        sensors = MeasuredSensors(spec, simulated.plant, noise_free.task)
+        sensors = MeasuredSensors(spec, simulated.built, noise_free.task)
         sampled = record(spec, simulated, sensors, repetition)
         runs.append(Run(repetition.loaded, sampled.recording))
     return tuple(runs)

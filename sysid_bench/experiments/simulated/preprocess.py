@@ -9,6 +9,7 @@ import numpy as np
 from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import ProblemBuilder, measured_signals
 from sysid_bench.experiments.simulated.record import SampledRecording, SimulatedRobot, record
@@ -22,7 +23,6 @@ from sysid_bench.models.sensor import cut_at, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.signals.filters import NoFilter
 from sysid_bench.signals.row_processing import RowProcessing
-from sysid_bench.simulation.plant import plant_of
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Recording
 from sysid_bench.units import interval
@@ -67,10 +67,10 @@ def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task)
     for run, payload in enumerate(spec.signals["calibration"], 1):
         robot = load_robot(loaded.robot.manifest, parse_payload(payload), spec.free_base)
         cuts = tuple(cut_at(robot, cut.at, ()) for cut in task.cuts)
-        plant = plant_of(robot, [loaded.build_plugin("plant", spec.plant)])
-        sensors = MeasuredSensors(spec, plant, replace(task, cuts=cuts), run)
+        built = built_plant(spec, loaded, robot)
+        sensors = MeasuredSensors(spec, built, replace(task, cuts=cuts), run)
         simulated = SimulatedRobot(
-            spec, replace(loaded, robot=robot), plant, partial(design_problem, robot)
+            spec, replace(loaded, robot=robot), built, partial(design_problem, robot)
         )
         recording = record(spec, simulated, sensors).recording
         instruments = instruments_of(robot, cuts)

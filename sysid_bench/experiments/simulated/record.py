@@ -19,19 +19,20 @@ from sysid_bench.experiments.seed import (
     noise_seed,
     run_seed,
 )
+from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.simulated.commanded import design_motion
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,
 )
+from sysid_bench.experiments.simulated.readings import Encoders, run_with_encoders
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
-from sysid_bench.simulation.inverse import Inverse, joint_positions
-from sysid_bench.simulation.plant import Plant
-from sysid_bench.simulation.sensors import Noise, NoiseDraws, draw_noise, measure, position_error
+from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.sensors import Noise, draw_noise, measure
 from sysid_bench.simulation.wrench_sensors import WRENCH_NOISE
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
@@ -43,8 +44,8 @@ class SimulatedRobot:
 
     spec: ExperimentSpec
     loaded: LoadedRobot
-    plant: Plant
-    design_problem: Callable[[float], DesignProblem]  # at a rate (Hz)
+    built: BuiltPlant
+    design_problem: Callable[[float], DesignProblem]  # of the model, at a rate (Hz)
 
     @cached_property
     def simulation(self) -> Any:
@@ -59,23 +60,46 @@ class SimulatedRobot:
 
     @cached_property
     def commanded(self) -> Trajectory:
-        """The commanded motion, at the rate of the simulation."""
+        """The commanded motion of the model's joints, at the rate of the simulation."""
         problem = self.design_problem(self.simulation.design_rate(self.spec.rate))
         return design_motion(self.spec.excitation, self.loaded, problem, motion_seed(self.spec))
 
     def run(self, error: Array) -> tuple[Oracle, Controller | None]:
-        """Ground truth of the motion with encoder errors (N, n), and the controller."""
+        """Ground truth of the plant's motion with encoder errors (N, n) of the model's joints, and
+        the controller."""
         # Inverse dynamics reads no encoder: one run serves all errors.
         if type(self.simulation) is Inverse:
             return self._undisturbed, None
-        oracle, controller = self.simulation.run(self.plant, self.commanded, error)
-        return oracle, controller
+        return self._moved(self.simulation, self.commanded, error)
+
+    def held_out(self, excitation: Mapping[str, Any], seed: int) -> Oracle:
+        """Ground truth of the plant on another motion, at the rate of the recording."""
+        if self.built.plant.transmission is None:
+            motion = design_motion(
+                excitation, self.loaded, self.design_problem(self.spec.rate), seed
+            )
+            return self._moved(Inverse(), motion, self._no_error(motion))[0]
+        problem = self.design_problem(self.simulation.design_rate(self.spec.rate))
+        motion = design_motion(excitation, self.loaded, problem, seed)
+        oracle = self._moved(self.simulation, motion, self._no_error(motion))[0]
+        each = self.sample_step
+        return Oracle(sampled_motion(oracle.motion, each), oracle.tau[::each])
 
     @cached_property
     def _undisturbed(self) -> Oracle:
-        no_error = np.zeros((len(self.commanded), len(self.plant.robot.torque_dofs)))
-        oracle: Oracle = self.simulation.run(self.plant, self.commanded, no_error)[0]
-        return oracle
+        return self._moved(self.simulation, self.commanded, self._no_error(self.commanded))[0]
+
+    def _moved(
+        self, simulation: Any, motion: Trajectory, error: Array
+    ) -> tuple[Oracle, Controller | None]:
+        joints = self.built.coordinates
+        oracle, controller = simulation.run(
+            self.built.plant, joints.to_plant(motion), joints.error_to_plant(error)
+        )
+        return oracle, controller
+
+    def _no_error(self, motion: Trajectory) -> Array:
+        return np.zeros((len(motion), len(self.built.model.torque_dofs)))
 
 
 @dataclass(frozen=True)
@@ -124,14 +148,18 @@ class SampledRecording:
     recording: Recording
     oracle: Oracle
     decimation: int  # steps of the simulation per sample
+    has_exact_model: bool  # neither the model nor the sensors have errors beside the noise
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
     rows: RowProcessing = field(default_factory=RowProcessing)  # of W beta = b
 
     def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
         """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
-        a row has no noise of that kind, or the motion does not excite every direction."""
-        if builder.task.cuts or not (self.torque_std[list(builder.row_indices)] > 0).all():
+        a row has no noise of that kind, where the model or the sensors have other errors, or the
+        motion does not excite every direction."""
+        if builder.task.cuts or not self.has_exact_model:
+            return None
+        if not (self.torque_std[list(builder.row_indices)] > 0).all():
             return None
         return _bound(
             builder, self.oracle, self.decimation, tuple(self.torque_std), self.correlation
@@ -164,61 +192,42 @@ def record(
 ) -> SampledRecording:
     """The recording of one repeat, and of one of its runs where there are several."""
     repetition = repetition or Repetition(0, True, noise_seed(spec))
-    robot, commanded = simulated.plant.robot, simulated.commanded
-    decimation = simulated.sample_step
+    seed, built, decimation = repetition.seed, simulated.built, simulated.sample_step
     noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
     pipeline = pipeline_of(spec.pipeline, spec.signals, simulated.loaded.folder)
-    rng = np.random.default_rng(repetition.seed)
-    samples = len(range(0, len(commanded), decimation))
+    rng, count = np.random.default_rng(seed), len(simulated.commanded)
+    samples = len(range(0, count, decimation))
     # All draws before the run, in units of their deviation: levels of noise share the same draws.
-    draws = draw_noise(len(commanded), samples, len(robot.torque_dofs), rng)
-    oracle, controller, error = _run_with_encoders(simulated, noise, draws)
+    draws = draw_noise(count, samples, len(built.model.torque_dofs), rng)
+    run = run_with_encoders(Encoders(built, noise, draws), simulated.run)
     # A relative level refers to the exact torque, so that the noise is independent of itself.
-    torque_std = noise.torque_std(oracle.tau[::decimation])
+    torque_std = noise.torque_std(run.seen.tau[::decimation])
+    readings = run.read(built.rng_of(seed), decimation)
     raw = measure(
-        robot,
-        oracle,
-        error,
+        built.model,
+        readings.signals,
+        readings.error,
         torque_std * noise.torque_noise(draws.torque),
-        decimation,
+        readings.stride,
         # Without a controller the robot moves exactly as commanded, which is the ground truth.
-        commanded=None if controller is None else commanded,
-        controller=controller,
+        commanded=None if run.controller is None else simulated.commanded,
+        controller=run.controller,
         ideal_rates=pipeline.ideal_rates,
     )
-    raw = sensors.measure(
-        _with_drift(spec, raw, repetition.index, noise.tau_drift), oracle, decimation
-    )
-    processed = pipeline.process(raw, robot.joints)
+    drifting = _with_drift(spec, raw, repetition.index, noise.tau_drift)
+    raw = sensors.measure(drifting, run.oracle, decimation)
+    raw = built.chain.stored(raw, built.rng_of(seed))
+    processed = pipeline.process(raw, built.model.joints)
     return SampledRecording(
         raw=raw,
-        recording=_with_dependent_joints(robot, processed.recording),
-        oracle=oracle,
+        recording=_with_dependent_joints(built.model, processed.recording),
+        oracle=run.seen,
         decimation=decimation,
+        has_exact_model=built.has_exact_model,
         torque_std=torque_std,
         correlation=noise.tau_correlation,
         rows=processed.rows,
     )
-
-
-def _run_with_encoders(
-    simulated: SimulatedRobot, noise: Noise, draws: NoiseDraws
-) -> tuple[Oracle, Controller | None, Array]:
-    """Ground truth, controller, and encoder errors (N, n) of a run whose loop sees these errors."""
-    error = position_error(noise, draws)
-    oracle, controller = simulated.run(error)
-    if noise.quantum == 0:
-        return oracle, controller, error
-    robot = simulated.plant.robot
-    dofs = robot.torque_dofs
-    scalar = np.flatnonzero(np.isin(dofs, robot.scalar_dofs))
-    # Rounding depends on the position: the first run gives positions, the second one runs with the
-    # loop seeing their rounding errors. The recorded errors are those of its own positions, so that
-    # readings lie on the grid of the encoder.
-    error = position_error(noise, draws, joint_positions(robot, oracle.measured)[:, dofs], scalar)
-    oracle, controller = simulated.run(error)
-    error = position_error(noise, draws, joint_positions(robot, oracle.measured)[:, dofs], scalar)
-    return oracle, controller, error
 
 
 def _with_drift(spec: ExperimentSpec, recording: Recording, index: int, level: float) -> Recording:
@@ -250,28 +259,8 @@ def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[st
     """
     motions: dict[str, Oracle] = {}
     for index, excitation in enumerate(spec.held_out):
+        seed = held_out_seed(spec, index)
         name = excitation["use"]
-        run = _inverse_run if simulated.plant.transmission is None else _simulated_run
-        oracle = run(spec, simulated, excitation, held_out_seed(spec, index))
+        oracle = simulated.held_out(excitation, seed)
         motions[name if name not in motions else f"{name}-{index}"] = oracle
     return motions
-
-
-def _inverse_run(
-    spec: ExperimentSpec, simulated: SimulatedRobot, excitation: Mapping[str, Any], seed: int
-) -> Oracle:
-    problem = simulated.design_problem(spec.rate)
-    motion = design_motion(excitation, simulated.loaded, problem, seed)
-    no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
-    return Inverse().run(simulated.plant, motion, no_error)[0]
-
-
-def _simulated_run(
-    spec: ExperimentSpec, simulated: SimulatedRobot, excitation: Mapping[str, Any], seed: int
-) -> Oracle:
-    problem = simulated.design_problem(simulated.simulation.design_rate(spec.rate))
-    motion = design_motion(excitation, simulated.loaded, problem, seed)
-    no_error = np.zeros((len(motion), len(simulated.plant.robot.torque_dofs)))
-    oracle = simulated.simulation.run(simulated.plant, motion, no_error)[0]
-    each = simulated.sample_step
-    return Oracle(sampled_motion(oracle.motion, each), oracle.tau[::each])

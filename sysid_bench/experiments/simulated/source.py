@@ -8,6 +8,7 @@ from typing import Any
 from sysid_bench.evaluation.covariance import StandardError, standard_errors
 from sysid_bench.evaluation.score import base_parameters, data_figures, score
 from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.simulated.ft_score import (
     ContactTest,
     contact_fields,
@@ -62,7 +63,7 @@ class SimulatedSource:
         """Wrench estimation on a motion of its own; None but for a task that identifies one."""
         if not self.task.definition.identifies_sub_tree:
             return None
-        return contact_test(self.spec, self.noise_free.builder.robot, self.task)
+        return contact_test(self.spec, self.built, self.task)
 
     @property
     def warning(self) -> str:
@@ -77,8 +78,19 @@ class SimulatedSource:
         }
 
     def fields(self) -> Row:
-        """Ranks of the sub-tree behind a sensor."""
-        return {} if self.excitation is None else rank_fields(self.excitation)
+        """Ranks of the sub-tree behind a sensor, and the sizes that were drawn for the plant."""
+        ranks = {} if self.excitation is None else rank_fields(self.excitation)
+        drawn = [dict(values) for values in self.built.values]
+        return ranks | ({"plant_values": drawn} if drawn else {})
+
+    @property
+    def _has_noise(self) -> bool:
+        return bool(self.spec.noise) or not self.built.chain.is_exact
+
+    @property
+    def built(self) -> BuiltPlant:
+        """The plant, and the model that is identified."""
+        return self.noise_free.simulated.built
 
     def score(self, prepared: Prepared["SimulatedSource"], method: Any, estimate: Estimate) -> Row:
         """Scores of an estimate against the truth, and the table of its parameters."""
@@ -91,7 +103,7 @@ class SimulatedSource:
             self.extents,
             about_data=prepared.figures,
             # Without noise an interval has no width, and its coverage no meaning.
-            errors=deviations if self.spec.noise else None,
+            errors=deviations if self._has_noise else None,
             moving=prepared.held_out_moving,
         )
         contact = {}

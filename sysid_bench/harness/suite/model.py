@@ -1,6 +1,6 @@
 """Keys of a suite file. Values stay as written; units and names are checked."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -20,6 +20,7 @@ from pydantic import (
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
+from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_plugins
 from sysid_bench.harness.suite.checks import (
     check_context,
     checked,
@@ -67,11 +68,16 @@ class Plugin(SuiteTable):
         """Return {use, settings...}, without a label."""
         return {"use": self.use, **(self.model_extra or {})}
 
+    def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
+        """Return (kind, {use, settings}) of each plug-in that this entry needs."""
+        return [(self.kind, self.spec)]
+
     @model_validator(mode="after")
     def known(self, info: ValidationInfo) -> "Plugin":
         checked(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
-        spec = resolve_files(self.spec, check_context(info).folder)
-        checked(lambda: check_context(info).names.plugin(self.kind, spec))
+        context = check_context(info)
+        for kind, spec in checked(self.looked_up):
+            checked(partial(context.names.plugin, kind, resolve_files(spec, context.folder)))
         return self
 
 
@@ -95,7 +101,18 @@ class Simulation(Plugin):
 
 
 class Plant(Plugin):
+    """An effect, or {use = "composed"} with lists of effects, model errors and sensor errors; a
+    size may be drawn from a range."""
+
     kind = "plant"
+
+    def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
+        """Return (kind, {use, settings}) of each effect and error, ranges at either limit."""
+        return [
+            (kind, settings)
+            for kind, spec in plant_plugins(self.spec)
+            for settings in limits_of_sizes(spec)
+        ]
 
 
 class Pipeline(Plugin):

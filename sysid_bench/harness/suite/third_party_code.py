@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 
 from sysid_bench.errors import UsageError
+from sysid_bench.experiments.simulated.composed_plant import plant_plugins
 from sysid_bench.experiments.third_party import log_readers
 from sysid_bench.harness.suite.model import LogEntry, Plugin, Suite
 from sysid_bench.naming import is_third_party, known
@@ -25,10 +26,12 @@ def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
     axes = suite.defaults
     held_out = (motion for motions in axes.held_out for motion in motions)
     entries: Iterable[Plugin] = (
-        *suite.estimator, *suite.metric, *axes.plant, *axes.excitation, *held_out, *axes.simulation,
+        *suite.estimator, *suite.metric, *axes.excitation, *held_out, *axes.simulation,
         *axes.pipeline,
     )  # fmt: skip
     yield from ((entry.kind, entry.use) for entry in entries)
+    for plant in axes.plant:
+        yield from ((kind, str(spec["use"])) for kind, spec in plant_plugins(plant.spec))
     yield from (("task", task) for task in axes.task)
     for log in suite.log:
         yield from _log_plugins(suite, log)

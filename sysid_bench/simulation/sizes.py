@@ -1,0 +1,64 @@
+"""Sizes of effects and errors: one number for all joints, one per joint, or drawn from a range."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeGuard
+
+import numpy as np
+
+from sysid_bench.errors import UsageError
+from sysid_bench.types import Array
+from sysid_bench.units import quantity
+
+Size = float | Sequence[float]
+"""A number for all joints, or one per joint."""
+
+Range = Mapping[str, Any]
+"""{ from = ..., to = ... }: limits of a uniform distribution, as written."""
+
+
+def per_joint(size: Size, names: Sequence[str], what: str) -> Array:
+    """Return a size as an array (n,) for the n joints `names`; raises UsageError for a list of
+    another length, and for values that are not finite."""
+    values = np.array(size, dtype=float)
+    if values.ndim > 1 or (values.ndim == 1 and len(values) != len(names)):
+        raise UsageError(
+            f"{what} has {values.size} values for the {len(names)} joints {', '.join(names)}; give "
+            "one number for all joints, or one for each."
+        )
+    if not np.isfinite(values).all():
+        raise UsageError(f"{what} = {size!r} is not finite.")
+    return np.broadcast_to(values, (len(names),)).copy()
+
+
+def check_not_negative(what: str, *sizes: Size) -> None:
+    """Raise UsageError for a size below zero."""
+    for size in sizes:
+        if not (np.asarray(size, dtype=float) >= 0).all():
+            raise UsageError(f"{what} = {size!r}: give 0 or more.")
+
+
+def is_range(value: Any) -> TypeGuard[Range]:
+    """Return True for a size that is drawn, { from = ..., to = ... }."""
+    return isinstance(value, Mapping) and bool({"from", "to"} & set(value))
+
+
+def range_limits(written: Range, unit: str | None) -> tuple[float, float]:
+    """Return (low, high) of a range in SI units; raises UsageError for missing, further or wrong
+    entries, and for a range that ends below its beginning."""
+    if set(written) != {"from", "to"}:
+        raise UsageError(
+            f"A drawn size has the keys 'from' and 'to', as {{ from = 0, to = 1 }}; got "
+            f"{sorted(written)}."
+        )
+    low, high = (quantity(written[key], unit or "1") for key in ("from", "to"))
+    if low > high:
+        raise UsageError(
+            f"The range from {written['from']} to {written['to']} ends below its start."
+        )
+    return low, high
+
+
+def drawn_sizes(limits: tuple[float, float], count: int, rng: np.random.Generator) -> Array:
+    """Return `count` sizes, uniform between `limits`; ranges of other widths share their draws."""
+    low, high = limits
+    return np.asarray(low + (high - low) * rng.random(count))
