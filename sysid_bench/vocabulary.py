@@ -30,6 +30,7 @@ LABELS: Final = (
     "plant",
     "prior",
     "excitation",
+    "motions",
     "held_out",
     "simulation",
     "rate",

@@ -13,7 +13,9 @@ from sysid_bench.harness.suite.model import LogEntry, Suite
 MANY: Final = 1_000_000
 """Most cells of a plan that nobody has to ask for: more are a mistake more often than a wish."""
 
-_AXES: Final = ("task", "terms", "excitation", "held_out", "rate", "signals", "pipeline")
+_AXES: Final = (
+    *("task", "terms", "excitation", "motions", "held_out", "rate", "signals", "pipeline"),
+)
 _NOISY_AXES: Final = ("plant", "noise", "prior", "simulation")
 """Axes that decide on repeats: an experiment that draws nothing is not repeated."""
 
@@ -74,6 +76,8 @@ def _fixed(suite: Suite) -> int:
     exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in axes.noise)
     given = sum(not is_random_prior(normal_prior(prior_table(prior))) for prior in axes.prior)
     quiet = sum(not has_random_sensors(plant.spec) for plant in axes.plant)
+    if axes.redrawn:
+        return 0
     return quiet * exact * given * sum(entry.use == "inverse" for entry in axes.simulation)
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SETTING: Final = (
-    *("robot", "payload", "task", "terms", "plant", "prior", "excitation", "held_out"),
+    *("robot", "payload", "task", "terms", "plant", "prior", "excitation", "motions", "held_out"),
     *("simulation", "rate", "noise", "signals", "pipeline", "estimator"),
 )
 PARAMETER_COLUMNS: Final = ("id", "body", "name", "base_error", "bound")

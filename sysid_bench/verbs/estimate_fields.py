@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.covariance import StandardError
+from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX

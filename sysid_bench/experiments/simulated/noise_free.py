@@ -18,7 +18,7 @@ from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sensor
 from sysid_bench.experiments.simulated.method_model import known_model
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.simulated.record import SimulatedRobot, held_out_motions
-from sysid_bench.experiments.spec import REDRAWN, ExperimentSpec
+from sysid_bench.experiments.spec import PLANT, REDRAWN, ExperimentSpec
 from sysid_bench.models.body_extents import body_extents
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
@@ -44,6 +44,12 @@ class NoiseFreePart:
     builder: ProblemBuilder
     simulated: SimulatedRobot
     prior: Prior | None
+
+    @cached_property
+    def trainings(self) -> tuple[SimulatedRobot, ...]:
+        """The plant on each of the training motions."""
+        further = (replace(self.simulated, motion=i) for i in range(1, self.spec.motions))
+        return (self.simulated, *further)
 
     @cached_property
     def known_model(self) -> KnownModel:
@@ -94,9 +100,7 @@ def _without_noise(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentSpec:
     """
     if find_task(spec.task, loaded.folder).measures_sensor_only:
         return spec
-    redrawn = "plant" in spec.redrawn or (
-        not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
-    )
+    redrawn = PLANT in spec.redrawn or (not isinstance(spec.prior, str) and spec.prior.get(REDRAWN))
     repeat = spec.repeat if redrawn else 0
     return replace(spec, noise={}, signals={}, pipeline=None, repeat=repeat)
 

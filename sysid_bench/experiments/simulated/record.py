@@ -46,6 +46,7 @@ class SimulatedRobot:
     loaded: LoadedRobot
     built: BuiltPlant
     design_problem: Callable[[float], DesignProblem]  # of the model, at a rate (Hz)
+    motion: int = 0  # index of the training motion
 
     @cached_property
     def simulation(self) -> Any:
@@ -62,7 +63,9 @@ class SimulatedRobot:
     def commanded(self) -> Trajectory:
         """The commanded motion of the model's joints, at the rate of the simulation."""
         problem = self.design_problem(self.simulation.design_rate(self.spec.rate))
-        return design_motion(self.spec.excitation, self.loaded, problem, motion_seed(self.spec))
+        return design_motion(
+            self.spec.excitation, self.loaded, problem, motion_seed(self.spec, self.motion)
+        )
 
     def run(self, error: Array) -> tuple[Oracle, Controller | None]:
         """Ground truth of the plant's motion with encoder errors (N, n) of the model's joints, and
@@ -72,7 +75,7 @@ class SimulatedRobot:
             return self._undisturbed, None
         return self._moved(self.simulation, self.commanded, error)
 
-    def held_out(self, excitation: Mapping[str, Any], seed: int) -> Oracle:
+    def along(self, excitation: Mapping[str, Any], seed: int) -> Oracle:
         """Ground truth of the plant on another motion, at the rate of the recording."""
         if self.built.plant.transmission is None:
             motion = design_motion(
@@ -154,7 +157,7 @@ class SampledRecording:
     rows: RowProcessing = field(default_factory=RowProcessing)  # of W beta = b
 
     def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
-        """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
+        """The Cramer-Rao bound (r, r) of the covariance where torque alone is noisy; None where
         a row has no noise of that kind, where the model or the sensors have other errors, or the
         motion does not excite every direction."""
         if builder.task.cuts or not self.has_exact_model:
@@ -181,7 +184,7 @@ def _bound(
     else:  # whitening in time mixes samples: the blocks have to be dense
         blocks = regressor_blocks(builder.regression, rows, builder.instruments, motion)
         covariance = torque_bound(blocks, np.diag(row_std**2), correlation)
-    return None if covariance is None else np.sqrt(np.diag(covariance))
+    return covariance
 
 
 def record(
@@ -261,6 +264,6 @@ def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[st
     for index, excitation in enumerate(spec.held_out):
         seed = held_out_seed(spec, index)
         name = excitation["use"]
-        oracle = simulated.held_out(excitation, seed)
+        oracle = simulated.along(excitation, seed)
         motions[name if name not in motions else f"{name}-{index}"] = oracle
     return motions

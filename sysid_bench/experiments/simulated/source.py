@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from sysid_bench.evaluation.covariance import StandardError, standard_errors
+from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.score import base_parameters, data_figures, score
+from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.simulated.ft_score import (
