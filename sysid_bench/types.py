@@ -366,7 +366,7 @@ class MetricInput:
 
 
 Better = Literal["lower", "higher"]
-Level = Literal["cell", "joint", "parameter", "interval", "repeats"]
+Level = Literal["cell", "joint", "parameter", "interval", "interval-repeats", "repeats"]
 Need = Literal["held-out", "truth", "theta", "sensor", "load", "noise", "repeats"]
 
 

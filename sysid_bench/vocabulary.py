@@ -88,17 +88,21 @@ JOINT: Final = "joint"
 
 COVERAGE: Final = "coverage"
 STD_FROM: Final = "std_from"
-"""Axis of tables by source of the standard deviations (periods, residuals, textbook): how often
-the truth lies in their 95 % intervals."""
+"""Axis of tables by kind of interval (motions, periods, residuals, textbook): how often their 95 %
+intervals hold the truth, and how wide they are."""
 
 STATISTICS: Final = ("median", "mean", "min", "max", "count")
 INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
 BESTS: Final = ("none", "min-bold", "max-bold", "bold")
 """Marks of the best values of a table; `bold` follows the direction of each metric."""
 
+OF_REPEATS: Final = ("repeats", "interval-repeats")
+"""Levels of metrics that are computed from all repeats of some cells together."""
+
 LEVEL_AXES: Final[Mapping["Level", str]] = {
     "parameter": PARAMETER,
     "interval": STD_FROM,
+    "interval-repeats": STD_FROM,
     "joint": JOINT,
 }
 """Axis that a table needs for metrics of these levels, and for no others."""

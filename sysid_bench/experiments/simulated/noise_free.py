@@ -65,7 +65,7 @@ class NoiseFreePart:
     def held_out(self) -> dict[str, Problem]:
         """Problems of other motions, with exact signals."""
         return {
-            name: self.builder.build(*self._exact(oracle)) for name, oracle in self._oracles.items()
+            name: self.builder.build(*self.exact(oracle)) for name, oracle in self._oracles.items()
         }
 
     @cached_property
@@ -73,7 +73,7 @@ class NoiseFreePart:
         """The same problems without the rows of joints at standstill."""
         problems = {}
         for name, oracle in self._oracles.items():
-            motion, measured = self._exact(oracle)
+            motion, measured = self.exact(oracle)
             rows = self.builder.rows_along(motion, MOVING)
             problems[name] = self.builder.build(motion, measured, rows=rows)
         return problems
@@ -82,7 +82,7 @@ class NoiseFreePart:
     def _oracles(self) -> dict[str, Oracle]:
         return held_out_motions(self.spec, self.simulated)
 
-    def _exact(self, oracle: Oracle) -> tuple[Trajectory, Array]:
+    def exact(self, oracle: Oracle) -> tuple[Trajectory, Array]:
         """Motion as the model counts it, and noise-free torques and wrenches (N, n + 6 sensors)."""
         return MeasuredSensors(self.spec, self.simulated.built, self.task).noise_free(oracle)
 

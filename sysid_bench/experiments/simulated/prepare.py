@@ -63,6 +63,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
         bound=common_bound([one.cramer_rao_bound(builder) for one in sampled]),
         left_out=mean_share([(one.left_out, len(one.recording)) for one in processed]),
         standstill=_standstill(builder, processed),
+        rows=processed[0].rows,
     )
     return Prepared(
         loaded.robot,
