@@ -91,6 +91,17 @@ STD_FROM: Final = "std_from"
 """Axis of tables by kind of interval (motions, periods, residuals, textbook): how often their 95 %
 intervals hold the truth, and how wide they are."""
 
+INTERVAL_LIMITS: Final = {
+    "motions": "holds noise and the misfit that differs between motions; what all motions share, "
+    "as a wrong gain or friction that the filter distorts, is a bias that it does not know of",
+    "periods": "holds noise; misfit repeats in every period and is not in it, nor is the bias of "
+    "gains, filters and friction",
+    "residuals": "holds noise and its correlation in time; W is taken as exact, and the bias of "
+    "encoders, gains, filters and friction is not in it",
+    "textbook": "holds noise as the method assumes it; neither misfit nor any bias is in it",
+}
+"""What an interval of each kind holds, and what it cannot know of."""
+
 STATISTICS: Final = ("median", "mean", "min", "max", "count")
 INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
 BESTS: Final = ("none", "min-bold", "max-bold", "bold")

@@ -50,9 +50,9 @@ def repeat_statistic(
 
 def _worst_coverage(one: str, cells: "pd.DataFrame", parameters: "pd.DataFrame") -> Figure | None:
     """Share of repeats whose intervals hold the value, of the parameter of a class where it is
-    smallest, and its 95 % interval (Clopper and Pearson 1934); None where a group of cells has several
-    kinds of intervals, or fewer than ENOUGH_REPEATS."""
-    kinds = cells[STD_FROM].unique() if STD_FROM in cells.columns else ()
+    smallest, and its 95 % interval (Clopper and Pearson 1934); None where a group of cells has
+    several kinds of intervals, or fewer than ENOUGH_REPEATS."""
+    kinds: list[str] = cells[STD_FROM].unique().tolist() if STD_FROM in cells.columns else []
     if len(kinds) != 1 or f"held_{kinds[0]}" not in parameters.columns:
         return None
     column, settings = f"held_{kinds[0]}", [name for name in SETTING if name in cells.columns]
