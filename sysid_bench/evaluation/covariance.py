@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.motion_spread import leave_one_motion_out, without_motions
+from sysid_bench.evaluation.motion_spread import MotionFits, motion_fits
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.types import Array, Estimate, Problem
@@ -110,8 +110,9 @@ def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardE
     method itself.
     """
     found: dict[str, StandardError] = {}
-    if not without_motions(problem, estimate):
-        found["motions"] = leave_one_motion_out(problem, estimate).standard_error
+    fits = motion_fits(problem, estimate)
+    if isinstance(fits, MotionFits):
+        found["motions"] = fits.standard_error
     if estimate.beta is not None and estimate.sigma is not None:
         found |= _robust(problem, residual_scores(problem, estimate.beta, estimate.sigma))
     if estimate.covariance is not None:

@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError
 from sysid_bench.evaluation.standard_error import LEVEL, StandardError, student_quantile
 from sysid_bench.identification.linear.normal_qr import (
     excited_rank,
@@ -54,39 +53,27 @@ class MotionFits:
         return np.asarray(student_quantile(level, self.freedom) * rms)
 
 
-def without_motions(problem: Problem, estimate: Estimate) -> str:
-    """Return the reason why there is no spread between motions; empty where there is one."""
+def motion_fits(problem: Problem, estimate: Estimate) -> MotionFits | str:
+    """Return the fits without each motion, with the weights of the estimate of all of them; or the
+    reason why there are none.
+
+    R factors of the single motions make them: no sample is read again.
+    """
     if estimate.beta is None or estimate.sigma is None:
         return "only for weighted least squares on rows, whose weights each motion can keep"
     if len(problem.motions) < ENOUGH_MOTIONS:
         count = max(len(problem.motions), 1)
         return f"{count} training motion{'s' if count > 1 else ''}; {ENOUGH_MOTIONS} are needed"
-    for index in range(len(problem.motions)):
-        if not _is_excited(_without(problem, estimate.sigma, index)):
-            return f"motion {index + 1} alone excites some parameter"
-    return ""
-
-
-def leave_one_motion_out(problem: Problem, estimate: Estimate) -> MotionFits:
-    """Return the fits without each motion, with the weights of the estimate of all of them.
-
-    R factors of the single motions make them: no sample is read again. Raises EstimationError where
-    `without_motions` gives a reason.
-    """
-    reason = without_motions(problem, estimate)
-    if reason or estimate.beta is None or estimate.sigma is None:
-        raise EstimationError(f"There is no spread between motions: {reason}.")
+    weights = (1 / estimate.sigma).tolist()
+    factors = [stacked_factor(motion, weights) for motion in problem.motions]
     betas, errors = [], []
     for index, motion in enumerate(problem.motions):
-        betas.append(solve_upper(_without(problem, estimate.sigma, index)))
+        R = upper_factor(factor for i, factor in enumerate(factors) if i != index)
+        if not _is_excited(R):
+            return f"motion {index + 1} alone excites some parameter"
+        betas.append(solve_upper(R))
         errors.append(residual_norm(motion, betas[-1]) / np.sqrt(_counts(motion)))
     return MotionFits(estimate.beta, np.array(betas), np.array(errors))
-
-
-def _without(problem: Problem, sigma: Array, index: int) -> Array:
-    """R (r + 1, r + 1) of [W | b] of all motions but one, rows divided by sigma (rows,)."""
-    others = [motion for i, motion in enumerate(problem.motions) if i != index]
-    return upper_factor(stacked_factor(motion, (1 / sigma).tolist()) for motion in others)
 
 
 def _is_excited(R: Array) -> bool:

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.motion_spread import without_motions
+from sysid_bench.evaluation.motion_spread import motion_fits
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.verdicts import verdicts
@@ -21,7 +21,7 @@ TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
 
 
 def estimate_fields(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str, Any]:
-    """Return the fields `std_from`, `std_limit`, `base`, `bodies` and `joints` of an identification.
+    """Return the fields `std_from`, `std_limit`, `base`, `bodies` and `joints` of an estimate.
 
     `std_from`: origin of the standard deviations, "motions", "periods", "residuals" or "textbook"
     (see evaluation/covariance.py), and `std_limit` what they do not hold; None without any.
@@ -40,8 +40,9 @@ def _limit(estimate: Estimate, problem: Problem, errors: Errors) -> str | None:
     kind = next(iter(errors), None)
     if kind is None:
         return None
-    reason = without_motions(problem, estimate)
-    return INTERVAL_LIMITS[kind] + (f" (none between motions: {reason})" if reason else "")
+    fits = motion_fits(problem, estimate)
+    reason = f" (none between motions: {fits})" if isinstance(fits, str) else ""
+    return INTERVAL_LIMITS[kind] + reason
 
 
 def parameters_with(body: Mapping[str, Any], verdict: str) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.evaluation.interval_figures import Targets, held, interval_fields, torque_inside
-from sysid_bench.evaluation.motion_spread import leave_one_motion_out, without_motions
+from sysid_bench.evaluation.motion_spread import motion_fits
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.types import Array, Estimate, Row
@@ -40,11 +40,11 @@ def interval_rows(
         return {}
     problem = prepared.problem
     row: Row = interval_fields(problem, intervals.beta, intervals.errors, intervals.targets)
-    reason = without_motions(problem, estimate)
-    if reason:
-        return row | ({"no_motions_interval": reason} if problem.motions else {})
+    fits = motion_fits(problem, estimate)
+    if isinstance(fits, str):
+        return row | ({"no_motions_interval": fits} if problem.motions else {})
     if prepared.held_out:
-        inside = torque_inside(leave_one_motion_out(problem, estimate), prepared.held_out)
+        inside = torque_inside(fits, prepared.held_out)
         row |= {"torque_inside": float(np.mean(inside)), "inside": inside}
     return row
 
