@@ -39,17 +39,20 @@ class ResidualScores:
     inverse: Array
     values: Array
 
-    def period_covariance(self, samples: int, motions: Sequence[int] = ()) -> StandardError:
+    def period_covariance(
+        self, samples: int, motions: Sequence[tuple[int, int]] = ()
+    ) -> StandardError:
         """Return the cluster-robust covariance over repeated periods of `samples` samples each.
 
         L = M / (M - 1) sum_m (g_m - mean)(g_m - mean)', g_m the sum over period m of M. Periods are
         assumed independent and identically distributed. Errors in q are covered, but not the bias
         that they cause. An incomplete last period is left out. `motions` are the samples of each
-        of several motions: L is then the sum over motions, each about its own mean. Raises
-        UsageError for fewer than two periods of a motion.
+        of several motions and of its period: L is then the sum over motions, each about its own
+        mean. Raises UsageError for fewer than two periods of a motion.
         """
-        ends = np.cumsum(motions or (len(self.values),))
-        parts = [self._period_parts(one, samples) for one in np.split(self.values, ends[:-1])]
+        counts, periods = zip(*motions or ((len(self.values), samples),), strict=True)
+        split = np.split(self.values, np.cumsum(counts)[:-1])
+        parts = [self._period_parts(*one) for one in zip(split, periods, strict=True)]
         scatter = np.concatenate(parts)
         return StandardError(scatter.T @ scatter, len(scatter) - len(parts))
 
@@ -124,14 +127,15 @@ def _robust(problem: Problem, scores: ResidualScores) -> dict[str, StandardError
     """The covariances that hold under coloured noise, that over periods first."""
     found = {}
     if _has_periods(problem):
-        samples = [motion.samples for motion in problem.motions]
-        found["periods"] = scores.period_covariance(problem.period, samples)
+        motions = [(motion.samples, motion.period) for motion in problem.motions]
+        found["periods"] = scores.period_covariance(problem.period, motions)
     return found | {"residuals": scores.residual_covariance(scores.bandwidth)}
 
 
 def _has_periods(problem: Problem) -> bool:
     """True where there are enough periods, and two or more of each motion."""
-    if problem.period == 0:
+    motions = problem.motions or (problem,)
+    if any(one.period == 0 for one in motions):
         return False
-    counts = [one.samples // problem.period for one in problem.motions or (problem,)]
+    counts = [one.samples // one.period for one in motions]
     return sum(counts) >= ENOUGH_PERIODS and min(counts) >= LEAST_PERIODS

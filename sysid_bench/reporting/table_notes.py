@@ -11,7 +11,7 @@ from sysid_bench.reporting.selection import SWEEPABLE
 from sysid_bench.reporting.table_entries import Entries
 from sysid_bench.reporting.table_layout import TableLayout
 from sysid_bench.types import Metric
-from sysid_bench.vocabulary import INTERVAL_LIMITS, STD_FROM
+from sysid_bench.vocabulary import INTERVAL_LIMITS, OF_REPEATS, STD_FROM
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -76,5 +76,5 @@ def _too_few(layout: TableLayout, entries: Entries) -> Iterator[str]:
 
 def _needs_of_repeats(layout: TableLayout) -> set[str]:
     """Needs of the metrics of all repeats; empty where the table has no such metric."""
-    repeated = (metric.needs for metric in layout.metrics if metric.level == "repeats")
+    repeated = (metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
     return set().union(*repeated)

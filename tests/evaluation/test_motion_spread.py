@@ -153,7 +153,7 @@ def test_periods_of_several_motions_do_not_see_their_misfit() -> None:
         assert problem.period == SAMPLES
         _, beta, _ = fitted(problem)
         scores = residual_scores(problem, beta, np.ones(2))
-        made = scores.period_covariance(SAMPLES, [one.samples for one in parts])
+        made = scores.period_covariance(SAMPLES, [(one.samples, one.period) for one in parts])
         assert made.freedom == 5 * 3
         found.append(made.std)
     np.testing.assert_allclose(found[0], found[1], rtol=0.2)
