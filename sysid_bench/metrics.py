@@ -71,6 +71,9 @@ _DATA: Final = (
            formula="log det of the information about held-out torques"),
     Metric("left_out", "Share of samples taken for contacts"),
     Metric("standstill", "Share of rows left out at standstill"),
+    Metric("plant_step", "Step of the plant", "s"),
+    Metric("candidate_step", "Step of candidate models", "s"),
+    Metric("same_simulator", "Plant and candidate models with one step and integrator"),
 )  # fmt: skip
 
 _LOAD: Final = (

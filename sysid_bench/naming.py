@@ -100,9 +100,19 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         "metric": {},  # sysid_bench/metrics.py has the built-in ones
         "plant": {
             "matched": "sysid_bench.simulation.effects.matched:Matched",
+            "asymmetric-friction": "sysid_bench.simulation.effects.asymmetric_friction:Asymmetric",
+            "cables": "sysid_bench.simulation.effects.cables:Cables",
+            "curved-friction": "sysid_bench.simulation.effects.curved_friction:CurvedFriction",
             "elastic-joints": "sysid_bench.simulation.effects.elastic_joints:ElasticJoints",
+            "gravity-spring": "sysid_bench.simulation.effects.gravity_spring:GravitySpring",
+            "load-friction": "sysid_bench.simulation.effects.load_friction:LoadFriction",
+            "low-harmonics": "sysid_bench.simulation.effects.low_harmonics:LowHarmonics",
             "lugre": "sysid_bench.simulation.effects.lugre:LuGre",
+            "periodic-friction": "sysid_bench.simulation.effects.periodic_friction:Periodic",
+            "play": "sysid_bench.simulation.effects.play:Play",
             "stribeck": "sysid_bench.simulation.effects.stribeck:Stribeck",
+            "torque-ripple": "sysid_bench.simulation.effects.torque_ripple:TorqueRipple",
+            "warm-up": "sysid_bench.simulation.effects.warm_up:WarmUp",
         },
         "model_error": {
             "base-tilt": "sysid_bench.simulation.model_errors.base_tilt:BaseTilt",

@@ -1,4 +1,4 @@
-"""Folders of robots and suites: of a checkout, an installed wheel, or the user."""
+"""Folders of robots, suites and plants: of a checkout, an installed wheel, or the user."""
 
 from functools import cache
 from importlib.metadata import PackageNotFoundError, files
@@ -9,7 +9,7 @@ from sysid_bench.input_files import is_file, is_folder
 
 
 def installed_folder(kind: str) -> Path:
-    """Return the folder `robots` or `suites` of this installation (checkout or wheel)."""
+    """Return the folder `robots`, `suites` or `plants` of this installation (checkout or wheel)."""
     package = Path(__file__).resolve().parent
     for folder in (package / kind, package.parent / kind):
         if is_folder(folder):
@@ -34,8 +34,17 @@ def robots(extra: Path | None = None) -> dict[str, Path]:
 
 def suite_files() -> dict[str, Path]:
     """Return the file of every suite that has a name, ./suites before the installed ones."""
+    return _toml_files("suites")
+
+
+def plant_files() -> dict[str, Path]:
+    """Return the file of every plant that has a name, ./plants before the installed ones."""
+    return _toml_files("plants")
+
+
+def _toml_files(kind: str) -> dict[str, Path]:
     found: dict[str, Path] = {}
-    for folder in (Path("suites"), installed_folder("suites")):
+    for folder in (Path(kind), installed_folder(kind)):
         for file in sorted(folder.glob("*.toml")):
             found.setdefault(file.stem, file)
     return found

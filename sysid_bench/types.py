@@ -97,6 +97,7 @@ class Oracle:
     motion: Trajectory  # exact
     tau: Float[Array, "N rows"]  # noise-free torque of the independent degrees of freedom
     encoders: Trajectory | None = None  # motion of the motors, where encoders measure that
+    step: float | None = None  # s, of the simulation of a closed loop
 
     @property
     def measured(self) -> Trajectory:

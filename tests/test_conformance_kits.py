@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid_bench.conformance import check_plugin_of, failed_checks
-from sysid_bench.conformance.effect import effect_cases
+from sysid_bench.conformance.effect_cases import effect_cases
 from sysid_bench.conformance.excitation import design_cases
 from sysid_bench.conformance.model_error_checks import model_error_cases
 from sysid_bench.conformance.sensor_error_checks import sensor_error_cases
@@ -301,6 +301,72 @@ def test_a_broken_effect_is_found(mistake: str) -> None:
     effect_cases.cache_clear()
     with pytest.raises(AssertionError, match=EFFECTS[mistake]):
         assert_conforms(BrokenEffect(mistake), "plant")
+
+
+@dataclass(frozen=True)
+class BrokenStates:
+    """Play with one mistake."""
+
+    mistake: str
+    coulomb: float = 1.0
+    sizes = ("coulomb",)
+    vanishes_at_rest = True
+    dissipates = True
+
+    def prepare(self, robot: Any) -> Any:
+        coulomb = np.zeros(robot.nv)
+        coulomb[robot.scalar_dofs] = self.coulomb
+        return BrokenStateLaw(self.mistake, coulomb)
+
+
+@dataclass(frozen=True, eq=False)
+class BrokenStateLaw:
+    mistake: str
+    coulomb: Any
+
+    def start(self, q: Any, v: Any) -> Any:
+        return q - 1e-3 * np.sign(v)
+
+    def step(self, state: Any, h: float, t: float, q: Any, v: Any, load: Any) -> Any:
+        p = np.clip(state, q - 1e-3, q + 1e-3)
+        torque = self.coulomb * (q - p) / 1e-3
+        match self.mistake:
+            case "states":
+                return torque, p[1:]
+            case "nan":
+                return torque * np.nan, p
+            case "writing":
+                state[:] = p
+            case "random":
+                return torque * np.random.default_rng().uniform(), p
+            case "driving":
+                return -10 * torque - 100 * self.coulomb * v, p
+            case "offset":
+                return torque + 0.1 * self.coulomb, p
+            case "size":
+                return torque + 0.1 * np.sign(v), p
+        return torque, p
+
+
+STATES = {
+    "states": "its states has the shape",
+    "nan": "its torque has values that are not finite",
+    "writing": "a step changed its arguments",
+    "random": "two steps from one state differ",
+    "driving": "friction drives .* over a closed cycle",
+    "offset": "its torque at rest is up to 0.1",
+    "size": "with its sizes zero, torques are not bit for bit",
+}
+
+
+def test_a_law_with_states_conforms_without_a_kind() -> None:
+    assert_conforms(BrokenStates("none"), "plant")
+
+
+@pytest.mark.parametrize("mistake", STATES)
+def test_a_broken_law_with_states_is_found(mistake: str) -> None:
+    with pytest.raises(AssertionError, match=STATES[mistake]):
+        assert_conforms(BrokenStates(mistake), "plant")
 
 
 # --- Broken simulations -------------------------------------------------------------------------

@@ -47,7 +47,7 @@ def test_rows_beyond_numbers_leave_parameters_undetermined(name: str, number: fl
 def test_a_row_longer_than_rows_are_is_garbled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(row_files, "LARGEST", 40)
+    monkeypatch.setattr(row_files, "LARGEST_ROW", 40)
     row = '{{"id": "{}", "status": "ok"}}\n'
     middle = '{"id": "b", "status": "ok", "reason": "' + "x" * 200 + '"}\n'
     path = tmp_path / "000001-worker1.jsonl"

@@ -45,7 +45,9 @@ EXCEPTIONS = {
 MOST_LOCAL = 60
 MOST_POSITIONAL = 6
 
-FOREIGN = {"itertools.product", "library.simulation_steps", "mujoco.mj_applyFT"}
+FOREIGN = {
+    *("itertools.product", "library.simulation_steps", "library.laws_along", "mujoco.mj_applyFT")
+}
 """Functions of other libraries, and of C, that take positional arguments alone."""
 
 

@@ -1,17 +1,18 @@
-"""Conformance kit of plant effects: `prepare(robot)` gives a force law or None.
+"""Conformance kit of plant effects: `prepare(robot)` gives a force law, a transmission or None.
 
 A force law is a function (t, q, v) -> torque (..., nv) that the motors supply on top of the rigid
-body dynamics. The closed loop calls it sample by sample, the inverse simulation on whole motions.
-An effect with the class attribute `vanishes_at_rest = True` declares zero torque at v = 0.
+body dynamics, called sample by sample in closed loop and on whole motions in playback, or a law
+with internal states (`state_law_checks.py`). Class attributes declare laws: `vanishes_at_rest =
+True` zero torque at v = 0, `dissipates = True` that the plant's friction with the effect takes
+energy from every joint over a closed cycle, `sizes` the settings that are zero without the effect.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from sysid_bench.conformance.effect_cases import EffectCase, Law, effect_cases
 from sysid_bench.conformance.findings import (
     UNCHANGED,
     Finding,
@@ -21,41 +22,21 @@ from sysid_bench.conformance.findings import (
     first_error,
     shape_error,
 )
-from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.experiments.loaded_robot import loaded_robot
-from sysid_bench.models.robot import RobotModel
+from sysid_bench.conformance.size_zero import without_error
+from sysid_bench.conformance.state_law_checks import STATE_LAWS, TRANSMISSION_LAWS
+from sysid_bench.simulation.force_laws import StateLaw
+from sysid_bench.simulation.inverse import Inverse
+from sysid_bench.simulation.plant import plant_of
+from sysid_bench.simulation.transmission import Transmission
 from sysid_bench.types import Array, Trajectory
 
 PREPARED: Final = "prepares a force law"
 
+INJECTED: Final = 1e-3
+"""Largest energy that friction may give a joint over a cycle, over the sum of |tau v|: the error of
+sums over samples."""
+
 ForceLaw = Callable[[Array, Array, Array], Array]
-
-
-@dataclass(frozen=True, eq=False)
-class EffectCase:
-    """A robot and a motion to evaluate force laws along."""
-
-    name: str
-    robot: RobotModel
-    motion: Trajectory
-
-
-Law = Callable[[Any, EffectCase, ForceLaw], str | None]
-"""(effect, case, its force law) -> description of the violation, or None."""
-
-
-@cache
-def effect_cases() -> tuple[EffectCase, ...]:
-    """An arm and a random tree, along Fourier series."""
-    cases = []
-    for name in ("ur5", "random:7"):
-        robot = loaded_robot(name, "none", None, None).robot
-        motion = Fourier(period=2.0, cycles=1).design(
-            design_problem(robot, 50.0), np.random.default_rng(1)
-        )
-        cases.append(EffectCase(name, robot, motion))
-    return tuple(cases)
 
 
 def check_effect(effect: Any, cases: Sequence[EffectCase] | None = None) -> list[Finding]:
@@ -78,10 +59,20 @@ def _findings_on(effect: Any, case: EffectCase) -> list[Finding]:
         return [finding_of_error(error, PREPARED, case.name)]
     if law is None:
         return [Finding(PREPARED, case.name, True)]
-    if not callable(law):
+    laws = _laws_for(law)
+    if laws is None:
         return [Finding(PREPARED, case.name, False, f"it is a {type(law).__name__}")]
-    findings = findings_of(LAWS, case.name, effect, case, law)
+    findings = findings_of(laws, case.name, effect, case, law)
     return [Finding(PREPARED, case.name, True), *findings]
+
+
+def _laws_for(law: Any) -> Mapping[str, Law] | None:
+    """Laws for what an effect prepares; None for something else."""
+    if isinstance(law, Transmission):
+        return TRANSMISSION_LAWS
+    if isinstance(law, StateLaw):
+        return {**STATE_LAWS, **LAWS_OF_ALL}
+    return {**LAWS, **LAWS_OF_ALL} if callable(law) else None
 
 
 def _state(case: EffectCase) -> str:
@@ -133,9 +124,54 @@ def _vanishes_at_rest(effect: Any, case: EffectCase, law: ForceLaw) -> str | Non
     return None if largest == 0.0 else f"its torque at rest is up to {largest:.3g} N m or N"
 
 
+def _played(case: EffectCase, motion: Trajectory, effects: Sequence[Any]) -> Array:
+    """Torque (N, n) of a plant with effects along a motion."""
+    still = np.zeros((len(motion), len(case.robot.torque_dofs)))
+    return Inverse().run(plant_of(case.robot, effects), motion, still)[0].tau
+
+
+def _dissipates(effect: Any, case: EffectCase, law: Any) -> str | None:
+    """Friction with the effect takes energy from each joint in the second of two cycles."""
+    if not getattr(effect, "dissipates", False):
+        return None
+    motion, robot = _twice(case.motion), case.robot
+    terms, v = robot.joint_terms, motion.v[:, robot.torque_dofs]
+    own = (terms.viscous * motion.v + terms.coulomb * np.sign(motion.v))[:, robot.torque_dofs]
+    friction = own + _played(case, motion, [effect]) - _played(case, motion, [])
+    power = (friction * v)[len(case.motion) :]
+    injected = -power.sum(axis=0) / np.maximum(np.abs(power).sum(axis=0), 1e-12)
+    worst = int(np.argmax(injected))
+    if injected[worst] <= INJECTED:
+        return None
+    return f"friction drives {robot.torque_rows[worst]} over a closed cycle"
+
+
+def _twice(motion: Trajectory) -> Trajectory:
+    """The motion and its repetition; one period has no sample at its end."""
+    t = motion.t[:1] + (motion.t[1] - motion.t[0]) * np.arange(2 * len(motion))
+    q, v, a = (np.concatenate([x, x]) for x in (motion.q, motion.v, motion.a))
+    return Trajectory(t, q, v, a)
+
+
+def _vanishes_at_size_zero(effect: Any, case: EffectCase, law: Any) -> str | None:
+    """Torques bit for bit those without the effect where its `sizes` are zero."""
+    if not getattr(effect, "sizes", ()):
+        return None
+    without = _played(case, case.motion, [without_error(effect)])
+    if np.array_equal(without, _played(case, case.motion, [])):
+        return None
+    return "with its sizes zero, torques are not bit for bit those without it"
+
+
 LAWS: Final[dict[str, Law]] = {
     "gives finite torques": _is_finite,
     "is the same sample by sample": _is_the_same_sample_by_sample,
     "is deterministic": _is_deterministic,
     "vanishes at rest where declared": _vanishes_at_rest,
 }
+
+LAWS_OF_ALL: Final[dict[str, Law]] = {
+    "dissipates where declared": _dissipates,
+    "vanishes at size zero": _vanishes_at_size_zero,
+}
+"""Laws of functions and of laws with states."""

@@ -22,7 +22,7 @@ LINEAR: Final[tuple[Mapping[str, Any], ...]] = (
 
 CLOSED_LOOP: Final[Mapping[str, Any]] = {
     "robot": "random:94",
-    "simulation": {"use": "closed-loop", "rate": 500.0},
+    "simulation": {"use": "closed-loop", "rate": 500.0, "substeps": 1},
     "rate": 100.0,
 }
 """Experiment of methods that simulate: a declared controller, and joints without Coulomb friction,

@@ -42,6 +42,7 @@ class ExperimentSpec:
     sensor: str | None = None  # the force/torque sensor; None: the only one of the manifest
     motions: int = 1  # different training motions, recorded one after the other
     redrawn: tuple[str, ...] = ()  # what each repeat draws anew: "motions", "plant"
+    candidate: Mapping[str, Any] | None = None  # {step (s), integrator, friction}; None: defaults
 
     @cached_property
     def id(self) -> str:
@@ -51,7 +52,7 @@ class ExperimentSpec:
     def to_json(self) -> dict[str, Any]:
         """The fields as JSON values; `from_json` reads them back."""
         data = {field.name: getattr(self, field.name) for field in fields(self)}
-        for key in ("free_base", "sensor", "log", "pipeline"):
+        for key in ("free_base", "sensor", "log", "pipeline", "candidate"):
             if data[key] is None:  # ids are older than these fields
                 del data[key]
         if not data["redrawn"]:
@@ -141,6 +142,15 @@ def _validate_level(key: str, number: float, written: Any) -> None:
 
 def _is_share(written: Any) -> bool:
     return isinstance(written, str) and parse_quantity(written)[1] == "%"
+
+
+def normal_candidate(written: Mapping[str, Any]) -> dict[str, Any] | None:
+    """SI numbers of a suite's table `candidate`; None for the defaults."""
+    defaults = {"integrator": "auto", "friction": "sticking"}
+    normal = {key: value for key, value in written.items() if defaults.get(key) != value}
+    if "step" in normal:
+        normal["step"] = quantity(normal["step"], "s")
+    return normal or None
 
 
 PRIOR_UNITS: Final = {"com": "mm"}

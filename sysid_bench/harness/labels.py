@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical, canonical_hash
@@ -63,9 +64,12 @@ def table_text(written: str | Mapping[str, Any], empty: str) -> str:
 def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     """Return axis -> canonical value -> label."""
     axes = suite.defaults
+    simulations, noises, pipelines = zip(*map(axes.of, axes.plant), strict=True)
     plugins = {
-        "excitation": axes.excitation, "simulation": axes.simulation, "pipeline": axes.pipeline,
-    }  # fmt: skip
+        "excitation": axes.excitation,
+        "simulation": chain(*simulations),
+        "pipeline": chain(*pipelines),
+    }
     labels = {
         axis: _unique_labels((p.spec, *plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
         for axis, specs in plugins.items()
@@ -86,7 +90,7 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     labels["payload"] = _unique_labels(
         (normal_payload(p), names.payload(p).name, table_text(p, "none")) for p in payloads
     )
-    labels["noise"] = _unique_labels(_noise_texts(noise) for noise in axes.noise)
+    labels["noise"] = _unique_labels(_noise_texts(noise) for noise in chain(*noises))
     labels["prior"] = _unique_labels(_prior_texts(prior) for prior in axes.prior)
     labels["held_out"] = _unique_labels(_motion_texts(motions) for motions in axes.held_out)
     return labels

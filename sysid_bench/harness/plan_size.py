@@ -8,15 +8,13 @@ from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import COMPOSED, composed_plant
 from sysid_bench.experiments.spec import REDRAWN, normal_noise, normal_prior
 from sysid_bench.harness.suite.data_entries import Prior
-from sysid_bench.harness.suite.model import LogEntry, Suite
+from sysid_bench.harness.suite.model import LogEntry, Plant, Suite
 
 MANY: Final = 1_000_000
 """Most cells of a plan that nobody has to ask for: more are a mistake more often than a wish."""
 
-_AXES: Final = (
-    *("task", "terms", "excitation", "motions", "held_out", "rate", "signals", "pipeline"),
-)
-_NOISY_AXES: Final = ("plant", "noise", "prior", "simulation")
+_AXES: Final = ("task", "terms", "excitation", "motions", "held_out", "rate", "signals")
+_NOISY_AXES: Final = ("plant", "noise", "prior", "simulation", "pipeline")
 """Axes that decide on repeats: an experiment that draws nothing is not repeated."""
 
 
@@ -51,15 +49,16 @@ def _simulated(suite: Suite) -> tuple[int, str]:
     axes = suite.defaults
     sizes = {**_robots(suite), "estimators": len(suite.estimator)}
     sizes |= {axis: len(getattr(axes, axis)) for axis in _AXES}
-    noisy = {axis: len(getattr(axes, axis)) for axis in _NOISY_AXES}
-    fixed, repeats = _fixed(suite), suite.run.repeats
-    drawn = prod(noisy.values()) - fixed
+    repeats = suite.run.repeats
+    kinds = [_kinds(suite, plant) for plant in axes.plant]
+    drawn, fixed = (sum(counts) for counts in zip(*kinds, strict=True))
     count = prod(sizes.values()) * (drawn * repeats + fixed)
+    noisy = {axis: len(getattr(axes, axis)) for axis in _NOISY_AXES}
+    if prod(noisy.values()) != drawn + fixed:  # plants with a simulation or noise of their own
+        noisy = {f"kinds of {', '.join(_NOISY_AXES)}": drawn + fixed}
     text = _product({**sizes, **noisy, "repeats": repeats})
     if fixed and repeats > 1:
-        text += (
-            f" (repeats of {drawn} of {drawn + fixed} kinds of plant, noise, prior and simulation)"
-        )
+        text += f" (repeats of {drawn} of {drawn + fixed} kinds of {', '.join(_NOISY_AXES)})"
     return count, text
 
 
@@ -70,15 +69,19 @@ def _robots(suite: Suite) -> dict[str, int]:
     return {"robots with payloads": sum(len(e.use) * len(e.payloads) for e in suite.robot)}
 
 
-def _fixed(suite: Suite) -> int:
-    """Number of combinations of the axes of noise that draw nothing."""
+def _kinds(suite: Suite, plant: Plant) -> tuple[int, int]:
+    """Numbers of combinations of the axes of noise with a plant that draw something, and that do
+    not."""
     axes = suite.defaults
-    exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in axes.noise)
+    simulations, noises, pipelines = axes.of(plant)
+    count = len(axes.prior) * len(simulations) * len(noises) * len(pipelines)
+    exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in noises)
     given = sum(not is_random_prior(normal_prior(prior_table(prior))) for prior in axes.prior)
-    quiet = sum(not has_random_sensors(plant.spec) for plant in axes.plant)
     if axes.redrawn:
-        return 0
-    return quiet * exact * given * sum(entry.use == "inverse" for entry in axes.simulation)
+        return count, 0
+    played = sum(entry.use == "inverse" for entry in simulations)
+    fixed = (not has_random_sensors(plant.spec)) * exact * given * played * len(pipelines)
+    return count - fixed, fixed
 
 
 def _recorded(suite: Suite, log: LogEntry) -> tuple[int, str]:

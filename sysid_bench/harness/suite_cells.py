@@ -9,6 +9,7 @@ from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import SysidBenchError
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
+    normal_candidate,
     normal_noise,
     normal_payload,
     normal_prior,
@@ -83,37 +84,37 @@ def _log_cells(suite: Suite, names: Names, label: Mapping[str, str]) -> list[Cel
 
 def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[ExperimentSpec]:
     axes = suite.defaults
-    for (
-        task, terms, plant, prior, excitation, motions, held_out, simulation, rate, noise, signals,
-        line,
-    ) in (
-        itertools.product(
-            axes.task, axes.terms, axes.plant, axes.prior, axes.excitation, axes.motions,
-            axes.held_out, axes.simulation, axes.rate, axes.noise, axes.signals, axes.pipeline,
-        )
-    ):  # fmt: skip
-        pipeline = named_pipeline(line.spec)
-        spec = ExperimentSpec(
-            seed=suite.seed,
-            robot=robot,
-            payload=payload,
-            task=task,
-            terms=terms,
-            plant=plant.spec,
-            prior=normal_prior(prior_table(prior)),
-            excitation=excitation.spec,
-            held_out=tuple(motion.spec for motion in held_out),
-            simulation=simulation.spec,
-            rate=quantity(rate, "Hz"),
-            noise=normal_noise(noise.model_dump(exclude_none=True)),
-            signals=own_signals(_signals(signals), pipeline),
-            repeat=0,
-            pipeline=pipeline,
-            motions=motions,
-            redrawn=tuple(sorted(set(axes.redrawn))),
-        )
-        repeats = suite.run.repeats if is_random(spec) else 1
-        yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
+    for task, terms, plant in itertools.product(axes.task, axes.terms, axes.plant):
+        simulations, noises, pipelines = axes.of(plant)
+        for prior, excitation, motions, held_out, simulation, rate, noise, signals, line in (
+            itertools.product(
+                axes.prior, axes.excitation, axes.motions, axes.held_out, simulations, axes.rate,
+                noises, axes.signals, pipelines,
+            )
+        ):  # fmt: skip
+            pipeline = named_pipeline(line.spec)
+            spec = ExperimentSpec(
+                seed=suite.seed,
+                robot=robot,
+                payload=payload,
+                task=task,
+                terms=terms,
+                plant=plant.spec,
+                prior=normal_prior(prior_table(prior)),
+                excitation=excitation.spec,
+                held_out=tuple(motion.spec for motion in held_out),
+                simulation=simulation.spec,
+                rate=quantity(rate, "Hz"),
+                noise=normal_noise(noise.model_dump(exclude_none=True)),
+                signals=own_signals(_signals(signals), pipeline),
+                repeat=0,
+                pipeline=pipeline,
+                motions=motions,
+                redrawn=tuple(sorted(set(axes.redrawn))),
+                candidate=normal_candidate(axes.candidate.model_dump(exclude_none=True)),
+            )
+            repeats = suite.run.repeats if is_random(spec) else 1
+            yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
 
 
 def _signals(signals: Signals) -> dict[str, Any]:

@@ -54,7 +54,8 @@ def _used(cells: "pd.DataFrame", layout: TableLayout) -> "pd.DataFrame":
     """Cells with the columns alone that a table can show or explain."""
     names = [metric.name for metric in layout.metrics]
     more = [text for name in names for text in (f"{name}_names", f"{REASONS}.{name}")]
-    fields = {"id", "status", "repeat", *SWEEPABLE, *SETTING, *layout.fields, *names, *more}
+    always = ("id", "status", "repeat", "same_simulator")
+    fields = {*always, *SWEEPABLE, *SETTING, *layout.fields, *names, *more}
     return cells[[name for name in cells.columns if name in fields]]
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) -> Iterator[str]:
     """Sentences below a table."""
     yield from _pooling(cells, layout)
+    yield from _one_simulator(cells)
     for metric in layout.metrics:
         yield from _names(cells, layout, metric)
         yield from _reasons(cells, metric)
@@ -41,6 +42,18 @@ def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
     pooled = [f"{count} of {field}" for field, count in hidden.nunique().items() if count > 1]
     if pooled:
         yield f"Each number pools different settings: {', '.join(pooled)}."
+
+
+def _one_simulator(cells: "pd.DataFrame") -> Iterator[str]:
+    """Rows whose plant is integrated as the models of methods that simulate are."""
+    if "same_simulator" not in cells.columns:
+        return
+    same = cells["same_simulator"].eq(True)
+    if same.any():
+        yield (
+            f"Plant and candidate models share step and integrator in {same.sum()} of "
+            f"{len(cells)} cells: errors of methods that simulate are too small there."
+        )
 
 
 def _swept(cells: "pd.DataFrame") -> list[str]:

@@ -21,7 +21,10 @@ from sysid_bench.simulation.plant import Plant
 from sysid_bench.simulation.transmission import Drive, Rotors
 from sysid_bench.types import Array
 
-KINDS: Final = {"stribeck": 0, "coupled": 1, "lugre": 2}
+KINDS: Final = {
+    "stribeck": 0, "coupled": 1, "lugre": 2, "friction": 3, "periodic": 4, "gravity spring": 5,
+    "cables": 6,
+}  # fmt: skip
 """Force laws that steps.c implements, with their codes there."""
 
 INPUTS: Final = {"feedback": 0, "interpolated": 1, "held": 2}
@@ -105,11 +108,12 @@ def laws_along(laws: Sequence[Any], t: Array, q: Array, v: Array, load: Array, e
     tau, work = np.empty_like(signals[1]), np.empty((4, v.shape[1]))
     numbers = _Laws.of(laws, signals[0][0], signals[1][0], np.zeros(v.shape[1]))
     count, number = ctypes.c_int64, ctypes.c_double
-    library.laws_along.restype = None
-    library.laws_along(
+    arguments = (
         ctypes.byref(numbers), number(float(t[0])), count(len(t)), count(each), number(h),
         count(v.shape[1]), *(_pointer(x) for x in (*signals, work, tau)),
     )  # fmt: skip
+    library.laws_along.restype = None
+    library.laws_along(*arguments)
     return tau
 
 

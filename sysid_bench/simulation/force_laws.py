@@ -77,8 +77,8 @@ def has_states(laws: Sequence[Any]) -> bool:
     return any(isinstance(law, StateLaw) for law in laws)
 
 
-def largest(laws: Sequence[Any], name: str, nv: int) -> Array:
-    """Return the largest of the laws' internal springs ("stiffness", N m/rad or N/m) or dampers
+def total(laws: Sequence[Any], name: str, nv: int) -> Array:
+    """Return the sum of the laws' internal springs ("stiffness", N m/rad or N/m) or dampers
     ("viscosity", N m s/rad or N s/m) of each degree of freedom (nv,)."""
     values = [np.asarray(getattr(law, name, np.zeros(nv))) for law in laws]
-    return np.asarray(np.max([np.zeros(nv), *values], axis=0))
+    return np.asarray(np.sum([np.zeros(nv), *values], axis=0))

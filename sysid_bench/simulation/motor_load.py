@@ -5,7 +5,7 @@ import numpy as np
 
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.gravity import measured_gravity_rms
+from sysid_bench.simulation.gravity import gravity_rms, measured_gravity_rms
 from sysid_bench.simulation.plant import Plant
 from sysid_bench.types import Array
 
@@ -48,3 +48,11 @@ def motor_load(plant: Plant) -> Array:
     for force in (moving, terms.coulomb, np.abs(terms.offset)):
         load = load + motor_values(robot, force, 1)
     return load
+
+
+def typical_load(robot: RobotModel) -> Array:
+    """Return the root sum of squares (nv,) of RMS gravity torque and torque of half the
+    acceleration limit, N m or N."""
+    limit = np.where(np.isfinite(robot.limits.a), robot.limits.a, 0.0)
+    inertia = np.diag(mass_matrix(robot.mj))
+    return np.asarray(np.hypot(gravity_rms(robot, robot.mj), 0.5 * inertia * limit))

@@ -30,11 +30,12 @@ def per_joint(size: Size, names: Sequence[str], what: str) -> Array:
     return np.broadcast_to(values, (len(names),)).copy()
 
 
-def check_not_negative(what: str, *sizes: Size) -> None:
-    """Raise UsageError for a size below zero."""
+def check_not_negative(what: str, *sizes: Size, above: bool = False) -> None:
+    """Raise UsageError for a size below zero, or for zero as well if it has to be `above`."""
     for size in sizes:
-        if not (np.asarray(size, dtype=float) >= 0).all():
-            raise UsageError(f"{what} = {size!r}: give 0 or more.")
+        values = np.asarray(size, dtype=float)
+        if not (values > 0 if above else values >= 0).all():
+            raise UsageError(f"{what} = {size!r}: give {'more than 0' if above else '0 or more'}.")
 
 
 def is_range(value: Any) -> TypeGuard[Range]:
@@ -62,3 +63,13 @@ def drawn_sizes(limits: tuple[float, float], count: int, rng: np.random.Generato
     """Return `count` sizes, uniform between `limits`; ranges of other widths share their draws."""
     low, high = limits
     return np.asarray(low + (high - low) * rng.random(count))
+
+
+def all_or_none(values: Array, what: str) -> Array | None:
+    """Return the values (n,) where all are above zero, and None where all are zero; raises
+    UsageError for a mixture, since an effect replaces a term of all joints or of none."""
+    if not values.any():
+        return None
+    if not (values > 0).all():
+        raise UsageError(f"{what} is zero for some joints; give every joint one, or none.")
+    return values

@@ -14,7 +14,8 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-enum { STRIBECK, COUPLED, LUGRE }; /* force laws, as simulation/compiled_steps.py counts them */
+/* Force laws, as simulation/compiled_steps.py counts them. */
+enum { STRIBECK, COUPLED, LUGRE, FRICTION, PERIODIC, GRAVITY_SPRING, CABLES };
 enum { FEEDBACK, INTERPOLATED, HELD }; /* inputs, likewise */
 
 typedef void (*Step)(const void *model, void *data);
@@ -57,11 +58,11 @@ typedef struct {
 
 static void stribeck(const double *x, int64_t nv, const Seen *s, double *tau)
 {
-    const double vs = x[nv], v0 = x[nv + 1]; /* after the sizes (nv) */
+    const double *vs = x + nv, *v0 = x + 2 * nv; /* after the sizes (nv) */
     for (int64_t i = 0; i < nv; i++)
         if (x[i] != 0) {
-            double slow = s->v[i] / vs;
-            tau[i] -= x[i] * exp(-slow * slow) * tanh(s->v[i] / v0);
+            double slow = s->v[i] / vs[i];
+            tau[i] -= x[i] * exp(-slow * slow) * tanh(s->v[i] / v0[i]);
         }
 }
 
@@ -72,14 +73,15 @@ static void coupled(const double *x, int64_t nv, const Seen *s, double *tau)
             tau[i] -= x[nv * i + j] * s->v[j];
 }
 
-/* Numbers: Coulomb and static friction, stiffness, damping (nv each), Stribeck velocity; states:
+/* Numbers: Coulomb and static friction, stiffness, damping, Stribeck velocity (nv each); states:
  * deflections of the bristles z (nv). */
 static void lugre(const double *x, double *z, double h, int64_t nv, const Seen *s, double *tau)
 {
-    const double *fc = x, *fs = x + nv, *s0 = x + 2 * nv, *s1 = x + 3 * nv, vs = x[4 * nv];
+    const double *fc = x, *fs = x + nv, *s0 = x + 2 * nv, *s1 = x + 3 * nv;
+    const double *vs = x + 4 * nv;
     for (int64_t i = 0; i < nv; i++)
         if (fc[i] > 0) {
-            double v = s->v[i], slow = v / vs, g = fc[i] + (fs[i] - fc[i]) * exp(-slow * slow);
+            double v = s->v[i], slow = v / vs[i], g = fc[i] + (fs[i] - fc[i]) * exp(-slow * slow);
             double end = (v < 0 ? -g : g) / s0[i], old = z[i];
             if (v != 0) /* exact while v is constant */
                 z[i] = end + (old - end) * exp(-s0[i] * fabs(v) * h / g);
@@ -87,15 +89,79 @@ static void lugre(const double *x, double *z, double h, int64_t nv, const Seen *
         }
 }
 
+/* Direction of friction at q behind a transition of width w: the play `p` moves with it. */
+static double direction(double *p, double q, double w)
+{
+    *p = *p < q - w ? q - w : *p > q + w ? q + w : *p;
+    return (q - *p) / w;
+}
+
+/* Numbers: width and seven coefficients, as FrictionTerms (nv each), rate of decay, elapsed time;
+ * states: play (nv). */
+static void friction(const double *x, double *p, int64_t nv, const Seen *s, double *tau)
+{
+    const double rate = x[8 * nv], aged = rate != 0 ? exp(-(s->t + x[8 * nv + 1]) * rate) : 1.0;
+    for (int64_t i = 0; i < nv; i++) {
+        const double *c = x + i; /* coefficient k of the joint is c[k * nv] */
+        double v = s->v[i], speed = fabs(v), load = fabs(s->load[i]);
+        double to = direction(p + i, s->q[i], c[0]);
+        double force = (c[nv] + c[3 * nv] * load) * to + c[2 * nv] * fabs(to);
+        force += (c[4 * nv] + c[6 * nv] * load + c[7 * nv] * speed) * v + c[5 * nv] * speed;
+        tau[i] -= aged * force;
+    }
+}
+
+/* Numbers: orders (3), amplitudes (3 nv), ratio, phase, force, periodic and constant friction, width
+ * of their transition, 1 for ripple of the load (nv each); states: play (nv). */
+static void periodic(const double *x, double *p, int64_t nv, const Seen *s, double *tau)
+{
+    for (int64_t i = 0; i < nv; i++) {
+        const double *c = x + 3 + i;
+        double angle = c[3 * nv] * s->q[i] + c[4 * nv];
+        double wave = 0;
+        for (int64_t k = 0; k < 3; k++)
+            if (c[k * nv] != 0)
+                wave += c[k * nv] * sin(x[k] * angle);
+        double to = direction(p + i, s->q[i], c[8 * nv]);
+        tau[i] -= wave * c[5 * nv] + (wave * c[6 * nv] + c[7 * nv]) * to -
+                  c[9 * nv] * wave / (1.0 + wave) * s->load[i];
+    }
+}
+
+/* Numbers: force, angle, arm, relaxed length (nv each). */
+static void gravity_spring(const double *x, int64_t nv, const Seen *s, double *tau)
+{
+    for (int64_t i = 0; i < nv; i++)
+        if (x[i] != 0) {
+            double angle = s->q[i] - x[nv + i], arm = x[2 * nv + i];
+            double length = sqrt(1 + arm * arm - 2 * arm * cos(angle));
+            tau[i] -= x[i] * sin(angle) * (1 - x[3 * nv + i] / length);
+        }
+}
+
+/* Numbers: stiffness, centre, hysteresis, its width (nv each); states: play (nv). */
+static void cables(const double *x, double *p, int64_t nv, const Seen *s, double *tau)
+{
+    for (int64_t i = 0; i < nv; i++) {
+        double q = s->q[i];
+        tau[i] -= x[i] * (q - x[nv + i]) + x[2 * nv + i] * direction(p + i, q, x[3 * nv + i]);
+    }
+}
+
 /* Torque `tau` (nv) minus that of every law over a step `h`, in which their states advance. */
 static void take(const Laws *laws, double h, int64_t nv, const Seen *s, double *tau)
 {
     for (int64_t l = 0; l < laws->count; l++) {
         const double *x = laws->numbers[l];
+        double *states = laws->states[l];
         switch (laws->kinds[l]) {
         case STRIBECK: stribeck(x, nv, s, tau); break;
         case COUPLED: coupled(x, nv, s, tau); break;
-        case LUGRE: lugre(x, laws->states[l], h, nv, s, tau); break;
+        case LUGRE: lugre(x, states, h, nv, s, tau); break;
+        case FRICTION: friction(x, states, nv, s, tau); break;
+        case PERIODIC: periodic(x, states, nv, s, tau); break;
+        case GRAVITY_SPRING: gravity_spring(x, nv, s, tau); break;
+        case CABLES: cables(x, states, nv, s, tau); break;
         }
     }
 }

@@ -127,9 +127,8 @@ class TrackingControl:
         for name, array in (("position", motion.q), ("acceleration", motion.a)):
             check_finite(robot.name, array, f"{name} in closed loop")
         _check_tracking(robot, commanded, motion, tau)
-        return Oracle(
-            motion, tau[:, robot.torque_dofs], _motor_motion(plant, motion, signals, lead)
-        )
+        encoders = _motor_motion(plant, motion, signals, lead)
+        return Oracle(motion, tau[:, robot.torque_dofs], encoders, mj.opt.timestep)
 
     def _simulate(
         self,
@@ -146,7 +145,8 @@ class TrackingControl:
             return _rollout(plant, mj, commanded, _interpolated(control, each), each)
         data = mujoco.MjData(mj)
         data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
-        return simulate_steps(Loop(plant, mj, data, drive, commanded.t, control, each))
+        loop = Loop(plant, mj, data, drive, t=commanded.t, control=control, each=each)
+        return simulate_steps(loop)
 
     def controller(self, plant: Plant) -> Controller:
         """Return the controller of a plant, with gains (n,), one per motor."""

@@ -14,6 +14,7 @@ from sysid_bench import naming, package_folders
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, UsageError, unknown_name
 from sysid_bench.experiments.job_channel import JobChannel
+from sysid_bench.harness.suite.plant_file import read_plant
 from sysid_bench.harness.supervised_names import SECONDS
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.input_files import parse_toml, read_text
@@ -85,6 +86,7 @@ def _names(kind: str, robots_dir: Path | None) -> set[str]:
         "robots": partial(package_folders.robots, robots_dir),
         "payloads": partial(iter, PAYLOADS),
         "suites": package_folders.suite_files,
+        "plants": package_folders.plant_files,
         "metrics": partial(iter, METRICS),
     }
     return {*own.get(kind, list)(), *naming.known(kind.removesuffix("s"))}
@@ -227,12 +229,12 @@ def _json_value(value: Any) -> Any:
 
 def _suites(robots_dir: Path | None) -> list[Entry]:
     return [
-        {"name": name, "title": _suite_title(file)}
+        {"name": name, "title": _file_title(file)}
         for name, file in package_folders.suite_files().items()
     ]
 
 
-def _suite_title(file: Path) -> str:
+def _file_title(file: Path) -> str:
     try:
         return str(parse_toml(read_text(file)).get("title", ""))
     except (OSError, ValueError) as error:
@@ -245,6 +247,22 @@ def _suite(name: str) -> Entry:
         return {"name": name, "file": str(file), **parse_toml(read_text(file))}
     except (OSError, ValueError) as error:
         raise UsageError(f"The suite {str(file)!r} cannot be read: {error}.") from error
+
+
+def _plants(robots_dir: Path | None) -> list[Entry]:
+    """Plant files with their titles, then effects."""
+    files: list[Entry] = [
+        {"name": name, "title": _file_title(file)}
+        for name, file in package_folders.plant_files().items()
+    ]
+    return files + _plugins("plant")(robots_dir)
+
+
+def _plant(name: str) -> Entry:
+    files = package_folders.plant_files()
+    if name in files:
+        return {"file": str(files[name]), **read_plant(files[name])}
+    return _shown_plugin("plant")(name)
 
 
 def _metrics(robots_dir: Path | None) -> list[Entry]:
@@ -277,7 +295,7 @@ _LISTS: Final[Mapping[str, Callable[[Path | None], list[Entry]]]] = {
     "excitations": _plugins("excitation"),
     "estimators": _plugins("estimator"),
     "simulations": _plugins("simulation"),
-    "plants": _plugins("plant"),
+    "plants": _plants,
     "model-errors": _plugins("model_error"),
     "sensor-errors": _plugins("sensor_error"),
     "pipelines": _plugins("pipeline"),
@@ -291,7 +309,7 @@ _SHOWS: Final[Mapping[str, Callable[[str], Entry]]] = {
     "excitations": _shown_plugin("excitation"),
     "estimators": _shown_plugin("estimator"),
     "simulations": _shown_plugin("simulation"),
-    "plants": _shown_plugin("plant"),
+    "plants": _plant,
     "model-errors": _shown_plugin("model_error"),
     "sensor-errors": _shown_plugin("sensor_error"),
     "pipelines": _shown_plugin("pipeline"),

@@ -24,7 +24,7 @@ from tests.robots import relative_gap, robot_of, states
 
 SEEDS = range(4)
 SHORT = {"use": "fourier", "period": "2 s", "cycles": 1, "harmonics": 4}
-LOOP = {"use": "closed-loop", "rate": "1 kHz"}
+LOOP = {"use": "closed-loop", "rate": "1 kHz", "substeps": 1}
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -29,7 +29,7 @@ SMOOTH: Final = "smooth/robot.toml"
 """A UR5 without Coulomb friction."""
 OWN: Final = ("file:arm.xml", "file:ball.xml", "file:free.xml", RICH)
 LOADS: Final = tuple(name for name in PAYLOADS if name != "none")
-CLOSED_LOOP: Final = {"use": "closed-loop", "rate": "500 Hz"}
+CLOSED_LOOP: Final = {"use": "closed-loop", "rate": "500 Hz", "substeps": 1}
 
 BASE: Final = ExperimentSpec(
     seed=1,

@@ -15,7 +15,7 @@ from sysid_bench.naming import build
 from sysid_bench.types import Array, Estimate, Recording
 from tests.experiments.experiment_world import OWN, RICH, SMOOTH, ready
 
-FAST = {"use": "closed-loop", "rate": "1 kHz"}
+FAST = {"use": "closed-loop", "rate": "1 kHz", "substeps": 1}
 SHORT = {"use": "fourier", "period": "2 s", "cycles": 1}
 CONSISTENT = ("didim", "iv", "cloe", "clie", "ml")
 """With exact data and a matched plant these return the truth, whatever they start from."""
@@ -42,7 +42,7 @@ def exact(case: str, prior: bool) -> Prepared[SimulatedSource]:
 
 @cache
 def noisy(repeat: int = 0) -> Prepared[SimulatedSource]:
-    loop = {"use": "closed-loop", "rate": "2 kHz"}  # fast enough to hold the torque
+    loop = {"use": "closed-loop", "rate": "2 kHz", "substeps": 1}  # fast enough to hold the torque
     return ready(
         simulation=loop, excitation=SHORT, rate=100.0, noise=NOISE, signals=SIGNALS,
         repeat=repeat, **ROBOTS["a payload"],

@@ -51,6 +51,7 @@ CHANGES: dict[str, Any] = {
     "pipeline": {"use": "parallel"},
     "motions": 5,
     "redrawn": ("motions",),
+    "candidate": {"step": 1e-3},
     "log": {"train": ["run.toml"]},
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {

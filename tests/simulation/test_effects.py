@@ -25,6 +25,7 @@ def test_stribeck_is_coulomb_like_at_low_speed_and_gone_at_high(name: str) -> No
     robot = robot_of(name)
     effect = Stribeck(vs=0.1, v0=1e-5)
     law = effect.prepare(robot)
+    assert law is not None
     q = np.array(robot.mj.qpos0)
     moving = robot.scalar_dofs
     slow = law(np.array(0.0), q, np.full(robot.nv, 1e-3))
@@ -44,6 +45,7 @@ def test_its_size_is_a_share_of_the_gravity_torque_but_no_joint_is_left_out() ->
     robot = robot_of("ur5")
     gravity = gravity_rms(robot, robot.mj)
     law = Stribeck(share=0.1, vs=1e6, v0=1e-9).prepare(robot)
+    assert law is not None
     size = law(np.array(0.0), np.zeros(6), np.ones(6))
     floor = np.maximum(gravity, 1e-3 * gravity.max())
     np.testing.assert_allclose(size, 0.1 * floor, rtol=1e-9)
@@ -53,6 +55,7 @@ def test_its_size_is_a_share_of_the_gravity_torque_but_no_joint_is_left_out() ->
 def test_single_samples_and_whole_motions_see_the_same_law() -> None:
     robot = robot_of("file:arm.xml")
     law = Stribeck().prepare(robot)
+    assert law is not None
     rng = np.random.default_rng(0)
     q, v = rng.normal(size=(2, 20, 3))
     whole = law(np.arange(20.0), q, v)

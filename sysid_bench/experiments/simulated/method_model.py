@@ -11,9 +11,9 @@ from sysid_bench.experiments.processed_rows import sampled_motion
 from sysid_bench.experiments.simulated.problem import term_torque
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
+from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.kinematics import kinematics_of
 from sysid_bench.simulation.parametrised_plant import KnownModel, parametrised_plant
-from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Recording, Trajectory
 
@@ -42,6 +42,7 @@ class SimulateModel:
 
     model: KnownModel
     raw: Recording
+    candidate: Candidate
 
     def __call__(self, theta: Array) -> Recording:
         controller, commanded = self.raw.controller, self.raw.commanded
@@ -51,8 +52,8 @@ class SimulateModel:
             )
         theta = np.asarray(theta, dtype=float)
         _validate_theta(theta, self.model.parameters)
-        plant = parametrised_plant(self.model, theta)
-        oracle = TrackingControl(rate=controller.rate, substeps=1).track(
+        plant = self.candidate.plant(parametrised_plant(self.model, theta))
+        oracle = self.candidate.control(controller.rate).track(
             plant, controller, commanded, np.zeros((len(commanded), len(controller.kp)))
         )
         # The loop runs at the rate of the controller; its signals are sampled like the measured.

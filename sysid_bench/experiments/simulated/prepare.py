@@ -35,6 +35,7 @@ from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.payload import parse_payload
+from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.types import Array, Experiment, Problem, Recording, Run
 
 
@@ -64,6 +65,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
         left_out=mean_share([(one.left_out, len(one.recording)) for one in processed]),
         standstill=_standstill(builder, processed),
         rows=processed[0].rows,
+        step=sampled[0].oracle.step,
     )
     return Prepared(
         loaded.robot,
@@ -90,7 +92,8 @@ def _experiment(
     simulate: Callable[[Any], Recording] = refuse_simulation
     known: Callable[[Any], Array] = refuse_simulation
     if not noise_free.task.cuts:
-        simulate = SimulateModel(noise_free.known_model, processed.raw)
+        candidate = Candidate(**(noise_free.spec.candidate or {}))
+        simulate = SimulateModel(noise_free.known_model, processed.raw, candidate)
         known = KnownTorque(noise_free.known_model, rows)
     along = builder.rows_along(recording.motion, processed.rows)
     return Experiment(

@@ -94,7 +94,9 @@ def run_with_encoders(encoders: Encoders, move: Move) -> EncoderRun:
     error = encoders.error()
 
     def seen_by_model(oracle: Oracle) -> Oracle:
-        return encoders.built.coordinates.to_model(Oracle(oracle.measured, oracle.tau))
+        return encoders.built.coordinates.to_model(
+            replace(oracle, motion=oracle.measured, encoders=None)
+        )
 
     oracle, controller = move(error)
     if encoders.depend_on_position:

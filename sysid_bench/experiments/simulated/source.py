@@ -29,6 +29,8 @@ from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.signals.row_processing import RowProcessing
+from sysid_bench.simulation.candidate import Candidate
+from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, BodyExtents, Estimate, Problem, Row, Trajectory, Truth
 
@@ -42,6 +44,7 @@ class SimulatedSource:
     motion: Trajectory  # as measured, without contact periods
     known: Array  # (N, rows) torque of the parts that the task declares known, along `motion`
     bound: Array | None  # (r,) Cramer-Rao, as standard deviations, where torque alone is noisy
+    step: float | None  # s, of the plant in a closed loop
     left_out: float  # share of the samples that were removed as contacts
     standstill: float = 0.0  # share of the rows that were left out as standstill
     rows: RowProcessing = field(default_factory=RowProcessing)  # of the training
@@ -91,7 +94,19 @@ class SimulatedSource:
         """Ranks of the sub-tree behind a sensor, and the sizes that were drawn for the plant."""
         ranks = {} if self.excitation is None else rank_fields(self.excitation)
         drawn = [dict(values) for values in self.built.values]
-        return ranks | ({"plant_values": drawn} if drawn else {})
+        return ranks | self._simulators() | ({"plant_values": drawn} if drawn else {})
+
+    def _simulators(self) -> Row:
+        """Steps of the plant and of candidate models, and whether they are one simulator."""
+        simulation = self.noise_free.simulated.simulation
+        if self.step is None or not isinstance(simulation, TrackingControl):
+            return {}
+        candidate = Candidate(**(self.spec.candidate or {}))
+        return {
+            "plant_step": self.step,
+            "candidate_step": candidate.step or 1.0 / simulation.rate,
+            "same_simulator": candidate.equals_plant(simulation),
+        }
 
     @property
     def _has_noise(self) -> bool:

@@ -23,6 +23,9 @@ from sysid_bench.harness.suite.report_entries import SuiteTable
 from sysid_bench.signals.filters import filter_of
 from sysid_bench.units import interval
 
+INTEGRATORS = ("auto", "euler", "implicitfast", "implicit", "rk4")
+FRICTION = ("sticking", "smooth")
+
 Share = Annotated[Any, quantity_of("%")]
 Length = Annotated[Any, quantity_of("mm")]
 
@@ -46,6 +49,15 @@ class Noise(SuiteTable):
     crosstalk: Annotated[Any, quantity_of("%")] = None
     mounting: Annotated[Any, quantity_of("rad")] = None
     touch: Annotated[Any, quantity_of("N")] = None  # on the last body, for the middle third
+
+
+class Candidate(SuiteTable):
+    """Simulator of the methods that simulate: time step (none: the control period), integrator,
+    and Coulomb friction that sticks, or the smooth tanh(v / v0)."""
+
+    step: Annotated[Any, quantity_of("s", positive=True)] = None
+    integrator: Annotated[str, one_of("integrator", INTEGRATORS)] = "auto"
+    friction: Annotated[str, one_of("friction of a candidate", FRICTION)] = "sticking"
 
 
 class Prior(SuiteTable):

@@ -34,8 +34,17 @@ from sysid_bench.harness.suite.checks import (
     quantity_of,
     to_plugin,
 )
-from sysid_bench.harness.suite.data_entries import Filters, Load, Noise, Prior, PriorChoice, Signals
+from sysid_bench.harness.suite.data_entries import (
+    Candidate,
+    Filters,
+    Load,
+    Noise,
+    Prior,
+    PriorChoice,
+    Signals,
+)
 from sysid_bench.harness.suite.names import TaskInfo
+from sysid_bench.harness.suite.plant_file import with_plant_file
 from sysid_bench.harness.suite.report_entries import (
     CellMetric,
     Folder,
@@ -103,11 +112,27 @@ class Simulation(Plugin):
     kind = "simulation"
 
 
+class Pipeline(Plugin):
+    kind = "pipeline"
+
+
+Named = BeforeValidator(to_plugin)
+
+
 class Plant(Plugin):
     """An effect, or {use = "composed"} with lists of effects, model errors and sensor errors; a
-    size may be drawn from a range."""
+    size may be drawn from a range. A plant file is read when the suite is. `simulation`, `noise`
+    and `pipeline` hold for this plant in place of those of the suite."""
 
     kind = "plant"
+    simulation: Annotated[Simulation | None, Named] = None
+    noise: Noise | None = None
+    pipeline: Annotated[Pipeline | None, Named] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
+        return checked(lambda: with_plant_file(value, check_context(info).folder))
 
     def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
         """Return (kind, {use, settings}) of each effect and error, ranges at either limit."""
@@ -118,11 +143,6 @@ class Plant(Plugin):
         ]
 
 
-class Pipeline(Plugin):
-    kind = "pipeline"
-
-
-Named = BeforeValidator(to_plugin)
 Sweep = BeforeValidator(items)
 ListSweep = BeforeValidator(key_list)
 
@@ -169,7 +189,7 @@ def _task_of_recordings(value: Any, info: ValidationInfo) -> str:
 
 
 class DefaultSettings(SuiteTable):
-    """Sweeps: each key holds a tuple of values."""
+    """Sweeps: each key but `candidate` holds a tuple of values."""
 
     task: Annotated[tuple[Annotated[str, PlainValidator(_task)], ...], Sweep] = ("robot",)
     plant: Annotated[tuple[Annotated[Plant, Named], ...], Sweep] = Field(
@@ -199,6 +219,17 @@ class DefaultSettings(SuiteTable):
     noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
     signals: Annotated[tuple[Signals, ...], Sweep] = (Signals(),)
     pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
+    candidate: Candidate = Candidate()
+
+    def of(self, plant: Plant) -> tuple[
+        tuple[Simulation, ...], tuple[Noise, ...], tuple[Pipeline, ...]
+    ]:  # fmt: skip
+        """Return the simulations, kinds of noise and pipelines of a plant: its own, else these."""
+        return (
+            self.simulation if plant.simulation is None else (plant.simulation,),
+            self.noise if plant.noise is None else (plant.noise,),
+            self.pipeline if plant.pipeline is None else (plant.pipeline,),
+        )
 
 
 def _robot_name(value: Any, info: ValidationInfo) -> str:
@@ -244,7 +275,7 @@ def _candidate(value: Any) -> Any:
     return value
 
 
-Candidates = tuple[Annotated[str, PlainValidator(_candidate)], ...]
+Choices = tuple[Annotated[str, PlainValidator(_candidate)], ...]
 
 
 class LogEntry(SuiteTable):
@@ -257,7 +288,7 @@ class LogEntry(SuiteTable):
     test: Annotated[Logs, BeforeValidator(optional_items)] = ()
     task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"
     terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)  # None: the robot's own
-    choose: Annotated[tuple[Candidates, ...], ListSweep] = ((),)
+    choose: Annotated[tuple[Choices, ...], ListSweep] = ((),)
     filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
     derivatives: Annotated[str, one_of("way to differentiate", ("from q", "from v"))] | None = None
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)

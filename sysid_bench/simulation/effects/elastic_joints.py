@@ -1,17 +1,15 @@
 """Elastic joints: rotors behind springs, with backlash, and encoders on either side."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
-from sysid_bench.errors import UnsupportedError
+from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.gravity import gravity_rms
-from sysid_bench.simulation.motor_load import mass_matrix
+from sysid_bench.simulation.motor_load import typical_load
+from sysid_bench.simulation.sizes import Size, all_or_none, check_not_negative, per_joint
 from sysid_bench.simulation.transmission import Transmission
-from sysid_bench.types import Array
 
 
 @dataclass(frozen=True)
@@ -26,19 +24,38 @@ class ElasticJoints:
     the armature of the robot; `encoders` are on the "motor" or the "link".
     """
 
-    stiffness: float | Sequence[float] | None = None
-    windup: float = field(default=1e-3, metadata={"unit": "rad|m"})
-    damping: float = field(default=1e-4, metadata={"unit": "s"})
-    gap: float = field(default=0.0, metadata={"unit": "rad|m"})
+    stiffness: Size | None = None
+    windup: Size = field(default=1e-3, metadata={"unit": "rad|m"})
+    damping: Size = field(default=1e-4, metadata={"unit": "s"})
+    gap: Size = field(default=0.0, metadata={"unit": "rad|m"})
     encoders: str = "motor"
+    sizes: ClassVar[tuple[str, ...]] = ("windup", "gap")
     vanishes_at_rest: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for negative sizes, and encoders on neither side."""
+        check_not_negative("Size of 'elastic-joints'", self.windup, self.damping, self.gap)
+        if self.stiffness is not None:
+            check_not_negative("stiffness of 'elastic-joints'", self.stiffness, above=True)
+        if self.encoders not in ("motor", "link"):
+            raise unknown_name("side of encoders", self.encoders, ("motor", "link"))
+
+    @staticmethod
+    def size_names(robot: RobotModel) -> tuple[str, ...]:
+        """Return the names of the motors that a list of sizes is for."""
+        return robot.torque_rows
 
     def prepare(self, robot: RobotModel) -> Transmission | None:
         """Return the transmission; None for rigid ones, of no windup and gap.
 
         Raises UnsupportedError for coupled joints.
         """
-        if self.stiffness is None and self.windup == 0:
+        names = robot.torque_rows
+        windup, damping, gap = (
+            per_joint(getattr(self, name), names, name) for name in ("windup", "damping", "gap")
+        )
+        soft = all_or_none(windup, "windup")
+        if self.stiffness is None and soft is None:
             return None
         if robot.coupling is not None:
             raise UnsupportedError(
@@ -46,17 +63,9 @@ class ElasticJoints:
             )
         dofs = np.asarray(robot.torque_dofs)
         if self.stiffness is None:
-            load = _typical_load(robot)[dofs]
-            K = np.maximum(load, 0.01 * load.max()) / self.windup
+            load = typical_load(robot)[dofs]
+            K = np.maximum(load, 0.01 * load.max()) / soft
         else:
-            K = np.broadcast_to(np.asarray(self.stiffness, dtype=float), dofs.shape).copy()
-        gap = np.full(len(dofs), self.gap)
+            K = per_joint(self.stiffness, names, "stiffness")
         inertia = robot.joint_terms.armature[dofs]
-        return Transmission(K, self.damping * K, gap, inertia, self.encoders == "motor")
-
-
-def _typical_load(robot: RobotModel) -> Array:
-    """Root sum of squares (nv,) of RMS gravity torque and torque of half the acceleration limit."""
-    limit = np.where(np.isfinite(robot.limits.a), robot.limits.a, 0.0)
-    inertia = np.diag(mass_matrix(robot.mj))
-    return np.asarray(np.hypot(gravity_rms(robot, robot.mj), 0.5 * inertia * limit))
+        return Transmission(K, damping * K, gap, inertia, self.encoders == "motor")

@@ -6,6 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.simulation.sizes import Size, all_or_none, check_not_negative, per_joint
 from sysid_bench.types import Array
 
 
@@ -16,29 +17,43 @@ class LuGre:
 
     g(v) = Fc + (Fs - Fc) exp(-(v/vs)^2), dz/dt = v - sigma0 |v| z / g(v), torque sigma0 z +
     sigma1 dz/dt. Fc is the robot's Coulomb friction, Fs = (1 + `peak`) Fc, sigma0 = Fc /
-    `presliding`: published presliding distances of gears are 0.2 to 2 mrad. `damping` is sigma1
-    over sigma0 (s). A presliding distance of zero is the robot's own Coulomb friction.
+    `presliding`: published presliding distances of gears are 0.2 to 2 mrad, peaks 20 to 60 %
+    (to be verified). `damping` is sigma1 over sigma0 (s). A presliding distance of zero is the
+    robot's own Coulomb friction; a joint without Coulomb friction has no bristles.
     """
 
-    presliding: float = field(default=5e-4, metadata={"unit": "rad|m"})
-    peak: float = field(default=0.0, metadata={"unit": "%"})
-    vs: float = field(default=0.05, metadata={"unit": "rad|m"})  # per second
-    damping: float = field(default=1e-3, metadata={"unit": "s"})
+    presliding: Size = field(default=5e-4, metadata={"unit": "rad|m"})
+    peak: Size = field(default=0.0, metadata={"unit": "%"})
+    vs: Size = field(default=0.05, metadata={"unit": "rad|m"})  # per second
+    damping: Size = field(default=1e-3, metadata={"unit": "s"})
+    sizes: ClassVar[tuple[str, ...]] = ("presliding",)
     vanishes_at_rest: ClassVar[bool] = False
+    dissipates: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Raise UsageError for negative sizes, and for a Stribeck velocity of zero."""
+        check_not_negative("Size of the effect 'lugre'", self.presliding, self.peak, self.damping)
+        check_not_negative("vs of the effect 'lugre'", self.vs, above=True)
 
     def prepare(self, robot: RobotModel) -> "_LuGreLaw | None":
-        """Return the force law for this robot; None without presliding."""
-        if self.presliding == 0:
+        """Return the force law for this robot; None without presliding.
+
+        Raises UsageError where some joints have a presliding distance and others do not.
+        """
+        names = ("presliding", "peak", "vs", "damping")
+        sizes = (per_joint(getattr(self, name), robot.rows, name) for name in names)
+        distance, peak, vs, damping = sizes
+        presliding = all_or_none(distance, "presliding")
+        if presliding is None:
             return None
         Fc = robot.joint_terms.coulomb
-        sigma0 = Fc / self.presliding
-        numbers = [Fc, (1 + self.peak) * Fc, sigma0, self.damping * sigma0, np.array([self.vs])]
-        return _LuGreLaw(np.concatenate(numbers))
+        sigma0 = Fc / presliding
+        return _LuGreLaw(np.concatenate([Fc, (1 + peak) * Fc, sigma0, damping * sigma0, vs]))
 
 
 @dataclass(frozen=True, eq=False)
 class _LuGreLaw:
-    """Force law of LuGre friction; `numbers` (4 nv + 1,) are Fc, Fs, sigma0, sigma1, vs."""
+    """Force law of LuGre friction; `numbers` (5 nv,) are Fc, Fs, sigma0, sigma1, vs."""
 
     numbers: Array
     kind: str = "lugre"
@@ -47,26 +62,26 @@ class _LuGreLaw:
     @property
     def stiffness(self) -> Array:
         """sigma0 (nv,)."""
-        return np.asarray(self.numbers[:-1].reshape(4, -1)[2])
+        return np.asarray(self.numbers.reshape(5, -1)[2])
 
     @property
     def viscosity(self) -> Array:
         """sigma1 (nv,)."""
-        return np.asarray(self.numbers[:-1].reshape(4, -1)[3])
+        return np.asarray(self.numbers.reshape(5, -1)[3])
 
     def start(self, q: Array, v: Array) -> Array:
         """Return the bristles' deflections z (nv,) in steady sliding; zero at rest."""
-        Fc, _, sigma0, _ = self.numbers[:-1].reshape(4, -1)
+        Fc, _, sigma0, *_ = self.numbers.reshape(5, -1)
         return np.asarray(np.sign(v) * Fc / np.where(sigma0 > 0, sigma0, 1.0))
 
     def step(
         self, state: Array, h: float, t: float, q: Array, v: Array, load: Array
     ) -> tuple[Array, Array]:
         """Return the torque (nv,) and the deflections after a step, exact while v is constant."""
-        Fc, Fs, sigma0, sigma1 = self.numbers[:-1].reshape(4, -1)
+        Fc, Fs, sigma0, sigma1, vs = self.numbers.reshape(5, -1)
         acting = Fc > 0
         scale = np.where(acting, sigma0, 1.0)
-        g = np.where(acting, Fc + (Fs - Fc) * np.exp(-((v / self.numbers[-1]) ** 2)), 1.0)
+        g = np.where(acting, Fc + (Fs - Fc) * np.exp(-((v / vs) ** 2)), 1.0)
         end = np.sign(v) * g / scale
         z = np.where(v == 0, state, end + (state - end) * np.exp(-scale * np.abs(v) * h / g))
         torque = sigma0 * z + sigma1 * (z - state) / h

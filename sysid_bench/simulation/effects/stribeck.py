@@ -7,6 +7,7 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.gravity import gravity_rms
+from sysid_bench.simulation.sizes import Size, check_not_negative, per_joint
 from sysid_bench.types import Array
 
 
@@ -20,28 +21,39 @@ class Stribeck:
     Stribeck velocity, `v0` the width of the smooth sign (rad/s, m/s).
     """
 
-    share: float = field(default=0.1, metadata={"unit": "%"})
-    vs: float = field(default=0.1, metadata={"unit": "rad|m"})  # per second
-    v0: float = field(default=0.005, metadata={"unit": "rad|m"})  # per second
+    share: Size = field(default=0.1, metadata={"unit": "%"})
+    vs: Size = field(default=0.1, metadata={"unit": "rad|m"})  # per second
+    v0: Size = field(default=0.005, metadata={"unit": "rad|m"})  # per second
+    sizes: ClassVar[tuple[str, ...]] = ("share",)
     vanishes_at_rest: ClassVar[bool] = True
+    dissipates: ClassVar[bool] = True
 
-    def prepare(self, robot: RobotModel) -> "_StribeckLaw":
-        """Return the force law for this robot."""
+    def __post_init__(self) -> None:
+        """Raise UsageError for negative sizes, and for velocities of zero."""
+        check_not_negative("share of the effect 'stribeck'", self.share)
+        check_not_negative("vs or v0 of the effect 'stribeck'", self.vs, self.v0, above=True)
+
+    def prepare(self, robot: RobotModel) -> "StribeckLaw | None":
+        """Return the force law for this robot; None for a share of zero."""
+        names = ("share", "vs", "v0")
+        share, vs, v0 = (per_joint(getattr(self, name), robot.rows, name) for name in names)
+        if not share.any():
+            return None
         gravity = gravity_rms(robot, robot.mj)
         gravity = np.maximum(gravity, 1e-3 * gravity.max())
         scale = np.zeros(robot.nv)
-        scale[robot.scalar_dofs] = self.share * gravity[robot.scalar_dofs]
-        return _StribeckLaw(np.concatenate([scale, [self.vs, self.v0]]))
+        scale[robot.scalar_dofs] = (share * gravity)[robot.scalar_dofs]
+        return StribeckLaw(np.concatenate([scale, vs, v0]))
 
 
 @dataclass(frozen=True, eq=False)
-class _StribeckLaw:
-    """Force law of Stribeck friction; `numbers` (nv + 2,) are F (nv,), vs, v0."""
+class StribeckLaw:
+    """Force law of Stribeck friction; `numbers` (3 nv,) are F, vs, v0."""
 
     numbers: Array
     kind: str = "stribeck"
 
     def __call__(self, t: Array, q: Array, v: Array) -> Array:
         """Return the torque (..., nv) at v (..., nv)."""
-        scale, (vs, v0) = self.numbers[:-2], self.numbers[-2:]
+        scale, vs, v0 = self.numbers.reshape(3, -1)
         return np.asarray(scale * np.exp(-((v / vs) ** 2)) * np.tanh(v / v0))

@@ -1,0 +1,69 @@
+"""Plant files: effects, model errors, sensor errors and signals of a realism level, as TOML."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from sysid_bench import package_folders
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.experiments.simulated.composed_plant import COMPOSED, KIND_OF
+from sysid_bench.input_files import parse_toml, read_text
+
+SCHEMA: Final = 1
+"""Version of the format of plant files."""
+
+SIGNALS: Final = ("simulation", "noise", "pipeline")
+"""Keys of a plant that hold in place of those of the suite."""
+
+_KEYS: Final = ("schema", "name", "title", *KIND_OF, *SIGNALS)
+_PREFIX: Final = "file:"
+
+
+def is_plant_file(name: str) -> bool:
+    """Return True for the name of a plant file, and for "file:" with the path of one."""
+    return (name.startswith(_PREFIX) and name.endswith(".toml")) or (
+        name in package_folders.plant_files()
+    )
+
+
+def with_plant_file(written: Any, folder: Path | None) -> Any:
+    """Return the plant of a suite with the keys of the file that it names; keys beside `use`
+    replace those of the file. Anything else is returned as it is.
+
+    Relative paths are found from `folder`. Raises UsageError for a file that cannot be read, and
+    for unknown keys.
+    """
+    if not isinstance(written, Mapping) or not isinstance(written.get("use"), str):
+        return written
+    if not is_plant_file(written["use"]):
+        return written
+    data = read_plant(_path(written["use"], folder))
+    own = {key: value for key, value in written.items() if key != "use"}
+    for key in own:
+        if key not in (*KIND_OF, *SIGNALS, "label"):
+            raise unknown_name("key of a plant file", key, (*KIND_OF, *SIGNALS, "label"))
+    table = {key: value for key, value in data.items() if key not in ("schema", "title")}
+    return {**table, **own, "use": COMPOSED}
+
+
+def read_plant(file: Path) -> dict[str, Any]:
+    """Return the keys of a plant file, its name among them.
+
+    Raises UsageError where it cannot be read, for another schema and for unknown keys.
+    """
+    try:
+        data = parse_toml(read_text(file))
+    except (OSError, ValueError) as error:
+        raise UsageError(f"The plant file {str(file)!r} cannot be read: {error}.") from error
+    for key in data:
+        if key not in _KEYS:
+            raise UsageError(f"{file}: {unknown_name('key of a plant file', key, _KEYS)}")
+    if data.get("schema") != SCHEMA:
+        raise UsageError(f"{file}: schema = {data.get('schema')!r}; this version reads {SCHEMA}.")
+    return {"name": file.stem, **data}
+
+
+def _path(name: str, folder: Path | None) -> Path:
+    if name.startswith(_PREFIX):
+        return (folder or Path()) / name.removeprefix(_PREFIX)
+    return package_folders.plant_files()[name]
