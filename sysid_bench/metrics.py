@@ -113,9 +113,36 @@ _BODIES: Final = (
            needs=("theta",)),
 )  # fmt: skip
 
+
+def _by_class(
+    name: str,
+    title: str,
+    better: Better | None = None,
+    level: Level = "interval",
+    formula: str = "",
+) -> tuple[Metric, ...]:
+    """A metric of intervals for inertial base parameters, and one for those of friction."""
+    return tuple(
+        Metric(name.format(one), title.format(one), better=better, level=level, formula=formula,
+               needs=("truth", "noise"))
+        for one in ("inertial", "friction")
+    )  # fmt: skip
+
+
 _UNCERTAINTY: Final = (
     Metric("coverage", "Share of 95 % intervals that hold the truth", level="interval",
            needs=("truth", "noise")),
+    *_by_class("coverage_{}", "Share of 95 % intervals that hold the value, {} parameters"),
+    *_by_class("width_{}", "Width of 95 % intervals, {} parameters", better="lower",
+               formula="mean width, as the share of the torque that it amounts to"),
+    *_by_class("interval_score_{}", "Interval score of 95 % intervals, {} parameters",
+               better="lower",
+               formula="mean of width + 40 times the distance of values outside (Gneiting and "
+               "Raftery 2007), as the share of the torque that it amounts to"),
+    *_by_class("coverage_worst_{}", "Share of 95 % intervals that hold the value, worst of the {} "
+               "parameters over repeats", level="interval-repeats"),
+    Metric("torque_inside", "Share of held-out torque inside of 95 % prediction intervals",
+           needs=("held-out", "noise")),
     Metric("bias", "Mean error in standard deviations of an estimate", better="lower",
            level="repeats", needs=("truth", "repeats")),
     Metric("spread", f"Scatter over the {_BOUND}", better="lower", level="repeats",
@@ -139,6 +166,8 @@ _JOINTS: Final = (
     _joint("joint_rmse", "Held-out RMSE of the joint", "rmse_test", _TORQUE),
     _joint("joint_error", "Relative held-out error of the joint", "relative", floor=_ROUNDING),
     _joint("joint_replayed", "Relative error of the training torque, played again", "replayed"),
+    Metric("joint_inside", "Share of the joint's held-out torque inside of prediction intervals",
+           level="joint", key="inside"),
     _joint("joint_rmse_train", "Training RMSE of the joint", "rmse_train", _TORQUE),
     _joint("joint_error_train", "Relative training error of the joint", "relative_train",
            floor=_ROUNDING),

@@ -218,6 +218,7 @@ class Problem:
     kinds: tuple[str, ...] = ()  # of rows, "joint N m", "base N": only equal kinds are compared
     torque: Float[Array, " rows"] | None = None  # RMS of each row's total torque; None: that of b
     period: int = 0  # samples per period; 0: not periodic
+    motions: tuple["Problem", ...] = ()  # those of the single motions; (): there is one alone
 
     @cached_property
     def stacked(self) -> tuple[Float[Array, "M r"], Float[Array, " M"]]:
@@ -366,7 +367,7 @@ class MetricInput:
 
 
 Better = Literal["lower", "higher"]
-Level = Literal["cell", "joint", "parameter", "interval", "repeats"]
+Level = Literal["cell", "joint", "parameter", "interval", "interval-repeats", "repeats"]
 Need = Literal["held-out", "truth", "theta", "sensor", "load", "noise", "repeats"]
 
 

@@ -30,6 +30,7 @@ LABELS: Final = (
     "plant",
     "prior",
     "excitation",
+    "motions",
     "held_out",
     "simulation",
     "rate",
@@ -87,17 +88,32 @@ JOINT: Final = "joint"
 
 COVERAGE: Final = "coverage"
 STD_FROM: Final = "std_from"
-"""Axis of tables by source of the standard deviations (periods, residuals, textbook): how often
-the truth lies in their 95 % intervals."""
+"""Axis of tables by kind of interval (motions, periods, residuals, textbook): how often their 95 %
+intervals hold the truth, and how wide they are."""
+
+INTERVAL_LIMITS: Final = {
+    "motions": "holds noise and the misfit that differs between motions; what all motions share, "
+    "as a wrong gain or friction that the filter distorts, is a bias that it does not know of",
+    "periods": "holds noise; misfit repeats in every period and is not in it, nor is the bias of "
+    "gains, filters and friction",
+    "residuals": "holds noise and its correlation in time; W is taken as exact, and the bias of "
+    "encoders, gains, filters and friction is not in it",
+    "textbook": "holds noise as the method assumes it; neither misfit nor any bias is in it",
+}
+"""What an interval of each kind holds, and what it cannot know of."""
 
 STATISTICS: Final = ("median", "mean", "min", "max", "count")
 INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")
 BESTS: Final = ("none", "min-bold", "max-bold", "bold")
 """Marks of the best values of a table; `bold` follows the direction of each metric."""
 
+OF_REPEATS: Final = ("repeats", "interval-repeats")
+"""Levels of metrics that are computed from all repeats of some cells together."""
+
 LEVEL_AXES: Final[Mapping["Level", str]] = {
     "parameter": PARAMETER,
     "interval": STD_FROM,
+    "interval-repeats": STD_FROM,
     "joint": JOINT,
 }
 """Axis that a table needs for metrics of these levels, and for no others."""

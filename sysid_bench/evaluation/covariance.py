@@ -1,53 +1,30 @@
 """Covariance of a least-squares estimate under coloured noise.
 
 The textbook covariance assumes independent samples. Low-frequency noise and errors in q correlate
-neighbouring samples, which makes its intervals too short. Two robust covariances are offered: from
-the scatter over repeated periods, and from the autocorrelation of the residuals (HAC).
+neighbouring samples, which makes its intervals too short. Two robust covariances are offered here:
+from the scatter over repeated periods, and from the autocorrelation of the residuals (HAC). Neither
+knows of misfit, which repeats itself; the spread between motions does (motion_spread.py).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import stdtrit
 
 from sysid_bench.errors import UsageError
+from sysid_bench.evaluation.motion_spread import MotionFits, motion_fits
+from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.types import Array, Estimate, Problem
 
-LEVEL: Final = 0.95
 LEAST_PERIODS: Final = 2
 """Minimal number of periods for a covariance."""
 
 ENOUGH_PERIODS: Final = 5
 """Minimal number of periods for reporting their covariance: with fewer, the standard deviation is
 itself uncertain by more than a third, and Student's interval more than 1.5 times wider."""
-
-
-@dataclass(frozen=True, eq=False)
-class StandardError:
-    """Covariance (r, r) of an estimate, and the degrees of freedom it was estimated with."""
-
-    covariance: Array
-    freedom: float = np.inf
-
-    @property
-    def std(self) -> Array:
-        """Standard deviations (r,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def interval(self, beta: Array, level: float = LEVEL) -> tuple[Array, Array]:
-        """Return the confidence interval (low, high), (r,) each, by Student's distribution."""
-        half_width = _quantile(level, self.freedom) * self.std
-        return beta - half_width, beta + half_width
-
-
-def _quantile(level: float, freedom: float) -> float:
-    """Two-sided quantile of Student's distribution: the half-width of the interval of a confidence
-    level, in standard deviations."""
-    # stdtrit is not defined for infinity; at 1e9 Student's distribution is the normal one.
-    return float(stdtrit(min(freedom, 1e9), 0.5 + 0.5 * level))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,26 +39,36 @@ class ResidualScores:
     inverse: Array
     values: Array
 
-    def period_covariance(self, samples: int) -> StandardError:
+    def period_covariance(
+        self, samples: int, motions: Sequence[tuple[int, int]] = ()
+    ) -> StandardError:
         """Return the cluster-robust covariance over repeated periods of `samples` samples each.
 
         L = M / (M - 1) sum_m (g_m - mean)(g_m - mean)', g_m the sum over period m of M. Periods are
         assumed independent and identically distributed. Errors in q are covered, but not the bias
-        that they cause. An incomplete last period is left out. Raises UsageError for fewer than two
-        periods.
+        that they cause. An incomplete last period is left out. `motions` are the samples of each
+        of several motions and of its period: L is then the sum over motions, each about its own
+        mean. Raises UsageError for fewer than two periods of a motion.
         """
-        periods = len(self.values) // samples if samples > 0 else 0
+        counts, periods = zip(*motions or ((len(self.values), samples),), strict=True)
+        split = np.split(self.values, np.cumsum(counts)[:-1])
+        parts = [self._period_parts(*one) for one in zip(split, periods, strict=True)]
+        scatter = np.concatenate(parts)
+        return StandardError(scatter.T @ scatter, len(scatter) - len(parts))
+
+    def _period_parts(self, values: Array, samples: int) -> Array:
+        """Parts (M, r) of the error from each period of one motion, about their mean."""
+        periods = len(values) // samples if samples > 0 else 0
         if periods < LEAST_PERIODS:
             raise UsageError(
-                f"{len(self.values)} samples contain {periods} full periods of {samples}; a "
+                f"{len(values)} samples contain {periods} full periods of {samples}; a "
                 "covariance needs at least two. Record more periods, or use residual_covariance."
             )
-        sums = self.values[: periods * samples].reshape(periods, samples, -1).sum(axis=1)
+        sums = values[: periods * samples].reshape(periods, samples, -1).sum(axis=1)
         sums = sums - sums.mean(axis=0)
         # Scores come from full periods alone, but the fit uses all samples.
-        share = len(self.values) / (periods * samples)
-        parts = np.sqrt(share * periods / (periods - 1)) * sums @ self.inverse.T
-        return StandardError(parts.T @ parts, periods - 1)
+        share = len(values) / (periods * samples)
+        return np.asarray(np.sqrt(share * periods / (periods - 1)) * sums @ self.inverse.T)
 
     def residual_covariance(self, lags: int) -> StandardError:
         """Return the heteroskedasticity- and autocorrelation-consistent (HAC) covariance.
@@ -121,10 +108,14 @@ def residual_scores(problem: Problem, beta: Array, sigma: Array) -> ResidualScor
 def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardError]:
     """Return the covariances of an estimate by kind; the first one is to be reported.
 
-    "periods" if the recording has ENOUGH_PERIODS, then "residuals" (both for weighted least squares
-    on rows), then "textbook", the formula of the method itself.
+    "motions" if there are ENOUGH_MOTIONS, "periods" if the recording has ENOUGH_PERIODS, then
+    "residuals" (all three for weighted least squares on rows), then "textbook", the formula of the
+    method itself.
     """
     found: dict[str, StandardError] = {}
+    fits = motion_fits(problem, estimate)
+    if isinstance(fits, MotionFits):
+        found["motions"] = fits.standard_error
     if estimate.beta is not None and estimate.sigma is not None:
         found |= _robust(problem, residual_scores(problem, estimate.beta, estimate.sigma))
     if estimate.covariance is not None:
@@ -135,6 +126,16 @@ def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardE
 def _robust(problem: Problem, scores: ResidualScores) -> dict[str, StandardError]:
     """The covariances that hold under coloured noise, that over periods first."""
     found = {}
-    if problem.period > 0 and problem.samples // problem.period >= ENOUGH_PERIODS:
-        found["periods"] = scores.period_covariance(problem.period)
+    if _has_periods(problem):
+        motions = [(motion.samples, motion.period) for motion in problem.motions]
+        found["periods"] = scores.period_covariance(problem.period, motions)
     return found | {"residuals": scores.residual_covariance(scores.bandwidth)}
+
+
+def _has_periods(problem: Problem) -> bool:
+    """True where there are enough periods, and two or more of each motion."""
+    motions = problem.motions or (problem,)
+    if any(one.period == 0 for one in motions):
+        return False
+    counts = [one.samples // one.period for one in motions]
+    return sum(counts) >= ENOUGH_PERIODS and min(counts) >= LEAST_PERIODS

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.special import betaincinv
 
 from sysid_bench.types import Array
 
@@ -31,6 +32,13 @@ class _Moments:
 
 Figure = tuple[float, float, float]
 """Value, low and high end of its 95 % bootstrap interval over repeats."""
+
+
+def share_interval(hits: int, count: int) -> tuple[float, float]:
+    """Return the exact 95 % interval of a share, `hits` of `count` (Clopper and Pearson 1934)."""
+    low = float(betaincinv(hits, count - hits + 1, 0.025)) if hits > 0 else 0.0
+    high = float(betaincinv(hits + 1, count - hits, 0.975)) if hits < count else 1.0
+    return low, high
 
 
 def mean_error(errors: Array) -> Figure:

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sysid_bench.evaluation.covariance import StandardError
 from sysid_bench.evaluation.plausibility import plausibility_findings
+from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identification.linear.normal_qr import excited_rank, residual_norm, stacked_factor
 from sysid_bench.qr_factor import upper_factor
 from sysid_bench.spatial.inertia import mass_com_inertia, min_eigenvalues

@@ -3,7 +3,7 @@
 from typing import Any
 
 from sysid_bench.canonical_json import canonical_hash
-from sysid_bench.experiments.spec import REDRAWN, ExperimentSpec
+from sysid_bench.experiments.spec import MOTIONS, PLANT, REDRAWN, ExperimentSpec
 
 
 def seed_of(suite_seed: int, *parts: Any) -> int:
@@ -11,9 +11,24 @@ def seed_of(suite_seed: int, *parts: Any) -> int:
     return int(canonical_hash([suite_seed, *parts])[:32], 16)
 
 
-def motion_seed(spec: ExperimentSpec) -> int:
-    """Seed of the training motion: payloads, tasks, noise and repeats share it."""
-    return seed_of(spec.seed, "motion", spec.robot, spec.excitation)
+def motion_seed(spec: ExperimentSpec, index: int = 0) -> int:
+    """Seed of the training motion number `index`: payloads, tasks and noise share it, and so do all
+    repeats unless motions are redrawn."""
+    return seed_of(spec.seed, "motion", *_motion_parts(spec, index))
+
+
+def further_motion_seed(spec: ExperimentSpec, index: int) -> int:
+    """Seed of motion number `index` of the training's excitation, never one of the training."""
+    return seed_of(spec.seed, "further motion", *_motion_parts(spec, index))
+
+
+def _motion_parts(spec: ExperimentSpec, index: int) -> tuple[Any, ...]:
+    parts: tuple[Any, ...] = (spec.robot, spec.excitation)
+    if index > 0:
+        parts += ({"motion": index},)
+    if MOTIONS in spec.redrawn:
+        parts += ({"repeat": spec.repeat},)
+    return parts
 
 
 def held_out_seed(spec: ExperimentSpec, index: int) -> int:
@@ -40,6 +55,11 @@ def run_seed(spec: ExperimentSpec, run: int) -> int:
     return seed_of(noise_seed(spec), "run", run)
 
 
+def motion_noise_seed(spec: ExperimentSpec, index: int) -> int:
+    """Seed of the noise in the recording of the training motion number `index`."""
+    return noise_seed(spec) if index == 0 else seed_of(noise_seed(spec), "motion", index)
+
+
 def drift_seed(spec: ExperimentSpec) -> int:
     """Seed of the torque drift: the same in all recordings of an experiment."""
     return seed_of(noise_seed(spec), "drift")
@@ -49,7 +69,7 @@ def plant_seed(spec: ExperimentSpec, *channel: Any) -> int:
     """Seed of one random size or direction of a plant: the same for every payload, task, motion and
     level of noise, and for all repeats unless `plant` is redrawn."""
     parts = (spec.robot, *channel)
-    if "plant" in spec.redrawn:
+    if PLANT in spec.redrawn:
         parts += (spec.repeat,)
     return seed_of(spec.seed, "plant", *parts)
 

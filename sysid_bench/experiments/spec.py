@@ -40,6 +40,7 @@ class ExperimentSpec:
     log: Mapping[str, Any] | None = None  # a recording of a real robot, as a suite's [[log]] has it
     pipeline: Mapping[str, Any] | None = None  # {use, settings}; None: `plain`, by `signals`
     sensor: str | None = None  # the force/torque sensor; None: the only one of the manifest
+    motions: int = 1  # different training motions, recorded one after the other
     redrawn: tuple[str, ...] = ()  # what each repeat draws anew: "motions", "plant"
     candidate: Mapping[str, Any] | None = None  # {step (s), integrator, friction}; None: defaults
 
@@ -56,6 +57,8 @@ class ExperimentSpec:
                 del data[key]
         if not data["redrawn"]:
             del data["redrawn"]
+        if data["motions"] == 1:
+            del data["motions"]
         return data
 
     @classmethod
@@ -77,6 +80,9 @@ class ExperimentSpec:
                 "into another folder (-o)."
             ) from error
 
+
+MOTIONS, PLANT = "motions", "plant"
+"""What `redrawn` may hold: each repeat then draws these anew."""
 
 REDRAWN: Final = "redrawn"
 """Key of a prior that is drawn again with each repeat; the other keys are spreads."""

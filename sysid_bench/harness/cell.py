@@ -64,6 +64,7 @@ def fields(cell: Cell) -> dict[str, Any]:
         "experiment": cell.experiment,
         "repeat": spec.repeat,
         "rate": spec.rate,
+        "motions": spec.motions if spec.log is None else len(spec.log["train"]),
         "terms": cell.labels["terms"],
         **cell.facts,
         **{f"signals.{key}": value for key, value in spec.signals.items()},

@@ -81,6 +81,11 @@ class Frames:
         lines = pd.concat([part for part in parts if len(part)] or parts)
         return lines.sort_values("order", kind="stable", ignore_index=True).drop(columns="order")
 
+    def _columns(self, metric: str) -> list[str]:
+        """The columns of `cells` with a metric of intervals, one for each kind."""
+        names = map(str, self.cells.columns)
+        return [name for name in names if name.startswith(f"{metric}.")]
+
     @cached_property
     def by_std_from(self) -> "pd.DataFrame":
         """`cells` with a line per source of standard deviations, and its coverage. A cell that is
@@ -89,8 +94,9 @@ class Frames:
         import pandas as pd
 
         prefix = f"{COVERAGE}."
-        kinds = [str(name) for name in self.cells.columns if str(name).startswith(prefix)]
-        plain = self.cells.drop(columns=kinds)
+        kinds = self._columns(COVERAGE)
+        figures = names_of("interval")
+        plain = self.cells.drop(columns=[c for name in figures for c in self._columns(name)])
         if not kinds:
             plain[STD_FROM], plain[COVERAGE] = "none", None
             return plain
@@ -101,7 +107,9 @@ class Frames:
             coverage = self.cells[kind]
             alike = estimator.isin(estimator[coverage.notna()])
             line = plain[coverage.notna() | failed & (unknown | alike)].copy()
-            line[STD_FROM], line[COVERAGE] = kind.removeprefix(prefix), coverage
+            line[STD_FROM] = kind.removeprefix(prefix)
+            for name in figures:
+                line[name] = self.cells.get(kind.replace(COVERAGE, name, 1))
             lines.append(line)
         return pd.concat(lines).sort_index(kind="stable", ignore_index=True)
 

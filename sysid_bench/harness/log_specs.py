@@ -67,6 +67,7 @@ def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, s
         "task": spec.task,
         "terms": f"{terms}; choose {chosen}" if chosen else terms,
         "excitation": entry.label,
+        "motions": str(len(entry.train)),
         "held_out": ", ".join(name_of(log) for log in entry.test) or "none",
         "signals": f"{spec.signals.get('filter', 'default')}, "
         f"{spec.signals.get('derivatives', 'default')}{moving}",

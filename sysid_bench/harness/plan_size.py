@@ -13,7 +13,7 @@ from sysid_bench.harness.suite.model import LogEntry, Plant, Suite
 MANY: Final = 1_000_000
 """Most cells of a plan that nobody has to ask for: more are a mistake more often than a wish."""
 
-_AXES: Final = ("task", "terms", "excitation", "held_out", "rate", "signals")
+_AXES: Final = ("task", "terms", "excitation", "motions", "held_out", "rate", "signals")
 _NOISY_AXES: Final = ("plant", "noise", "prior", "simulation", "pipeline")
 """Axes that decide on repeats: an experiment that draws nothing is not repeated."""
 
@@ -77,6 +77,8 @@ def _kinds(suite: Suite, plant: Plant) -> tuple[int, int]:
     count = len(axes.prior) * len(simulations) * len(noises) * len(pipelines)
     exact = sum(not normal_noise(noise.model_dump(exclude_none=True)) for noise in noises)
     given = sum(not is_random_prior(normal_prior(prior_table(prior))) for prior in axes.prior)
+    if axes.redrawn:
+        return count, 0
     played = sum(entry.use == "inverse" for entry in simulations)
     fixed = (not has_random_sensors(plant.spec)) * exact * given * played * len(pipelines)
     return count - fixed, fixed

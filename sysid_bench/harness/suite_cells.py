@@ -86,10 +86,10 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
     axes = suite.defaults
     for task, terms, plant in itertools.product(axes.task, axes.terms, axes.plant):
         simulations, noises, pipelines = axes.of(plant)
-        for prior, excitation, held_out, simulation, rate, noise, signals, line in (
+        for prior, excitation, motions, held_out, simulation, rate, noise, signals, line in (
             itertools.product(
-                axes.prior, axes.excitation, axes.held_out, simulations, axes.rate, noises,
-                axes.signals, pipelines,
+                axes.prior, axes.excitation, axes.motions, axes.held_out, simulations, axes.rate,
+                noises, axes.signals, pipelines,
             )
         ):  # fmt: skip
             pipeline = named_pipeline(line.spec)
@@ -109,6 +109,8 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
                 signals=own_signals(_signals(signals), pipeline),
                 repeat=0,
                 pipeline=pipeline,
+                motions=motions,
+                redrawn=tuple(sorted(set(axes.redrawn))),
                 candidate=normal_candidate(axes.candidate.model_dump(exclude_none=True)),
             )
             repeats = suite.run.repeats if is_random(spec) else 1
@@ -134,6 +136,7 @@ def _labelled(
         "task": label["task"][canonical(spec.task)],
         "terms": "default" if spec.terms is None else " ".join(spec.terms) or "none",
         "rate": f"{spec.rate:.12g} Hz",
+        "motions": str(spec.motions),
         "signals": _signals_text(spec.signals),
         "pipeline": label["pipeline"][canonical(spec.pipeline or {"use": PLAIN})],
         "estimator": label["estimator"][canonical(estimator)],
@@ -159,7 +162,7 @@ def _signals_text(signals: Mapping[str, Any]) -> str:
 def _cost(spec: ExperimentSpec, estimators: int) -> float:
     period = _number(spec.excitation.get("period"), "s", 5.0)
     cycles = _number(spec.excitation.get("cycles"), "1", 2.0)
-    samples = period * cycles * spec.rate * (1 + len(spec.held_out))
+    samples = period * cycles * spec.rate * (spec.motions + len(spec.held_out))
     return (_SETUP_SECONDS + _SAMPLE_SECONDS * samples) / estimators + _ESTIMATOR_SECONDS
 
 

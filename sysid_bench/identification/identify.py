@@ -35,10 +35,21 @@ def _call(estimator: Any, problem: Problem, experiment: Experiment | None) -> An
     if hasattr(estimator, "fit"):
         if experiment is None:
             raise UnsupportedError(f"{estimator!r} needs an experiment; only a problem is given.")
+        _check_one_motion(estimator, problem)
         return estimator.fit(experiment)
     raise UsageError(
         f"{estimator!r} is not an estimator: it has neither solve(problem) nor fit(experiment)."
     )
+
+
+def _check_one_motion(estimator: Any, problem: Problem) -> None:
+    """Raise UnsupportedError where a method that simulates would see one of several motions."""
+    # An estimate from the first motion alone would be compared with those from all of them.
+    if problem.motions:
+        raise UnsupportedError(
+            f"{type(estimator).__name__} simulates one recorded motion, and the training data are "
+            f"{len(problem.motions)} motions: give it one (motions = 1, one training log)."
+        )
 
 
 def _checked(estimate: Any, problem: Problem) -> Estimate:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _CASE: Final = (
-    "robot", "payload", "task", "terms", "plant", "prior", "excitation", "held_out", "simulation",
-    "rate", "noise", "signals", "pipeline", "repeat",
+    "robot", "payload", "task", "terms", "plant", "prior", "excitation", "motions", "held_out",
+    "simulation", "rate", "noise", "signals", "pipeline", "repeat",
 )  # fmt: skip
 
 

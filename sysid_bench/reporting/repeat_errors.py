@@ -4,18 +4,30 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.repeat_statistic import ENOUGH_REPEATS, WITH_BOUND, Figure, mean_error
+from sysid_bench.evaluation.repeat_statistic import (
+    ENOUGH_REPEATS,
+    WITH_BOUND,
+    Figure,
+    mean_error,
+    share_interval,
+)
 from sysid_bench.types import Array
+from sysid_bench.vocabulary import STD_FROM
 
 if TYPE_CHECKING:
     import pandas as pd
 
 SETTING: Final = (
-    *("robot", "payload", "task", "terms", "plant", "prior", "excitation", "held_out"),
+    *("robot", "payload", "task", "terms", "plant", "prior", "excitation", "motions", "held_out"),
     *("simulation", "rate", "noise", "signals", "pipeline", "estimator"),
 )
-PARAMETER_COLUMNS: Final = ("id", "body", "name", "base_error", "bound")
+HELD: Final = tuple(f"held_{kind}" for kind in ("motions", "periods", "residuals", "textbook"))
+PARAMETER_COLUMNS: Final = ("id", "body", "name", "base_error", "bound", "class", *HELD)
 """Columns of the parameters that are read here."""
+
+
+WORST: Final = {f"coverage_worst_{one}": one for one in ("inertial", "friction")}
+"""Class of parameters by metric of the worst coverage."""
 
 
 def repeat_statistic(
@@ -26,12 +38,33 @@ def repeat_statistic(
     None where fewer than ENOUGH_REPEATS gave numbers, where all of them gave the same, or, for what
     is measured by the bound, where a parameter has none.
     """
+    if metric in WORST:
+        return _worst_coverage(WORST[metric], cells, parameters)
     errors, bound = repeat_errors(cells, parameters)
     if not _has_scatter(errors):
         return None
     if metric == "bias":
         return mean_error(errors)
     return WITH_BOUND[metric](errors, bound) if np.isfinite(bound).all() else None
+
+
+def _worst_coverage(one: str, cells: "pd.DataFrame", parameters: "pd.DataFrame") -> Figure | None:
+    """Share of repeats whose intervals hold the value, of the parameter of a class where it is
+    smallest, and its 95 % interval (Clopper and Pearson 1934); None where a group of cells has
+    several kinds of intervals, or fewer than ENOUGH_REPEATS."""
+    kinds: list[str] = cells[STD_FROM].unique().tolist() if STD_FROM in cells.columns else []
+    if len(kinds) != 1 or f"held_{kinds[0]}" not in parameters.columns:
+        return None
+    column, settings = f"held_{kinds[0]}", [name for name in SETTING if name in cells.columns]
+    lines = parameters[(parameters["class"] == one) & parameters[column].notna()]
+    lines = lines.merge(cells[["id", *settings]], on="id")
+    groups = lines.groupby([*settings, "body", "name"])[column]
+    hits, counts = groups.sum().to_numpy(dtype=int), groups.count().to_numpy(dtype=int)
+    if len(counts) == 0 or counts.min() < ENOUGH_REPEATS:
+        return None
+    worst = int(np.argmin(hits / counts))
+    hit, count = int(hits[worst]), int(counts[worst])
+    return (hit / count, *share_interval(hit, count))
 
 
 def _has_scatter(errors: Array) -> bool:

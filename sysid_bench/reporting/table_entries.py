@@ -12,6 +12,7 @@ from sysid_bench.reporting.statistic import interval_of, statistic_of
 from sysid_bench.reporting.table_layout import TableLayout
 from sysid_bench.reporting.tables import Entry, Key
 from sysid_bench.types import Metric
+from sysid_bench.vocabulary import OF_REPEATS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,7 +45,7 @@ def _entry(
     ok = group[group["status"] == "ok"]
     failures = group.loc[group["status"] != "ok", "status"].value_counts(sort=False)
     counts = {str(kind): int(number) for kind, number in failures.items()}
-    if metric.level == "repeats":
+    if metric.level in OF_REPEATS:
         return _of_repeats(ok, counts, metric, layout.interval, parameters)
     # Where every cell failed, no row has the metric at all.
     given = ok.get(metric.name, [None] * len(ok))

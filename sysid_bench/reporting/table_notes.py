@@ -11,6 +11,7 @@ from sysid_bench.reporting.selection import SWEEPABLE
 from sysid_bench.reporting.table_entries import Entries
 from sysid_bench.reporting.table_layout import TableLayout
 from sysid_bench.types import Metric
+from sysid_bench.vocabulary import INTERVAL_LIMITS, OF_REPEATS, STD_FROM
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,8 +25,15 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
         yield from _names(cells, layout, metric)
         yield from _reasons(cells, metric)
     yield from _too_few(layout, entries)
+    yield from _limits(cells, layout)
     if layout.effects:
         yield from effect_notes(dict(entries), (layout.rows, layout.columns))
+
+
+def _limits(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
+    """What the intervals of each kind hold, and what they cannot know of."""
+    kinds = cells[STD_FROM].unique() if STD_FROM in layout.fields else ()
+    yield from (f"{kind}: {INTERVAL_LIMITS[kind]}." for kind in kinds if kind in INTERVAL_LIMITS)
 
 
 def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
@@ -81,5 +89,5 @@ def _too_few(layout: TableLayout, entries: Entries) -> Iterator[str]:
 
 def _needs_of_repeats(layout: TableLayout) -> set[str]:
     """Needs of the metrics of all repeats; empty where the table has no such metric."""
-    repeated = (metric.needs for metric in layout.metrics if metric.level == "repeats")
+    repeated = (metric.needs for metric in layout.metrics if metric.level in OF_REPEATS)
     return set().union(*repeated)

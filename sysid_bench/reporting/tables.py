@@ -11,6 +11,7 @@ from typing import Final
 from sysid_bench.reporting.notation import Notation, notation
 from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
 from sysid_bench.types import Metric
+from sysid_bench.vocabulary import OF_REPEATS
 
 Key = tuple[str, ...]
 METRIC: Final = "metric"
@@ -147,8 +148,10 @@ class Table:
         """Statistic of one metric: ": median with interquartile range"; empty for words."""
         if self.metric.text:
             return ""
-        if self.metric.level != "repeats":
+        if self.metric.level not in OF_REPEATS:
             return f": {STATISTICS[self.stat]}{self._spread}"
+        if self.metric.level == "interval-repeats":
+            return ", with 95 % interval" if self.interval != "none" else ""
         # A figure of all repeats is not a statistic of cells: it has an interval of its own.
         ends = ", with 95 % bootstrap interval" if self.interval != "none" else ""
         return f": over all repeats and parameters{ends}"

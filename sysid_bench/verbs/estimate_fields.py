@@ -5,12 +5,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.covariance import StandardError
+from sysid_bench.evaluation.motion_spread import motion_fits
+from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.spatial.inertia import NAMES, mass_com_inertia, six_of_matrix
 from sysid_bench.types import Array, Estimate, Problem
+from sysid_bench.vocabulary import INTERVAL_LIMITS
 
 Errors = Mapping[str, StandardError]
 """Standard errors by the way they were found; the first one is reported."""
@@ -19,17 +21,28 @@ TERM: Final = {suffix: term for term, suffix in SUFFIX.items()}
 
 
 def estimate_fields(estimate: Estimate, problem: Problem, errors: Errors) -> dict[str, Any]:
-    """Return the fields `std_from`, `base`, `bodies` and `joints` of an identification.
+    """Return the fields `std_from`, `std_limit`, `base`, `bodies` and `joints` of an estimate.
 
-    `std_from`: origin of the standard deviations, "periods", "residuals" or "textbook" (see
-    evaluation/covariance.py); None without any.
+    `std_from`: origin of the standard deviations, "motions", "periods", "residuals" or "textbook"
+    (see evaluation/covariance.py), and `std_limit` what they do not hold; None without any.
     """
     return {
         "std_from": next(iter(errors), None),
+        "std_limit": _limit(estimate, problem, errors),
         "base": _base(estimate, problem, errors),
         "bodies": _bodies(estimate, problem, errors),
         "joints": _joints(estimate, problem, errors),
     }
+
+
+def _limit(estimate: Estimate, problem: Problem, errors: Errors) -> str | None:
+    """What the deviations hold, and why there are none between motions; None without any."""
+    kind = next(iter(errors), None)
+    if kind is None:
+        return None
+    fits = motion_fits(problem, estimate)
+    reason = f" (none between motions: {fits})" if isinstance(fits, str) else ""
+    return INTERVAL_LIMITS[kind] + reason
 
 
 def parameters_with(body: Mapping[str, Any], verdict: str) -> list[str]:

@@ -9,6 +9,7 @@ from sysid_bench.verbs.estimate_fields import parameters_with
 from sysid_bench.verbs.result import Result, estimate_text
 
 STD_FROM: Final = {
+    "motions": "from the spread between different motions",
     "periods": "from the spread over repeated periods",
     "residuals": "from residuals and the correlation of neighbouring ones",
     "textbook": "by the method's own formula",
@@ -24,7 +25,8 @@ class IdentifyResult(Result):
     `bodies`: {name: mass (kg), com (m), inertia about the centre of mass (Ixx Ixy Ixz Iyy Iyz Izz,
     kg m^2), parameters, identifiable, std}; a value is None unless it is identifiable. `joints`:
     {joint: {term: value, identifiable, std}}. `base`: base parameters with one standard deviation.
-    RMS errors in N m or N.
+    `std_limit`: what these deviations hold, and which bias they do not know of. RMS errors in N m
+    or N.
     """
 
     model: str
@@ -42,6 +44,7 @@ class IdentifyResult(Result):
     rmse_test: float | None
     torque_error: float | None
     std_from: str | None
+    std_limit: str | None
     base: list[dict[str, Any]]
     bodies: dict[str, dict[str, Any]]
     joints: dict[str, dict[str, dict[str, Any]]]
@@ -105,9 +108,11 @@ def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:
     return ["  base parameters, most significant first:", *lines, *more] if base else []
 
 
-def std_lines(std_from: str | None) -> list[str]:
-    """Meaning of ±; none without standard deviations."""
-    return [] if std_from is None else [f"  ±: one standard deviation, {STD_FROM[std_from]}"]
+def std_lines(std_from: str | None, std_limit: str | None) -> list[str]:
+    """Meaning of ±, and what it does not hold; none without standard deviations."""
+    if std_from is None:
+        return []
+    return [f"  ±: one standard deviation, {STD_FROM[std_from]}", f"     {std_limit}"]
 
 
 def _significance(entry: Mapping[str, Any]) -> float:

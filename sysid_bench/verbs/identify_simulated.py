@@ -93,6 +93,7 @@ class SimulatedResult(IdentifyResult):
     left_out: float
     gap: float
     std_from: str | None
+    std_limit: str | None
     base: list[dict[str, Any]]
     bodies: dict[str, dict[str, Any]]
     joints: dict[str, dict[str, dict[str, Any]]]
@@ -122,7 +123,7 @@ class SimulatedResult(IdentifyResult):
         lines += body_lines(self.bodies)
         lines += [joint_line(name, terms) for name, terms in self.joints.items()]
         lines += base_lines(self.base)
-        lines += std_lines(self.std_from)
+        lines += std_lines(self.std_from, self.std_limit)
         return "\n".join(lines + self._closing_lines())
 
 

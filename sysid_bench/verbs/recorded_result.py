@@ -43,6 +43,7 @@ class RecordedResult(IdentifyResult):
     replayed: dict[str, Any]
     logs: list[dict[str, Any]]
     std_from: str | None
+    std_limit: str | None
     base: list[dict[str, Any]]
     bodies: dict[str, dict[str, Any]]
     joints: dict[str, dict[str, dict[str, Any]]]
@@ -67,7 +68,7 @@ class RecordedResult(IdentifyResult):
             *(_joint_line(joint, train, test) for joint, train in self.training.items()),
             *(_test_line(label, table) for label, table in list(self.tests.items())[1:]),
             *base_lines(self.base),
-            *std_lines(self.std_from),
+            *std_lines(self.std_from, self.std_limit),
             *_payload_lines(self.payload),
         ]
         return "\n".join(lines + self._closing_lines())

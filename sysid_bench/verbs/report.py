@@ -30,7 +30,7 @@ from sysid_bench.reporting.tables import Table
 from sysid_bench.verbs.folders import open_run
 from sysid_bench.verbs.paper_output import draw_paper_figures, paper_tables, text_of
 from sysid_bench.verbs.recordings import recording_notes
-from sysid_bench.vocabulary import JOINT, PARAMETER, STD_FROM
+from sysid_bench.vocabulary import JOINT, OF_REPEATS, PARAMETER, STD_FROM
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -183,7 +183,8 @@ def _tables(run_folder: "RunFolder", frames: "Frames") -> Iterator[Table]:
 def _parameters(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame | None":
     """Parameters of all cells, for a table whose metrics need them."""
     names = spec.get("metrics") or [spec.get("cells", {}).get("metric")]
-    needed = any(metric.name in names and metric.level == "repeats" for metric in METRICS.values())
+    asked = (metric for metric in METRICS.values() if metric.name in names)
+    needed = any(metric.level in OF_REPEATS for metric in asked)
     return frames.read("parameters", PARAMETER_COLUMNS) if needed else None
 
 

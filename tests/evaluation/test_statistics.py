@@ -10,7 +10,6 @@ from scipy.stats import wilcoxon
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.covariance import (
     ResidualScores,
-    StandardError,
     residual_scores,
     standard_errors,
 )
@@ -24,6 +23,7 @@ from sysid_bench.evaluation.ranking_statistic import (
     win_rates,
 )
 from sysid_bench.evaluation.repeat_statistic import WITH_BOUND, mean_error
+from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.linear.weights import row_sigmas

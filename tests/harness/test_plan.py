@@ -49,12 +49,13 @@ CHANGES: dict[str, Any] = {
     "free_base": True,
     "sensor": "wrist",
     "pipeline": {"use": "parallel"},
+    "motions": 5,
     "redrawn": ("motions",),
     "candidate": {"step": 1e-3},
     "log": {"train": ["run.toml"]},
 }
 SEEDS: dict[Callable[[ExperimentSpec], int], set[str]] = {
-    motion_seed: {"seed", "robot", "excitation"},
+    motion_seed: {"seed", "robot", "excitation", "redrawn"},
     noise_seed: {"seed", "robot", "task", "excitation", "simulation", "rate", "repeat"},
     prior_seed: {"seed", "robot", "payload", "task"},
     sensor_seed: {"seed", "robot", "repeat", "sensor"},
@@ -309,3 +310,29 @@ def test_only_plain_reads_the_filters_of_signals() -> None:
 
 def expand_fields(cells: Any, name: str) -> set[Any]:
     return {fields(cell).get(name) for cell in cells}
+
+
+# --- Several motions ----------------------------------------------------------------------------
+
+
+def test_motions_are_a_factor_and_one_is_no_part_of_an_id() -> None:
+    silent, named = plan_of(small()), plan_of(small("[defaults]\nmotions = 1"))
+    assert [cell.id for cell in silent.cells] == [cell.id for cell in named.cells]
+    swept = plan_of(small("[defaults]\nmotions = [1, 5]\nredrawn = ['plant', 'motions']")).cells
+    assert len(swept) == 2 * len(silent.cells)
+    assert {cell.labels["motions"] for cell in swept} == {"1", "5"}
+    assert {fields(cell)["motions"] for cell in swept} == {1, 5}
+    assert {cell.spec.redrawn for cell in swept} == {("motions", "plant")}
+
+
+def test_what_is_redrawn_is_repeated_without_noise() -> None:
+    suite = "[run]\nrepeats = 3\n[defaults]\n"
+    assert len(plan_of(small(suite)).cells) * 3 == len(
+        plan_of(small(suite + "redrawn = 'motions'")).cells
+    )
+
+
+@pytest.mark.parametrize("wrong", ["motions = 0", "motions = 1.5", "redrawn = 'motion'"])
+def test_impossible_motions_are_refused(wrong: str) -> None:
+    with pytest.raises(UsageError, match=wrong.split()[0]):
+        plan_of(small(f"[defaults]\n{wrong}"))

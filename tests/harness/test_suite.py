@@ -237,7 +237,9 @@ def test_words_are_those_of_the_other_packages() -> None:
     from sysid_bench.signals.log_checks import NAMES
 
     assert set(words.TERMS) == set(TERMS)
-    of_axes = {words.VERDICT, words.COVERAGE, *names_of("joint")}
+    of_axes = {words.VERDICT, *names_of("joint")}
+    of_axes |= {*names_of("interval"), *names_of("interval-repeats")}
+    assert words.COVERAGE in names_of("interval")
     assert {*names_of("cell"), *names_of("repeats"), *of_axes} == set(METRICS)
     assert set(words.LEVEL_AXES) < {metric.level for metric in METRICS.values()}
     assert set(names_of("repeats")) == {"bias", *WITH_BOUND}

@@ -10,11 +10,11 @@ from scipy.special import stdtrit
 
 from sysid_bench.errors import EstimationError
 from sysid_bench.evaluation.score import base_parameters
+from sysid_bench.experiments.pooled_problem import row_factor
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.problem import (
     LogProblemBuilder,
     fold_factors,
-    row_factor,
 )
 from sysid_bench.experiments.recorded.term_selection import FOLDS
 from sysid_bench.experiments.recorded.unknowns import MASS

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from sysid_bench.experiments.pooled_problem import row_factor
 from sysid_bench.experiments.processed_rows import (
     MotionRows,
     ProcessedRows,
@@ -74,7 +75,7 @@ class LogProblemBuilder:
         """The problem W beta = b of all rows of the logs."""
         rows = self.unknowns.rows
         parts, along = [self._factors(log) for log in logs], [self.rows_along(log) for log in logs]
-        return Problem(
+        problem = Problem(
             parameters=self.unknowns.parameters,
             base=base,
             rows=rows,
@@ -87,6 +88,23 @@ class LogProblemBuilder:
             torque=self._rms_torque(logs, along),
             # Motions of several logs differ: their spread is more than that of the noise.
             period=along[0].period(logs[0].recording.motion) if len(logs) == 1 else 0,
+        )
+        if len(logs) == 1:
+            return problem
+        singles = zip(logs, parts, along, strict=True)
+        return replace(problem, motions=tuple(self._single(problem, *one) for one in singles))
+
+    def _single(
+        self, problem: Problem, log: ProcessedLog, factors: list[Factor], along: MotionRows
+    ) -> Problem:
+        """The part of a problem that comes from one of its logs."""
+        return replace(
+            problem,
+            factors=tuple(factors),
+            blocks=partial(_blocks, self, (log,)),
+            samples=along.samples,
+            torque=self._rms_torque([log], [along]),
+            period=along.period(log.recording.motion),
         )
 
     def regression(self, log: ProcessedLog) -> tuple[AnyRegression, Array]:
@@ -241,23 +259,6 @@ def fold_factors(
     ]
     rows = range(len(builder.unknowns.rows))
     return [[tuple(factors[f][k] for factors in log_factors) for k in rows] for f in range(count)]
-
-
-def row_factor(factors: Sequence[Factor]) -> Factor:
-    """One factor of the same row of several logs, which may have different columns."""
-    if len(factors) == 1:
-        return factors[0]
-    columns = np.unique(np.concatenate([factor.columns for factor in factors]))
-    padded = [_padded(factor, columns) for factor in factors]
-    return Factor(factors[0].row, columns, upper_factor(padded), sum(f.samples for f in factors))
-
-
-def _padded(factor: Factor, columns: Array) -> Array:
-    """R of a factor with zero columns for those of the sorted `columns` that it lacks."""
-    R = np.zeros((len(factor.R), len(columns) + 1))
-    R[:, np.searchsorted(columns, factor.columns)] = factor.R[:, :-1]
-    R[:, -1] = factor.R[:, -1]
-    return R
 
 
 def _blocks(builder: LogProblemBuilder, logs: tuple[ProcessedLog, ...]) -> Iterator[RowBlock]:

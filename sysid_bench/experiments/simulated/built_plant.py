@@ -16,7 +16,7 @@ from sysid_bench.experiments.simulated.composed_plant import (
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.plugin_settings import setting_fields
-from sysid_bench.simulation.plant import Plant, plant_of
+from sysid_bench.simulation.plant import Plant, plant_of, viscous_coupling
 from sysid_bench.simulation.plant_robot import PlantCoordinates, with_model_errors
 from sysid_bench.simulation.sensor_chain import RngOf, SensorChain, sensor_chain
 from sysid_bench.simulation.sizes import drawn_sizes
@@ -47,6 +47,13 @@ class BuiltPlant:
     def has_exact_model(self) -> bool:
         """True where neither the model nor the sensors have errors."""
         return self.chain.is_exact and self.plant.robot is self.model
+
+    @property
+    def is_matched(self) -> bool:
+        """True where the plant is the model: no effects, no errors of the model."""
+        own = len(viscous_coupling(self.plant.terms))
+        unmodelled = len(self.plant.laws) > own or self.plant.transmission is not None
+        return self.plant.robot is self.model and not unmodelled
 
     def rng_of(self, seed: int) -> RngOf:
         """Generators of the stages of the chain for a recording with this noise seed."""

@@ -18,7 +18,7 @@ from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors, sensor
 from sysid_bench.experiments.simulated.method_model import known_model
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
 from sysid_bench.experiments.simulated.record import SimulatedRobot, held_out_motions
-from sysid_bench.experiments.spec import REDRAWN, ExperimentSpec
+from sysid_bench.experiments.spec import PLANT, REDRAWN, ExperimentSpec
 from sysid_bench.models.body_extents import body_extents
 from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import instruments_of
@@ -46,6 +46,12 @@ class NoiseFreePart:
     prior: Prior | None
 
     @cached_property
+    def trainings(self) -> tuple[SimulatedRobot, ...]:
+        """The plant on each of the training motions."""
+        further = (replace(self.simulated, motion=i) for i in range(1, self.spec.motions))
+        return (self.simulated, *further)
+
+    @cached_property
     def known_model(self) -> KnownModel:
         """The robot without its unknown parameters."""
         return known_model(self.builder.robot, self.task)
@@ -59,7 +65,7 @@ class NoiseFreePart:
     def held_out(self) -> dict[str, Problem]:
         """Problems of other motions, with exact signals."""
         return {
-            name: self.builder.build(*self._exact(oracle)) for name, oracle in self._oracles.items()
+            name: self.builder.build(*self.exact(oracle)) for name, oracle in self._oracles.items()
         }
 
     @cached_property
@@ -67,7 +73,7 @@ class NoiseFreePart:
         """The same problems without the rows of joints at standstill."""
         problems = {}
         for name, oracle in self._oracles.items():
-            motion, measured = self._exact(oracle)
+            motion, measured = self.exact(oracle)
             rows = self.builder.rows_along(motion, MOVING)
             problems[name] = self.builder.build(motion, measured, rows=rows)
         return problems
@@ -76,7 +82,7 @@ class NoiseFreePart:
     def _oracles(self) -> dict[str, Oracle]:
         return held_out_motions(self.spec, self.simulated)
 
-    def _exact(self, oracle: Oracle) -> tuple[Trajectory, Array]:
+    def exact(self, oracle: Oracle) -> tuple[Trajectory, Array]:
         """Motion as the model counts it, and noise-free torques and wrenches (N, n + 6 sensors)."""
         return MeasuredSensors(self.spec, self.simulated.built, self.task).noise_free(oracle)
 
@@ -94,9 +100,7 @@ def _without_noise(spec: ExperimentSpec, loaded: LoadedRobot) -> ExperimentSpec:
     """
     if find_task(spec.task, loaded.folder).measures_sensor_only:
         return spec
-    redrawn = "plant" in spec.redrawn or (
-        not isinstance(spec.prior, str) and spec.prior.get(REDRAWN)
-    )
+    redrawn = PLANT in spec.redrawn or (not isinstance(spec.prior, str) and spec.prior.get(REDRAWN))
     repeat = spec.repeat if redrawn else 0
     return replace(spec, noise={}, signals={}, pipeline=None, repeat=repeat)
 

@@ -1,6 +1,6 @@
 """Simulated experiments: record, preprocess, build the problem; once for all estimators."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sysid_bench.experiments.loaded_robot import LoadedRobot
+from sysid_bench.experiments.pooled_problem import pooled
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.seed import noise_seed
 from sysid_bench.experiments.simulated.built_plant import built_plant
@@ -17,9 +18,18 @@ from sysid_bench.experiments.simulated.method_model import (
     SimulateModel,
     refuse_simulation,
 )
+from sysid_bench.experiments.simulated.motions import (
+    common_bound,
+    mean_share,
+    recorded_motions,
+)
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart, noise_free_part
 from sysid_bench.experiments.simulated.preprocess import ProcessedRecording, preprocess
-from sysid_bench.experiments.simulated.problem import measured_signals, regressor_blocks
+from sysid_bench.experiments.simulated.problem import (
+    ProblemBuilder,
+    measured_signals,
+    regressor_blocks,
+)
 from sysid_bench.experiments.simulated.record import Repetition, record, recordings_of
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.experiments.spec import ExperimentSpec
@@ -35,26 +45,27 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     Raises UnsupportedError or UsageError where there is none, with the reason.
     """
     noise_free = noise_free_part(spec, loaded)
-    builder, simulated = noise_free.builder, noise_free.simulated
+    builder = noise_free.builder
     order = recordings_of(spec, noise_free.task)
     first_loaded = next(repetition for repetition in order if repetition.loaded)
-    sensors = MeasuredSensors(spec, simulated.built, noise_free.task)
-    sampled = record(spec, simulated, sensors, first_loaded)
-    processed = preprocess(spec, loaded, builder, sampled)
-    runs = _runs(spec, noise_free, order, Run(True, processed.recording))
-    experiment = _experiment(noise_free, processed, runs)
+    sampled = recorded_motions(spec, noise_free, first_loaded)
+    processed = [preprocess(spec, loaded, builder, one) for one in sampled]
+    runs = _runs(spec, noise_free, order, Run(True, processed[0].recording))
+    experiments = [_experiment(noise_free, one, runs) for one in processed]
+    problem = pooled([experiment.problem for experiment in experiments])
+    experiment = replace(experiments[0], problem=problem)
     _make_read_only(experiment)
-    motion = processed.recording.motion
-    along = builder.rows_along(motion, processed.rows)
+    motion = processed[0].recording.motion
     source = SimulatedSource(
         spec=spec,
         noise_free=noise_free,
         motion=motion,
         known=builder.known(motion)[:, builder.row_indices],
-        bound=sampled.cramer_rao_bound(builder),
-        left_out=processed.left_out,
-        step=sampled.oracle.step,
-        standstill=along.left_out,
+        bound=common_bound([one.cramer_rao_bound(builder) for one in sampled]),
+        left_out=mean_share([(one.left_out, len(one.recording)) for one in processed]),
+        standstill=_standstill(builder, processed),
+        rows=processed[0].rows,
+        step=sampled[0].oracle.step,
     )
     return Prepared(
         loaded.robot,
@@ -64,6 +75,12 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
         source,
         noise_free.held_out_moving,
     )
+
+
+def _standstill(builder: ProblemBuilder, processed: Sequence[ProcessedRecording]) -> float:
+    """Share of the rows of all motions that are left out as standstill."""
+    along = [builder.rows_along(one.recording.motion, one.rows) for one in processed]
+    return mean_share([(one.left_out, one.samples) for one in along])
 
 
 def _experiment(

@@ -47,6 +47,7 @@ class SimulatedRobot:
     loaded: LoadedRobot
     built: BuiltPlant
     design_problem: Callable[[float], DesignProblem]  # of the model, at a rate (Hz)
+    motion: int = 0  # index of the training motion
 
     @cached_property
     def simulation(self) -> Any:
@@ -63,7 +64,7 @@ class SimulatedRobot:
     def training(self) -> CommandedMotion:
         """The training motion at the rate of the simulation, with its margins to the limits."""
         rate = self.simulation.design_rate(self.spec.rate)
-        return self._checked(self.spec.excitation, rate, motion_seed(self.spec))
+        return self._checked(self.spec.excitation, rate, motion_seed(self.spec, self.motion))
 
     @property
     def commanded(self) -> Trajectory:
@@ -74,11 +75,8 @@ class SimulatedRobot:
     def other_motions(self) -> tuple[CommandedMotion, ...]:
         """The held-out motions, at the rate of the recording; with elastic joints at that of the
         simulation."""
-        rate = self.spec.rate
-        if self.built.plant.transmission is not None:
-            rate = self.simulation.design_rate(rate)
         return tuple(
-            self._checked(excitation, rate, held_out_seed(self.spec, index))
+            self._other(excitation, held_out_seed(self.spec, index))
             for index, excitation in enumerate(self.spec.held_out)
         )
 
@@ -90,6 +88,12 @@ class SimulatedRobot:
             margins = margins.with_motion(other.margins)
         return margins
 
+    def _other(self, excitation: Mapping[str, Any], seed: int) -> CommandedMotion:
+        rate = self.spec.rate
+        if self.built.plant.transmission is not None:
+            rate = self.simulation.design_rate(rate)
+        return self._checked(excitation, rate, seed)
+
     def _checked(self, excitation: Mapping[str, Any], rate: float, seed: int) -> CommandedMotion:
         return commanded_motion(excitation, self.loaded, self.design_problem(rate), seed)
 
@@ -100,6 +104,10 @@ class SimulatedRobot:
         if type(self.simulation) is Inverse:
             return self._undisturbed, None
         return self._moved(self.simulation, self.commanded, error)
+
+    def along(self, excitation: Mapping[str, Any], seed: int) -> Oracle:
+        """Ground truth of the plant on another motion, at the rate of the recording."""
+        return self.held_out(self._other(excitation, seed).motion)
 
     def held_out(self, motion: Trajectory) -> Oracle:
         """Ground truth of the plant on one of the other motions, at the rate of the recording."""
@@ -178,7 +186,7 @@ class SampledRecording:
     rows: RowProcessing = field(default_factory=RowProcessing)  # of W beta = b
 
     def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
-        """The Cramer-Rao bound (r,) as standard deviations where torque alone is noisy; None where
+        """The Cramer-Rao bound (r, r) of the covariance where torque alone is noisy; None where
         a row has no noise of that kind, where the model or the sensors have other errors, or the
         motion does not excite every direction."""
         if builder.task.cuts or not self.has_exact_model:
@@ -205,7 +213,7 @@ def _bound(
     else:  # whitening in time mixes samples: the blocks have to be dense
         blocks = regressor_blocks(builder.regression, rows, builder.instruments, motion)
         covariance = torque_bound(blocks, np.diag(row_std**2), correlation)
-    return None if covariance is None else np.sqrt(np.diag(covariance))
+    return covariance
 
 
 def record(

@@ -1,12 +1,14 @@
 """Simulated data as a source: the ground truth, and scores of estimates against it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from sysid_bench.evaluation.covariance import StandardError, standard_errors
+from sysid_bench.evaluation.covariance import standard_errors
+from sysid_bench.evaluation.interval_figures import targets_of
 from sysid_bench.evaluation.score import base_parameters, data_figures, score
+from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.excitation.limit_margins import margin_fields
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
@@ -17,10 +19,17 @@ from sysid_bench.experiments.simulated.ft_score import (
     rank_fields,
     sensor_excitation,
 )
+from sysid_bench.experiments.simulated.intervals import (
+    JudgedIntervals,
+    interval_rows,
+    with_joints,
+)
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
+from sysid_bench.experiments.simulated.pseudo_true import HOW, pseudo_true
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.identifiability.subspaces import Excitation
 from sysid_bench.identifiability.verdicts import verdicts
+from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.tasks.task import Task
@@ -39,6 +48,7 @@ class SimulatedSource:
     step: float | None  # s, of the plant in a closed loop
     left_out: float  # share of the samples that were removed as contacts
     standstill: float = 0.0  # share of the rows that were left out as standstill
+    rows: RowProcessing = field(default_factory=RowProcessing)  # of the training
 
     @property
     def task(self) -> Task:
@@ -123,33 +133,58 @@ class SimulatedSource:
             errors=deviations if self._has_noise else None,
             moving=prepared.held_out_moving,
         )
+        intervals = self._intervals(prepared, estimate, deviations)
         contact = {}
         if self.contact_test is not None:
             contact = contact_fields(self.contact_test.errors(problem, self.truth, estimate))
-        table = _parameter_table(estimate, problem, self.truth, self.bound, deviations)
-        return vars(scores) | contact | {"parameters_table": table}
+        compared = _Compared(self.truth, self.bound, deviations, intervals)
+        table = _parameter_table(estimate, problem, compared)
+        fields = interval_rows(intervals, prepared, estimate)
+        return with_joints(vars(scores), fields) | contact | {"parameters_table": table}
+
+    def _intervals(
+        self,
+        prepared: Prepared["SimulatedSource"],
+        estimate: Estimate,
+        deviations: Mapping[str, StandardError],
+    ) -> "JudgedIntervals | None":
+        """The confidence intervals and what they should hold; None without noise, where an
+        interval has no width, or without an estimate."""
+        beta, problem = base_parameters(estimate), prepared.problem
+        if beta is None or not self.spec.noise or not deviations:
+            return None
+        limit = pseudo_true(self.noise_free, self.rows)
+        targets = targets_of(problem, problem.base.K @ self.truth.theta, limit, HOW)
+        return JudgedIntervals(beta, deviations, targets)
 
 
-def _parameter_table(
-    estimate: Estimate,
-    problem: Problem,
-    truth: Truth,
-    bound: Array | None,
-    deviations: Mapping[str, StandardError],
-) -> list[Row]:
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """What estimated parameters are compared with: true values, the Cramer-Rao bound (r,), the
+    deviations by kind, and the intervals where they are judged."""
+
+    truth: Truth
+    bound: Array | None
+    deviations: Mapping[str, StandardError]
+    intervals: JudgedIntervals | None
+
+
+def _parameter_table(estimate: Estimate, problem: Problem, compared: _Compared) -> list[Row]:
     """True and estimated base parameters, named by their pivots; all parameters where the method
     claims all of them, each with its verdict, so that no claim passes for knowledge.
 
     `std` is the first of the deviations that exist, `std_from` its kind. The pivot of a base
-    parameter has the error of that one as `base_error`, and its deviation by Cramer and Rao as
-    `bound`.
+    parameter has the error of that one as `base_error`, its deviation by Cramer and Rao as `bound`,
+    its `class`, and `held_<kind>`: 1 where the 95 % interval of a kind holds its target.
     """
     beta = base_parameters(estimate)
     if beta is None:
         return []
     base, verdict = problem.base, verdicts(problem.base)
+    truth, bound, deviations = compared.truth, compared.bound, compared.deviations
     beta_true = base.K @ truth.theta
     errors = {"base_error": beta - beta_true} | ({} if bound is None else {"bound": bound})
+    intervals = compared.intervals
     if estimate.theta is None:
         claimed, true, found = base.pivots.tolist(), base.embed(beta_true), base.embed(beta)
     else:
@@ -160,6 +195,8 @@ def _parameter_table(
     for j in claimed:
         row = _parameter_row(problem.parameters[j], float(true[j]), float(found[j]), verdict[j])
         row |= _entry(errors, base_index.get(j))
+        if intervals is not None and j in base_index:
+            row |= intervals.of_parameter(base_index[j])
         # A deviation of a base parameter is that of its pivot only where the pivot stands alone.
         if estimate.theta is None or verdict[j] == "identifiable":
             row |= {"std_from": kind, **_entry(spreads, base_index[j])}

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import (
     AfterValidator,
@@ -22,6 +22,7 @@ from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
 from sysid_bench.excitation.limit_rule import marks_limits, own_settings
 from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_plugins
+from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
     check_context,
     checked,
@@ -62,6 +63,8 @@ from sysid_bench.signals.log_description import log_description, name_of
 from sysid_bench.signals.pipeline_choice import PLAIN
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import FINDINGS
+
+MOST_MOTIONS: Final = 1000
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
 
@@ -213,6 +216,12 @@ class DefaultSettings(SuiteTable):
     excitation: Annotated[tuple[Annotated[Excitation, Named], ...], Sweep] = Field(
         default=("fourier",), validate_default=True
     )
+    motions: Annotated[tuple[Annotated[StrictInt, Field(ge=1, le=MOST_MOTIONS)], ...], Sweep] = (1,)
+    """Different training motions, recorded one after the other."""
+    redrawn: Annotated[
+        tuple[Annotated[str, one_of("part that repeats draw anew", (MOTIONS, PLANT))], ...],
+        BeforeValidator(optional_items),
+    ] = ()
     held_out: Annotated[
         tuple[Annotated[tuple[Annotated[Excitation, Named], ...], BeforeValidator(_motions)], ...],
         ListSweep,

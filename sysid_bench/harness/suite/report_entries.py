@@ -22,6 +22,7 @@ from sysid_bench.vocabulary import (
     JOINT,
     LABELS,
     LEVEL_AXES,
+    OF_REPEATS,
     PARAMETER,
     STATISTICS,
     STD_FROM,
@@ -82,14 +83,16 @@ class TableEntry(SuiteTable):
             raise ValueError("give metrics = [...], or cells = { metric = ... }; not both.")
         known = {**METRICS, **check_context(info).metrics}
         named = [known[name] for name in self.metrics or (str(self.cells.metric),)]
-        for level, axis in LEVEL_AXES.items():
-            fitting = [metric for metric in named if metric.level == level]
+        for axis in dict.fromkeys(LEVEL_AXES.values()):
+            levels = [level for level, needed in LEVEL_AXES.items() if needed == axis]
+            fitting = [metric for metric in named if metric.level in levels]
             if len(fitting) != (len(named) if axis in (*self.rows, *self.columns) else 0):
+                names = [name for level in levels for name in names_of(level)]
                 raise ValueError(
-                    f"the metrics {', '.join(names_of(level))} and the label {axis!r} among rows "
-                    "or columns go together."
+                    f"the metrics {', '.join(names)} and the label {axis!r} among rows or columns "
+                    "go together."
                 )
-        repeated = [metric.name for metric in named if metric.level == "repeats"]
+        repeated = [metric.name for metric in named if metric.level in OF_REPEATS]
         if repeated and (
             "repeat" in (*self.rows, *self.columns) or self.cells.interval not in ("none", "ci95")
         ):

@@ -1,0 +1,105 @@
+"""Confidence intervals against the values that they should hold, and prediction intervals.
+
+Each parameter is an inertial one or one of friction, by the pivot of its combination. Inertial ones
+are judged by their true values. Friction that the model does not contain has no true value in it:
+its target is then the pseudo-true one, to which estimates from ever more motions converge (White
+1982).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.evaluation.motion_spread import MotionFits
+from sysid_bench.evaluation.standard_error import LEVEL, StandardError
+from sysid_bench.identification.linear.normal_qr import stacked_factor
+from sysid_bench.models.robot import SUFFIX
+from sysid_bench.types import Array, Problem
+
+INERTIAL, FRICTION = "inertial", "friction"
+CLASSES: Final = (INERTIAL, FRICTION)
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """Values (r,) that intervals should hold, the class of each parameter, and `friction`: "true",
+    or how the values of friction were found."""
+
+    values: Array
+    classes: Array
+    friction: str
+
+
+def targets_of(problem: Problem, true: Array, pseudo_true: Array | None, how: str) -> Targets:
+    """Return the targets (r,): true values, those of friction from `pseudo_true` unless None."""
+    classes = parameter_classes(problem)
+    if pseudo_true is None:
+        return Targets(true, classes, "true")
+    return Targets(np.where(classes == FRICTION, pseudo_true, true), classes, how)
+
+
+def parameter_classes(problem: Problem) -> Array:
+    """Return the class (r,) of each base parameter: inertias of links and rotors are inertial, all
+    other terms of joints are friction."""
+    bodies = {column for body in problem.bodies for column in body.columns}
+    rotor = f".{SUFFIX['armature']}"
+    names = [problem.parameters[pivot] for pivot in problem.base.pivots]
+    return np.array([INERTIAL if n in bodies or n.endswith(rotor) else FRICTION for n in names])
+
+
+def held(error: StandardError, beta: Array, targets: Array) -> Array:
+    """Return the mask (r,) of the intervals that hold their target."""
+    low, high = error.interval(beta)
+    return np.asarray((low <= targets) & (targets <= high))
+
+
+def interval_score(error: StandardError, beta: Array, targets: Array) -> Array:
+    """Return the interval score (r,): width plus 2 / alpha times the distance of the target from
+    the interval (Gneiting and Raftery 2007, equation 43); lower is better."""
+    low, high = error.interval(beta)
+    outside = np.maximum(low - targets, 0.0) + np.maximum(targets - high, 0.0)
+    return np.asarray(high - low + 2.0 / (1.0 - LEVEL) * outside)
+
+
+def interval_fields(
+    problem: Problem, beta: Array, errors: Mapping[str, StandardError], targets: Targets
+) -> dict[str, Any]:
+    """Return `coverage_<class>`, `width_<class>` and `interval_score_<class>` by kind of interval,
+    means over the parameters of a class; widths and scores as shares of the torque."""
+    shares = torque_shares(problem)
+    fields: dict[str, Any] = {"friction_target": targets.friction}
+    for one in CLASSES:
+        chosen = targets.classes == one
+        if not chosen.any():
+            continue
+        for kind, error in errors.items():
+            score = interval_score(error, beta, targets.values)
+            values = {
+                "coverage": held(error, beta, targets.values),
+                "width": 2 * error.half_width() * shares,
+                "interval_score": score * shares,
+            }
+            for name, value in values.items():
+                fields.setdefault(f"{name}_{one}", {})[kind] = float(value[chosen].mean())
+    return fields
+
+
+def torque_shares(problem: Problem) -> Array:
+    """Return the torque (r,) of one unit of each base parameter as a share of the whole one: the
+    norm of its column over that of the right-hand side, both on the training data."""
+    R = stacked_factor(problem)
+    size = np.linalg.norm(R, axis=0)
+    return np.asarray(size[:-1] / size[-1]) if size[-1] > 0 else np.zeros(len(size) - 1)
+
+
+def torque_inside(fits: MotionFits, held_out: Mapping[str, Problem]) -> Array:
+    """Return the share (rows,) of held-out torques inside of their prediction interval."""
+    half_width = fits.torque_half_width()
+    inside, samples = np.zeros(len(half_width)), 0
+    for problem in held_out.values():
+        for Y, b in problem.blocks():
+            inside += (np.abs(b - Y @ fits.beta) <= half_width).sum(axis=0)
+            samples += len(b)
+    return inside / max(samples, 1)
