@@ -363,7 +363,7 @@ def test_a_hundred_grams_on_a_real_arm(arm: dict[str, Path]) -> None:
         (6, None, 1, "residuals"),
         (3, "1 s", 1, "residuals"),
         (6, "1.013 s", 1, "residuals"),
-        (6, "1 s", 2, "residuals"),
+        (6, "1 s", 2, "periods"),
     ],
 )
 def test_a_log_that_repeats_gives_its_deviations_by_its_periods(

@@ -168,7 +168,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Wobble:
-    size: float = 0.3
+    size: float = 0.1
 
     def design(self, brief, rng):
         t = brief.times(4.0)
