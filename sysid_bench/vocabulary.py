@@ -100,7 +100,11 @@ INTERVAL_LIMITS: Final = {
     "encoders, gains, filters and friction is not in it",
     "textbook": "holds noise as the method assumes it; neither misfit nor any bias is in it",
 }
-"""What an interval of each kind holds, and what it cannot know of."""
+"""Contents and limits of an interval, by kind."""
+
+INTEGRATORS: Final = ("auto", "euler", "implicitfast", "implicit", "rk4")
+"""Integrators of a closed loop; "auto" is semi-implicit Euler where the torque is held over the
+control period, else "implicitfast"."""
 
 STATISTICS: Final = ("median", "mean", "min", "max", "count")
 INTERVALS: Final = ("none", "iqr", "std", "range", "ci95")

@@ -108,7 +108,7 @@ def _prepared_outputs(error: Any, case: SensorErrorCase) -> dict[str, Array]:
 
 
 def _outputs(stage: Any, case: SensorErrorCase) -> dict[str, Array]:
-    """What each method of a stage gives; {} for None."""
+    """Results of a stage by name, one or two per method; {} for None."""
     signal, outputs = case.signal, dict[str, Any]()
     if isinstance(stage, EncoderStage):
         outputs["encoder_error"] = stage.encoder_error(signal.q)
@@ -123,7 +123,7 @@ def _outputs(stage: Any, case: SensorErrorCase) -> dict[str, Array]:
 
 
 def _undisturbed(case: SensorErrorCase) -> dict[str, Array]:
-    """What the methods give without an error."""
+    """Results of a stage without an error, by name."""
     signal = case.signal
     zero = np.zeros_like(signal.q)
     return {

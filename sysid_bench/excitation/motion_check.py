@@ -37,10 +37,10 @@ DIGITS: Final = 64
 
 @dataclass(frozen=True, eq=False)
 class Increments:
-    """What a signal gains from sample to sample, by degree of freedom, `moves` (N - 1, nv): of a
-    quaternion the rotation vector between both. `swing` (N - 2, nv): half the cross product of
-    successive rotation vectors, by which their axis swings. `size` (nv,): that of the numbers it is
-    computed from, at least 1."""
+    """Increments `moves` (N - 1, nv) of a signal from sample to sample, by degree of freedom: of a
+    quaternion the rotation vector between both (rad). `swing` (N - 2, nv): half the cross product
+    of successive rotation vectors, by which their axis swings. `size` (nv,): that of the numbers it
+    is computed from, at least 1."""
 
     moves: Array
     swing: Array

@@ -82,7 +82,7 @@ class ExperimentSpec:
 
 
 MOTIONS, PLANT = "motions", "plant"
-"""What `redrawn` may hold: each repeat then draws these anew."""
+"""Values of `redrawn`: each repeat draws these anew."""
 
 REDRAWN: Final = "redrawn"
 """Key of a prior that is drawn again with each repeat; the other keys are spreads."""

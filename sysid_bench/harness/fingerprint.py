@@ -81,7 +81,7 @@ def cell_fingerprint(
 def _model_files(
     robot: str, robots_dir: Path | None, folder: Path | None
 ) -> tuple[Path, ...] | None:
-    """Files of a robot, none of a generated one; None where there is no such robot."""
+    """Files of a robot, none of a generated one; None for an unknown robot."""
     try:
         manifest = find_manifest(robot, robots_dir, folder)
     except SysidBenchError:

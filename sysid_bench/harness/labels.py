@@ -13,8 +13,9 @@ from sysid_bench.experiments.simulated.composed_plant import (
 )
 from sysid_bench.experiments.spec import normal_noise, normal_payload, normal_prior
 from sysid_bench.harness.suite.data_entries import Noise, Prior
-from sysid_bench.harness.suite.model import Plugin, RobotEntry, Suite
+from sysid_bench.harness.suite.model import RobotEntry, Suite
 from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.suite.plugin_entries import Plugin
 
 BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}
 """Suffix of a robot's name where the suite sets its base."""

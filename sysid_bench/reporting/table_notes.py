@@ -31,7 +31,7 @@ def table_notes(cells: "pd.DataFrame", layout: TableLayout, entries: Entries) ->
 
 
 def _limits(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
-    """What the intervals of each kind hold, and what they cannot know of."""
+    """Contents and limits of the intervals of each kind, a sentence each."""
     kinds = cells[STD_FROM].unique() if STD_FROM in layout.fields else ()
     yield from (f"{kind}: {INTERVAL_LIMITS[kind]}." for kind in kinds if kind in INTERVAL_LIMITS)
 

@@ -19,7 +19,6 @@ from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.simulation.plant_robot import plant_controller
 from sysid_bench.simulation.sensors import first_order
 from sysid_bench.simulation.tracking_model import (
-    INTEGRATORS,
     StepChoice,
     drive_of,
     fastest_decay,
@@ -27,6 +26,7 @@ from sysid_bench.simulation.tracking_model import (
     tracking_model,
 )
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
+from sysid_bench.vocabulary import INTEGRATORS
 
 EXPLICIT_DECAY: Final = 1.0
 """Largest product of control period and fastest decay rate for a torque that is held over a period,
@@ -192,8 +192,8 @@ def _check_gains(name: str, gains: object) -> None:
 def _check_steps(substeps: int, integrator: str) -> None:
     if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
         raise UsageError(f"substeps = {substeps!r}: give a whole number of 1 or more.")
-    if integrator not in ("auto", *INTEGRATORS):
-        raise unknown_name("integrator", integrator, ("auto", *INTEGRATORS))
+    if integrator not in INTEGRATORS:
+        raise unknown_name("integrator", integrator, INTEGRATORS)
 
 
 def _is_positive(x: object) -> bool:

@@ -39,18 +39,17 @@ MOST_STEPS: Final = 20
 MOST_SPRING_STEPS: Final = 200
 """Maximal number of simulation steps per control period for internal springs."""
 
-INTEGRATORS: Final = {
+_INTEGRATORS: Final = {
     "euler": mujoco.mjtIntegrator.mjINT_EULER,
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
     "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
     "rk4": mujoco.mjtIntegrator.mjINT_RK4,
 }
-"""Integrators of a closed loop, by name; "auto" is semi-implicit Euler where the torque is held."""
 
 
 @dataclass(frozen=True)
 class StepChoice:
-    """Steps of the plant per control period, at least, and its integrator (INTEGRATORS, "auto")."""
+    """Steps of the plant per control period, at least, and its integrator (`vocabulary`)."""
 
     substeps: int = 1
     integrator: str = "auto"
@@ -63,7 +62,7 @@ def tracking_model(
 
     Its affine bias is the PD feedback tau = kp (u - q) - kd v, limited to the joint's torque limit;
     where `drive_of` evaluates the feedback, the motor gives its input. Raises UnsupportedError for
-    internal springs that need too many steps.
+    internal springs that need too many steps, and for implicit integrators of coupled robots.
     """
     spec = plant.robot.spec.copy()
     plain = _has_plain_motors(plant, controller, choice)
@@ -77,7 +76,7 @@ def tracking_model(
         equality.solref, equality.solimp = STIFF_EQUALITY
     mj = plant.compiled(spec)
     explicit = controller.held or plant.robot.coupling is not None
-    mj.opt.integrator = int(_integrator(choice.integrator, explicit))
+    mj.opt.integrator = int(_integrator(choice.integrator, plant, controller.held))
     if explicit:
         mj.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
     if plant.robot.coupling is not None:
@@ -120,12 +119,21 @@ def fastest_decay(mj: mujoco.MjModel, damping: Array) -> float:
     return float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(mass_matrix(mj)) * root)[-1])
 
 
-def _integrator(name: str, explicit: bool) -> mujoco.mjtIntegrator:
-    """The integrator of a name; an implicit one violates couplings: torque errors of a gripper are
-    7 %, with an explicit one 0.01 %."""
+def _integrator(name: str, plant: Plant, held: bool) -> mujoco.mjtIntegrator:
+    """The integrator of a name.
+
+    Raises UnsupportedError for an implicit one of a coupled robot, which violates the couplings:
+    torque errors of a gripper are 7 %, with an explicit one 0.01 %.
+    """
+    coupled = plant.robot.coupling is not None
     if name == "auto":
-        name = "euler" if explicit else "implicitfast"
-    return INTEGRATORS[name]
+        name = "euler" if held or coupled else "implicitfast"
+    if coupled and name.startswith("implicit"):
+        raise UnsupportedError(
+            f"{plant.robot.name} has coupled joints, whose couplings the integrator {name!r} "
+            "violates; use 'euler' or 'rk4'."
+        )
+    return _INTEGRATORS[name]
 
 
 def _add_motor(

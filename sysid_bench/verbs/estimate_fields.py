@@ -36,7 +36,8 @@ def estimate_fields(estimate: Estimate, problem: Problem, errors: Errors) -> dic
 
 
 def _limit(estimate: Estimate, problem: Problem, errors: Errors) -> str | None:
-    """What the deviations hold, and why there are none between motions; None without any."""
+    """Contents and limits of the deviations, and the reason where there are none between motions;
+    None without any deviations."""
     kind = next(iter(errors), None)
     if kind is None:
         return None

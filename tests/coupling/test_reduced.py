@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sysid_bench.errors import UnsupportedError
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.normal_qr import residual_norm
@@ -18,6 +19,8 @@ from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.kinematics import kinematics_of
 from sysid_bench.simulation.mujoco_inverse import constrained_torque
 from sysid_bench.simulation.plant import plant_of
+from sysid_bench.simulation.tracking_control import TrackingControl
+from sysid_bench.simulation.tracking_model import StepChoice, tracking_model
 from tests.coupling.mechanisms import KINDS, LOOPS, chain, four_bar, mechanism, mjcf
 from tests.experiments.experiment_world import executed, ready, spec
 from tests.robots import relative_gap, robot_of, states
@@ -181,3 +184,14 @@ def test_a_robot_without_couplings_is_its_own_uncoupled_robot() -> None:
     assert robot.torque_rows == robot.rows
     tau = np.ones((3, robot.nv))
     assert robot.reduced(np.zeros((3, robot.nv)), tau) is tau
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_couplings_take_explicit_integrators_alone(kind: str) -> None:
+    plant = plant_of(mechanism(kind))
+    controller = TrackingControl().controller(plant)
+    for name in ("auto", "euler", "rk4"):
+        assert tracking_model(plant, controller, StepChoice(4, name)).opt.timestep <= 0.25e-3
+    for name in ("implicit", "implicitfast"):
+        with pytest.raises(UnsupportedError, match="coupled joints"):
+            tracking_model(plant, controller, StepChoice(4, name))

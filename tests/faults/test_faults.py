@@ -105,15 +105,20 @@ def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+def at_places(name: str) -> list[Any]:
+    """Sound estimators with a fault as first, middle and last one."""
+    order = list(SOUND)
+    for place in PLACES:
+        order.insert(place, fault(name))
+    return order
+
+
 @pytest.mark.parametrize("name", STATUS)
 def test_a_fault_is_one_row(
     tmp_path: Path, token: str, scratch: Path, undisturbed: dict[str, Any], name: str
 ) -> None:
     """The fault is the first, a middle and the last cell of one experiment."""
-    order = list(SOUND)
-    for place in PLACES:
-        order.insert(place, fault(name))
-    result = run(suite(*order), tmp_path / "run", jobs=1)
+    result = run(suite(*at_places(name)), tmp_path / "run", jobs=1)
     found = rows(result)
     at_fault = [found.pop(f"{name} at {place}") for place in PLACES]
     assert [row["status"] for row in at_fault] == [STATUS[name]] * 3
@@ -132,10 +137,7 @@ def test_a_fault_where_python_cannot_fork(
     """The process of a fault ends with its cell; a fresh one takes the cells that are left."""
     (tmp_path / "sitecustomize.py").write_text("import select\n\ndel select.poll\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    order = list(SOUND)
-    for place in PLACES:
-        order.insert(place, fault(name))
-    result = run(suite(*order), tmp_path / "run", jobs=2)
+    result = run(suite(*at_places(name)), tmp_path / "run", jobs=2)
     found = rows(result)
     at_fault = [found.pop(f"{name} at {place}") for place in PLACES]
     assert [row["status"] for row in at_fault] == [STATUS[name]] * 3

@@ -124,11 +124,19 @@ def test_one_simulator_for_plant_and_candidates_is_stated_below_tables(tmp_path:
     assert "share step" not in notes["1 ms"]
 
 
+def test_simulators_are_one_where_the_steps_that_are_taken_are_equal() -> None:
+    """Internal springs of a plant take more steps than `substeps`."""
+    plant, fine = TrackingControl(substeps=4), Candidate(step=0.25e-3)
+    assert fine.equals_plant(plant, 0.25e-3)
+    assert not fine.equals_plant(plant, 0.05e-3)
+    assert not Candidate().equals_plant(plant, 0.25e-3)
+    assert fine.equals_plant(TrackingControl(integrator="euler"), 0.25e-3)
+    assert not Candidate(0.25e-3, "rk4").equals_plant(TrackingControl(integrator="euler"), 0.25e-3)
+
+
 def test_a_candidate_step_divides_the_control_period() -> None:
     assert Candidate(step=0.25e-3).control(1000.0).substeps == 4
     assert Candidate().control(500.0).substeps == 1
-    assert Candidate(step=0.25e-3).equals_plant(TrackingControl(substeps=4))
-    assert not Candidate().equals_plant(TrackingControl(substeps=4))
     for step in (0.3e-3, 2e-3):
         with pytest.raises(UsageError, match="divide"):
             Candidate(step=step).control(1000.0)

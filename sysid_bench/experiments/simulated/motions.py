@@ -46,7 +46,7 @@ def _further(spec: ExperimentSpec) -> range:
 def _check_different(
     spec: ExperimentSpec, noise_free: NoiseFreePart, trainings: Sequence[SimulatedRobot]
 ) -> None:
-    """Raise UnsupportedError where there is no use of several motions, or all are the same one."""
+    """Raise UnsupportedError where several motions cannot be used, or all are the same one."""
     if "runs" in spec.signals and (spec.motions > 1 or MOTIONS in spec.redrawn):
         raise UnsupportedError("Runs without the payload repeat one motion: leave out runs.")
     if spec.motions == 1:

@@ -107,7 +107,7 @@ class SimulatedSource:
         return {
             "plant_step": self.step,
             "candidate_step": candidate.step or 1.0 / simulation.rate,
-            "same_simulator": candidate.equals_plant(simulation),
+            "same_simulator": candidate.equals_plant(simulation, self.step),
         }
 
     @property
@@ -160,8 +160,8 @@ class SimulatedSource:
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """What estimated parameters are compared with: true values, the Cramer-Rao bound (r,), the
-    deviations by kind, and the intervals where they are judged."""
+    """References of estimated parameters: true values, the Cramer-Rao bound (r,), the deviations by
+    kind, and the intervals where they are judged."""
 
     truth: Truth
     bound: Array | None

@@ -22,8 +22,8 @@ from sysid_bench.harness.suite.checks import (
 from sysid_bench.harness.suite.report_entries import SuiteTable
 from sysid_bench.signals.filters import filter_of
 from sysid_bench.units import interval
+from sysid_bench.vocabulary import INTEGRATORS
 
-INTEGRATORS = ("auto", "euler", "implicitfast", "implicit", "rk4")
 FRICTION = ("sticking", "smooth")
 
 Share = Annotated[Any, quantity_of("%")]

@@ -1,14 +1,13 @@
 """Keys of a suite file. Values stay as written; units and names are checked."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
     BeforeValidator,
-    ConfigDict,
     Field,
     PlainValidator,
     StrictBool,
@@ -18,10 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import unknown_name
-from sysid_bench.excitation.limit_rule import marks_limits, own_settings
-from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_plugins
 from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
     check_context,
@@ -33,7 +29,6 @@ from sysid_bench.harness.suite.checks import (
     one_of,
     optional_items,
     quantity_of,
-    to_plugin,
 )
 from sysid_bench.harness.suite.data_entries import (
     Candidate,
@@ -45,7 +40,15 @@ from sysid_bench.harness.suite.data_entries import (
     Signals,
 )
 from sysid_bench.harness.suite.names import TaskInfo
-from sysid_bench.harness.suite.plant_file import with_plant_file
+from sysid_bench.harness.suite.plugin_entries import (
+    Estimator,
+    Excitation,
+    Named,
+    Pipeline,
+    Plant,
+    Plugin,
+    Simulation,
+)
 from sysid_bench.harness.suite.report_entries import (
     CellMetric,
     Folder,
@@ -67,96 +70,6 @@ from sysid_bench.vocabulary import FINDINGS
 MOST_MOTIONS: Final = 1000
 
 PlanCondition = Annotated[str, PlainValidator(partial(condition, False))]
-
-
-class Plugin(SuiteTable):
-    """A plug-in: its name and its settings."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
-    kind: ClassVar[str] = ""
-    use: StrictStr
-
-    @property
-    def spec(self) -> dict[str, Any]:
-        """Return {use, settings...}, without a label."""
-        return {"use": self.use, **(self.model_extra or {})}
-
-    def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
-        """Return (kind, {use, settings}) of each plug-in that this entry needs."""
-        return [(self.kind, self.plugin_spec)]
-
-    @model_validator(mode="after")
-    def known(self, info: ValidationInfo) -> "Plugin":
-        checked(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
-        context = check_context(info)
-        for kind, spec in checked(self.looked_up):
-            checked(partial(context.names.plugin, kind, resolve_files(spec, context.folder)))
-        return self
-
-    @property
-    def plugin_spec(self) -> dict[str, Any]:
-        """Return {use, settings...} as the plug-in is given them."""
-        return self.spec
-
-
-class Estimator(Plugin):
-    kind = "estimator"
-    label: StrictStr | None = None
-
-    @model_validator(mode="after")
-    def _no_reserved_keys(self) -> "Estimator":
-        if "cell" in (self.model_extra or {}):
-            raise ValueError("'cell' cannot be a setting of an estimator: it names the row.")
-        return self
-
-
-class Excitation(Plugin):
-    kind = "excitation"
-
-    @property
-    def plugin_spec(self) -> dict[str, Any]:
-        """Return the specification without the rule for limits, which is not the plug-in's."""
-        return own_settings(self.spec)
-
-    @model_validator(mode="after")
-    def _rule_for_limits(self) -> "Excitation":
-        checked(lambda: marks_limits(self.spec))
-        return self
-
-
-class Simulation(Plugin):
-    kind = "simulation"
-
-
-class Pipeline(Plugin):
-    kind = "pipeline"
-
-
-Named = BeforeValidator(to_plugin)
-
-
-class Plant(Plugin):
-    """An effect, or {use = "composed"} with lists of effects, model errors and sensor errors; a
-    size may be drawn from a range. A plant file is read when the suite is. `simulation`, `noise`
-    and `pipeline` hold for this plant in place of those of the suite."""
-
-    kind = "plant"
-    simulation: Annotated[Simulation | None, Named] = None
-    noise: Noise | None = None
-    pipeline: Annotated[Pipeline | None, Named] = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
-        return checked(lambda: with_plant_file(value, check_context(info).folder))
-
-    def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
-        """Return (kind, {use, settings}) of each effect and error, ranges at either limit."""
-        return [
-            (kind, settings)
-            for kind, spec in plant_plugins(self.spec)
-            for settings in limits_of_sizes(spec)
-        ]
 
 
 Sweep = BeforeValidator(items)

@@ -5,7 +5,8 @@ from collections.abc import Iterable, Iterator
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import plant_plugins
 from sysid_bench.experiments.third_party import log_readers
-from sysid_bench.harness.suite.model import LogEntry, Plugin, Suite
+from sysid_bench.harness.suite.model import LogEntry, Suite
+from sysid_bench.harness.suite.plugin_entries import Plugin
 from sysid_bench.naming import is_third_party, known
 from sysid_bench.signals.log_description import log_description
 
