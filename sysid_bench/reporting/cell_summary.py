@@ -10,7 +10,10 @@ from sysid_bench.reporting.markdown import escape, table_line
 from sysid_bench.reporting.selection import label
 from sysid_bench.types import CellData, Estimate
 
-_IDENTITY = ("robot", "payload", "task", "excitation", "simulation", "noise", "estimator")
+_IDENTITY = (
+    "robot", "payload", "task", "plant", "excitation", "simulation", "noise", "pipeline",
+    "estimator",
+)  # fmt: skip
 
 
 def summary(data: CellData, complaints: Sequence[str] = ()) -> str:

@@ -112,6 +112,14 @@ def test_an_absent_plant_file_is_named(tmp_path: Path) -> None:
         suite_of('"file:absent.toml"', folder=tmp_path)
 
 
+@pytest.mark.parametrize("plant", ['"L9"', '["matched", { use = "L9", noise = {} }]'])
+def test_an_unknown_plant_is_answered_with_plant_files_too(plant: str) -> None:
+    with pytest.raises(UsageError, match=r"No plant is called 'L9'\. Did you mean 'L") as refusal:
+        suite_of(plant)
+    for name in ("L0", "L1", "L2", "L3", "L4"):
+        assert name in str(refusal.value)
+
+
 def test_one_simulator_for_plant_and_candidates_is_stated_below_tables(tmp_path: Path) -> None:
     plants = '{ use = "L1", sensors = [], simulation = { use = "closed-loop", substeps = 2 } }'
     notes = {}

@@ -152,6 +152,12 @@ def test_the_summary_holds_every_base_parameter(evidence: CellData) -> None:
     assert r"fake \| arm" in text
 
 
+def test_the_summary_names_the_plant_and_the_pipeline(evidence: CellData) -> None:
+    text = summary(replace(evidence, row={**evidence.row, "plant": "L3", "pipeline": "parallel"}))
+    assert "| plant | L3 |" in text
+    assert "| pipeline | parallel |" in text
+
+
 def test_a_recording_that_cannot_be_made_leaves_nothing(evidence: CellData, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="positive"):
         record(evidence, tmp_path / "cell.rrd", max_hz=0)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench import package_folders
+from sysid_bench import naming, package_folders
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.simulated.composed_plant import COMPOSED, KIND_OF
 from sysid_bench.input_files import parse_toml, read_text
@@ -30,12 +30,13 @@ def with_plant_file(written: Any, folder: Path | None) -> Any:
     """Return the plant of a suite with the keys of the file that it names; keys beside `use`
     replace those of the file. Anything else is returned as it is.
 
-    Relative paths are found from `folder`. Raises UsageError for a file that cannot be read, and
-    for unknown keys.
+    Relative paths are found from `folder`. Raises UsageError for a file that cannot be read, for
+    unknown keys, and for a name of neither a plant file nor an effect.
     """
     if not isinstance(written, Mapping) or not isinstance(written.get("use"), str):
         return written
     if not is_plant_file(written["use"]):
+        _check_known(written["use"])
         return written
     data = read_plant(_path(written["use"], folder))
     own = {key: value for key, value in written.items() if key != "use"}
@@ -44,6 +45,14 @@ def with_plant_file(written: Any, folder: Path | None) -> Any:
             raise unknown_name("key of a plant file", key, (*KIND_OF, *SIGNALS, "label"))
     table = {key: value for key, value in data.items() if key not in ("schema", "title")}
     return {**table, **own, "use": COMPOSED}
+
+
+def _check_known(name: str) -> None:
+    """Raise UsageError with plant files and effects for a name of neither; "module:object" and
+    "file:path.py:object" are looked up elsewhere."""
+    names = (*package_folders.plant_files(), COMPOSED, *naming.known("plant"))
+    if ":" not in name and name not in names:
+        raise unknown_name("plant", name, names)
 
 
 def read_plant(file: Path) -> dict[str, Any]:

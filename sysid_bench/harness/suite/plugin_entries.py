@@ -95,7 +95,10 @@ class Plant(Plugin):
     @model_validator(mode="before")
     @classmethod
     def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
-        return checked(lambda: with_plant_file(value, check_context(info).folder))
+        context = check_context(info)
+        if context.names.frozen:  # plant files were read when the suite was planned
+            return value
+        return checked(lambda: with_plant_file(value, context.folder))
 
     def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
         """Return (kind, {use, settings}) of each effect and error, ranges at either limit."""

@@ -58,7 +58,8 @@ class Parallel:
         RowProcessing(standstill=self.standstill, weight=self.weight)
         if self.order < 1 or (self.cutoff is not None and not self.cutoff > 0):
             raise UsageError(
-                f"A low-pass of order {self.order} at {self.cutoff} Hz is none: both are positive."
+                f"A low-pass needs a positive order and cut-off; got the order {self.order} and "
+                f"{self.cutoff} Hz."
             )
 
     def process(self, recording: Recording, joints: tuple[Joint, ...]) -> ProcessedSignals:
