@@ -18,12 +18,14 @@ LARGEST_LOG: Final = 2**30
 class LogTable:
     """Numbers (N, c) of a file, NaN for empty cells; `names` maps a name to the indices (from 0) of
     its columns, several for an array; `truncated`: number of incomplete samples dropped at its
-    end."""
+    end; `rate` (Hz) that the file states; `unit_doubt`: why its positions need a stated unit."""
 
     path: Path
     values: Array
     names: Mapping[str, tuple[int, ...]]
     truncated: int = 0
+    rate: float | None = None
+    unit_doubt: str = ""
 
     def columns(self, chosen: Sequence[int | str]) -> Array:
         """Return (N, k) of columns by index from 1 or by name.
@@ -93,6 +95,8 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
     """
     numeric = _numeric_arrays(path, arrays)
     N = max(max(x.shape) for x in numeric.values())
+    if N == 0:
+        raise UsageError(f"{path} holds no array of numbers.")
     parts = {name: _time_by_rows(x, N) for name, x in numeric.items() if N in x.shape}
     values = np.concatenate(list(parts.values()), axis=1)
     return LogTable(path, values, _names_of_columns(parts))
@@ -108,6 +112,26 @@ def _numeric_arrays(path: Path, arrays: Mapping[str, Any]) -> dict[str, Array]:
 def _is_numeric(x: Any) -> bool:
     """Return true for an array of one or two dimensions of floats, integers or booleans."""
     return np.ndim(x) in (1, 2) and np.asarray(x).dtype.kind in "fiub"
+
+
+def named_columns(
+    path: Path, arrays: Mapping[str, tuple[Array, Sequence[str]]]
+) -> tuple[Array, dict[str, tuple[int, ...]]]:
+    """Return values (N, c) and names of arrays (N, k), each with the names of its columns.
+
+    An array of several columns has a name of its own besides those of its columns, () for numbers
+    from 1. Raises UsageError for a name that two of them have.
+    """
+    parts = [array for array, _ in arrays.values()]
+    names: dict[str, tuple[int, ...]] = {}
+    for name, (array, words) in arrays.items():
+        first = sum(part.shape[1] for part in parts[: list(arrays).index(name)])
+        found = _array_names(name, range(first, first + array.shape[1]), words)
+        twice = names.keys() & found.keys()
+        if twice:
+            raise UsageError(f"{path}: two columns are named {min(twice)!r}; rename one.")
+        names |= found
+    return np.concatenate(parts, axis=1), names
 
 
 def _time_by_rows(x: Array, N: int) -> Array:
@@ -127,12 +151,16 @@ def _names_of_columns(parts: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
     return names
 
 
-def _array_names(name: str, indices: range) -> dict[str, tuple[int, ...]]:
-    """Return the names of an array's columns: its own for all of them, and, of several, one each.
+def _array_names(
+    name: str, indices: range, words: Sequence[str] = ()
+) -> dict[str, tuple[int, ...]]:
+    """Return the names of an array's columns: its own for all of them, and, of several, one each:
+    `words`, or numbers from 1.
 
     An array without a name has none.
     """
     if not name:
         return {}
-    each = {f"{name}:{c}": (index,) for c, index in enumerate(indices, start=1)}
+    chosen = words or [f"{name}:{c}" for c in range(1, len(indices) + 1)]
+    each = {word: (index,) for word, index in zip(chosen, indices, strict=True)}
     return {name: tuple(indices), **(each if len(each) > 1 else {})}

@@ -1,4 +1,4 @@
-"""MATLAB files up to version 7: variables, and fields of structs as "struct.field"."""
+"""MATLAB files: variables, and fields of structs as "struct.field"; version 7.3 is HDF5."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -10,6 +10,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.input_files import check_file
+from sysid_bench.signals.log_readers.hdf5 import read_matlab_73
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, table_of_arrays
 from sysid_bench.types import Array
 
@@ -21,22 +22,21 @@ class Matlab:
     suffixes: ClassVar[tuple[str, ...]] = (".mat",)
 
     def read(self, path: Path) -> LogTable:
-        """Return the variables as columns; raises UsageError for a damaged file, or one in the
-        HDF5 format of MATLAB 7.3."""
-        return table_of_arrays(path, dict(_variables(_load(path))))
+        """Return the variables as columns; raises UsageError for a damaged file."""
+        found = _load(path)
+        return read_matlab_73(path) if found is None else table_of_arrays(path, found)
 
 
-def _load(path: Path) -> dict[str, Any]:
+def _load(path: Path) -> dict[str, Array] | None:
+    """Return the numeric arrays by name, None for a file of version 7.3."""
     from scipy.io import loadmat, whosmat  # 0.1 s, spent only where such a file is read
 
     try:
         check_file(path, LARGEST_LOG)
         _check_size(whosmat(path))
-        found: dict[str, Any] = loadmat(path, squeeze_me=True, struct_as_record=False)
-    except NotImplementedError as error:
-        raise UsageError(
-            f"{path} is a MATLAB 7.3 file; save it with -v7 (save('log.mat', '-v7'))."
-        ) from error
+        found = loadmat(path, squeeze_me=True, struct_as_record=False)
+    except NotImplementedError:
+        return None
     except MemoryError as error:
         raise UsageError(
             f"{path} states more data than memory holds: it is damaged or too large; save it again."
@@ -45,7 +45,7 @@ def _load(path: Path) -> dict[str, Any]:
         raise UsageError(
             f"{path} is not a MATLAB file that can be read: {reason_of(error)}."
         ) from error
-    return found
+    return dict(_variables(found))
 
 
 def _check_size(variables: Iterable[tuple[str, tuple[int, ...], str]]) -> None:
