@@ -1,5 +1,4 @@
-"""Choice of a log reader, by the suffix of a file, by what a folder holds or by name, and the reading
-of one file or folder."""
+"""Choice of a log reader, by suffix, by what a folder holds or by name; reading one recording."""
 
 import json
 from collections.abc import Mapping
@@ -66,7 +65,9 @@ def recorded_files(path: Path, reader: ReaderSpec | None = None) -> tuple[Path, 
     _state(path)
     if is_file(path):
         return (path,)
-    patterns = _folder_files(_reader_spec(path, reader)["use"])
+    use = _reader_spec(path, reader)["use"]
+    # What a plug-in reads in a folder is not asked: that would run its code.
+    patterns = _folder_files(use) if naming.is_builtin(KIND, use) else ("**/*",)
     if not patterns:
         raise UsageError(_NOT_A_FILE.format(str(path)))
     found = [file for pattern in patterns for file in islice(path.glob(pattern), _MOST_FILES)]

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.signals.log_presets import preset_advice
 from sysid_bench.types import Array
 
 LARGEST_LOG: Final = 2**30
@@ -49,7 +50,9 @@ class LogTable:
 
     def _named(self, name: str) -> tuple[int, ...]:
         if name not in self.names:
-            advice = "" if self.names else "Give columns by their index, from 1."
+            advice = preset_advice(self.names).strip()
+            if not self.names:
+                advice = "Give columns by their index, from 1."
             raise UsageError(f"{self.path}: {unknown_name('column', name, self.names, advice)}")
         return self.names[name]
 

@@ -80,11 +80,12 @@ def _numeric_datasets(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:
     group.visit(names.append)
     for name in names:
         dataset = group[name]
-        is_data = isinstance(dataset, h5py.Dataset) and not name.startswith("#")
-        if is_data and dataset.ndim in (1, 2) and dataset.dtype.kind in "fiub":
-            # MATLAB keeps texts as numbers.
-            if dataset.attrs.get("MATLAB_class") != b"char":
-                yield name, dataset
+        if not isinstance(dataset, h5py.Dataset) or name.startswith("#"):
+            continue
+        # MATLAB keeps texts as numbers.
+        is_text = dataset.attrs.get("MATLAB_class") == b"char"
+        if dataset.ndim in (1, 2) and dataset.dtype.kind in "fiub" and not is_text:
+            yield name, dataset
 
 
 def _stated_rate(file: Any) -> float | None:

@@ -1,6 +1,6 @@
 """ROS 2 bags, sqlite3 and MCAP, read without ROS: messages of one topic as rows."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -89,7 +89,7 @@ def _messages(path: Path, bag: Any, connections: Sequence[Any]) -> Iterator[tupl
         yield stamp, types.content(connection, raw)
 
 
-def _seconds(stamps: Sequence[int], start: int) -> Array:
+def _seconds(stamps: Iterable[int], start: int) -> Array:
     # Differences of whole nanoseconds: s since 1970 would be rounded to 0.2 us.
     return np.array([int(stamp) - start for stamp in stamps], dtype=float) * 1e-9
 
