@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from sysid_bench.models.load import load_robot
+    from sysid_bench.signals.log_data import log_of
     from sysid_bench.verbs.base_table import paper_table
     from sysid_bench.verbs.basis import BasisResult, basis
     from sysid_bench.verbs.catalogue import ShowResult, list_, show
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
 _PUBLIC: Final = {
     "models.load": ("load_robot",),
+    "signals.log_data": ("log_of",),
     "verbs.base_table": ("paper_table",),
     "verbs.basis": ("BasisResult", "basis"),
     "verbs.catalogue": ("ShowResult", "list_", "show"),
@@ -72,7 +74,7 @@ __all__ = [
     "PlanResult", "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult",
     "SimulatedRequest", "SimulatedResult", "StatusResult",
     "basis", "cell", "check_plugin", "crosscheck", "doctor", "excite", "identify", "init_robot",
-    "list_", "load_robot", "merge", "open_run", "paper_table", "plan", "record", "report",
+    "list_", "load_robot", "log_of", "merge", "open_run", "paper_table", "plan", "record", "report",
     "run", "show", "status", "table", "view",
 ]  # fmt: skip
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.errors import UsageError
 from sysid_bench.input_files import check_file, parse_json
+from sysid_bench.signals.foreign_library import reading
 from sysid_bench.signals.log_libraries import log_library
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, table_of_arrays
 
@@ -40,15 +41,8 @@ def _read(path: Path, group: str) -> tuple[dict[str, Any], float | None]:
     """Return arrays by name, and the rate (Hz) that the file states."""
     h5py = log_library("h5py", path)
     check_file(path, LARGEST_LOG)
-    try:
-        with h5py.File(path, "r") as file:
-            return _arrays(h5py, path, _group_of(h5py, path, file, group)), _stated_rate(file)
-    except UsageError:
-        raise
-    except Exception as error:  # the library raises many types on damaged files
-        raise UsageError(
-            f"{path} is not an HDF5 file that can be read: {reason_of(error)}."
-        ) from error
+    with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
+        return _arrays(h5py, path, _group_of(h5py, path, file, group)), _stated_rate(file)
 
 
 def _group_of(h5py: Any, path: Path, file: Any, name: str) -> Any:

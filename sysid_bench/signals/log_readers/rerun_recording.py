@@ -8,8 +8,9 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.errors import UsageError
 from sysid_bench.input_files import check_file
+from sysid_bench.signals.foreign_library import reading
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, named_columns
 from sysid_bench.types import Array
 
@@ -34,15 +35,9 @@ class RerunRecording:
         """Return the series as columns; raises UsageError for a damaged file, or where the timeline
         is not clear."""
         check_file(path, LARGEST_LOG)
-        try:
+        with reading(path, "a Rerun recording"):
             batches = list(_scalar_batches(path, self.entity.strip("/")))
             series = _series(batches, self._timeline(path, batches))
-        except UsageError:
-            raise
-        except Exception as error:  # the library raises many types on damaged files
-            raise UsageError(
-                f"{path} is not a Rerun recording that can be read: {reason_of(error)}."
-            ) from error
         times, together = _largest_set(path, series)
         arrays = {"t": (times[:, None], ()), **{name: (x, ()) for name, x in together.items()}}
         return LogTable(path, *named_columns(path, arrays))

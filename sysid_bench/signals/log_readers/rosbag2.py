@@ -7,8 +7,9 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError, first_names, reason_of
+from sysid_bench.errors import UsageError, first_names
 from sysid_bench.input_files import check_file, is_file
+from sysid_bench.signals.foreign_library import reading
 from sysid_bench.signals.log_libraries import log_library
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable
 from sysid_bench.signals.ros_messages import MessageTypes, joint_columns, number_columns
@@ -38,15 +39,8 @@ class Rosbag2:
         for file in [path] if is_file(path) else sorted(path.iterdir()):
             check_file(file, LARGEST_LOG)
         library = log_library("rosbags.rosbag2", path)
-        try:
-            with library.Reader(path) as bag:
-                return self._table(path, bag)
-        except (UsageError, OSError):
-            raise
-        except Exception as error:  # the library raises many types on damaged files
-            raise UsageError(
-                f"{path} is not a ROS 2 bag that can be read: {reason_of(error)}."
-            ) from error
+        with reading(path, "a ROS 2 bag"), library.Reader(path) as bag:
+            return self._table(path, bag)
 
     def _table(self, path: Path, bag: Any) -> LogTable:
         connections = self._chosen(path, bag.connections)
