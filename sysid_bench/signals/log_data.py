@@ -85,11 +85,12 @@ def _by_convention(table: LogTable, given: Mapping[str, Any]) -> dict[str, Any]:
 def signal_columns(names: Any, signal: str, joints: Sequence[str]) -> list[str]:
     """Return the columns of a signal for some joints by the usual names, [] where they are not all
     there: one for each joint, or an array."""
-    for pattern in (f"{signal}_{{}}", f"{{}}_{_WORDS[signal]}"):
+    for pattern in (f"{signal}_{{}}", f"{{}}_{_WORDS.get(signal, signal)}"):
         columns = [pattern.format(joint) for joint in joints]
         if columns and all(column in names for column in columns):
             return columns
-    return next(([name] for name in (signal, _WORDS[signal]) if name in names), [])
+    array = (signal, _WORDS.get(signal, signal))
+    return next(([name] for name in array if name in names), [])
 
 
 def _joints(table: LogTable) -> list[str]:

@@ -1,10 +1,12 @@
 """MATLAB files: variables, and fields of structs as "struct.field"; version 7.3 is HDF5."""
 
 import math
-from collections.abc import Iterable, Iterator
+import struct
+import zlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -13,6 +15,12 @@ from sysid_bench.input_files import check_file
 from sysid_bench.signals.log_readers.hdf5 import read_matlab_73
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable, table_of_arrays
 from sysid_bench.types import Array
+
+_HEADER: Final = 128
+_COMPRESSED: Final = 15
+"""Of MATLAB 5: bytes before the first element, and the type of a compressed one."""
+
+_PART: Final = 2**16
 
 
 @dataclass(frozen=True)
@@ -33,7 +41,7 @@ def _load(path: Path) -> dict[str, Array] | None:
 
     try:
         check_file(path, LARGEST_LOG)
-        _check_size(whosmat(path))
+        _check_size(path, whosmat)
         found = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
         return None
@@ -48,11 +56,28 @@ def _load(path: Path) -> dict[str, Array] | None:
     return dict(_variables(found))
 
 
-def _check_size(variables: Iterable[tuple[str, tuple[int, ...], str]]) -> None:
+def _check_size(path: Path, headers: Callable[[Path], Any]) -> None:
     """Raise ValueError for more numbers than a log may have, as the headers of the file state."""
-    size = sum(8 * math.prod(shape) for _, shape, _ in variables)
+    try:
+        size = sum(8 * math.prod(shape) for _, shape, _ in headers(path))
+    except TypeError:  # objects of MATLAB have no shape; SciPy reads the other variables
+        size = _unpacked_size(path)
     if size > LARGEST_LOG:
         raise ValueError(f"it unpacks to {size} bytes; {LARGEST_LOG} are allowed at most")
+
+
+def _unpacked_size(path: Path) -> int:
+    """Return the bytes of the elements of a MATLAB 5 file, no more than are too many."""
+    size = 0
+    with path.open("rb") as file:
+        file.seek(_HEADER)
+        while len(tag := file.read(8)) == 8 and size <= LARGEST_LOG:
+            kind, count = struct.unpack("<II", tag)
+            unpack = zlib.decompressobj().decompress if kind == _COMPRESSED else bytes
+            while count > 0 and size <= LARGEST_LOG and (part := file.read(min(count, _PART))):
+                count -= len(part)
+                size += len(unpack(part))
+    return size
 
 
 def _variables(found: dict[str, Any]) -> Iterator[tuple[str, Array]]:
