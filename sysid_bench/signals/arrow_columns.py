@@ -2,28 +2,64 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import check_file
 from sysid_bench.signals.log_table import LARGEST_LOG
+from sysid_bench.signals.read_progress import report
 from sysid_bench.types import Array
 
+_BATCH: Final = 65_536
+"""Rows that are unpacked at once."""
 
-def read_arrow(path: Path, columns: Sequence[str] | None = None) -> Any:
-    """Return the Arrow table in a parquet file, or some of its columns; raises UsageError for a
-    damaged file, OSError for one that is not a file or too large."""
+
+def read_arrow(path: Path) -> dict[str, Array]:
+    """Return the numeric columns (N, k) of a parquet file by name, as parts of one array.
+
+    Raises UsageError for a damaged file or one without numbers, OSError for one that is not a file
+    or too large.
+    """
     import pyarrow.parquet  # 0.2 s, spent only where such a file is read
 
     try:
         check_file(path, LARGEST_LOG)
         file = pyarrow.parquet.ParquetFile(path)
         _check_size(file.metadata)
-        return file.read(columns)
+        return _filled(path, file, file.metadata.num_rows)
     except (pyarrow.ArrowException, ValueError) as error:
         raise UsageError(f"{path} is not a parquet file that can be read: {error}.") from error
+
+
+def _filled(path: Path, file: Any, N: int) -> dict[str, Array]:
+    """Return the columns of all batches; a column that is not numeric in one is left out."""
+    found: dict[str, Array] = {}
+    done = 0
+    for batch in file.iter_batches(_BATCH):
+        arrays = _arrays(path, batch)
+        if not done:
+            whole = np.empty((N, sum(x.shape[1] for x in arrays.values())))
+            found = dict(
+                zip(arrays, _split(whole, [x.shape[1] for x in arrays.values()]), strict=True)
+            )
+        found = {
+            name: x
+            for name, x in found.items()
+            if name in arrays and arrays[name].shape[1] == x.shape[1]
+        }
+        for name, x in found.items():
+            x[done : done + len(batch)] = arrays[name]
+        done += len(batch)
+        report(path, done, N)
+    if not found or done != N:
+        raise UsageError(f"{path} holds no column of numbers.")
+    return found
+
+
+def _split(whole: Array, widths: Sequence[int]) -> list[Array]:
+    return np.split(whole, np.cumsum(widths)[:-1], axis=1)
 
 
 def _check_size(metadata: Any) -> None:
@@ -37,24 +73,21 @@ def _check_size(metadata: Any) -> None:
         raise ValueError(f"it unpacks to {size} bytes; {LARGEST_LOG} are allowed at most")
 
 
-def arrow_arrays(path: Path, table: Any) -> dict[str, Array]:
-    """Return the numeric columns (N, k) of an Arrow table by name; raises UsageError without one,
-    or for a name that two of them have."""
+def _arrays(path: Path, batch: Any) -> dict[str, Array]:
+    """Return the numeric columns of a batch; raises UsageError for a name that two have."""
     found: dict[str, Array] = {}
-    for name, array in _numeric_columns(table):
+    for name, array in _numeric_columns(batch):
         if name in found:
             raise UsageError(f"{path}: two columns are named {name!r}; rename one.")
         found[name] = array
-    if not found or table.num_rows == 0:
-        raise UsageError(f"{path} holds no column of numbers.")
     return found
 
 
 def _numeric_columns(table: Any) -> Iterator[tuple[str, Array]]:
     """Yield name and floats (N, k) of each column of numbers or lists of numbers, and of time
     stamps in s."""
-    for name in table.column_names:
-        array = _floats(table.column(name))
+    for name, column in zip(table.schema.names, table.columns, strict=True):
+        array = _floats(column)
         if array is not None:
             yield name.strip(), array
 
@@ -66,9 +99,9 @@ def _floats(column: Any) -> Array | None:
     if types.is_timestamp(column.type):
         # Through whole nanoseconds, since a file may hold ms, us or ns.
         whole = column.cast(timestamp("ns")).cast(int64())
-        return np.asarray(whole.to_numpy().astype(float) * 1e-9)[:, None]
+        return np.asarray(whole.to_numpy(zero_copy_only=False).astype(float) * 1e-9)[:, None]
     if types.is_floating(column.type) or types.is_integer(column.type):
-        return np.asarray(column.to_numpy(), dtype=float)[:, None]
+        return np.asarray(column.to_numpy(zero_copy_only=False), dtype=float)[:, None]
     if types.is_list(column.type) or types.is_fixed_size_list(column.type):
         return _list_floats(column)
     return None
@@ -81,8 +114,7 @@ def _list_floats(column: Any) -> Array | None:
     inner = column.type.value_type
     if column.null_count or not (types.is_floating(inner) or types.is_integer(inner)):
         return None
-    parts = [chunk.flatten().to_numpy(zero_copy_only=False) for chunk in column.chunks]
-    flat = np.concatenate([np.asarray(part, dtype=float) for part in parts] or [np.zeros(0)])
+    flat = np.asarray(column.flatten().to_numpy(zero_copy_only=False), dtype=float)
     k, rest = divmod(len(flat), max(len(column), 1))
-    lengths = {len(value) for chunk in column.chunks for value in chunk} if k else set()
-    return flat.reshape(-1, k) if k and not rest and lengths == {k} else None
+    same = k > 0 and all(len(value) == k for value in column)
+    return flat.reshape(-1, k) if same and not rest else None

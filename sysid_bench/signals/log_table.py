@@ -9,6 +9,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.signals.log_presets import preset_advice
+from sysid_bench.signals.read_progress import report
 from sysid_bench.types import Array
 
 LARGEST_LOG: Final = 2**30
@@ -96,25 +97,29 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
 
     Column i of an array "q" is also named "q:i", from 1. Raises UsageError without numbers.
     """
-    numeric = _numeric_arrays(path, arrays)
-    N = max(max(x.shape) for x in numeric.values())
+    numeric = {name: x for name, x in arrays.items() if _is_numeric(x)}
+    N = max((max(x.shape) for x in numeric.values()), default=0)
     if N == 0:
         raise UsageError(f"{path} holds no array of numbers.")
-    parts = {name: _time_by_rows(x, N) for name, x in numeric.items() if N in x.shape}
-    values = np.concatenate(list(parts.values()), axis=1)
-    return LogTable(path, values, _names_of_columns(parts))
-
-
-def _numeric_arrays(path: Path, arrays: Mapping[str, Any]) -> dict[str, Array]:
-    numeric = {name: np.asarray(x, dtype=float) for name, x in arrays.items() if _is_numeric(x)}
-    if not numeric:
-        raise UsageError(f"{path} holds no array of numbers.")
-    return numeric
+    kept = {name: x for name, x in numeric.items() if N in x.shape}
+    widths = {name: 1 if x.ndim == 1 else x.size // N for name, x in kept.items()}
+    if len(kept) == 1:
+        (x,) = kept.values()
+        return LogTable(
+            path, _time_by_rows(np.asarray(x, dtype=float), N), _names_of_widths(widths)
+        )
+    # Arrays that lie in a file are read one by one, so that memory holds the table and one of them.
+    values, first = np.empty((N, sum(widths.values()))), 0
+    for name, x in kept.items():
+        values[:, first : first + widths[name]] = _time_by_rows(np.asarray(x), N)
+        first += widths[name]
+        report(path, first, values.shape[1])
+    return LogTable(path, values, _names_of_widths(widths))
 
 
 def _is_numeric(x: Any) -> bool:
     """Return true for an array of one or two dimensions of floats, integers or booleans."""
-    return np.ndim(x) in (1, 2) and np.asarray(x).dtype.kind in "fiub"
+    return getattr(x, "ndim", 0) in (1, 2) and x.dtype.kind in "fiub"
 
 
 def named_columns(
@@ -134,7 +139,24 @@ def named_columns(
         if twice:
             raise UsageError(f"{path}: two columns are named {min(twice)!r}; rename one.")
         names |= found
-    return np.concatenate(parts, axis=1), names
+    return _side_by_side(parts), names
+
+
+def _side_by_side(parts: Sequence[Array]) -> Array:
+    """Return arrays (N, k) as one: without a copy where they are the parts of one already."""
+    whole = parts[0].base
+    if whole is not None and whole.shape == (len(parts[0]), sum(x.shape[1] for x in parts)):
+        starts = np.cumsum([0, *(x.shape[1] for x in parts[:-1])])
+        places = zip(parts, starts.tolist(), strict=True)
+        if all(x.base is whole and _offset(x) - _offset(whole) == 8 * at for x, at in places):
+            return np.asarray(whole)
+    return np.concatenate(parts, axis=1)
+
+
+def _offset(x: Array) -> int:
+    """Return the place of an array in memory (bytes)."""
+    address: int = x.__array_interface__["data"][0]
+    return address
 
 
 def _time_by_rows(x: Array, N: int) -> Array:
@@ -144,13 +166,13 @@ def _time_by_rows(x: Array, N: int) -> Array:
     return x if len(x) == N else x.T
 
 
-def _names_of_columns(parts: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
-    """Return the indices that each name stands for, the arrays side by side."""
+def _names_of_widths(widths: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+    """Return the indices that each name stands for, arrays of these widths side by side."""
     names: dict[str, tuple[int, ...]] = {}
     first = 0
-    for name, part in parts.items():
-        names |= _array_names(name, range(first, first + part.shape[1]))
-        first += part.shape[1]
+    for name, width in widths.items():
+        names |= _array_names(name, range(first, first + width))
+        first += width
     return names
 
 

@@ -1,7 +1,6 @@
 """First description of a recording, with guesses and doubts as comments: init log."""
 
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from sysid_bench.signals.log_checks import Finding
 from sysid_bench.signals.log_description import description_of
 from sysid_bench.signals.log_guess import LogGuess, guess_log
 from sysid_bench.signals.log_reader import read_table
-from sysid_bench.verbs.new_file import write_new
+from sysid_bench.verbs.new_file import write_new, written_path
 from sysid_bench.verbs.result import Result
 
 
@@ -55,7 +54,7 @@ def init_log(
         raise UsageError("Which recording? Name its file: init log run.csv --model my.urdf.")
     target = Path(out) if out is not None else _beside(paths[0])
     robot = load_robot(find_manifest(str(model), robots_dir))
-    tables = [(_relative(path, target.parent), read_table(path)) for path in paths]
+    tables = [(written_path(path, target.parent), read_table(path)) for path in paths]
     guess = guess_log(tables, robot)
     findings = _findings(guess, target, robot)
     guess.doubts += [finding.text for finding in findings]
@@ -74,12 +73,6 @@ def init_log(
 def _beside(path: Path) -> Path:
     """Description of a file or folder: run.csv has run.toml."""
     return path.parent / f"{path.name if path.is_dir() else path.stem}.toml"
-
-
-def _relative(path: Path, folder: Path) -> str:
-    """Path as the description names it: relative to its folder where it lies below or beside it."""
-    relative = os.path.relpath(path.resolve(), folder.resolve())
-    return str(path.resolve()) if relative.startswith(f"..{os.sep}..") else relative
 
 
 def _findings(guess: LogGuess, target: Path, robot: RobotModel) -> list[Finding]:

@@ -1,6 +1,5 @@
 """New robot folder from a URDF or MJCF file, with what is doubtful in it: init robot."""
 
-import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +14,7 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.verbs.init_log import toml_value
 from sysid_bench.verbs.init_robot import InitRobotResult
-from sysid_bench.verbs.new_file import write_new
+from sysid_bench.verbs.new_file import write_new, written_path
 
 _HEAVIEST: Final = 5_000.0
 _LIGHTEST: Final = 1e-3
@@ -42,13 +41,13 @@ def init_model(
     """
     source = str(model)
     path = Path(source)
-    _check_xacro(path)
     robot = _loaded(source)
     robot_name = name or Path(source.rpartition(":")[2]).stem
     folder = Path(robot_name if out is None else out)
     manifest = folder / "robot.toml"
+    file = written_path(path, folder) if is_file(path) else source
     doubts = [*robot.repairs, *_doubts(robot, path)]
-    write_new(manifest, _text(robot, robot_name, _written_path(source, folder), doubts), force)
+    write_new(manifest, _text(robot, robot_name, file, doubts), force)
     written = load_robot(manifest)
     return InitRobotResult(
         robot=robot_name,
@@ -60,40 +59,40 @@ def init_model(
     )
 
 
-def _check_xacro(path: Path) -> None:
-    """Raise UsageError for a macro file, whose robot is not written out."""
-    if not is_file(path):
-        return
-    try:
-        text = read_text(path)
-    except (OSError, UnicodeDecodeError):
-        return  # said by the loader
-    if path.suffix == ".xacro" or "<xacro:" in text:
-        plain = path.name.removesuffix(".xacro").removesuffix(".urdf")
-        raise UsageError(
-            f"{path} is an xacro file, a macro that is not yet a robot: write it out with ROS, "
-            f"xacro {path} > {plain}.plain.urdf, and name that."
-        )
-
-
 def _loaded(source: str) -> RobotModel:
-    """Load the model; for absent mesh files, raise UsageError with what to do."""
+    """Load the model; for an xacro file or absent meshes, raise UsageError with what to do."""
+    path = Path(source)
     try:
+        if path.suffix == ".xacro" and is_file(path):
+            raise ModelError(f"{path} is an xacro file.")
         return load_robot(find_manifest(source))
     except ModelError as error:
-        if "mesh" not in str(error).lower():
+        advice = _advice(path, str(error))
+        if not advice:
             raise
-        raise UsageError(
-            f"{error} Shapes matter only where inertias are made from them: put the mesh files "
-            "beside the model, or remove the mesh geoms (URDF meshes are never needed)."
-        ) from error
+        raise UsageError(f"{error} {advice}") from error
 
 
-def _written_path(source: str, folder: Path) -> str:
-    """Path of the model as the manifest names it: relative to its folder for a file."""
-    if not is_file(Path(source)):
-        return source
-    return os.path.relpath(Path(source).resolve(), folder.resolve())
+def _advice(path: Path, error: str) -> str:
+    """What to do about a model that cannot be loaded, "" where the error says it."""
+    if path.suffix == ".xacro" or "<xacro:" in _text_of(path):
+        return (
+            "An xacro file is a macro, which is not yet a robot: write it out with ROS, xacro "
+            f"{path.name} > plain.urdf, and name that."
+        )
+    if "mesh" in error.lower():
+        return (
+            "Shapes matter only where inertias are made from them: put the mesh files beside the "
+            "model, or remove the mesh geoms (URDF meshes are never needed)."
+        )
+    return ""
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return read_text(path)
+    except (OSError, UnicodeDecodeError):
+        return ""
 
 
 def _doubts(robot: RobotModel, path: Path) -> Iterator[str]:
@@ -112,7 +111,7 @@ def _limit_doubts(robot: RobotModel, path: Path) -> Iterator[str]:
     limits = zip(robot.rows, robot.limits.tau, strict=True)
     without = [row for row, limit in limits if not 0 < limit < np.inf]
     if without:
-        zero = path.suffix == ".urdf" and is_file(path) and 'effort="0' in read_text(path)
+        zero = 'effort="0' in _text_of(path)
         reason = 'effort="0" stands for an absent limit; ' if zero else ""
         yield (
             f"no torque limit of {first_names(without)}: {reason}give [limits.JOINT] tau = ... for "

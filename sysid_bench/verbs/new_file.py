@@ -1,8 +1,15 @@
 """First files of a user: never written over others without being told."""
 
+import os
 from pathlib import Path
 
 from sysid_bench.errors import UsageError
+
+
+def written_path(path: Path, folder: Path) -> str:
+    """Return a path as a file in `folder` names it: relative where it lies below or beside it."""
+    relative = os.path.relpath(path.resolve(), folder.resolve())
+    return str(path.resolve()) if relative.startswith(f"..{os.sep}..") else relative
 
 
 def write_new(path: Path, text: str, force: bool) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -26,23 +26,22 @@ class HDF5:
     def read(self, path: Path) -> LogTable:
         """Return the datasets as columns; raises UsageError for a damaged file, an unknown group,
         data in other files, and more numbers than LARGEST_LOG."""
-        arrays, rate = _read(path, self.group)
-        table = table_of_arrays(path, arrays)
-        return LogTable(path, table.values, table.names, rate=rate)
+        return _read(path, self.group)
 
 
 def read_matlab_73(path: Path) -> LogTable:
     """Return the variables of a MATLAB 7.3 file as columns, fields of structs as "struct.field"."""
-    arrays, _ = _read(path, "")
-    return table_of_arrays(path, {name.replace("/", "."): x for name, x in arrays.items()})
+    return _read(path, "", separator=".")
 
 
-def _read(path: Path, group: str) -> tuple[dict[str, Any], float | None]:
-    """Return arrays by name, and the rate (Hz) that the file states."""
+def _read(path: Path, group: str, separator: str = "/") -> LogTable:
+    """Return the datasets of a group by name, and the rate (Hz) that the file states."""
     h5py = log_library("h5py", path)
     check_file(path, LARGEST_LOG)
     with reading(path, "an HDF5 file"), h5py.File(path, "r") as file:
-        return _arrays(h5py, path, _group_of(h5py, path, file, group)), _stated_rate(file)
+        found = _datasets(h5py, path, _group_of(h5py, path, file, group))
+        named = {name.replace("/", separator): dataset for name, dataset in found.items()}
+        return replace(table_of_arrays(path, named), rate=_stated_rate(file))
 
 
 def _group_of(h5py: Any, path: Path, file: Any, name: str) -> Any:
@@ -54,7 +53,9 @@ def _group_of(h5py: Any, path: Path, file: Any, name: str) -> Any:
     return found
 
 
-def _arrays(h5py: Any, path: Path, group: Any) -> dict[str, Any]:
+def _datasets(h5py: Any, path: Path, group: Any) -> dict[str, Any]:
+    """Return the numeric datasets of a group; raises UsageError for too many numbers, or for data
+    in other files."""
     datasets = dict(_numeric_datasets(h5py, group))
     size = sum(8 * math.prod(dataset.shape) for dataset in datasets.values())
     if size > LARGEST_LOG:
@@ -65,7 +66,7 @@ def _arrays(h5py: Any, path: Path, group: Any) -> dict[str, Any]:
     foreign = [name for name, dataset in datasets.items() if dataset.external or dataset.is_virtual]
     if foreign:
         raise UsageError(f"{path}: {foreign[0]!r} lies in another file; copy it into this one.")
-    return {name: dataset[()] for name, dataset in datasets.items()}
+    return datasets
 
 
 def _numeric_datasets(h5py: Any, group: Any) -> Iterator[tuple[str, Any]]:

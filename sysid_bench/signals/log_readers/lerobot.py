@@ -10,7 +10,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.input_files import parse_json, read_text
-from sysid_bench.signals.arrow_columns import arrow_arrays, read_arrow
+from sysid_bench.signals.arrow_columns import read_arrow
 from sysid_bench.signals.log_table import LogTable, named_columns
 from sysid_bench.types import Array
 
@@ -86,7 +86,7 @@ def _episode_arrays(path: Path, episode: int) -> dict[str, Array]:
 
 def _rows(file: Path, episode: int) -> dict[str, Array] | None:
     """Return the rows of an episode in a file by column, None where it has none."""
-    arrays = arrow_arrays(file, read_arrow(file))
+    arrays = read_arrow(file)
     if _EPISODE not in arrays:
         raise UsageError(f"{file} has no column {_EPISODE!r}; it is not of a LeRobot data set.")
     rows = arrays[_EPISODE][:, 0] == episode

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from sysid_bench.signals.arrow_columns import arrow_arrays, read_arrow
+from sysid_bench.signals.arrow_columns import read_arrow
 from sysid_bench.signals.log_table import LogTable, named_columns
 
 
@@ -18,6 +18,6 @@ class Parquet:
     def read(self, path: Path) -> LogTable:
         """Return the columns by name; raises UsageError where none holds numbers, or for a damaged
         file."""
-        arrays = arrow_arrays(path, read_arrow(path))
+        arrays = read_arrow(path)
         values, names = named_columns(path, {name: (x, ()) for name, x in arrays.items()})
         return LogTable(path, values, names)
