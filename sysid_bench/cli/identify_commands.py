@@ -19,6 +19,7 @@ from sysid_bench.cli.options import (
     task_option,
     terms_option,
 )
+from sysid_bench.cli.progress import read_progress
 from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import (
     parse_contacts,
@@ -223,33 +224,34 @@ def identify(
     code = supervised(_plugins(source, of_logs, unknowns, method))
     if code is not None:
         return code
-    result = sysid_bench.identify(
-        _given(model),
-        task=unknowns.task,
-        payload=parse_payload(unknowns.payload),
-        terms=parse_terms(unknowns.terms),
-        estimator=method.estimator,
-        noise=parse_noise(method.noise),
-        log=source.logs,
-        test=source.tests,
-        simulate=source.simulate,
-        model_out=output.model_out,
-        json_out=output.json_out,
-        robots_dir=robots_dir,
-        seed=method.seed,
-        sensor=unknowns.sensor,
-        free_base=unknowns.free_base,
-        contacts=parse_contacts(method.contacts),
-        complete=method.complete,
-        filter=of_logs.filter_text,
-        derivatives=of_logs.derivatives,
-        moving=of_logs.moving,
-        choose=parse_names(of_logs.candidates),
-        position_given=of_logs.position_given,
-        accept=parse_names(of_logs.accept),
-        figure=of_logs.figure,
-        pipeline=parse_pipeline(method.pipeline),
-    )
+    with read_progress():
+        result = sysid_bench.identify(
+            _given(model),
+            task=unknowns.task,
+            payload=parse_payload(unknowns.payload),
+            terms=parse_terms(unknowns.terms),
+            estimator=method.estimator,
+            noise=parse_noise(method.noise),
+            log=source.logs,
+            test=source.tests,
+            simulate=source.simulate,
+            model_out=output.model_out,
+            json_out=output.json_out,
+            robots_dir=robots_dir,
+            seed=method.seed,
+            sensor=unknowns.sensor,
+            free_base=unknowns.free_base,
+            contacts=parse_contacts(method.contacts),
+            complete=method.complete,
+            filter=of_logs.filter_text,
+            derivatives=of_logs.derivatives,
+            moving=of_logs.moving,
+            choose=parse_names(of_logs.candidates),
+            position_given=of_logs.position_given,
+            accept=parse_names(of_logs.accept),
+            figure=of_logs.figure,
+            pipeline=parse_pipeline(method.pipeline),
+        )
     print_result(result, output.as_json)
     return OK
 

@@ -37,7 +37,7 @@ def _filled(path: Path, file: Any, N: int) -> dict[str, Array]:
     """Return the columns of all batches; a column that is not numeric in one is left out."""
     found: dict[str, Array] = {}
     done = 0
-    for batch in file.iter_batches(_BATCH):
+    for batch in _batches(file):
         arrays = _arrays(path, batch)
         if not done:
             whole = np.empty((N, sum(x.shape[1] for x in arrays.values())))
@@ -56,6 +56,15 @@ def _filled(path: Path, file: Any, N: int) -> dict[str, Array]:
     if not found or done != N:
         raise UsageError(f"{path} holds no column of numbers.")
     return found
+
+
+def _batches(file: Any) -> Iterator[Any]:
+    """Yield the rows in parts; what Arrow has unpacked of a group of rows is given back."""
+    from pyarrow import default_memory_pool
+
+    for group in range(file.num_row_groups):
+        yield from file.iter_batches(_BATCH, row_groups=[group], use_threads=False)
+        default_memory_pool().release_unused()
 
 
 def _split(whole: Array, widths: Sequence[int]) -> list[Array]:
