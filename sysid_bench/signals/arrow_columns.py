@@ -16,8 +16,9 @@ _BATCH: Final = 65_536
 """Rows that are unpacked at once."""
 
 
-def read_arrow(path: Path) -> dict[str, Array]:
-    """Return the numeric columns (N, k) of a parquet file by name, as parts of one array.
+def read_arrow(path: Path, columns: Sequence[str] | None = None) -> dict[str, Array]:
+    """Return the numeric columns (N, k) of a parquet file, or some of them, by name, as parts of
+    one array.
 
     Raises UsageError for a damaged file or one without numbers, OSError for one that is not a file
     or too large.
@@ -28,16 +29,16 @@ def read_arrow(path: Path) -> dict[str, Array]:
         check_file(path, LARGEST_LOG)
         file = pyarrow.parquet.ParquetFile(path)
         _check_size(file.metadata)
-        return _filled(path, file, file.metadata.num_rows)
+        return _filled(path, _batches(file, columns), file.metadata.num_rows)
     except (pyarrow.ArrowException, ValueError) as error:
         raise UsageError(f"{path} is not a parquet file that can be read: {error}.") from error
 
 
-def _filled(path: Path, file: Any, N: int) -> dict[str, Array]:
+def _filled(path: Path, batches: Iterator[Any], N: int) -> dict[str, Array]:
     """Return the columns of all batches; a column that is not numeric in one is left out."""
     found: dict[str, Array] = {}
     done = 0
-    for batch in _batches(file):
+    for batch in batches:
         arrays = _arrays(path, batch)
         if not done:
             whole = np.empty((N, sum(x.shape[1] for x in arrays.values())))
@@ -58,12 +59,12 @@ def _filled(path: Path, file: Any, N: int) -> dict[str, Array]:
     return found
 
 
-def _batches(file: Any) -> Iterator[Any]:
+def _batches(file: Any, columns: Sequence[str] | None) -> Iterator[Any]:
     """Yield the rows in parts; what Arrow has unpacked of a group of rows is given back."""
     from pyarrow import default_memory_pool
 
     for group in range(file.num_row_groups):
-        yield from file.iter_batches(_BATCH, row_groups=[group], use_threads=False)
+        yield from file.iter_batches(_BATCH, [group], columns, use_threads=False)
         default_memory_pool().release_unused()
 
 

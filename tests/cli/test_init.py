@@ -97,24 +97,25 @@ def robots() -> list[Path]:
     return sorted(file.parents[2].rglob("*.urdf"))
 
 
-@pytest.mark.parametrize("part", range(4))
-def test_every_example_robot_is_written_or_refused_with_advice(part: int, tmp_path: Path) -> None:
-    chosen = robots()[part::4] if part == 3 else robots()[part::40]
-    count = 0
-    for i, file in enumerate(chosen):
-        try:
-            result = init_model(file, tmp_path / str(i))
-        except SysidBenchError as error:
-            assert (
-                "no moving joint" in str(error)
-                or "no <link>" in str(error)
-                or ("xacro" in str(error))
-            ), error
-            continue
-        robot = load_robot(find_manifest(str(tmp_path / str(i))))
-        assert list(robot.torque_rows) == result.joints
-        count += 1
-    assert count > 0
+@pytest.mark.parametrize("part", [0, 1, pytest.param(None, marks=pytest.mark.long)])
+def test_every_example_robot_is_written_or_refused_with_advice(
+    part: int | None, tmp_path: Path
+) -> None:
+    chosen = robots() if part is None else robots()[part::30]
+    refusals = [text for i, file in enumerate(chosen) if (text := refusal(file, tmp_path / str(i)))]
+    known = ("no moving joint", "no <link>", "xacro")
+    assert [text for text in refusals if not any(words in text for words in known)] == []
+    assert len(refusals) < len(chosen)
+
+
+def refusal(file: Path, folder: Path) -> str:
+    """Why no robot was written; "" for one that was, and loads with its joints."""
+    try:
+        result = init_model(file, folder)
+    except SysidBenchError as error:
+        return str(error)
+    assert list(load_robot(find_manifest(str(folder))).torque_rows) == result.joints
+    return ""
 
 
 def test_limits_macros_and_meshes_are_met_with_advice(tmp_path: Path) -> None:

@@ -53,7 +53,9 @@ def split(folder: Path, log: Recorded, shift: float, rate: float, origin: float 
         "time": {"column": "stamp", "unit": "ms"},
         "offset": f"{shift} s",
     }
-    signals = {s: {"columns": [f"{s}_{j}" for j in log.joints]} for s in ("q", "v", "tau")}
+    signals: dict[str, Any] = {
+        s: {"columns": [f"{s}_{j}" for j in log.joints]} for s in ("q", "v", "tau")
+    }
     return write(folder, log, file=["q.csv", other], rate=None, time="t", **signals)
 
 
@@ -156,7 +158,9 @@ def test_stamps_in_two_columns_are_added(robot: RobotModel, log: Recorded, tmp_p
     whole = np.floor(log.t)
     frame["sec"], frame["nanosec"] = whole, np.round((log.t - whole) * 1e9)
     frame.to_csv(tmp_path / "run.csv", index=False)
-    signals = {s: {"columns": [f"{s}_{j}" for j in log.joints]} for s in ("q", "v", "tau")}
+    signals: dict[str, Any] = {
+        s: {"columns": [f"{s}_{j}" for j in log.joints]} for s in ("q", "v", "tau")
+    }
     time = {"column": ["sec", "nanosec"], "unit": ["s", "ns"]}
     path = write(tmp_path, log, name="two", file="run.csv", time=time, rate=None, **signals)
     same(read(robot, path), log, robot, atol=1e-6)

@@ -86,11 +86,9 @@ def _episode_arrays(path: Path, episode: int) -> dict[str, Array]:
 
 def _rows(file: Path, episode: int) -> dict[str, Array] | None:
     """Return the rows of an episode in a file by column, None where it has none."""
-    arrays = read_arrow(file)
-    if _EPISODE not in arrays:
-        raise UsageError(f"{file} has no column {_EPISODE!r}; it is not of a LeRobot data set.")
-    rows = arrays[_EPISODE][:, 0] == episode
-    return {name: x[rows] for name, x in arrays.items()} if rows.any() else None
+    # Its other columns are unpacked only where the file holds the episode.
+    rows = read_arrow(file, [_EPISODE])[_EPISODE][:, 0] == episode
+    return {name: x[rows] for name, x in read_arrow(file).items()} if rows.any() else None
 
 
 def _words(info: Mapping[str, Any], feature: str, width: int) -> list[str]:

@@ -12,10 +12,15 @@ from sysid_bench.input_files import check_file, is_file
 from sysid_bench.signals.foreign_library import reading
 from sysid_bench.signals.log_libraries import log_library
 from sysid_bench.signals.log_table import LARGEST_LOG, LogTable
+from sysid_bench.signals.read_progress import report
 from sysid_bench.signals.ros_messages import MessageTypes, joint_columns, number_columns
 from sysid_bench.types import Array
 
 JOINT_STATE: Final = "sensor_msgs/msg/JointState"
+
+
+_LARGEST: Final = 2**40
+"""Bytes of a file; a bag holds images beside the messages that are read."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +41,14 @@ class Rosbag2:
     def read(self, path: Path) -> LogTable:
         """Return the messages as rows; raises UsageError for a damaged bag, or where the topic or
         the joints are not clear."""
-        for file in [path] if is_file(path) else sorted(path.iterdir()):
-            check_file(file, LARGEST_LOG)
+        for file in [path] if is_file(path) else self._files(path):
+            check_file(file, _LARGEST)
         library = log_library("rosbags.rosbag2", path)
         with reading(path, "a ROS 2 bag"), library.Reader(path) as bag:
             return self._table(path, bag)
+
+    def _files(self, folder: Path) -> list[Path]:
+        return [file for pattern in self.folder_files for file in folder.glob(pattern)]
 
     def _table(self, path: Path, bag: Any) -> LogTable:
         connections = self._chosen(path, bag.connections)
@@ -79,7 +87,10 @@ class Rosbag2:
 def _messages(path: Path, bag: Any, connections: Sequence[Any]) -> Iterator[tuple[int, Any]]:
     """Yield bag stamp (ns) and content of each message."""
     types = MessageTypes(path)
-    for connection, stamp, raw in bag.messages(connections):
+    total = sum(connection.msgcount for connection in connections)
+    for number, (connection, stamp, raw) in enumerate(bag.messages(connections)):
+        if number % 1000 == 0:
+            report(path, number, total)
         yield stamp, types.content(connection, raw)
 
 
