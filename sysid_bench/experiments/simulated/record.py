@@ -27,13 +27,13 @@ from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,
 )
-from sysid_bench.experiments.simulated.readings import Encoders, run_with_encoders
+from sysid_bench.experiments.simulated.sampled_signals import EncoderModel, run_with_encoder_errors
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.sensors import Noise, draw_noise, measure
+from sysid_bench.simulation.sensors import Noise, measure, noise_samples
 from sysid_bench.simulation.wrench_sensors import WRENCH_NOISE
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
@@ -55,13 +55,13 @@ class SimulatedRobot:
         return self.loaded.build_plugin("simulation", self.spec.simulation)
 
     @property
-    def sample_step(self) -> int:
+    def _sample_step(self) -> int:
         """Steps of the simulation per sample of the recording."""
         rate: float = self.simulation.design_rate(self.spec.rate)
         return round(rate / self.spec.rate)
 
     @cached_property
-    def training(self) -> CommandedMotion:
+    def _training(self) -> CommandedMotion:
         """The training motion at the rate of the simulation, with its margins to the limits."""
         rate = self.simulation.design_rate(self.spec.rate)
         return self._checked(self.spec.excitation, rate, motion_seed(self.spec, self.motion))
@@ -69,10 +69,10 @@ class SimulatedRobot:
     @property
     def commanded(self) -> Trajectory:
         """The commanded training motion, at the rate of the simulation."""
-        return self.training.motion
+        return self._training.motion
 
     @cached_property
-    def other_motions(self) -> tuple[CommandedMotion, ...]:
+    def _other_motions(self) -> tuple[CommandedMotion, ...]:
         """The held-out motions, at the rate of the recording; with elastic joints at that of the
         simulation."""
         return tuple(
@@ -83,8 +83,8 @@ class SimulatedRobot:
     @property
     def margins(self) -> Margins:
         """Margins to the limits along all motions, held-out ones included."""
-        margins = self.training.margins
-        for other in self.other_motions:
+        margins = self._training.margins
+        for other in self._other_motions:
             margins = margins.with_motion(other.margins)
         return margins
 
@@ -114,7 +114,7 @@ class SimulatedRobot:
         if self.built.plant.transmission is None:
             return self._moved(Inverse(), motion, self._no_error(motion))[0]
         oracle = self._moved(self.simulation, motion, self._no_error(motion))[0]
-        each = self.sample_step
+        each = self._sample_step
         return Oracle(sampled_motion(oracle.motion, each), oracle.tau[::each])
 
     @cached_property
@@ -224,14 +224,14 @@ def record(
 ) -> SampledRecording:
     """The recording of one repeat, and of one of its runs where there are several."""
     repetition = repetition or Repetition(0, True, noise_seed(spec))
-    seed, built, decimation = repetition.seed, simulated.built, simulated.sample_step
+    seed, built, decimation = repetition.seed, simulated.built, simulated._sample_step
     noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
     pipeline = pipeline_of(spec.pipeline, spec.signals, simulated.loaded.folder)
     rng, count = np.random.default_rng(seed), len(simulated.commanded)
     samples = len(range(0, count, decimation))
     # All draws before the run, in units of their deviation: levels of noise share the same draws.
-    draws = draw_noise(count, samples, len(built.model.torque_dofs), rng)
-    run = run_with_encoders(Encoders(built, noise, draws), simulated.run)
+    draws = noise_samples(count, samples, len(built.model.torque_dofs), rng)
+    run = run_with_encoder_errors(EncoderModel(built, noise, draws), simulated.run)
     # A relative level refers to the exact torque, so that the noise is independent of itself.
     torque_std = noise.torque_std(run.seen.tau[::decimation])
     readings = run.read(built.rng_of(seed), decimation)
@@ -292,6 +292,6 @@ def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[st
     motions: dict[str, Oracle] = {}
     for index, excitation in enumerate(spec.held_out):
         name = excitation["use"]
-        oracle = simulated.held_out(simulated.other_motions[index].motion)
+        oracle = simulated.held_out(simulated._other_motions[index].motion)
         motions[name if name not in motions else f"{name}-{index}"] = oracle
     return motions
