@@ -32,14 +32,14 @@ class EncoderModel:
     draws: NoiseSamples
 
     @property
-    def _depend_on_position(self) -> bool:
+    def has_position_error(self) -> bool:
         """True where the errors are known only with the motion."""
         return self.noise.quantum > 0 or self.built.chain.has(EncoderStage)
 
     def error(self, motion: Trajectory | None = None, every: int = 1) -> Array:
         """The errors (N, n) on a motion of every `every`-th step; None: those of any motion."""
         draws = replace(self.draws, encoder=self.draws.encoder[::every])
-        if motion is None or not self._depend_on_position:
+        if motion is None or not self.has_position_error:
             return position_error(self.noise, draws)
         robot, chain = self.built.model, self.built.chain
         q = _independent_positions(robot, motion)
@@ -99,7 +99,7 @@ def run_with_encoder_errors(encoders: EncoderModel, move: Move) -> _EncoderRun:
         )
 
     oracle, controller = move(error)
-    if encoders._depend_on_position:
+    if encoders.has_position_error:
         # The first run gives positions, the second one runs with the loop seeing their errors. The
         # recorded errors are those of its own positions, so that readings lie on the encoder's
         # grid.
