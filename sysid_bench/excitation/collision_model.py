@@ -163,7 +163,7 @@ def collision_limit(scene: CollisionModel, clearance: float) -> Limit:
     """
     if not 0.0 <= clearance < _REACH:
         raise UsageError(f"A clearance lies between 0 and {_REACH} m; got {clearance}.")
-    contacts = _LastMotion(scene.contacts)
+    contacts = _LastMotion(scene.contact_list)
 
     def distances(motion: Trajectory) -> Array:
         out = np.full((len(motion), _WATCHED), _REACH)
