@@ -29,7 +29,7 @@ from sysid_bench.harness.suite.model import Origin
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.suite.third_party_code import code_note, third_party_names
 from sysid_bench.harness.supervised_names import supervised_names
-from sysid_bench.harness.work.supervise import Ending, OnEvent, _ignore, supervise
+from sysid_bench.harness.work.supervise import Ending, OnEvent, ignore, supervise
 from sysid_bench.harness.work.worker_process import Job, WorkerSettings
 from sysid_bench.input_files import is_folder
 from sysid_bench.types import Row
@@ -82,7 +82,7 @@ def run(
     tasks, seconds}), then the events of the supervisor. Raises UsageError before any run.
     """
     _check(rerun, limit, jobs, timeout)
-    on_event = on_event or _ignore
+    on_event = on_event or ignore
     with nullcontext(names) if names else supervised_names(robots_dir) as known:
         options = _SuiteOptions(known, overrides or {}, robots_dir, large)
         folder = _run_folder(suite_or_folder, out, options)

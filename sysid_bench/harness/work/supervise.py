@@ -47,7 +47,7 @@ def supervise(
     Return "stopped" after the first failure under `fail_fast`, "interrupted" after Ctrl-C,
     SIGTERM or SIGHUP: workers are killed, stored rows stay, and open cells have no row.
     """
-    supervisor = _Supervisor(jobs, settings, max_workers, fail_fast, on_event or _ignore)
+    supervisor = _Supervisor(jobs, settings, max_workers, fail_fast, on_event or ignore)
     with on_interrupt(supervisor.interrupt):
         try:
             return supervisor.run()
@@ -292,5 +292,5 @@ def _row_head(head: Row, status: str) -> Row:
     return {**fields, "losses": losses + 1} if status == "lost" else fields
 
 
-def _ignore(kind: str, data: Mapping[str, Any]) -> None:
+def ignore(kind: str, data: Mapping[str, Any]) -> None:
     """Take an event that nobody listens to."""
