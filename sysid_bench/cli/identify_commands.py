@@ -22,7 +22,7 @@ from sysid_bench.cli.options import (
 from sysid_bench.cli.progress import read_progress
 from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import (
-    parse_contacts,
+    parse_contact,
     parse_names,
     parse_noise,
     parse_payload,
@@ -211,6 +211,7 @@ _output_options = group_options(
 @_output_options
 @robots_option
 @report_errors
+@read_progress()
 def identify(
     model: str | None,
     source: _Source,
@@ -224,34 +225,33 @@ def identify(
     code = supervised(_plugins(source, of_logs, unknowns, method))
     if code is not None:
         return code
-    with read_progress():
-        result = sysid_bench.identify(
-            _given(model),
-            task=unknowns.task,
-            payload=parse_payload(unknowns.payload),
-            terms=parse_terms(unknowns.terms),
-            estimator=method.estimator,
-            noise=parse_noise(method.noise),
-            log=source.logs,
-            test=source.tests,
-            simulate=source.simulate,
-            model_out=output.model_out,
-            json_out=output.json_out,
-            robots_dir=robots_dir,
-            seed=method.seed,
-            sensor=unknowns.sensor,
-            free_base=unknowns.free_base,
-            contacts=parse_contacts(method.contacts),
-            complete=method.complete,
-            filter=of_logs.filter_text,
-            derivatives=of_logs.derivatives,
-            moving=of_logs.moving,
-            choose=parse_names(of_logs.candidates),
-            position_given=of_logs.position_given,
-            accept=parse_names(of_logs.accept),
-            figure=of_logs.figure,
-            pipeline=parse_pipeline(method.pipeline),
-        )
+    result = sysid_bench.identify(
+        _given(model),
+        task=unknowns.task,
+        payload=parse_payload(unknowns.payload),
+        terms=parse_terms(unknowns.terms),
+        estimator=method.estimator,
+        noise=parse_noise(method.noise),
+        log=source.logs,
+        test=source.tests,
+        simulate=source.simulate,
+        model_out=output.model_out,
+        json_out=output.json_out,
+        robots_dir=robots_dir,
+        seed=method.seed,
+        sensor=unknowns.sensor,
+        free_base=unknowns.free_base,
+        contacts=parse_contact(method.contacts),
+        complete=method.complete,
+        filter=of_logs.filter_text,
+        derivatives=of_logs.derivatives,
+        moving=of_logs.moving,
+        choose=parse_names(of_logs.candidates),
+        position_given=of_logs.position_given,
+        accept=parse_names(of_logs.accept),
+        figure=of_logs.figure,
+        pipeline=parse_pipeline(method.pipeline),
+    )
     print_result(result, output.as_json)
     return OK
 
@@ -265,9 +265,9 @@ def _plugins(
     for name in parse_names(of_logs.candidates):
         yield "term", name.removeprefix("motor.")
     if source.logs:
-        from sysid_bench.experiments.third_party import readers_of_logs
+        from sysid_bench.experiments.third_party import reader_names
 
-        yield from readers_of_logs((*source.logs, *source.tests))
+        yield from reader_names((*source.logs, *source.tests))
 
 
 def _given(model: str | None) -> str:

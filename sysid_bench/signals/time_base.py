@@ -26,7 +26,7 @@ _WIDEST: Final = 3.0
 """Ratio of a recording's length to its samples beyond which it is more gap than recording."""
 
 
-def read_times(log: LogDescription, samples: int) -> Array | None:
+def read_time(log: LogDescription, samples: int) -> Array | None:
     """Return the time stamps (N,) of the chosen samples in s, as they stand in the file; None
     without a time column.
 
