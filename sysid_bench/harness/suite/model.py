@@ -34,6 +34,7 @@ from sysid_bench.harness.suite.data_entries import (
     Candidate,
     Filters,
     Load,
+    LogPrior,
     Noise,
     Prior,
     PriorChoice,
@@ -208,8 +209,8 @@ Choices = tuple[Annotated[str, PlainValidator(_candidate)], ...]
 
 
 class LogEntry(SuiteTable):
-    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `terms` and `choose` may be
-    sweeps."""
+    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `prior`, `terms` and `choose` may
+    be sweeps."""
 
     robot: Annotated[Any, PlainValidator(_robot_name)]
     name: StrictStr | None = None
@@ -222,6 +223,8 @@ class LogEntry(SuiteTable):
     derivatives: Annotated[str, one_of("way to differentiate", ("from q", "from v"))] | None = None
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
     pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
+    prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
+    feasible: Annotated[str, one_of("choice of feasibility", ("terms", "bodies"))] = "terms"
     accept: tuple[Annotated[str, one_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False
     true_mass: Annotated[Any, quantity_of("kg", positive=True)] = None

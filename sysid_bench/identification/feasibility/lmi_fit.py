@@ -16,14 +16,13 @@ from sysid_bench.identification.feasibility.feasible_set import (
     BASIS,
     LENGTH,
     FeasibleSet,
-    feasible_set,
 )
 from sysid_bench.identification.linear.base_coordinates import (
     WEAK,
     nullspace,
     weighted_coordinates,
 )
-from sysid_bench.types import Array, BaseMap, Body, Estimate, Problem
+from sysid_bench.types import Array, BaseMap, Estimate, Problem
 
 TOLERANCE: Final = 1e-7
 """Clarabel's tolerance of the duality gap, a sum of squares with unit noise variance."""
@@ -77,10 +76,9 @@ class Fit:
 
 
 @lru_cache(maxsize=64)
-def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Limits) -> _Cones:
+def _cones_of(feasible: FeasibleSet, limits: Limits) -> _Cones:
     """Constraints of a robot, cached."""
-    feasible = feasible_set(parameters, bodies)
-    p, nb = len(parameters), len(bodies)
+    p, nb = len(feasible.parameters), len(feasible.bodies)
     rows: list[_Bound] = [(np.array([i]), np.array([-1.0]), 0.0) for i in feasible.nonnegative]
     for at in feasible.indices:
         rows += _body_rows(at, limits)
@@ -204,7 +202,7 @@ def _solved(
     objective is then the cost of the constraints alone, and so is its accuracy.
     """
     # The cone h - G (origin + T y): the constraints of a robot in the coordinates of its data.
-    cones = _cones_of(feasible.parameters, feasible.bodies, limits)
+    cones = _cones_of(feasible, limits)
     size = 1 / np.sqrt(np.maximum(np.diag(P), 1.0))
     # Unit diagonal: coordinates of very different weight would exhaust the solver's accuracy.
     P = P * size * size[:, None]
