@@ -107,7 +107,7 @@ def _paths(files: PathLike | Sequence[PathLike]) -> tuple[Path, ...]:
 
 def _terms(names: Sequence[str] | None) -> tuple[str, ...] | None:
     """Joint terms; raise UsageError for unknown ones, and for a single text."""
-    check_term_names(names)
+    check_term_names(names, features=True)
     return None if names is None else tuple(names)
 
 

@@ -93,7 +93,7 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     Raises UsageError for descriptions, files or names that cannot be used and for contradictions
     in the data that `accept` does not name, EstimationError where the method fails.
     """
-    check_term_names(request.terms)
+    check_term_names(request.terms, features=True)
     training, tests = _descriptions(request)
     method = build("estimator", _estimator(request))
     manifest = find_manifest(request.model, request.robots_dir)

@@ -131,7 +131,7 @@ def _payload_sphere(links: Array) -> Array:
 def _payload_std(phi: Array) -> Array:
     """Deviations (10,) of the order of the sphere itself, at twice its radius."""
     far = 2 * PAYLOAD_RADIUS
-    return 2 * phi[0] * np.array([1.0] + [far] * 3 + [far**2] * 6)
+    return np.asarray(2 * phi[0] * np.array([1.0] + [far] * 3 + [far**2] * 6))
 
 
 def _joint_terms(

@@ -1,7 +1,7 @@
 """Recordings as a source: training and test logs, and scores against the measured torque."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ class RecordedSource:
     terms: tuple[str, ...]
     selection: TermSelection | None = None
     true_mass: float | None = None  # kg
-    prior: ModelPrior = ModelPrior()
+    prior: ModelPrior = field(default_factory=ModelPrior)
 
     @property
     def warning(self) -> str:
