@@ -11,7 +11,7 @@ UNEXPLAINED: Final = 0.9
 DEVIATIONS: Final = 3.0
 """Standard deviations below zero from which a friction coefficient counts as negative."""
 
-LEAST_GAIN_ERROR, LARGEST_DEVIATION = 0.05, 0.1
+LEAST_GAIN_ERROR, LARGEST_DEVIATION = 0.05, 0.2
 """Least error of a torque scale that is reported, and the largest standard deviation (shares) with
 which a joint decides it."""
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, ModelError
+from sysid_bench.errors import EstimationError, ModelError, first_names
 from sysid_bench.evaluation.crosscheck import crosscheck
 from sysid_bench.evaluation.recorded_score import joint_errors, torque_error
 from sysid_bench.evaluation.score import feasible_figures
@@ -22,6 +22,9 @@ from sysid_bench.models.robot import TERM_OF, RobotModel
 from sysid_bench.models.writing.manifest_writer import manifest_text
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.verbs.write_model import KEYS, write_text, write_values
+
+PASSIVE: Final = ("viscous", "coulomb", "armature")
+"""Joint terms that must not be negative."""
 
 IN_MJCF: Final = ("viscous", "coulomb", "armature", "spring")
 """Joint terms that an MJCF holds; the manifest holds all of them."""
@@ -125,8 +128,24 @@ def _terms_by_joint(
             found[joint].setdefault("viscous_coupling", {})[other] = value
         else:
             found[joint][TERM_OF[word]] = value
+    _refuse_negative(found)
     terms = {joint: JointTerms(**values) for joint, values in found.items()}
     return {joint: _with_reference(robot, joint, terms[joint]) for joint in terms}, left_out
+
+
+def _refuse_negative(found: Mapping[str, Mapping[str, float]]) -> None:
+    """Raise ModelError, with their names, for terms that would supply energy."""
+    wrong = [
+        f"{joint}.{term} ({values[term]:.3g})"
+        for joint, values in found.items()
+        for term in PASSIVE
+        if values[term] < 0
+    ]
+    if wrong:
+        raise ModelError(
+            f"Not written: {first_names(wrong)} must not be negative; let the fit constrain joint "
+            "terms as well (--feasible terms)."
+        )
 
 
 def _with_reference(robot: RobotModel, joint: str, terms: JointTerms) -> JointTerms:

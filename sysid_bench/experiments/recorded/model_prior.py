@@ -91,12 +91,18 @@ def _text(stated: Mapping[str, float]) -> str:
     spread = PriorSpread()
     com = stated.get("com")
     parts = [
-        f"mass {stated.get('mass', spread.mass):.0%}",
-        f"centre of mass {f'{1e3 * com:g} mm' if com else f'{GYRATION_SHARE:.0%} of the gyration'}",
-        f"inertia {stated.get('inertia', spread.inertia):.0%}",
-        f"joint terms {stated['terms']:.0%}" if "terms" in stated else "joint terms weakly known",
+        f"mass {_percent(stated.get('mass', spread.mass))}",
+        "centre of mass "
+        + (f"{1e3 * com:g} mm" if com else f"{_percent(GYRATION_SHARE)} of the radius of gyration"),
+        f"inertia {_percent(stated.get('inertia', spread.inertia))}",
+        "joint terms "
+        + (_percent(stated["terms"]) if "terms" in stated else "as large as their torque allows"),
     ]
     return ", ".join(parts)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:g} %"
 
 
 def _links(

@@ -18,8 +18,8 @@ class LMI:
     (m from the body frame) lie within limits. A semidefinite program, solved by Clarabel;
     `duality_gap` and `roundness` (smallest eigenvalue of any J over its trace) are the certificate.
     Unobservable parameters come from the prior, else from spheres of 1 kg, and mean nothing by
-    themselves. margin = 1e-7 exceeds Clarabel's tolerance. Sousa and Cortesao (2014, 2019); Wensing, Kim,
-    Slotine (2018).
+    themselves. margin = 1e-7 exceeds Clarabel's tolerance. Sousa and Cortesao (2014, 2019);
+    Wensing, Kim, Slotine (2018).
     """
 
     margin: float = 1e-7

@@ -27,14 +27,18 @@ from sysid_bench.types import Array, BaseMap, Estimate, Problem
 TOLERANCE: Final = 1e-7
 """Clarabel's tolerance of the duality gap, a sum of squares with unit noise variance."""
 
-STEPS: Final = (0.99, 0.95, 0.9)
-"""Largest step fractions: Clarabel's default, and smaller ones where rounding stops it."""
+ATTEMPTS: Final = ((0.99, 1.0), (0.95, 1.0), (0.9, 1.0), (0.99, 1e-3), (0.99, 1e-6))
+"""Largest step fraction and scale of the objective: Clarabel's defaults, smaller steps where
+rounding stops it, smaller objectives where data far outside of the feasible set exhaust it."""
 
 FEASIBLE: Final = (1e-9, 1e-8)
 """Tolerance of the constraints, and the one accepted where rounding allows no less."""
 
 LEAST: Final = 3e-8
 """Least eigenvalue of J (kg, lengths in LENGTH), above the tolerance of the constraints."""
+
+SOLVED: Final = ("Solved", "AlmostSolved")
+"""Statuses of Clarabel with an answer."""
 
 ACCEPTED: Final = 1e-4
 """Duality gap, absolute or relative, accepted where rounding allows no less."""
@@ -208,9 +212,9 @@ def _solved(
     P = P * size * size[:, None]
     free = -size * cho_solve(cho_factor(P), size * q) if q.any() else np.zeros(len(q))
     origin, T = origin + T @ free, T * size
-    for step in STEPS:
+    for step, scale in ATTEMPTS:
         answer = clarabel.DefaultSolver(
-            scipy.sparse.csc_matrix(np.triu(P)),
+            scipy.sparse.csc_matrix(scale * np.triu(P)),
             np.zeros(len(q)),
             scipy.sparse.csc_matrix(cones.G @ T),
             cones.h - cones.G @ origin,
@@ -218,19 +222,19 @@ def _solved(
             _settings(step),
         ).solve()
         status = str(answer.status)
-        if status not in ("NumericalError", "InsufficientProgress"):
+        if status in SOLVED:
             break
     if "PrimalInfeasible" in status:
         raise EstimationError(
             "No physically consistent bodies have these parameters: Clarabel finds the constraints "
             "infeasible. Use a feasible fit instead, or wider limits."
         )
-    if status not in ("Solved", "AlmostSolved"):
+    if status not in SOLVED:
         raise EstimationError(
             f"Clarabel returned {status} after {answer.iterations} iterations: no feasible fit was "
             "found to full accuracy; a prior or limits on mass would bound it."
         )
-    gap = abs(answer.obj_val - answer.obj_val_dual)
+    gap = abs(answer.obj_val - answer.obj_val_dual) / scale
     return free + size * np.array(answer.x), gap, int(answer.iterations)
 
 
