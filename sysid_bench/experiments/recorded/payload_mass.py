@@ -21,7 +21,7 @@ from sysid_bench.experiments.recorded.term_selection import FOLDS
 from sysid_bench.experiments.recorded.unknowns import MASS
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
-from sysid_bench.spatial.inertia import mass_com_inertia, six_of_matrix
+from sysid_bench.spatial.inertia import inertia_values, mass_com_inertia
 from sysid_bench.types import Array, Factor, Problem
 
 CONFIDENCE: Final = 0.95
@@ -138,7 +138,7 @@ def payload_intervals(
 def _payload_numbers(phi: Array) -> Array:
     """Mass, centre of mass and inertia about it (10,) of phi (10,)."""
     mass, com, inertia = mass_com_inertia(phi)
-    return np.concatenate([[mass], com, six_of_matrix(inertia)])
+    return np.concatenate([[mass], com, inertia_values(inertia)])
 
 
 def _jackknife(values: Array) -> tuple[Array, float]:
