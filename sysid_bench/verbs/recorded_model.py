@@ -14,7 +14,7 @@ from sysid_bench.evaluation.score import feasible_figures
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.identification.estimators.entropic import Entropic
-from sysid_bench.identification.feasibility.completion import complete
+from sysid_bench.identification.feasibility.completion import completed_parameters
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import JointTerms, Manifest, find_manifest
@@ -98,7 +98,7 @@ def _whole(
     assert estimate.beta is not None
     distance = distance or ENTROPIC
     try:
-        theta = complete(feasible, problem.base, estimate.beta, prior.prior, distance)
+        theta = completed_parameters(feasible, problem.base, estimate.beta, prior.prior, distance)
     except EstimationError:
         # Noise has carried beta out of the feasible set: fit again within it.
         return Entropic().solve(problem), distance, True
@@ -203,7 +203,7 @@ def _judged(
 
 def _theta_of(robot: RobotModel, problem: Problem) -> Array:
     """Parameters (p,) of a problem as a model has them; zero for those that no file holds."""
-    values = dict(zip(robot.inertial_columns, robot.phi.ravel(), strict=True))
+    values = dict(zip(robot.inertia_columns, robot.phi.ravel(), strict=True))
     names = tuple(name for name in problem.parameters if name not in values)
     terms = tuple(name for name in names if _is_term(robot, name))
     values |= dict(zip(terms, robot.term_values(terms), strict=True))

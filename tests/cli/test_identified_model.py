@@ -17,6 +17,7 @@ from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial.inertia import min_eigenvalues
 from sysid_bench.verbs.identify import identify
+from sysid_bench.verbs.recorded_result import RecordedResult
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write
 
@@ -90,8 +91,10 @@ def test_a_refused_model_loses_neither_table_nor_json(folder: Path, tmp_path: Pa
     with pytest.raises(NotWrittenError, match="no prior") as refused:
         asked(folder, "ur5", model_out=target, json_out=answer, prior="none")
     assert not target.exists()
-    assert refused.value.result["torque_error"] == json.loads(answer.read_text())["torque_error"]
-    assert refused.value.result.model_out is None
+    result = refused.value.result
+    assert isinstance(result, RecordedResult)
+    assert result.torque_error == json.loads(answer.read_text())["torque_error"]
+    assert result.model_out is None
     logs = [str(folder / "ur5_train.toml"), "--test", str(folder / "ur5_test.toml")]
     options = ["--model-out", str(target), "--prior", "none"]
     answered = CliRunner().invoke(main, ["identify", str(robot.name), "--log", *logs, *options])
