@@ -144,8 +144,9 @@ class RunFolder:
         """Read the rows stored so far."""
         return read_rows(self._cells)
 
-    def rows_with_places(self) -> Iterator[tuple[Row, RowStart]]:
-        """Yield each stored row and where it is; of rows with one id the last holds."""
+    def rows_with_places(self) -> Iterator[tuple[Row | bytes, RowStart]]:
+        """Yield each stored row and where it is, of other lines the text; of rows with one id the
+        last holds."""
         return rows_with_places(self._cells)
 
     def row(self, cell: str) -> Row | None:

@@ -1,7 +1,8 @@
 """Row files: append-only JSON lines, one writer per file; of rows with one id the last holds.
 
 A table of a row, a list of entries with the same keys, is written by column: {"columns": {key:
-values}}. Readers return lists of entries; files with lists of entries are read, too.
+values}}. Readers return lists of entries; files with lists of entries are read, too. Each line ends
+with the hash of its row (see row_hash.py): a row that was changed afterwards is not a row.
 """
 
 import contextlib
@@ -17,6 +18,7 @@ from typing import IO, Any, Final, NamedTuple
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.work.row_check import TABLES, is_row, other_files
+from sysid_bench.harness.work.row_hash import HASH, without_hash, with_hash
 from sysid_bench.types import Row
 
 LARGEST_ROW: Final = 2**26
@@ -46,14 +48,15 @@ class Line(NamedTuple):
 
 
 class RowStart(NamedTuple):
-    """Row file and offset of a row."""
+    """Row file, offset and line of a row."""
 
     path: Path
     start: int
+    line: int
 
     def read(self) -> Row:
         """Return the row."""
-        return with_entries(json.loads(next(lines(self.path, 0, self.start)).text))
+        return with_entries(json.loads(without_hash(next(lines(self.path, 0, self.start)).text)))
 
 
 class RowWriter:
@@ -67,7 +70,7 @@ class RowWriter:
     def write(self, row: Row) -> None:
         """Append one line. Raises before writing: TypeError for values that are not JSON,
         UsageError for a row that no reader takes."""
-        line = json.dumps(_by_column(plain(row))).encode() + b"\n"
+        line = with_hash(json.dumps(_by_column(plain(row))).encode()) + b"\n"
         if len(line) > LARGEST_ROW:
             raise UsageError(
                 f"The row has {len(line) / 1e6:.0f} MB; {LARGEST_ROW / 1e6:.0f} MB are stored at "
@@ -148,13 +151,14 @@ def read_rows(
     return StoredRows(rows, torn, tuple(garbled))
 
 
-def rows_with_places(folder: Path) -> Iterator[tuple[Row, RowStart]]:
-    """Yield each row of a folder of row files and its place, one in memory at a time."""
+def rows_with_places(folder: Path) -> Iterator[tuple[Row | bytes, RowStart]]:
+    """Yield each row of a folder of row files and its place, one in memory at a time; of a line
+    that is not a row its text."""
     for path in row_files(folder):
         for line in lines(path):
             row = parse_row(line.text)
-            if row is not None:
-                yield with_entries(row), RowStart(path, line.end - len(line.text))
+            place = RowStart(path, line.end - len(line.text), line.number)
+            yield line.text if row is None else with_entries(row), place
 
 
 def find_row(folder: Path, cell: str) -> Row | None:
@@ -210,12 +214,13 @@ def _skip_line(file: IO[bytes]) -> bool:
 
 
 def parse_row(line: bytes) -> Row | None:
-    """Return the row of a line, tables as they were written; None for all that is not a row."""
+    """Return the row of a line, tables as they were written; None for all that is not a row, or
+    another one than was written."""
     try:
-        row = json.loads(line)
+        row = json.loads(without_hash(line))
     except (ValueError, RecursionError):
         return None
-    return row if is_row(row) else None
+    return row if is_row(row) and HASH not in row else None
 
 
 def columns_of(table: Any) -> Mapping[str, list[Any]] | None:
