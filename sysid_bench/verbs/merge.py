@@ -54,8 +54,9 @@ def merge(runs: Sequence[str | Path], out: str | Path, *, mixed: bool = False) -
     """Merge runs of one plan into the folder `out`, and write its tables and report.
 
     Of several rows of a cell an ok row is kept before any other; contradicting ok rows, and rows
-    that were changed, are an answer (exit code 1), and nothing is written. Raises UsageError for runs of different plans, for
-    an `out` that is a run, and for rows of different code unless `mixed`.
+    that were changed, are an answer (exit code 1), and nothing is written. Raises UsageError for
+    runs of different plans, for an `out` that is a run, and for rows of different code unless
+    `mixed`.
     """
     merged = merge_runs([Path(run) for run in runs], Path(out), mixed=mixed)
     if merged.folder is not None and merged.rows:

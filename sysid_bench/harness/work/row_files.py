@@ -18,7 +18,7 @@ from typing import IO, Any, Final, NamedTuple
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.work.row_check import TABLES, is_row, other_files
-from sysid_bench.harness.work.row_hash import HASH, without_hash, with_hash
+from sysid_bench.harness.work.row_hash import HASH, with_hash, without_hash
 from sysid_bench.types import Row
 
 LARGEST_ROW: Final = 2**26
