@@ -4,12 +4,12 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import Cell
@@ -29,7 +29,7 @@ from sysid_bench.harness.work.row_files import (
     row_files,
     rows_with_places,
 )
-from sysid_bench.input_files import LARGEST, is_file, parse_json, read_text
+from sysid_bench.input_files import LARGEST, is_file, parse_json, read_bytes, read_text
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ try:
 except ImportError:  # Windows has no flock: two runners on one folder are not detected there
     fcntl = None  # type: ignore[assignment]
 
+_Content = TypeVar("_Content", str, bytes)
 _LARGEST: Final = {"plan.jsonl": 2**31}
 """Bytes of a file of a run folder: 2 kB for each of a million cells."""
 HEAD: Final = ("id", "status", "reason", "crosscheck", "fingerprint", "losses", "sources")
@@ -107,11 +108,11 @@ class RunFolder:
     @cached_property
     def planned(self) -> tuple[str, ...]:
         """Ids of the cells of the plan, which is not read as a whole."""
-        return planned_ids(self._read("plan.jsonl"))
+        return planned_ids(self._read_bytes("plan.jsonl"))
 
     def planned_cells(self) -> Iterator[tuple[Cell, list[str]]]:
         """Yield cells of the plan, each with the ids of all that differ from it by their repeat."""
-        return planned_cells(self._read("plan.jsonl"), self.planned)
+        return planned_cells(self._read_bytes("plan.jsonl"))
 
     @property
     def environment(self) -> dict[str, Any]:
@@ -276,8 +277,14 @@ class RunFolder:
         return " and ".join(others[:3]) or f"process {written or 'unknown'}"
 
     def _read(self, name: str) -> str:
+        return self._read_with(read_text, name)
+
+    def _read_bytes(self, name: str) -> bytes:
+        return self._read_with(read_bytes, name)
+
+    def _read_with(self, read: Callable[..., _Content], name: str) -> _Content:
         try:
-            return read_text(self.path / name, largest=_LARGEST.get(name, LARGEST))
+            return read(self.path / name, largest=_LARGEST.get(name, LARGEST))
         except (OSError, UnicodeDecodeError) as error:
             raise self._unreadable(name, error) from error
 
