@@ -4,7 +4,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -187,11 +187,11 @@ class RunFolder:
         consolidate(self.path, self._heads)
 
     def _frames_of(self, files: FrameFiles) -> Frames:
-        def read(name: str, columns: Sequence[str] | None) -> "pd.DataFrame":
+        def read(name: str, fields: Collection[str] | None) -> "pd.DataFrame":
             try:
-                return files.read(name, columns)
+                return files.read(name, fields)
             except UNREADABLE:  # a damaged page: the row files decide
-                return self._frames_of_rows().read(name, columns)
+                return self._frames_of_rows().read(name, fields)
 
         return Frames(read)
 

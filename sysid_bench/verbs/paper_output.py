@@ -11,7 +11,6 @@ from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
 from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
-from sysid_bench.verbs.base_table import ROUNDING
 from sysid_bench.verbs.result import value_text
 
 if TYPE_CHECKING:
@@ -129,6 +128,8 @@ def _base_parameters(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> L
 
 def _notes(cell: "Cell", data: Mapping[str, Any]) -> Iterator[str]:
     """Source of the values, further values, and the change that makes them physical."""
+    from sysid_bench.verbs.base_table import ROUNDING  # loads the simulation
+
     yield _source(cell)
     extra = [f"{name} = {value_text(value)}" for name, value in data["extra"].items()]
     if extra:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
 from sysid_bench.harness.cell import fields
@@ -217,6 +216,7 @@ def _runs_third_party_code(job: Mapping[str, Any]) -> bool:
 
 def write_cell(argument: Mapping[str, Any], channel: JobChannel | None = None) -> None:
     """Execute a cell and write its recording."""
+    from sysid_bench.experiments.cell_data import cell_data  # loads the simulation
     from sysid_bench.reporting import cell_recording
 
     data = cell_data(argument["job"], argument["row"])
