@@ -141,9 +141,9 @@ class RunFolder:
         """One line per cell and joint."""
         return self.frames().joints
 
-    def rows(self) -> StoredRows:
-        """Read the rows stored so far."""
-        return read_rows(self._cells)
+    def rows(self, cells: Collection[str] | None = None) -> StoredRows:
+        """Read the rows stored so far, or those of some cells."""
+        return read_rows(self._cells, cells=cells)
 
     def rows_with_places(self) -> Iterator[tuple[Row | bytes, RowStart]]:
         """Yield each stored row and where it is, of other lines the text; of rows with one id the
@@ -166,9 +166,8 @@ class RunFolder:
             with suppress(*UNREADABLE):
                 rows = FrameFiles(self.path, coverage).heads(HEAD)
                 start, garbled = coverage.start, coverage.garbled
-        rest = read_rows(self._cells, start=start, tables=False)
-        for cell, row in rest.rows.items():
-            rows[cell] = {key: value for key, value in row.items() if key in HEAD}
+        rest = read_rows(self._cells, start=start, fields=HEAD)
+        rows |= rest.rows
         return StoredRows(rows, rest.torn, (*garbled, *rest.garbled))
 
     def frames(self) -> Frames:
@@ -210,7 +209,7 @@ class RunFolder:
 
     def _has_rows_behind(self, start: Mapping[str, tuple[int, int]]) -> bool:
         """True where planned cells have rows that the Parquet files do not cover."""
-        rest = read_rows(self._cells, start=start, tables=False).rows
+        rest = read_rows(self._cells, start=start, fields=HEAD[:1]).rows
         return bool(rest) and any(cell in rest for cell in self.planned)
 
     @property
