@@ -63,12 +63,15 @@ class RunFolder:
     def make(cls, path: Path, suite: Suite, plan: Plan, env: Mapping[str, Any]) -> "RunFolder":
         """Create a run; for an existing run with the same cells, update suite and labels.
 
-        Raises UsageError where the folder holds a run of other cells.
+        Raises UsageError where the folder holds a run of other cells, and where another runner
+        makes or runs one.
         """
         folder = cls(path)
-        if is_file(path / "plan.jsonl"):
-            folder._check_same(suite, plan)
-        folder._fill(suite, plan.to_json_lines(), env)
+        path.mkdir(parents=True, exist_ok=True)
+        with folder.lock():
+            if is_file(path / "plan.jsonl"):
+                folder._check_same(suite, plan)
+            folder._fill(suite, plan.to_json_lines(), env)
         return folder
 
     def write_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":

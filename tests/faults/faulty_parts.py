@@ -64,9 +64,12 @@ class Pipeline(_Part):
 
 
 class Simulation(_Part):
-    def simulate(self, *arguments: Any) -> Any:
+    def design_rate(self, recording: float) -> float:
+        return recording
+
+    def run(self, *arguments: Any) -> Any:
         perform(self.act)
-        return Inverse().simulate(*arguments)
+        return Inverse().run(*arguments)
 
 
 class SoundTask(RobotTask):

@@ -1,4 +1,4 @@
-"""Law: a faulty part of an experiment, of any kind of plug-in, is the row of its own cells, wherever
+"""Law: a faulty part of an experiment, a plug-in of any kind, is the row of its own cells, wherever
 it stands."""
 
 from pathlib import Path
