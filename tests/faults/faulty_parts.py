@@ -63,6 +63,10 @@ class Pipeline(_Part):
         return Raw().process(recording, joints)
 
 
+class SoundPipeline(Pipeline):
+    pass
+
+
 class Simulation(_Part):
     def design_rate(self, recording: float) -> float:
         return recording
@@ -70,6 +74,10 @@ class Simulation(_Part):
     def run(self, *arguments: Any) -> Any:
         perform(self.act)
         return Inverse().run(*arguments)
+
+
+class SoundSimulation(Simulation):
+    pass
 
 
 class SoundTask(RobotTask):

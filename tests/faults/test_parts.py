@@ -62,18 +62,20 @@ def check(found: Rows, undisturbed: Rows) -> None:
         ("plant", ('"matched"', '"stribeck"'), [part("Effect", act) for act in STATUS]),
         (
             "plant",
-            ('"matched"', composed("errors", "ModelError", "")),
-            [composed("errors", "ModelError", act) for act in STATUS],
+            (composed("errors", "ModelError", ""), composed("sensors", "SensorError", "")),
+            [
+                composed(*(("errors", "ModelError"), ("sensors", "SensorError"))[i % 2], act)
+                for i, act in enumerate(STATUS)
+            ],
         ),
         (
-            "plant",
-            ('"matched"', composed("sensors", "SensorError", "")),
-            [composed("sensors", "SensorError", act) for act in STATUS],
+            "pipeline",
+            ('"raw"', f'"{FAULTY}:SoundPipeline"'),
+            [part("Pipeline", act) for act in STATUS],
         ),
-        ("pipeline", ('"raw"', part("Pipeline", "")), [part("Pipeline", act) for act in STATUS]),
         (
             "simulation",
-            ('"inverse"', part("Simulation", "")),
+            ('"inverse"', f'"{FAULTY}:SoundSimulation"'),
             [part("Simulation", act) for act in STATUS],
         ),
         (
