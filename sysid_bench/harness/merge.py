@@ -101,7 +101,7 @@ def _candidates(
     places: list[str] = []
     for folder in folders:
         last, changed = dict[str, _Candidate](), dict[str, RowStart]()
-        for row, place in folder.rows_with_places():
+        for row, place in folder.rows_with_origin():
             if isinstance(row, dict):
                 if row["id"] in planned:
                     last[row["id"]] = _candidate(row, place)

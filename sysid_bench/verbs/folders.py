@@ -28,7 +28,7 @@ def rows_that_meet(run_folder: RunFolder, condition: Expression) -> dict[str, bo
     condition; one row is in memory at a time."""
     cells = {cell.id: cell for cell in run_folder.plan.cells}
     met = dict[str, bool]()
-    for row, _ in run_folder.rows_with_places():
+    for row, _ in run_folder.rows_with_origin():
         if isinstance(row, dict) and row["id"] in cells:
             met[row["id"]] = condition.holds({**row, **fields(cells[row["id"]])})
     return met

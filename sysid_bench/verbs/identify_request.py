@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
-from sysid_bench.signals.pipeline_choice import PLAIN, named_pipeline
+from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_spec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,10 +29,10 @@ class IdentifyRequest:
     robots_dir: Path | None = None
 
     @property
-    def named_pipeline(self) -> dict[str, Any] | None:
+    def pipeline_spec(self) -> dict[str, Any] | None:
         """The pipeline as an experiment names it."""
         written = PLAIN if self.pipeline is None else self.pipeline
-        return named_pipeline({"use": written} if isinstance(written, str) else written)
+        return pipeline_spec({"use": written} if isinstance(written, str) else written)
 
 
 def check_seed(seed: int) -> None:

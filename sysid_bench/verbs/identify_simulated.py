@@ -16,7 +16,7 @@ from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_pa
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.naming import build
-from sysid_bench.signals.pipeline_choice import own_signals
+from sysid_bench.signals.pipeline_choice import signals_of_pipeline
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.estimate_fields import (
@@ -241,8 +241,8 @@ def _spec(request: SimulatedRequest) -> ExperimentSpec:
         simulation={"use": "inverse"},
         rate=200.0,
         noise=noise,
-        signals=own_signals(_signals(noise, request.contacts), request.named_pipeline),
-        pipeline=request.named_pipeline,
+        signals=signals_of_pipeline(_signals(noise, request.contacts), request.pipeline_spec),
+        pipeline=request.pipeline_spec,
         repeat=0,
         sensor=request.sensor,
         free_base=request.free_base,

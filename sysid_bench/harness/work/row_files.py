@@ -162,7 +162,7 @@ def _kept(row: Row, fields: Collection[str] | None) -> Row:
     return {key: value for key, value in row.items() if key in fields}
 
 
-def rows_with_places(folder: Path) -> Iterator[tuple[Row | bytes, RowStart]]:
+def rows_with_origin(folder: Path) -> Iterator[tuple[Row | bytes, RowStart]]:
     """Yield each row of a folder of row files and its place, one in memory at a time; of a line
     that is not a row its text."""
     for path in row_files(folder):
