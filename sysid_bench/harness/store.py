@@ -29,7 +29,7 @@ from sysid_bench.harness.work.row_files import (
     row_files,
     rows_with_origin,
 )
-from sysid_bench.input_files import LARGEST, is_file, parse_json, read_bytes, read_text
+from sysid_bench.input_files import LARGEST, is_file, parse_json, read_data, read_text
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -282,7 +282,7 @@ class RunFolder:
         return self._read_with(read_text, name)
 
     def _read_bytes(self, name: str) -> bytes:
-        return self._read_with(read_bytes, name)
+        return self._read_with(read_data, name)
 
     def _read_with(self, read: Callable[..., _Content], name: str) -> _Content:
         try:
