@@ -115,14 +115,14 @@ def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
     writer.close()
 
 
-json_values = st.recursive(
+stored_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.text(st.characters()) | st.just("\ud800")
     | st.floats(allow_nan=False, allow_infinity=False),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
 )  # fmt: skip
 
 
-@given(json_values)
+@given(stored_values)
 def test_any_value_is_read_as_it_was_written(value: Any) -> None:
     line = with_hash(json.dumps({"id": "a", "status": "ok", "value": value}).encode())
     row = parse_row(line + b"\n")
