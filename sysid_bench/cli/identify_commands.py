@@ -1,6 +1,7 @@
 """Command that identifies one robot: identify."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import click
@@ -27,10 +28,12 @@ from sysid_bench.cli.values import (
     parse_noise,
     parse_payload,
     parse_pipeline,
+    parse_prior,
     parse_terms,
     pipeline_name,
 )
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import NotWrittenError, UsageError
+from sysid_bench.verbs.result import Result
 
 
 class _Source(OptionsRecord):
@@ -58,6 +61,8 @@ class _Unknowns(OptionsRecord):
 
 
 class _Method(OptionsRecord):
+    prior: str | None
+    feasible: str | None
     estimator: str | None
     noise: str | None
     contacts: str | None
@@ -165,6 +170,18 @@ _method_options = group_options(
             help="Default: ols; wls with logs and for wrench; min-norm for terminal.",
         ),
         click.option(
+            "--prior",
+            metavar="model|none|TABLE",
+            help="Logs: the model file's inertias where they are plausible (default), none, or "
+            'their spreads, \'{ mass = "10 %", com = "20 mm" }\'.',
+        ),
+        click.option(
+            "--feasible",
+            type=click.Choice(["terms", "bodies"]),
+            help="Logs, feasible fits: friction and rotor inertia are not negative either (terms, "
+            "the default), or only the bodies are constrained.",
+        ),
+        click.option(
             "--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none."
         ),
         click.option(
@@ -225,7 +242,8 @@ def identify(
     code = supervised(_plugins(source, of_logs, unknowns, method))
     if code is not None:
         return code
-    result = sysid_bench.identify(
+    arguments = partial(
+        sysid_bench.identify,
         _given(model),
         task=unknowns.task,
         payload=parse_payload(unknowns.payload),
@@ -251,7 +269,15 @@ def identify(
         accept=parse_names(of_logs.accept),
         figure=of_logs.figure,
         pipeline=parse_pipeline(method.pipeline),
+        prior=parse_prior(method.prior),
+        feasible=method.feasible,
     )
+    try:
+        result = arguments()
+    except NotWrittenError as error:
+        if isinstance(error.result, Result):
+            print_result(error.result, output.as_json)
+        raise
     print_result(result, output.as_json)
     return OK
 

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
-from sysid_bench.errors import SysidBenchError, reason_of, status_of
+from sysid_bench.errors import SysidBenchError, UsageError, reason_of, status_of
 from sysid_bench.experiments.job_channel import JobChannel, JobEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.loaded_sources import loaded_sources, read_installed
@@ -21,6 +21,7 @@ from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
 from sysid_bench.identification.identify import identify
+from sysid_bench.metrics import REASONS
 from sysid_bench.naming import build
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.versions import versions
@@ -173,7 +174,18 @@ def _scored(
     cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
     row |= _unusable(row, scores)
     store_paper_data(argument, estimator["cell"], estimate, prepared)
-    return row | scores | prepared.fields | plugin_metrics(argument, cell) | {"stats": stats}
+    row |= scores | prepared.fields | {"stats": stats}
+    return row | _new_fields(plugin_metrics(argument, cell), row)
+
+
+def _new_fields(metrics: Row, row: Row) -> Row:
+    """Metrics of plug-ins; raise UsageError for one with the name of a field of the row."""
+    taken = sorted((metrics.keys() - {REASONS}) & row.keys())
+    if taken:
+        raise UsageError(
+            f"The metric name {taken[0]!r} is a field of rows already; choose another."
+        )
+    return metrics
 
 
 def _unusable(row: Row, scores: Row) -> Row:

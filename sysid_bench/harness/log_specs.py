@@ -4,8 +4,9 @@ import itertools
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from sysid_bench.experiments.spec import ExperimentSpec
+from sysid_bench.experiments.spec import ExperimentSpec, normal_prior
 from sysid_bench.harness.labels import plugin_label
+from sysid_bench.harness.plan_size import prior_table
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
 from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_spec
@@ -18,9 +19,9 @@ RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
     """Yield one specification for each combination of the sweeps of a log."""
     sweeps = itertools.product(
-        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline
+        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline, entry.prior
     )
-    for terms, choose, filter, moving, pipeline in sweeps:
+    for terms, choose, filter, moving, pipeline, prior in sweeps:
         signals = {"filter": filter, "derivatives": entry.derivatives}
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
@@ -29,7 +30,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             task=entry.task,
             terms=terms,
             plant=RECORDED,
-            prior="none",
+            prior=normal_prior(prior_table(prior)),
             excitation=RECORDED,
             held_out=(),
             simulation=RECORDED,
@@ -46,6 +47,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
                 "accept": list(entry.accept),
                 "position_given": entry.position_given,
                 "true_mass": entry.true_mass,
+                **({} if entry.feasible == "terms" else {"feasible": entry.feasible}),
             },
         )
 
@@ -53,6 +55,13 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
 def _pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
     """Return "parallel cutoff=6 Hz" for the pipeline of a log."""
     return plugin_label(pipeline or {"use": PLAIN})[1]
+
+
+def prior_label(prior: str | Mapping[str, float]) -> str:
+    """Return "model", "none", or "mass=0.2, inertia=0.3" for the prior of a log."""
+    if isinstance(prior, str):
+        return prior
+    return ", ".join(f"{key}={value:g}" for key, value in prior.items())
 
 
 def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
@@ -72,5 +81,6 @@ def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, s
         "signals": f"{spec.signals.get('filter', 'default')}, "
         f"{spec.signals.get('derivatives', 'default')}{moving}",
         "pipeline": _pipeline_label(spec.pipeline),
+        "prior": prior_label(spec.prior),
     }
     return {axis: labels.get(axis, "recorded") for axis in LABELS if axis != "estimator"}

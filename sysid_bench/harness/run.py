@@ -311,4 +311,7 @@ def _notes(torn: int, garbled: Sequence[str]) -> Iterable[str]:
     if torn:
         yield f"{torn} unfinished rows of killed writers were skipped; their cells ran again."
     if garbled:
-        yield f"{len(garbled)} invalid rows were skipped: {', '.join(garbled[:5])}."
+        yield (
+            f"{len(garbled)} rows that are invalid, or were changed after they were written, were "
+            f"skipped: {', '.join(garbled[:5])}."
+        )

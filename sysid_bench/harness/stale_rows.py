@@ -40,7 +40,7 @@ def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell
         spec = cell.spec
         parts = [
             spec.robot, spec.task, spec.plant, spec.excitation, spec.held_out, spec.simulation,
-            spec.log, cell.estimator,
+            spec.pipeline, spec.log, cell.estimator,
         ]  # fmt: skip
         key = canonical(parts)
         if key not in known:

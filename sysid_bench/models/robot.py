@@ -192,6 +192,11 @@ class RobotModel:
             )
         return self._term_names[name]
 
+    @property
+    def term_names(self) -> frozenset[str]:
+        """Names of all joint terms of single joints: "j1.fv", "j5.fv.j6"."""
+        return frozenset(self._term_names)
+
     @cached_property
     def _term_names(self) -> dict[str, tuple[str, int, int | None]]:
         """Meaning of the name of every joint term; of joints called "a" and "a.fv" the first one in

@@ -16,7 +16,9 @@ class IdentifyRequest:
     `model`: a robot's name, a URDF or an MJCF file; `terms`: joint terms that are also unknown
     (None: those of the task); `estimator`: a plug-in (None: the usual one for the data).
     `pipeline`: signal pipeline of the fit, a name or {use, settings} (None: plain filtering).
-    `model_out`: the model file again, with the identified values; `json_out`: the result as a file.
+    `complete`: distance ("entropic", "euclidean", "pullback") in which whole, feasible bodies lie
+    nearest to the prior. `model_out`: the model file again, with the identified values; `json_out`:
+    the result as a file.
     """
 
     model: str
@@ -24,6 +26,7 @@ class IdentifyRequest:
     terms: tuple[str, ...] | None = None
     estimator: str | None = None
     pipeline: str | Mapping[str, Any] | None = None
+    complete: str | None = None
     model_out: Path | None = None
     json_out: Path | None = None
     robots_dir: Path | None = None

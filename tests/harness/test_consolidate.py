@@ -5,6 +5,7 @@ import os
 import random
 import shutil
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -301,6 +302,44 @@ def test_files_that_others_replace_stay_readable(run: RunFolder) -> None:
     store_rows(run, 2)
     run.write_frames()
     assert_same(frames, wanted)
+
+
+@pytest.mark.parametrize("kind", ["cells", "by_joint", "by_parameter", "by_std_from"])
+@pytest.mark.parametrize("seed", range(2))
+def test_frames_of_some_fields_have_the_lines_of_all(run: RunFolder, kind: str, seed: int) -> None:
+    store_rows(run, seed)
+    for _ in range(2):  # from rows, then from Parquet files
+        frames = run.frames()
+        whole = getattr(frames, kind)
+        for names in (["robot"], ["torque_error", "joint"], list(whole.columns)):
+            few = getattr(replace(frames, fields=frozenset(names)), kind)
+            kept = [name for name in names if name in whole.columns]
+            pd.testing.assert_frame_equal(few[kept], whole[kept])
+        run.write_frames()
+
+
+def test_rows_of_some_cells_and_fields(run: RunFolder) -> None:
+    store_rows(run, 1)
+    store_rows(run, 2)
+    rows = run.rows().rows
+    some = set(list(rows)[::2])
+    assert run.rows(some).rows == {cell: rows[cell] for cell in rows if cell in some}
+    few = read_rows(run.path / "cells", fields=("id", "status")).rows
+    assert few == {c: {"id": c, "status": row["status"]} for c, row in rows.items()}
+
+
+def test_cells_that_differ_by_their_repeat_are_one_kind(run: RunFolder) -> None:
+    def others(cell: Any) -> str:
+        data = cell.to_json()
+        for key in ("id", "experiment"):
+            del data[key]
+        return json.dumps(data | {"spec": {**data["spec"], "repeat": 0}})
+
+    kinds: dict[str, list[str]] = {}
+    for cell in run.plan.cells:
+        kinds.setdefault(others(cell), []).append(cell.id)
+    assert [ids for _, ids in run.planned_cells()] == list(kinds.values())
+    assert [cell.id for cell, _ in run.planned_cells()] == [ids[0] for ids in kinds.values()]
 
 
 def test_one_row_is_found(run: RunFolder) -> None:

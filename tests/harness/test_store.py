@@ -20,7 +20,14 @@ from sysid_bench.harness.data_frames import data_frames
 from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.work import row_files
-from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_rows
+from sysid_bench.harness.work.row_files import (
+    RowWriter,
+    new_row_file,
+    parse_row,
+    read_rows,
+    stored_rows,
+)
+from sysid_bench.harness.work.row_hash import with_hash
 
 
 def make(folder: Path, text: str = FULL) -> RunFolder:
@@ -106,6 +113,31 @@ def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
         assert set(stored_rows(writer.path)) == {str(n) for n in range(number + 1)}
     writer.close()
     writer.close()
+
+
+stored_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.text(st.characters()) | st.just("\ud800")
+    | st.floats(allow_nan=False, allow_infinity=False),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+)  # fmt: skip
+
+
+@given(stored_values)
+def test_any_value_is_read_as_it_was_written(value: Any) -> None:
+    line = with_hash(json.dumps({"id": "a", "status": "ok", "value": value}).encode())
+    row = parse_row(line + b"\n")
+    assert json.dumps(row) == json.dumps({"id": "a", "status": "ok", "value": value})
+
+
+@given(st.data())
+def test_a_changed_byte_makes_a_line_another_one(data: st.DataObject) -> None:
+    """No row, or where the name of the hash itself is hit, that of a line without one."""
+    row = {"id": "a", "status": "ok", "value": 0.123456789, "text": "abc"}
+    line = bytearray(with_hash(json.dumps(row).encode()))
+    place = data.draw(st.integers(0, len(line) - 1))
+    line[place] = data.draw(st.integers(32, 126).filter(lambda byte: byte != line[place]))
+    found = parse_row(bytes(line))
+    assert found is None or {key: found[key] for key in row} == row
 
 
 def test_a_row_that_is_no_json_leaves_no_trace(tmp_path: Path) -> None:

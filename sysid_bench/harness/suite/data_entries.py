@@ -72,6 +72,16 @@ class Prior(SuiteTable):
     redrawn: StrictBool | None = None  # true: another draw with each repeat
 
 
+class ModelSpread(SuiteTable):
+    """Standard deviations of a model file's inertial parameters as the prior of a recording; of the
+    centre of mass a share of the body's size, and of joint terms a wide one, unless stated."""
+
+    mass: Share = "20 %"
+    com: Length = None
+    inertia: Share = "30 %"
+    terms: Share = None
+
+
 def _filter(value: Any) -> str:
     text = str(value)
     if text == "default":  # recordings choose a filter by their rate
@@ -124,5 +134,11 @@ class Signals(SuiteTable):
 PriorChoice = Annotated[
     Annotated[Prior, Tag("table")]
     | Annotated[str, choice_of("prior", ("truth", "none")), Tag("word")],
+    Discriminator(plugin_kind),
+]
+
+LogPrior = Annotated[
+    Annotated[ModelSpread, Tag("table")]
+    | Annotated[str, choice_of("prior of a recording", ("model", "none")), Tag("word")],
     Discriminator(plugin_kind),
 ]

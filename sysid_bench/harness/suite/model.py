@@ -34,6 +34,7 @@ from sysid_bench.harness.suite.data_entries import (
     Candidate,
     Filters,
     Load,
+    LogPrior,
     Noise,
     Prior,
     PriorChoice,
@@ -61,7 +62,7 @@ from sysid_bench.harness.suite.report_entries import (
 )
 from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, metric_record
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
-from sysid_bench.naming import resolve_files
+from sysid_bench.naming import known, resolve_files
 from sysid_bench.signals.log_description import log_description, name_of
 from sysid_bench.signals.pipeline_choice import PLAIN
 from sysid_bench.types import Metric
@@ -86,6 +87,14 @@ def _term(value: Any) -> Any:
 
 
 Terms = tuple[Annotated[str, BeforeValidator(_term)], ...] | None
+
+
+def _recorded_term(value: Any) -> Any:
+    return value if value in known("term") else _term(value)
+
+
+RecordedTerms = tuple[Annotated[str, BeforeValidator(_recorded_term)], ...] | None
+"""Joint terms, and the features that recordings may have in their place."""
 
 
 def _motions(value: Any) -> Any:
@@ -208,15 +217,15 @@ Choices = tuple[Annotated[str, PlainValidator(_candidate)], ...]
 
 
 class LogEntry(SuiteTable):
-    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `terms` and `choose` may be
-    sweeps."""
+    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `prior`, `terms` and `choose` may
+    be sweeps."""
 
     robot: Annotated[Any, PlainValidator(_robot_name)]
     name: StrictStr | None = None
     train: Annotated[Logs, Sweep]
     test: Annotated[Logs, BeforeValidator(optional_items)] = ()
     task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"
-    terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)  # None: the robot's own
+    terms: Annotated[tuple[RecordedTerms, ...], ListSweep] = (None,)  # None: the robot's own
     choose: Annotated[tuple[Choices, ...], ListSweep] = ((),)
     filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
     derivatives: Annotated[str, choice_of("way to differentiate", ("from q", "from v"))] | None = (
@@ -224,6 +233,8 @@ class LogEntry(SuiteTable):
     )
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
     pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
+    prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
+    feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"
     accept: tuple[Annotated[str, choice_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False
     true_mass: Annotated[Any, quantity_of("kg", positive=True)] = None

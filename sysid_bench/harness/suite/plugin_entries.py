@@ -19,7 +19,7 @@ from sysid_bench.naming import resolve_files
 class Plugin(SuiteTable):
     """A plug-in: its name and its settings."""
 
-    model_config = ConfigDict(extra="allow", frozen=True)
+    model_config = ConfigDict(extra="allow", frozen=True, defer_build=True)
     kind: ClassVar[str] = ""
     use: StrictStr
 

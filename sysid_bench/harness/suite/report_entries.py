@@ -34,7 +34,7 @@ RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
 class SuiteTable(BaseModel):
     """A table of the suite file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 AnyMetric = Annotated[str, metric_name("metric", lambda metric: True)]

@@ -146,9 +146,10 @@ def processes_with(path: Path) -> list[str]:
     found = list[str]()
     for entry in _PROC.iterdir() if _PROC.is_dir() else ():
         if entry.name.isdigit() and _has_open(entry, os.path.realpath(path)):
-            words = (entry / "cmdline").read_bytes().rstrip(b"\0").split(b"\0")
-            command = " ".join(word.decode(errors="replace") for word in words)
-            found.append(f"process {entry.name} ({command[:100]})")
+            with contextlib.suppress(OSError):  # it has ended since
+                words = (entry / "cmdline").read_bytes().rstrip(b"\0").split(b"\0")
+                command = " ".join(word.decode(errors="replace") for word in words)
+                found.append(f"process {entry.name} ({command[:100]})")
     return found
 
 
