@@ -8,7 +8,7 @@ from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.labels import plugin_texts
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
-from sysid_bench.signals.pipeline_choice import PLAIN, named_pipeline
+from sysid_bench.signals.pipeline_choice import PLAIN, default_of_logs, named_pipeline
 from sysid_bench.vocabulary import LABELS
 
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
@@ -18,10 +18,11 @@ RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
     """Yield one specification for each combination of the sweeps of a log."""
     sweeps = itertools.product(
-        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline
+        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline or (None,)
     )
     for terms, choose, filter, moving, pipeline in sweeps:
         signals = {"filter": filter, "derivatives": entry.derivatives}
+        written = {k: x for k, x in signals.items() if x not in (None, "default")}
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
             robot=entry.robot,
@@ -35,9 +36,11 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             simulation=RECORDED,
             rate=0.0,
             noise={},
-            signals={k: x for k, x in signals.items() if x not in (None, "default")},
+            signals=written,
             repeat=0,
-            pipeline=named_pipeline(pipeline.spec),
+            pipeline=default_of_logs(written)
+            if pipeline is None
+            else named_pipeline(pipeline.spec),
             log={
                 "train": list(entry.train),
                 "test": list(entry.test),

@@ -63,7 +63,6 @@ from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, met
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import resolve_files
 from sysid_bench.signals.log_description import log_description, name_of
-from sysid_bench.signals.pipeline_choice import PLAIN
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import FINDINGS
 
@@ -147,17 +146,18 @@ class DefaultSettings(SuiteTable):
     )
     noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
     signals: Annotated[tuple[Signals, ...], Sweep] = (Signals(),)
-    pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
+    pipeline: Pipelines | None = None  # None: by `default_pipeline`
     candidate: Candidate = Candidate()
 
     def of(self, plant: Plant) -> tuple[
-        tuple[Simulation, ...], tuple[Noise, ...], tuple[Pipeline, ...]
+        tuple[Simulation, ...], tuple[Noise, ...], tuple[Pipeline | None, ...]
     ]:  # fmt: skip
-        """Return the simulations, kinds of noise and pipelines of a plant: its own, else these."""
+        """Return the simulations, kinds of noise and pipelines of a plant: its own, else these; a
+        pipeline is None where none is named."""
         return (
             self.simulation if plant.simulation is None else (plant.simulation,),
             self.noise if plant.noise is None else (plant.noise,),
-            self.pipeline if plant.pipeline is None else (plant.pipeline,),
+            self.pipeline or (None,) if plant.pipeline is None else (plant.pipeline,),
         )
 
 
@@ -221,7 +221,7 @@ class LogEntry(SuiteTable):
     filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
     derivatives: Annotated[str, one_of("way to differentiate", ("from q", "from v"))] | None = None
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
-    pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
+    pipeline: Pipelines | None = None  # None: by `default_pipeline`
     accept: tuple[Annotated[str, one_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False
     true_mass: Annotated[Any, quantity_of("kg", positive=True)] = None

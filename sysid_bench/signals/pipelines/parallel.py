@@ -69,9 +69,8 @@ class Parallel:
         light = replace(light, filter=_low_pass(self.order, MOTION_CUTOFF * cutoff, rate))
         processed, filter = light.apply(recording, joints), _low_pass(self.order, cutoff, rate)
         step = 1 if isinstance(filter, NoFilter) else _step(processed, cutoff)
-        return ProcessedSignals(
-            processed, RowProcessing(filter, step, self.standstill, self.weight)
-        )
+        rows = RowProcessing(filter, step, self.standstill, self.weight)
+        return ProcessedSignals(processed, rows, light.edge(recording))
 
     def cutoff_of(self, recording: Recording) -> float:
         """Return the cut-off (Hz) for a recording."""
