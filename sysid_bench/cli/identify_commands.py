@@ -185,8 +185,8 @@ _method_options = group_options(
             "--pipeline",
             metavar="NAME",
             help="Signals and rows of the fit: plain, raw, parallel, or a table "
-            '\'{ use = "parallel", cutoff = "6 Hz" }\'. Default: parallel; plain where positions are '
-            "exact, and with --filter.",
+            '\'{ use = "parallel", cutoff = "6 Hz" }\'. Default: parallel; plain with --filter and '
+            "where positions are exact.",
         ),
         click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0)),
     ],
