@@ -22,7 +22,13 @@ from sysid_bench.signals.filters import Butterworth, NoFilter
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.types import Array, Problem
-from tests.experiments.experiment_world import CLOSED_LOOP, motion_of, ready, robot_of
+from tests.experiments.experiment_world import (
+    CLOSED_LOOP,
+    RICH,
+    motion_of,
+    ready,
+    robot_of,
+)
 
 RATE = 100.0
 NOISE = {"q": 1e-5, "tau_relative": 0.01}
@@ -215,6 +221,29 @@ def test_standstill_and_parallel_filtering_repair_least_squares_in_closed_loop()
             errors[name] = row["torque_error_moving"]
         ratios.append(errors["parallel"] / errors["plain"])
     assert np.exp(np.log(ratios).mean()) < 0.5
+
+
+@pytest.mark.parametrize(("robot", "rate"), [(RICH, 500.0), (RICH, 1000.0)])
+def test_a_held_torque_belongs_to_the_middle_of_its_period(robot: str, rate: float) -> None:
+    """The residual of the true parameters is a shift in time: half a control period with the
+    torque at the samples, next to nothing with the default pipeline. The plant's own step, whose
+    force acts at its start, takes a tenth of it."""
+    shifts = {}
+    for name, pipeline in (
+        ("raw", {"use": "raw", "standstill": 0.1}),
+        ("parallel", {"use": "parallel", "cutoff": "10 Hz"}),
+    ):
+        simulation = {"use": "closed-loop", "rate": rate, "substeps": 10}
+        made = loop(pipeline, robot, simulation=simulation, noise={}, rate=rate / 2)
+        experiment, problem = made.experiment, made.problem
+        assert experiment.raw.controller.held
+        theta = made.source.truth.theta
+        left = (problem.b - problem.W @ (problem.base.K @ theta)).reshape(problem.samples, -1)
+        tau = experiment.recording.tau
+        slope = experiment.filter_rows(np.gradient(tau, 2 / rate, axis=0)).reshape(left.shape)
+        shifts[name] = np.median((left * slope).sum(axis=0) / (slope**2).sum(axis=0))
+    assert 0.6 * 0.5 / rate < shifts["raw"] < 1.1 * 0.5 / rate
+    assert abs(shifts["parallel"]) < 0.2 * shifts["raw"]
 
 
 # --- Bandwidth ----------------------------------------------------------------------------------
