@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import check_file, is_file
-from sysid_bench.plugin_settings import plugin_settings, setting_fields
+from sysid_bench.plugin_settings import plugin_fields, plugin_settings
 
 BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
@@ -232,7 +232,7 @@ def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
 def _check_reserved(kind: str, plugin: str, make: Any) -> None:
     """Raise UsageError for a plug-in that calls a setting as its entry calls something else."""
     for key in RESERVED.get(kind, ()):
-        if key in setting_fields(make):
+        if key in plugin_fields(make):
             raise UsageError(
                 f"{plugin}: its setting {key!r} is a key of plants, which gives them a {key} of "
                 "their own; call the setting otherwise."

@@ -21,7 +21,7 @@ from sysid_bench.cli.options import (
 )
 from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import (
-    parse_contacts,
+    parse_contact,
     parse_names,
     parse_noise,
     parse_payload,
@@ -245,7 +245,7 @@ def identify(
         seed=method.seed,
         sensor=unknowns.sensor,
         free_base=unknowns.free_base,
-        contacts=parse_contacts(method.contacts),
+        contacts=parse_contact(method.contacts),
         complete=method.complete,
         filter=of_logs.filter_text,
         derivatives=of_logs.derivatives,
@@ -269,9 +269,9 @@ def _plugins(
     for name in parse_names(of_logs.candidates):
         yield "term", name.removeprefix("motor.")
     if source.logs:
-        from sysid_bench.experiments.third_party import readers_of_logs
+        from sysid_bench.experiments.third_party import reader_names
 
-        yield from readers_of_logs((*source.logs, *source.tests))
+        yield from reader_names((*source.logs, *source.tests))
 
 
 def _given(model: str | None) -> str:

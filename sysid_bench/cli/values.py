@@ -81,7 +81,7 @@ def parse_condition(text: str | None) -> str | None:
     return text
 
 
-def parse_contacts(text: str | None) -> list[str] | str | None:
+def parse_contact(text: str | None) -> list[str] | str | None:
     """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raise UsageError for others."""
     if text is None or text == "detect":
         return text

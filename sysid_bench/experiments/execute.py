@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError, reason_of, status_of
-from sysid_bench.experiments.job_channel import JobChannel, JobDeath
+from sysid_bench.experiments.job_channel import JobChannel, JobEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.loaded_sources import loaded_sources, read_distributions
-from sysid_bench.experiments.machine_use import PeakMemory, machine_fields
+from sysid_bench.experiments.loaded_sources import loaded_sources, read_installed
+from sysid_bench.experiments.machine_use import MemoryUse, machine_fields
 from sysid_bench.experiments.paper_data import store_paper_data
 from sysid_bench.experiments.plugin_metrics import plugin_metrics
 from sysid_bench.experiments.prepare import prepare
@@ -38,10 +38,10 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     if not has_third_party_data(argument):
         _execute(argument, False, channel)
         return
-    read_distributions()
+    read_installed()
     death = channel.isolate(partial(_execute, argument, True))
     if death is not None:
-        raise JobDeath(death)
+        raise JobEnd(death)
 
 
 def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobChannel) -> None:
@@ -66,12 +66,12 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         return
     shared["seconds_experiment"] = time.perf_counter() - start
     if any(is_third_party_cell(argument, entry) for entry in estimators):
-        read_distributions()  # once, before the forks and the time limits of their cells
+        read_installed()  # once, before the forks and the time limits of their cells
     for entry in estimators:
         isolated = is_third_party_cell(argument, entry)
         header = headers[entry["cell"]] | shared
         cell = _PreparedCell(argument, entry, prepared, header, third_party_data or isolated)
-        channel.begin(entry["cell"])
+        channel.start_cell(entry["cell"])
         if isolated:
             cell.emit_isolated(channel)
         else:
@@ -91,10 +91,10 @@ class _PreparedCell:
 
     def emit(self, channel: JobChannel) -> None:
         """Compute the row in this process."""
-        peak = PeakMemory()
+        peak = MemoryUse()
         row = _result(self.argument, self.entry, self.prepared)
         sources = {"sources": loaded_sources()} if self.names_sources else {}
-        channel.emit(self.header | row | sources | machine_fields(peak))
+        channel.write(self.header | row | sources | machine_fields(peak))
 
     def emit_isolated(self, channel: JobChannel) -> None:
         """Compute the row in a process of its own; its end without a row is one here."""
@@ -102,7 +102,7 @@ class _PreparedCell:
         death = channel.isolate(self.emit)
         if death is not None and self.entry["cell"] in channel.cells:
             row = _explained(fields | machine_fields(None) | death.fields, self.prepared)
-            channel.emit(self.header | row)
+            channel.write(self.header | row)
 
 
 def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, LoadedRobot]:
@@ -130,7 +130,7 @@ def _robot_fields(loaded: LoadedRobot, rule: Mapping[str, Any]) -> Row:
 
 def _emit_all(headers: Mapping[str, Row], channel: JobChannel, fields: Row) -> None:
     for header in headers.values():
-        channel.emit(header | fields)
+        channel.write(header | fields)
 
 
 def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:

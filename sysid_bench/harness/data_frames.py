@@ -118,7 +118,9 @@ def data_frames(rows: Iterable[Row]) -> Frames:
     """Return the frames of rows; nested tables of a cell become columns with dotted names."""
     rows = list(rows)
     tables = _TABLE_OF.values()
-    cells = [flat({key: value for key, value in row.items() if key not in tables}) for row in rows]
+    cells = [
+        frame_row({key: value for key, value in row.items() if key not in tables}) for row in rows
+    ]
     made = {"cells": _frame(cells, FIRST["cells"])}
     for name, table in _TABLE_OF.items():
         made[name] = _frame(_long(rows, table), FIRST[name])
@@ -133,15 +135,15 @@ def data_frames(rows: Iterable[Row]) -> Frames:
 def _long(rows: Iterable[Row], field: str) -> Iterator[Row]:
     for row in rows:
         for entry in row.get(field) or ():
-            yield {"id": row["id"], **flat(entry)}
+            yield {"id": row["id"], **frame_row(entry)}
 
 
-def flat(row: Mapping[str, Any], prefix: str = "") -> Row:
+def frame_row(row: Mapping[str, Any], prefix: str = "") -> Row:
     """Return a row without nesting: names with dots for mappings, JSON texts for lists."""
     fields: Row = {}
     for key, value in row.items():
         if isinstance(value, dict):
-            fields |= flat(value, f"{prefix}{key}.")
+            fields |= frame_row(value, f"{prefix}{key}.")
         else:
             # Lists are stored as JSON, which DuckDB and people both read.
             fields[prefix + key] = json.dumps(value) if isinstance(value, list) else value

@@ -32,7 +32,7 @@ _BLOCK: Final = 1 << 20
 
 
 @dataclass(frozen=True)
-class CoveredFile:
+class CoveragePart:
     """The covered part of a row file: its bytes, lines and sha256; `mtime` (ns) of the whole."""
 
     bytes: int
@@ -60,7 +60,7 @@ class Coverage:
 
     footers: Mapping[str, str]
     plan: str
-    files: Mapping[str, CoveredFile]
+    files: Mapping[str, CoveragePart]
     garbled: tuple[str, ...]
     kinds: tuple[Any, ...] = ()
     format: int = _FORMAT
@@ -81,7 +81,7 @@ def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
     """Return the coverage of a run folder's Parquet files; None where it is absent or not true."""
     try:
         data = parse_json(read_text(folder / COVERAGE_FILE))
-        files = {name: CoveredFile(**file) for name, file in data.pop("files").items()}
+        files = {name: CoveragePart(**file) for name, file in data.pop("files").items()}
         coverage = Coverage(
             files=files, **{**data, **{key: tuple(data[key]) for key in ("garbled", "kinds")}}
         )
@@ -94,7 +94,7 @@ def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
     return coverage if is_true else None
 
 
-def footer_hash(path: Path) -> str:
+def frame_hash(path: Path) -> str:
     """Return the sha256 of the footer of a Parquet file, with its length and the magic number."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
@@ -104,9 +104,9 @@ def footer_hash(path: Path) -> str:
         return hashlib.sha256(file.read(length)).hexdigest()
 
 
-def covered_file(path: Path, size: int, count: int, changed: int) -> CoveredFile:
+def coverage_part(path: Path, size: int, count: int, changed: int) -> CoveragePart:
     """Describe the first `size` bytes of a row file, with `count` lines, `changed` at a time."""
-    return CoveredFile(size, count, _hash_of_start(path, size), changed)
+    return CoveragePart(size, count, _hash_of_start(path, size), changed)
 
 
 def _hash_of_start(path: Path, size: int) -> str:
@@ -130,7 +130,7 @@ class FrameFiles:
             path = folder / f"{name}.parquet"
             check_file(path, LARGEST_HASHED)
             self.files[name] = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True)
-            if footer_hash(path) != coverage.footers.get(name):
+            if frame_hash(path) != coverage.footers.get(name):
                 raise ValueError(f"{path} is not of this consolidation.")
 
     def read(self, name: str, columns: Sequence[str] | None = None) -> "pd.DataFrame":
@@ -142,7 +142,7 @@ class FrameFiles:
         typed = {name: pd.Series(values, dtype=values.dtype) for name, values in made.items()}
         return pd.DataFrame(typed, index=pd.RangeIndex(table.num_rows))
 
-    def heads(self, fields: Sequence[str]) -> dict[str, Row]:
+    def fields_of_rows(self, fields: Sequence[str]) -> dict[str, Row]:
         """Return some fields of all rows, by id, without those that a row does not have."""
         names = self.files["cells"].schema_arrow.names
         table = self._table("cells", [name for name in names if name.partition(".")[0] in fields])

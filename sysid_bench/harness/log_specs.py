@@ -5,10 +5,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.harness.labels import plugin_texts
+from sysid_bench.harness.labels import plugin_label
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
-from sysid_bench.signals.pipeline_choice import PLAIN, default_of_logs, named_pipeline
+from sysid_bench.signals.pipeline_choice import PLAIN, default_of_logs, pipeline_spec
 from sysid_bench.vocabulary import LABELS
 
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
@@ -38,9 +38,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             noise={},
             signals=written,
             repeat=0,
-            pipeline=default_of_logs(written)
-            if pipeline is None
-            else named_pipeline(pipeline.spec),
+            pipeline=default_of_logs(written) if pipeline is None else pipeline_spec(pipeline.spec),
             log={
                 "train": list(entry.train),
                 "test": list(entry.test),
@@ -53,9 +51,9 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
         )
 
 
-def pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
+def _pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
     """Return "parallel cutoff=6 Hz" for the pipeline of a log."""
-    return plugin_texts(pipeline or {"use": PLAIN})[1]
+    return plugin_label(pipeline or {"use": PLAIN})[1]
 
 
 def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
@@ -74,6 +72,6 @@ def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, s
         "held_out": ", ".join(name_of(log) for log in entry.test) or "none",
         "signals": f"{spec.signals.get('filter', 'default')}, "
         f"{spec.signals.get('derivatives', 'default')}{moving}",
-        "pipeline": pipeline_label(spec.pipeline),
+        "pipeline": _pipeline_label(spec.pipeline),
     }
     return {axis: labels.get(axis, "recorded") for axis in LABELS if axis != "estimator"}

@@ -95,7 +95,7 @@ def _candidates(
     """Return the rows of each planned cell, in the order of the runs."""
     found: dict[str, list[_Candidate]] = {}
     for folder in folders:
-        rows = folder.rows_with_places()
+        rows = folder.rows_with_origin()
         last = {r["id"]: _candidate(r, place) for r, place in rows if r["id"] in planned}
         for cell, candidate in last.items():
             found.setdefault(cell, []).append(candidate)

@@ -36,7 +36,7 @@ class Plan:
         return tuple({cell.experiment: cell.spec for cell in self.cells}.values())
 
     @property
-    def seconds(self) -> float:
+    def run_time(self) -> float:
         """Expected cost on one worker."""
         return sum(cell.seconds for cell in self.cells)
 
@@ -86,7 +86,7 @@ def _check_rankings(suite: Suite, cells: Sequence[Cell]) -> None:
             raise unknown_name("estimator of this suite", entry.against, methods, where)
 
 
-def expand(suite: Suite, names: Names | None = None, *, large: bool = False) -> Plan:
+def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = False) -> Plan:
     """Return all cells of a suite, without those of an [[exclude]] and without duplicates.
 
     Raises UsageError for more than MANY cells, unless `large`.
@@ -163,7 +163,7 @@ def planned_cells(text: str, ids: Iterable[str]) -> Iterator[tuple[Cell, list[st
     return ((_cell_of(number, line), ids) for number, line, ids in alike.values())
 
 
-def planned_heads(text: str) -> Iterator[dict[str, Any]]:
+def planned_fields(text: str) -> Iterator[dict[str, Any]]:
     """Yield `Cell.head` of each cell of a plan.jsonl, without the rest of the cell."""
     for number, line in _numbered(text):
         try:
@@ -172,7 +172,7 @@ def planned_heads(text: str) -> Iterator[dict[str, Any]]:
             repeat = data["spec"]["repeat"]
             head = {"id": data["id"], "experiment": data["experiment"], **labels, "repeat": repeat}
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            head = _cell_of(number, line).head  # raises with the reason
+            head = _cell_of(number, line).first_fields  # raises with the reason
         yield head
 
 

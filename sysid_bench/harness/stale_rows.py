@@ -31,7 +31,7 @@ def stale_cells(
     ]
 
 
-def fingerprints(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]:
+def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]:
     """Return a function that gives the fingerprint of a cell now; cells share it by their parts."""
     metrics = [entry.spec for entry in suite.metric]
     known: dict[str, str] = {}
@@ -52,7 +52,7 @@ def fingerprints(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]
 
 def other_code(folder: RunFolder, rows: Mapping[str, Row]) -> int:
     """Return the number of rows of a run that are from other code, models or libraries than now."""
-    fingerprint = fingerprints(folder.suite, folder.suite.robots_dir)
+    fingerprint = current_fingerprint(folder.suite, folder.suite.robots_dir)
     count = 0
     for like, cells in folder.planned_cells():
         now = fingerprint(like)

@@ -16,7 +16,7 @@ from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.consolidate import consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
-from sysid_bench.harness.plan import Plan, planned_cells, planned_heads, planned_ids
+from sysid_bench.harness.plan import Plan, planned_cells, planned_fields, planned_ids
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.processes import processes_with
 from sysid_bench.harness.work.row_files import (
@@ -27,7 +27,7 @@ from sysid_bench.harness.work.row_files import (
     new_row_file,
     read_rows,
     row_files,
-    rows_with_places,
+    rows_with_origin,
 )
 from sysid_bench.input_files import LARGEST, is_file, parse_json, read_text
 from sysid_bench.types import Row
@@ -144,15 +144,15 @@ class RunFolder:
         """Read the rows stored so far."""
         return read_rows(self._cells)
 
-    def rows_with_places(self) -> Iterator[tuple[Row, RowStart]]:
+    def rows_with_origin(self) -> Iterator[tuple[Row, RowStart]]:
         """Yield each stored row and where it is; of rows with one id the last holds."""
-        return rows_with_places(self._cells)
+        return rows_with_origin(self._cells)
 
     def row(self, cell: str) -> Row | None:
         """Read the row of one cell; None where it has none."""
         return find_row(self._cells, cell)
 
-    def heads(self) -> StoredRows:
+    def first_fields(self) -> StoredRows:
         """Read the fields HEAD of the rows stored so far, as far as a row has them.
 
         They come from cells.parquet as far as it covers the row files.
@@ -162,7 +162,7 @@ class RunFolder:
         garbled: tuple[str, ...] = ()
         if (coverage := read_coverage(self.path, row_files(self._cells))) is not None:
             with suppress(*UNREADABLE):
-                rows = FrameFiles(self.path, coverage).heads(HEAD)
+                rows = FrameFiles(self.path, coverage).fields_of_rows(HEAD)
                 start, garbled = coverage.start, coverage.garbled
         rest = read_rows(self._cells, start=start, tables=False)
         for cell, row in rest.rows.items():
@@ -218,7 +218,7 @@ class RunFolder:
     @cached_property
     def _heads(self) -> dict[str, Row]:
         """First fields of every planned cell, by id."""
-        return {head["id"]: head for head in planned_heads(self._read("plan.jsonl"))}
+        return {head["id"]: head for head in planned_fields(self._read("plan.jsonl"))}
 
     def new_writer(self, writer: str) -> RowWriter:
         """Open a writer with a new file, for rows that no worker can write."""

@@ -27,9 +27,9 @@ from sysid_bench.models.payload import parse_payload
 from sysid_bench.signals.pipeline_choice import (
     PLAIN,
     default_pipeline,
-    named_pipeline,
-    own_signals,
+    pipeline_spec,
     reads_signals,
+    signals_of_pipeline,
 )
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import LABELS
@@ -135,10 +135,10 @@ def _with_pipeline(
     if named is None:
         pipeline = default_pipeline(signals, has_exact_positions(spec))
     else:
-        pipeline = named_pipeline(named.spec)
+        pipeline = pipeline_spec(named.spec)
     if reads_signals(pipeline):
         signals = {**OF_PLAIN, **signals}
-    return replace(spec, pipeline=pipeline, signals=own_signals(signals, pipeline))
+    return replace(spec, pipeline=pipeline, signals=signals_of_pipeline(signals, pipeline))
 
 
 def _signals(signals: Signals) -> dict[str, Any]:

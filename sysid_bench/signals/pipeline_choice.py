@@ -36,7 +36,7 @@ def pipeline_of(
     return cast("Pipeline", build(KIND, {**shared, **spec}))
 
 
-def named_pipeline(written: Mapping[str, Any]) -> dict[str, Any] | None:
+def pipeline_spec(written: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the pipeline {use, settings} of a specification; None for `plain` without settings,
     since ids are older than pipelines."""
     return None if written == {"use": PLAIN} else dict(written)
@@ -50,7 +50,7 @@ def default_pipeline(signals: Mapping[str, Any], exact: bool) -> dict[str, Any] 
     or recorded, is `parallel`.
     """
     is_plain = exact or any(key in signals for key in OF_SIGNALS)
-    return named_pipeline({"use": PLAIN if is_plain else DEFAULT})
+    return pipeline_spec({"use": PLAIN if is_plain else DEFAULT})
 
 
 def default_of_logs(signals: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -59,7 +59,9 @@ def default_of_logs(signals: Mapping[str, Any]) -> dict[str, Any] | None:
     return default_pipeline({k: x for k, x in signals.items() if k == "filter"}, exact=False)
 
 
-def own_signals(signals: Mapping[str, Any], pipeline: Mapping[str, Any] | None) -> dict[str, Any]:
+def signals_of_pipeline(
+    signals: Mapping[str, Any], pipeline: Mapping[str, Any] | None
+) -> dict[str, Any]:
     """Return a table `signals` without the keys that a pipeline other than `plain` ignores."""
     if reads_signals(pipeline):
         return dict(signals)

@@ -12,7 +12,7 @@ from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.payload_mass import payload_mass
-from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_logs
+from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_recordings
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.repeatability import repeatability_error
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
@@ -84,7 +84,7 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     method = build("estimator", _estimator(request))
     manifest = find_manifest(request.model, request.robots_dir)
     _check_targets(request, manifest)
-    posed = prepare_logs(manifest, training, tests, _options(request))
+    posed = prepare_recordings(manifest, training, tests, _options(request))
     estimate = estimate_parameters(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
         raise EstimationError(f"{_estimator(request)} on {manifest.name}: {estimate.reason}")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
-from sysid_bench.signals.pipeline_choice import named_pipeline
+from sysid_bench.signals.pipeline_choice import pipeline_spec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class IdentifyRequest:
         if self.pipeline is None:
             return default
         written = self.pipeline
-        return named_pipeline({"use": written} if isinstance(written, str) else written)
+        return pipeline_spec({"use": written} if isinstance(written, str) else written)
 
 
 def check_seed(seed: int) -> None:

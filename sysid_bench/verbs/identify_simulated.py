@@ -17,7 +17,7 @@ from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_pa
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.naming import build
-from sysid_bench.signals.pipeline_choice import default_pipeline, own_signals
+from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.estimate_fields import (
@@ -248,5 +248,5 @@ def _spec(request: SimulatedRequest) -> ExperimentSpec:
         free_base=request.free_base,
     )
     pipeline = request.pipeline_or(default_pipeline({}, has_exact_positions(spec)))
-    signals = own_signals(_signals(noise, request.contacts), pipeline)
+    signals = signals_of_pipeline(_signals(noise, request.contacts), pipeline)
     return replace(spec, signals=signals, pipeline=pipeline)

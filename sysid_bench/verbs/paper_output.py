@@ -33,7 +33,7 @@ def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[Listing, ..
     return tuple(made)
 
 
-def draw_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
+def write_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
     """Draw the torque figures of a run as .pdf and .svg; title and path of the latter."""
     files = []
     for entry, cell in _shown(run, drawn=True):
@@ -76,7 +76,7 @@ def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":
 
 def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
     """The first cell with an ok row that an entry selects."""
-    rows = run.heads().rows
+    rows = run.first_fields().rows
     found = _selected(run, entry.select)
     if not found:
         raise UsageError(f"[[paper]] {entry.name!r}: no cell meets {entry.select!r}.")

@@ -28,7 +28,7 @@ from sysid_bench.reporting.rankings import Ranking, rankings
 from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS
 from sysid_bench.reporting.tables import Table
 from sysid_bench.verbs.folders import open_run
-from sysid_bench.verbs.paper_output import draw_paper_figures, paper_tables, text_of
+from sysid_bench.verbs.paper_output import paper_tables, text_of, write_paper_figures
 from sysid_bench.verbs.recordings import recording_notes
 from sysid_bench.vocabulary import JOINT, OF_REPEATS, PARAMETER, STD_FROM
 
@@ -71,7 +71,7 @@ def report(folder: str | Path) -> Path:
         (run_folder.path / name).mkdir(exist_ok=True)
     _write_tables(run_folder.path / "tables", tables, ranked, listings, origin)
     _draw(run_folder.path / "figures", tables, ranked)
-    drawn = draw_paper_figures(run_folder, run_folder.path / "figures")
+    drawn = write_paper_figures(run_folder, run_folder.path / "figures")
     return write_report(
         RunView(
             folder=run_folder.path,
@@ -93,7 +93,7 @@ def report(folder: str | Path) -> Path:
 
 def _stale_note(run_folder: "RunFolder") -> str:
     """Sentence on the rows that are from other code than now; empty for none."""
-    return stale_note(other_code(run_folder, run_folder.heads().rows))
+    return stale_note(other_code(run_folder, run_folder.first_fields().rows))
 
 
 def table(folder: str | Path, name: str, form: str = "md") -> str:
@@ -131,7 +131,7 @@ def _ranking_tables(ranked: Iterable[Ranking]) -> Iterator[Table]:
         yield from ranking.tables
 
 
-def printed_tables(folder: str | Path) -> list[str]:
+def summary_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
     origin, frames = _origin(run), run.frames()

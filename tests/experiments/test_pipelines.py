@@ -72,7 +72,7 @@ def test_processed_rows_have_the_same_solution(
     W, beta, v = rng.normal(size=(200, 3, 5)), rng.normal(size=5), rng.normal(size=(200, 3))
     processing = RowProcessing(filter, step, standstill, weight)
     rows = MotionRows(processing, processing.weights(v), RATE)
-    np.testing.assert_allclose(rows.filtered(W) @ beta, rows.filtered(W @ beta), atol=1e-12)
+    np.testing.assert_allclose(rows.processed(W) @ beta, rows.processed(W @ beta), atol=1e-12)
     slow = np.abs(v) < standstill * np.sqrt((v**2).mean(axis=0))
     np.testing.assert_array_equal(rows.weights, np.where(slow, weight, 1.0))
 
@@ -156,7 +156,7 @@ def test_a_filter_of_rows_spreads_nothing_of_a_contact(seed: int, start: int, le
     rows = MotionRows(processing, np.where(touched, 0.0, 1.0)[:, None], RATE)
     quiet, loud = (rng.normal(size=(200, 1)) for _ in range(2))
     loud = np.where(touched[:, None], 1e3 * loud, quiet)
-    np.testing.assert_array_equal(rows.filtered(quiet), rows.filtered(loud))
+    np.testing.assert_array_equal(rows.processed(quiet), rows.processed(loud))
     assert rows.count(0) == round((200 - touched.sum()) / 3)
 
 
@@ -236,6 +236,7 @@ def test_a_held_torque_belongs_to_the_middle_of_its_period(robot: str, rate: flo
         simulation = {"use": "closed-loop", "rate": rate, "substeps": 10}
         made = loop(pipeline, robot, simulation=simulation, noise={}, rate=rate / 2)
         experiment, problem = made.experiment, made.problem
+        assert experiment.raw.controller is not None
         assert experiment.raw.controller.held
         theta = made.source.truth.theta
         left = (problem.b - problem.W @ (problem.base.K @ theta)).reshape(problem.samples, -1)

@@ -9,7 +9,7 @@ from harness_world import FULL, NAMES, read
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.merge import merge
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.work.row_files import read_rows
@@ -39,7 +39,7 @@ def falsify(folder: Path, cell: str, **fields: Any) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 100])
 def test_shards_are_disjoint_whole_experiments_and_complete(count: int) -> None:
-    cells = expand(read(FULL), NAMES).cells
+    cells = cells_of_suite(read(FULL), NAMES).cells
     parts = [Shard(index, count).cells(cells) for index in range(1, count + 1)]
     assert sorted(cell.id for part in parts for cell in part) == sorted(cell.id for cell in cells)
     experiments = [{cell.experiment for cell in part} for part in parts]

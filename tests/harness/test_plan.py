@@ -22,13 +22,13 @@ from sysid_bench.experiments.seed import (
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import fields
-from sysid_bench.harness.plan import Plan, expand
+from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.vocabulary import LABELS
 
 
 def plan_of(text: str) -> Plan:
-    return expand(read(text), NAMES)
+    return cells_of_suite(read(text), NAMES)
 
 
 SPEC = plan_of(FULL).cells[-1].spec
@@ -151,7 +151,7 @@ def test_cells_are_experiments_times_estimators() -> None:
     assert len(plan.cells) == 7 * (1 + 3) * 2
     assert len(plan.specs) * 2 == len(plan.cells) == len({cell.id for cell in plan.cells})
     assert any("repeat 0 stands for all 3" in note for note in plan.notes)
-    assert plan.seconds == pytest.approx(sum(cell.seconds for cell in plan.cells)) != 0
+    assert plan.run_time == pytest.approx(sum(cell.seconds for cell in plan.cells)) != 0
 
 
 def test_closed_loop_repeats_without_noise() -> None:
@@ -324,11 +324,11 @@ def test_specifications_state_the_pipeline_that_a_suite_leaves_open(
 ) -> None:
     """Positions that are exact need no filter; who writes one has it; all else is `parallel`."""
     suite = parse_suite(small(f"[defaults]\n{keys}"))
-    cells = expand(suite).cells
+    cells = cells_of_suite(suite).cells
     assert [cell.spec.pipeline for cell in cells] == [expected] * len(cells)
     assert {cell.labels["pipeline"] for cell in cells} == {(expected or {"use": "plain"})["use"]}
     again = parse_suite(suite_text(suite))  # a frozen suite means the same
-    assert [cell.id for cell in expand(again).cells] == [cell.id for cell in cells]
+    assert [cell.id for cell in cells_of_suite(again).cells] == [cell.id for cell in cells]
 
 
 def test_only_plain_reads_the_filters_of_signals() -> None:

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from sysid_bench.canonical_json import canonical, plain
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import data_frames
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.work import row_files
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_rows
@@ -25,14 +25,14 @@ from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_row
 
 def make(folder: Path, text: str = FULL) -> RunFolder:
     suite = read(text)
-    return RunFolder.make(folder, suite, expand(suite, NAMES), {"python": "3"})
+    return RunFolder.make(folder, suite, cells_of_suite(suite, NAMES), {"python": "3"})
 
 
 def test_a_run_folder_records_what_it_was_made_of(tmp_path: Path) -> None:
     make(tmp_path / "run")
     run = RunFolder.open(tmp_path / "run")
     assert run.suite == read(FULL)
-    assert run.plan.cells == expand(read(FULL), NAMES).cells
+    assert run.plan.cells == cells_of_suite(read(FULL), NAMES).cells
     assert run.environment == {"python": "3"}
     assert run.rows().rows == {}
     assert len(run.cells) == 0
@@ -168,7 +168,12 @@ def test_consolidation_keeps_every_number(tmp_path: Path) -> None:
         for number, cell in enumerate(reversed(run.plan.cells)):
             joints = [{"name": f"j{i}", "rmse_test": i / 7} for i in range(3)]
             table = [{"body": "b", "name": "m", "true": 1.0, "estimate": None, "std": 0.1}]
-            row = {**cell.head, "noise": "old label", "status": "ok", "torque_error": number / 3}
+            row = {
+                **cell.first_fields,
+                "noise": "old label",
+                "status": "ok",
+                "torque_error": number / 3,
+            }
             more = {"versions": {"numpy": "2"}, "warnings": ["a"], "rank": number or None}
             writer.write({**row, **more, "joints": joints, "parameters_table": table})
         writer.write({"id": "of no plan", "status": "ok"})

@@ -51,7 +51,7 @@ def run(
 def modelled(robot: RobotModel, oracle: Oracle) -> Array:
     """Y theta (N, nv) of every parameter that the robot has, Coulomb friction apart."""
     terms = ("viscous", "offset", "armature", "spring")
-    columns = robot.inertial_columns + robot.term_columns(terms)
+    columns = robot.inertia_columns + robot.term_columns(terms)
     theta = np.concatenate([robot.phi.ravel(), robot.term_values(terms)])
     return regression(robot, columns).torque(oracle.motion, theta)
 
@@ -260,7 +260,7 @@ def test_a_held_torque_moves_the_positions_as_the_equation_of_motion_says(name: 
 )
 @pytest.mark.parametrize("effects", [(), (Law(zero),)], ids=["batched", "stepping"])
 def test_an_implicit_step_reports_the_torque_that_it_applies(
-    name: str, gains: dict[str, float], effects: tuple[Law, ...]
+    name: str, gains: dict[str, Any], effects: tuple[Law, ...]
 ) -> None:
     """Where the torque cannot be held, rates of dampers and feedback are those at the end of a
     step. The torque at its start would belong to a robot that is heavier by a step times kd."""

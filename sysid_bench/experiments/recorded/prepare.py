@@ -22,7 +22,7 @@ from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.naming import resolve_files
-from sysid_bench.signals.log_checks import refuse_findings
+from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import LogDescription, log_description, name_of
 from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_of
 from sysid_bench.signals.processing import processing_of
@@ -72,7 +72,7 @@ def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Reco
     options = _options(spec, spec.log, folder)
     training = [log_description(written, folder) for written in spec.log["train"]]
     tests = _test_descriptions(spec.log["test"], folder)
-    return prepare_logs(loaded.robot.manifest, training, tests, options)
+    return prepare_recordings(loaded.robot.manifest, training, tests, options)
 
 
 def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogOptions:
@@ -93,7 +93,7 @@ def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogO
     )
 
 
-def prepare_logs(
+def prepare_recordings(
     manifest: Manifest,
     training: Sequence[LogDescription],
     tests: Mapping[str, LogDescription],
@@ -111,7 +111,7 @@ def prepare_logs(
     judged = [process_log(log, manifest, preprocessing, training=False) for log in tests.values()]
     logs = [*fits, *judged]
     for log in logs:
-        refuse_findings(log.log.findings, options.accept, str(log.log.description.source))
+        check_findings(log.log.findings, options.accept, str(log.log.description.source))
     return build_problems(fits, dict(zip(tests, judged, strict=True)), preprocessing, options)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.recorded_score import score_recorded
 from sysid_bench.evaluation.score import base_parameters, data_figures
-from sysid_bench.excitation.limit_margins import Margins, limit_margins, margin_fields
+from sysid_bench.excitation.limit_margins import Margins, limit_fields, limit_margins
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.payload_mass import payload_mass
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
@@ -45,7 +45,7 @@ class RecordedSource:
         """Margins to the limits along all logs; preprocessing, findings and selected terms as the
         field `log`."""
         preprocessing = self.builder.preprocessing
-        return margin_fields(self._margins()) | {
+        return limit_fields(self._margins()) | {
             "log": {
                 "filter": preprocessing.filter,
                 "derivatives": preprocessing.derivatives,

@@ -15,7 +15,7 @@ from pydantic import (
 from sysid_bench.harness.suite.checks import (
     check_context,
     checked,
-    one_of,
+    choice_of,
     plugin_kind,
     quantity_of,
 )
@@ -56,8 +56,8 @@ class Candidate(SuiteTable):
     and Coulomb friction that sticks, or the smooth tanh(v / v0)."""
 
     step: Annotated[Any, quantity_of("s", positive=True)] = None
-    integrator: Annotated[str, one_of("integrator", INTEGRATORS)] = "auto"
-    friction: Annotated[str, one_of("friction of a candidate", FRICTION)] = "sticking"
+    integrator: Annotated[str, choice_of("integrator", INTEGRATORS)] = "auto"
+    friction: Annotated[str, choice_of("friction of a candidate", FRICTION)] = "sticking"
 
 
 class Prior(SuiteTable):
@@ -116,10 +116,12 @@ class Signals(SuiteTable):
     signals besides. A frozen suite keeps None: written settings choose `plain`."""
 
     filter: Annotated[str | None, PlainValidator(_filter)] = None  # "none"
-    derivatives: Annotated[str, one_of("way to differentiate", ("from q", "exact"))] | None = None
-    """None: "exact"."""
-    torque: Annotated[str, one_of("way to take torque", ("filtered", "raw"))] | None = None
-    """None: "filtered"."""
+    derivatives: Annotated[str, choice_of("way to differentiate", ("from q", "exact"))] | None = (
+        None  # "exact"
+    )
+    torque: Annotated[str, choice_of("way to take torque", ("filtered", "raw"))] | None = (
+        None  # "filtered"
+    )
     runs: Annotated[str, BeforeValidator(_runs)] = "B"  # A without, B with the payload
     contacts: Annotated[Any, PlainValidator(_contacts)] = None
     """Periods that are left out: "10 s to 25 s", a list of them, or "detect"."""
@@ -128,6 +130,6 @@ class Signals(SuiteTable):
 
 PriorChoice = Annotated[
     Annotated[Prior, Tag("table")]
-    | Annotated[str, one_of("prior", ("truth", "none")), Tag("word")],
+    | Annotated[str, choice_of("prior", ("truth", "none")), Tag("word")],
     Discriminator(plugin_kind),
 ]

@@ -22,13 +22,13 @@ from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
     check_context,
     checked,
+    choice_of,
     condition,
     items,
     key_list,
-    nonempty,
-    one_of,
     optional_items,
     quantity_of,
+    required_items,
 )
 from sysid_bench.harness.suite.data_entries import (
     Candidate,
@@ -39,7 +39,7 @@ from sysid_bench.harness.suite.data_entries import (
     PriorChoice,
     Signals,
 )
-from sysid_bench.harness.suite.names import TaskInfo
+from sysid_bench.harness.suite.names import PlannedTask
 from sysid_bench.harness.suite.plugin_entries import (
     Estimator,
     Excitation,
@@ -94,7 +94,7 @@ def _motions(value: Any) -> Any:
     return values
 
 
-def _definition(value: Any, info: ValidationInfo) -> TaskInfo:
+def _definition(value: Any, info: ValidationInfo) -> PlannedTask:
     if not isinstance(value, str):
         raise ValueError(
             f"a task is a name, 'module:Class' or 'file:mine.py:Class'; got {value!r}."
@@ -131,7 +131,7 @@ class DefaultSettings(SuiteTable):
     motions: Annotated[tuple[Annotated[StrictInt, Field(ge=1, le=MOST_MOTIONS)], ...], Sweep] = (1,)
     """Different training motions, recorded one after the other."""
     redrawn: Annotated[
-        tuple[Annotated[str, one_of("part that repeats draw anew", (MOTIONS, PLANT))], ...],
+        tuple[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))], ...],
         BeforeValidator(optional_items),
     ] = ()
     held_out: Annotated[
@@ -219,10 +219,12 @@ class LogEntry(SuiteTable):
     terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)  # None: the robot's own
     choose: Annotated[tuple[Choices, ...], ListSweep] = ((),)
     filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
-    derivatives: Annotated[str, one_of("way to differentiate", ("from q", "from v"))] | None = None
+    derivatives: Annotated[str, choice_of("way to differentiate", ("from q", "from v"))] | None = (
+        None
+    )
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
     pipeline: Pipelines | None = None  # None: by `default_pipeline`
-    accept: tuple[Annotated[str, one_of("finding", FINDINGS)], ...] = ()
+    accept: tuple[Annotated[str, choice_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False
     true_mass: Annotated[Any, quantity_of("kg", positive=True)] = None
 
@@ -232,7 +234,7 @@ class LogEntry(SuiteTable):
         return self.name or " + ".join(name_of(log) for log in self.train)
 
 
-class Exclude(SuiteTable):
+class _Exclude(SuiteTable):
     when: PlanCondition
     reason: StrictStr
 
@@ -240,7 +242,7 @@ class Exclude(SuiteTable):
 class Crosscheck(SuiteTable):
     tolerance: Annotated[Any, quantity_of("1", positive=True)] = 1e-12
     on_fail: Annotated[
-        str, one_of("answer to a failed cross-check", ("skip-robot", "continue"))
+        str, choice_of("answer to a failed cross-check", ("skip-robot", "continue"))
     ] = "skip-robot"
 
 
@@ -282,7 +284,7 @@ class MetricEntry(Plugin):
         return metric_from_record(self.record or {})
 
 
-class Worst(SuiteTable):
+class _Worst(SuiteTable):
     metric: CellMetric
     count: StrictInt = Field(default=1, ge=1)
     per: Label | None = None
@@ -290,7 +292,7 @@ class Worst(SuiteTable):
 
 class Record(SuiteTable):
     when: RowCondition | None = None
-    worst: Worst | None = None
+    worst: _Worst | None = None
     max_hz: Annotated[Any, quantity_of("Hz", positive=True)] = 50.0
 
 
@@ -321,9 +323,9 @@ class Suite(SuiteTable):
     defaults: DefaultSettings = Field(default={}, validate_default=True)
     robot: tuple[RobotEntry, ...] = ()
     log: tuple[LogEntry, ...] = ()
-    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(nonempty)]
+    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(required_items)]
     metric: tuple[MetricEntry, ...] = ()
-    exclude: tuple[Exclude, ...] = ()
+    exclude: tuple[_Exclude, ...] = ()
     crosscheck: Crosscheck = Crosscheck()
     table: tuple[TableEntry, ...] = ()
     paper: tuple[Paper, ...] = ()

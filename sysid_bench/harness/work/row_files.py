@@ -148,7 +148,7 @@ def read_rows(
     return StoredRows(rows, torn, tuple(garbled))
 
 
-def rows_with_places(folder: Path) -> Iterator[tuple[Row, RowStart]]:
+def rows_with_origin(folder: Path) -> Iterator[tuple[Row, RowStart]]:
     """Yield each row of a folder of row files and its place, one in memory at a time."""
     for path in row_files(folder):
         for line in lines(path):

@@ -63,13 +63,13 @@ class FeasibleSet:
         scale[self.indices] = SCALE
         return scale
 
-    def pseudo_inertias(self, x: Array) -> Array:
+    def pseudo_inertia(self, x: Array) -> Array:
         """Pseudo-inertias J (nb, 4, 4), lengths in LENGTH, kg."""
         return np.asarray(np.einsum("bk,kij->bij", x[self.indices], BASIS))
 
     def relative_eigenvalues(self, x: Array) -> Array:
         """Smallest eigenvalue of each J over its trace (nb,), at most 1/4; 0 if massless."""
-        J = self.pseudo_inertias(x)
+        J = self.pseudo_inertia(x)
         trace = np.trace(J, axis1=1, axis2=2)
         smallest = np.linalg.eigvalsh(J)[:, 0]
         return np.where(

@@ -242,7 +242,7 @@ def _existing(feasible: FeasibleSet, limits: Limits, x: Array) -> Array:
     out = x.copy()
     out[feasible.nonnegative] = np.maximum(x[feasible.nonnegative], 0.0)
     if limits.margin is not None and feasible.bodies:
-        smallest = float(np.linalg.eigvalsh(feasible.pseudo_inertias(out))[:, 0].min())
+        smallest = float(np.linalg.eigvalsh(feasible.pseudo_inertia(out))[:, 0].min())
         if not smallest >= 0:
             raise EstimationError(
                 f"Clarabel's solution has a pseudo-inertia with the eigenvalue {smallest:.1e}: it "
