@@ -59,14 +59,6 @@ def velocity_limit(robot: RobotModel) -> Array:
     return np.where(np.isfinite(limit) & (limit > 0), limit, 1.0)
 
 
-def transmitted_load(robot: RobotModel) -> Array:
-    """Return the typical load plus friction at half the velocity limit (nv,), N m or N."""
-    own = robot.joint_terms
-    return np.asarray(
-        typical_load(robot) + own.coulomb + 0.5 * velocity_limit(robot) * own.viscous
-    )
-
-
 def played(p: Array, q: Array, width: Array) -> Array:
     """Return the play's position (nv,) after a motion to q (nv,)."""
     return np.asarray(np.clip(p, q - width, q + width))

@@ -98,11 +98,16 @@ class Case:
 
 
 def errors_of(
-    case: Case, training: Sequence[LogDescription], tests: Sequence[LogDescription]
+    case: Case,
+    training: Sequence[LogDescription],
+    tests: Sequence[LogDescription],
+    choose: tuple[str, ...] = (),
 ) -> Errors:
-    """The errors of WLS, fitted to training logs and judged on test logs."""
+    """The errors of WLS, fitted to training logs and judged on test logs; `choose`: terms of coupled
+    drives that cross-validation within the training logs may add."""
     named = {test.source.stem: test for test in tests}
-    posed = prepare_logs(case.manifest, training, named, case.options)
+    options = replace(case.options, candidates=choose)
+    posed = prepare_logs(case.manifest, training, named, options)
     beta = identify(build("estimator", {"use": "wls"}), posed.problem, posed.experiment).beta
     assert beta is not None
     parts = (posed.held_out, posed.held_out_moving)
@@ -157,7 +162,9 @@ def is_elastic(effect: Any) -> bool:
 def write_motion(file: Path, recorded: Recording, robot: RobotModel) -> None:
     """Write recorded positions below MOTION_BAND, with even times, as a motion file."""
     names = [robot.rows[dof] for dof in robot.torque_dofs]
-    q = recorded.q[:, [joint.qadr for name in names for joint in robot.joints if joint.name == name]]
+    q = recorded.q[
+        :, [joint.qadr for name in names for joint in robot.joints if joint.name == name]
+    ]
     if recorded.rate > 2.5 * MOTION_BAND:
         q = sosfiltfilt(butter(2, MOTION_BAND, fs=recorded.rate, output="sos"), q, axis=0)
     q = q[:: max(1, int(recorded.rate / MOTION_RATE))]
@@ -166,9 +173,7 @@ def write_motion(file: Path, recorded: Recording, robot: RobotModel) -> None:
     np.savetxt(file, rows, delimiter=",", header=",".join(["t", *names]), comments="", fmt="%.12g")
 
 
-def simulated_log(
-    case: Case, robot: RobotModel, level: str, log: LogDescription
-) -> LogDescription:
+def simulated_log(case: Case, robot: RobotModel, level: str, log: LogDescription) -> LogDescription:
     """The log of a level's plant on the motion of a recorded log."""
     recorded = read_log(log, load_robot(replace(case.manifest, locked=robot.manifest.locked)))
     folder = case.folder / level
@@ -176,8 +181,8 @@ def simulated_log(
     motion = folder / f"{log.source.stem}-motion.csv"
     write_motion(motion, recorded.recording, robot)
     rate = round(recorded.recording.rate)
-    spec = spec_of(case, level_of(level, robot), motion, rate_of_simulation(rate))
-    raw = simulated(spec, robot)
+    spec = spec_of(case, level_of(level, robot), motion.name, rate_of_simulation(rate))
+    raw = simulated(spec, LoadedRobot(robot, folder))
     return write_log(folder / log.source.stem, raw, rate, robot)
 
 
@@ -189,8 +194,9 @@ def rate_of_simulation(rate: int) -> float:
     return CONTROL_RATE if rate > CONTROL_RATE / 4 else CONTROL_RATE / 4
 
 
-def spec_of(case: Case, plant: Mapping[str, Any], motion: Path, rate: float) -> ExperimentSpec:
-    """The simulated experiment of a level on a motion file."""
+def spec_of(case: Case, plant: Mapping[str, Any], motion: str, rate: float) -> ExperimentSpec:
+    """The simulated experiment of a level on a motion file, named without its folder: seeds depend
+    on the name."""
     simulation = plant["simulation"]
     simulation = {"use": simulation} if isinstance(simulation, str) else dict(simulation)
     return ExperimentSpec(
@@ -199,9 +205,11 @@ def spec_of(case: Case, plant: Mapping[str, Any], motion: Path, rate: float) -> 
         payload="none",
         task="robot",
         terms=case.options.terms,
-        plant={key: x for key, x in plant.items() if key not in ("simulation", "noise", "pipeline")},
+        plant={
+            key: x for key, x in plant.items() if key not in ("simulation", "noise", "pipeline")
+        },
         prior="none",
-        excitation={"use": "file", "file": str(motion), "limits": "mark"},
+        excitation={"use": "file", "file": motion, "limits": "mark"},
         held_out=(),
         simulation=simulation,
         rate=rate,
@@ -211,9 +219,9 @@ def spec_of(case: Case, plant: Mapping[str, Any], motion: Path, rate: float) -> 
     )
 
 
-def simulated(spec: ExperimentSpec, robot: RobotModel) -> Recording:
+def simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Recording:
     """What the sensors of a simulated experiment read."""
-    part = noise_free_part(spec, LoadedRobot(robot))
+    part = noise_free_part(spec, loaded)
     sensors = MeasuredSensors(spec, part.simulated.built, part.task)
     return record(spec, part.simulated, sensors).raw
 
@@ -242,10 +250,13 @@ def write_log(stem: Path, raw: Recording, rate: int, robot: RobotModel) -> LogDe
 def compared(case: Case, levels: Sequence[str]) -> Iterator[tuple[str, Errors]]:
     """Yield ("real", errors), then those of each level."""
     training, tests = case.logs("train"), case.logs("test")
-    yield "real", errors_of(case, training, tests)
+    coupled = tuple(case.settings.get("choose", ()))  # drives that the plant does not couple
+    yield "real", errors_of(case, training, tests, coupled)
     robot = plant_robot(case)
     for level in levels:
-        logs = [[simulated_log(case, robot, level, log) for log in use] for use in (training, tests)]
+        logs = [
+            [simulated_log(case, robot, level, log) for log in use] for use in (training, tests)
+        ]
         yield level, errors_of(case, *logs)
 
 

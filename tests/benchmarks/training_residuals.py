@@ -43,9 +43,7 @@ class Joint:
         used = np.linalg.norm(self.W, axis=0) > 1e-9 * np.linalg.norm(self.W)
         self.W = self.W[:, used]
         self.model = self.W @ np.linalg.lstsq(self.W, self.tau, rcond=1e-10)[0]
-        self.load = np.interp(
-            np.arange(len(q)), np.arange(len(self.model)) * self.step, self.model
-        )
+        self.load = np.interp(np.arange(len(q)), np.arange(len(self.model)) * self.step, self.model)
         force = self.rows(np.sign(v)[:, None])
         self.coulomb = abs(self._own(force[:, 0]))
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.friction import transmitted_load
+from sysid_bench.simulation.motor_load import typical_load
 from sysid_bench.simulation.sizes import Size, all_or_none, check_not_negative, per_joint
 from sysid_bench.simulation.transmission import Transmission
 
@@ -16,13 +16,12 @@ from sysid_bench.simulation.transmission import Transmission
 class ElasticJoints:
     """Elastic transmission of every motor (Spong 1987), see `transmission.py`.
 
-    `stiffness` (N m/rad, N/m) is one number or one per motor; without it K is the torque that the
-    joint typically transmits, at least 1 % of that of the most loaded joint, over `windup`:
-    transmissions of arms have 5e3 to 5e4 N m/rad and wind up by 0.3 to 2 mrad. That torque is the
-    RMS gravity torque over random postures and the torque of half the acceleration limit, plus
-    friction at half the velocity limit, which acts on the links' side: light wrists transmit
-    little else. `damping` is D over K (s). `gap` is half the backlash; published values of the whole
-    are 0.1 to 1 mrad (assumed), those of industrial gears below 0.3 mrad (1 arcmin, as their data
+    `stiffness` (N m/rad, N/m) is one number or one per motor; without it K is the joint's
+    typical load, at least 1 % of that of the most loaded joint, over `windup`: transmissions of
+    arms have 5e3 to 5e4 N m/rad and wind up by 0.3 to 2 mrad. The typical load is the RMS gravity
+    torque over random postures, and the torque of half the acceleration limit. `damping` is D over
+    K (s). `gap` is half the backlash; published values of the
+    whole are 0.1 to 1 mrad (assumed), those of industrial gears below 0.3 mrad (1 arcmin, as data
     sheets state). The rotors have the armature of the robot; a motor without any has no gap, which
     it would cross in no time, again and again. `encoders` are on the "motor" or the "link".
     """
@@ -66,7 +65,7 @@ class ElasticJoints:
             )
         dofs = np.asarray(robot.torque_dofs)
         if self.stiffness is None:
-            load = transmitted_load(robot)[dofs]
+            load = typical_load(robot)[dofs]
             K = np.maximum(load, 0.01 * load.max()) / soft
         else:
             K = per_joint(self.stiffness, names, "stiffness")
