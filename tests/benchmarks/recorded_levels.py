@@ -1,6 +1,6 @@
 """Do the levels L0 to L4 predict the errors of real robots? Recorded motions, replayed.
 
-    SYSID_BENCH_DATA=... python tests/benchmarks/recorded_levels.py [--out FOLDER] [ROBOT ...]
+    SYSID_BENCH_DATA=... python -m tests.benchmarks.recorded_levels [--out FOLDER] [ROBOT ...]
 
 For each robot of recorded_levels/cases.toml:
 
@@ -17,11 +17,8 @@ Prints one Markdown table for all rows and one for moving rows, and writes them 
 
 import argparse
 import json
-import os
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any, Final
@@ -34,7 +31,7 @@ from sysid_bench.errors import SysidBenchError
 from sysid_bench.evaluation.score import RowErrors
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
-from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_logs
+from sysid_bench.experiments.recorded.prepare import prepare_logs
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
@@ -42,15 +39,15 @@ from sysid_bench.experiments.spec import ExperimentSpec, normal_noise
 from sysid_bench.harness.suite.plant_file import with_plant_file
 from sysid_bench.identification.identify import identify
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import JointTerms, Manifest, find_manifest
+from sysid_bench.models.manifest import JointTerms
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import build
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.simulation.motor_load import mass_matrix
 from sysid_bench.types import Recording
+from tests.benchmarks.recorded_cases import Case, cases
 
-FOLDER: Final = Path(__file__).parent / "recorded_levels"
 LEVELS: Final = ("L0", "L1", "L2", "L3", "L4")
 SEED: Final = 14
 MOTION_BAND: Final = 10.0
@@ -72,39 +69,14 @@ class Errors:
     moving: float
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """A recorded robot: settings from cases.toml, and logs in `folder`."""
-
-    name: str
-    settings: Mapping[str, Any]
-    folder: Path
-
-    @property
-    def options(self) -> LogOptions:
-        """Settings of the fit, for recorded and simulated logs alike."""
-        pipeline = self.settings.get("pipeline", {"use": "parallel"})
-        return LogOptions(pipeline=pipeline, terms=self.manifest.terms)
-
-    @cached_property
-    def manifest(self) -> Manifest:
-        """The manifest of the robot in `folder`, or of one that the package has."""
-        named = self.settings.get("robot")
-        return find_manifest(named or str(self.folder / "robot.toml"))
-
-    def logs(self, use: str) -> list[LogDescription]:
-        """The descriptions of the "train" or "test" logs."""
-        return [read_description(file) for file in sorted(self.folder.glob(f"{use}*.toml"))]
-
-
 def errors_of(
     case: Case,
     training: Sequence[LogDescription],
     tests: Sequence[LogDescription],
     choose: tuple[str, ...] = (),
 ) -> Errors:
-    """The errors of WLS, fitted to training logs and judged on test logs; `choose`: terms of coupled
-    drives that cross-validation within the training logs may add."""
+    """The errors of WLS, fitted to training logs and judged on test logs; `choose`: terms of
+    coupled drives that cross-validation within the training logs may add."""
     named = {test.source.stem: test for test in tests}
     options = replace(case.options, candidates=choose)
     posed = prepare_logs(case.manifest, training, named, options)
@@ -258,20 +230,6 @@ def compared(case: Case, levels: Sequence[str]) -> Iterator[tuple[str, Errors]]:
             [simulated_log(case, robot, level, log) for log in use] for use in (training, tests)
         ]
         yield level, errors_of(case, *logs)
-
-
-def cases(names: Sequence[str], out: Path) -> Iterator[Case]:
-    """Yield the named cases, or all, with their files in a folder below `out`."""
-    data = os.environ["SYSID_BENCH_DATA"]
-    table = tomllib.loads((FOLDER / "cases.toml").read_text(encoding="utf-8"))
-    for name in names or table:
-        folder = out / name
-        folder.mkdir(parents=True, exist_ok=True)
-        for file in (FOLDER / name).iterdir():
-            text = file.read_text(encoding="utf-8").replace("$SYSID_BENCH_DATA", data)
-            text = text.replace("$REPOSITORY", str(FOLDER.parents[2]))
-            (folder / file.name).write_text(text, encoding="utf-8")
-        yield Case(name, table[name], folder)
 
 
 def markdown(rows: Mapping[str, Mapping[str, Errors]], which: str, levels: Sequence[str]) -> str:

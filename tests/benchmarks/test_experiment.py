@@ -201,8 +201,9 @@ def test_an_experiment_of_level_2_against_its_own_rollout(
         motion = oracle.motion
         recording = Recording(motion.t, motion.q, oracle.tau, 1000.0, bench.robot.torque_rows)
         processed = Parallel().process(recording, joints)
-        along = bench.posing.rows_along(processed.recording.motion, processed.rows)
-        problem = bench.posing.build(processed.recording.motion, oracle.tau, rows=along)
+        along_motion = processed.recording.motion
+        along = bench.posing.rows_along(along_motion, processed.rows)
+        problem = bench.posing.build(along_motion, processed.recording.tau, rows=along)
         assert WLS().solve(problem).beta is not None
         assert data_figures(problem, {})["condition"] > 1
 

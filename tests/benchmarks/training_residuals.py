@@ -1,6 +1,6 @@
 """Sizes of effects in the training residuals of those recorded robots that sizes may come from.
 
-    SYSID_BENCH_DATA=... python tests/benchmarks/training_residuals.py
+    SYSID_BENCH_DATA=... python -m tests.benchmarks.training_residuals
 
 For each robot with half = "sizes" in recorded_levels/cases.toml and each joint, the columns of one
 effect at a time are added to the rigid model of its training logs (least squares; all columns and
@@ -16,11 +16,11 @@ from tempfile import mkdtemp
 from typing import Final
 
 import numpy as np
-from recorded_levels import Case, cases
 from scipy.signal import butter, sosfiltfilt
 
 from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_logs
 from sysid_bench.types import Array
+from tests.benchmarks.recorded_cases import Case, cases
 
 BAND: Final = 10.0
 """Hz: low-pass of rows."""
@@ -78,7 +78,7 @@ class Joint:
     def coefficients(self, extra: Array) -> Array:
         """Coefficients (k,) of added columns."""
         A = np.column_stack([self.W, self.rows(extra)])
-        return np.linalg.lstsq(A, self.tau, rcond=1e-10)[0][self.W.shape[1] :]
+        return np.asarray(np.linalg.lstsq(A, self.tau, rcond=1e-10)[0][self.W.shape[1] :])
 
     def share(self, extra: Array) -> float:
         """Share of the left-out residual that columns (N, k) remove."""
