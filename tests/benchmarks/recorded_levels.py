@@ -229,7 +229,7 @@ def compared(case: Case, levels: Sequence[str]) -> Iterator[tuple[str, Errors]]:
         logs = [
             [simulated_log(case, robot, level, log) for log in use] for use in (training, tests)
         ]
-        yield level, errors_of(case, *logs)
+        yield level, errors_of(case, logs[0], logs[1])
 
 
 def markdown(rows: Mapping[str, Mapping[str, Errors]], which: str, levels: Sequence[str]) -> str:
