@@ -31,7 +31,7 @@ from sysid_bench.errors import SysidBenchError
 from sysid_bench.evaluation.score import RowErrors
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
-from sysid_bench.experiments.recorded.prepare import prepare_logs
+from sysid_bench.experiments.recorded.prepare import prepare_recordings
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.noise_free import noise_free_part
 from sysid_bench.experiments.simulated.record import record
@@ -79,7 +79,7 @@ def errors_of(
     coupled drives that cross-validation within the training logs may add."""
     named = {test.source.stem: test for test in tests}
     options = replace(case.options, candidates=choose)
-    posed = prepare_logs(case.manifest, training, named, options)
+    posed = prepare_recordings(case.manifest, training, named, options)
     beta = identify(build("estimator", {"use": "wls"}), posed.problem, posed.experiment).beta
     assert beta is not None
     parts = (posed.held_out, posed.held_out_moving)

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_logs
+from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_recordings
 from sysid_bench.types import Array
 from tests.benchmarks.recorded_cases import Case, cases
 
@@ -141,7 +141,7 @@ def joints_of(case: Case) -> Iterator[tuple[str, Joint]]:
     """Yield the joints of a case with the rows of its longest training log."""
     log = case.logs("train")[0]
     options = LogOptions(terms=case.options.terms, filter="butter 4 20 Hz zero-phase")
-    posed = prepare_logs(case.manifest, [log], {}, options)
+    posed = prepare_recordings(case.manifest, [log], {}, options)
     blocks = list(posed.problem.blocks())
     W, tau = np.concatenate([b[0] for b in blocks]), np.concatenate([b[1] for b in blocks])
     motion, robot = posed.source.training[0].recording.motion, posed.robot

@@ -17,11 +17,11 @@ from sysid_bench.experiments.simulated.composed_plant import (
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.plugin_settings import setting_fields
+from sysid_bench.plugin_settings import plugin_fields
 from sysid_bench.simulation.plant import Plant, plant_of, viscous_coupling
 from sysid_bench.simulation.plant_robot import PlantCoordinates, with_model_errors
 from sysid_bench.simulation.sensor_chain import RngOf, SensorChain, sensor_chain
-from sysid_bench.simulation.sizes import ANGLE, SLIDE, drawn_sizes, is_angle, is_range
+from sysid_bench.simulation.sizes import ANGLE, SLIDE, is_angle, is_random, random_sizes
 from sysid_bench.types import Array, Row
 from sysid_bench.units import quantity
 
@@ -97,7 +97,7 @@ class _Draws:
 
     def values(self, entry: PlantEntry) -> Iterator[Row]:
         """The drawn sizes of an entry in SI units, by joint or as one number."""
-        make = self.loaded.plugin_class(entry.kind, entry.spec)
+        make = self.loaded.plugin_of(entry.kind, entry.spec)
         for key, sizes in self._sizes(entry, make).items():
             names = _joint_names(entry, make, self.robot)
             size = dict(zip(names, sizes, strict=True)) if isinstance(sizes, list) else sizes
@@ -105,8 +105,8 @@ class _Draws:
             yield {"group": entry.group, "use": use, "setting": key, "drawn": size}
 
     def _plugin(self, entry: PlantEntry) -> Any:
-        make = self.loaded.plugin_class(entry.kind, entry.spec)
-        fields, drawn = setting_fields(make), dict[str, Any]()
+        make = self.loaded.plugin_of(entry.kind, entry.spec)
+        fields, drawn = plugin_fields(make), dict[str, Any]()
         sizes_of_all = {**self._numbers(entry, make), **self._sizes(entry, make)}
         for key, sizes in sizes_of_all.items():
             # A plug-in reads a bare number in the unit of the setting, which may be "%".
@@ -115,12 +115,12 @@ class _Draws:
         return self.loaded.build_plugin(entry.kind, {**entry.spec, **drawn})
 
     def _sizes(self, entry: PlantEntry, make: Any) -> Mapping[str, list[float] | float]:
-        fields, sizes = setting_fields(make), dict[str, list[float] | float]()
+        fields, sizes = plugin_fields(make), dict[str, list[float] | float]()
         for key, limits in checked_limits(entry, make).items():
             rng = np.random.default_rng(plant_seed(self.spec, *entry.channel, key))
             listed = key in fields and fields[key].is_per_joint
             lengths = self._lengths(entry, make, key) if listed else np.ones(1)
-            values = (drawn_sizes(limits, len(lengths), rng) * lengths).tolist()
+            values = (random_sizes(limits, len(lengths), rng) * lengths).tolist()
             sizes[key] = values if listed else values[0]
         return sizes
 
@@ -129,9 +129,9 @@ class _Draws:
         slides."""
         default = {field.name: field.default for field in dataclasses.fields(make)}
         numbers = {}
-        for key, field in setting_fields(make).items():
+        for key, field in plugin_fields(make).items():
             written = entry.spec.get(key, default[key])
-            if field.unit != ANGLE or not field.is_per_joint or is_range(written):
+            if field.unit != ANGLE or not field.is_per_joint or is_random(written):
                 continue
             lengths = self._lengths(entry, make, key, written)
             if (lengths != 1.0).any():
@@ -143,7 +143,7 @@ class _Draws:
         1 for every other joint."""
         names = _joint_names(entry, make, self.robot)
         composed = self.spec.plant.get("use") == COMPOSED
-        if not (composed and setting_fields(make)[key].unit == ANGLE):
+        if not (composed and plugin_fields(make)[key].unit == ANGLE):
             return np.ones(len(names))
         angle = is_angle(entry.spec[key] if written is None else written)
         slides = {joint.dofs[0] for joint in self.robot.joints if joint.kind == "slide"}
