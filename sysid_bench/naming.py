@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import check_file, is_file
-from sysid_bench.plugin_settings import plugin_settings
+from sysid_bench.plugin_settings import plugin_fields, plugin_settings
 
 BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
@@ -151,6 +151,10 @@ def known(kind: str) -> dict[str, str]:
     return {**built_in, **points}
 
 
+RESERVED: Final[Mapping[str, tuple[str, ...]]] = {"plant": ("simulation", "noise", "pipeline")}
+"""Keys of an entry of a suite that are not settings of its plug-in."""
+
+
 def is_builtin(kind: str, name: str) -> bool:
     """Return True for a name of this package: its code is not third-party."""
     return name in BUILTIN.get(kind, {}) or name.startswith("sysid_bench.")
@@ -220,12 +224,23 @@ def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
     if "use" not in spec:
         raise UsageError(f"A {shown} needs a name: {{ use = ... }}; got the keys {sorted(spec)}.")
     make = resolve(kind, spec["use"])
+    _check_reserved(kind, f"{shown} {spec['use']!r}", make)
     settings = {key: value for key, value in spec.items() if key not in ("use", "label")}
     if callable(make):
         return make(**plugin_settings(f"{shown} {spec['use']!r}", make, settings))
     if settings:
         raise UsageError(f"{shown} {spec['use']!r} takes no settings; got {sorted(settings)}.")
     return make
+
+
+def _check_reserved(kind: str, plugin: str, make: Any) -> None:
+    """Raise UsageError for a plug-in that calls a setting as its entry calls something else."""
+    for key in RESERVED.get(kind, ()):
+        if key in plugin_fields(make):
+            raise UsageError(
+                f"{plugin}: its setting {key!r} is a key of plants, which gives them a {key} of "
+                "their own; call the setting otherwise."
+            )
 
 
 def resolve_files(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:

@@ -126,7 +126,12 @@ _log_options = group_options(
         click.option(
             "--accept", metavar="rate,units", help="Contradictions in logs that may pass."
         ),
-        click.option("--filter", "filter_text", metavar="TEXT", help="Logs: 'butter 4 10 Hz', ..."),
+        click.option(
+            "--filter",
+            "filter_text",
+            metavar="TEXT",
+            help="Logs: 'butter 4 10 Hz', ...; of tests, and of the pipeline plain.",
+        ),
         click.option(
             "--derivatives",
             type=click.Choice(["from q", "from v"]),
@@ -198,7 +203,8 @@ _method_options = group_options(
             "--pipeline",
             metavar="NAME",
             help="Signals and rows of the fit: plain, raw, parallel, or a table "
-            '\'{ use = "parallel", cutoff = "6 Hz" }\'.',
+            '\'{ use = "parallel", cutoff = "6 Hz" }\'. Default: parallel; plain with --filter and '
+            "where positions are exact.",
         ),
         click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0)),
     ],

@@ -5,17 +5,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from sysid_bench.errors import EstimationError, ModelError, NotWrittenError, UsageError
 from sysid_bench.evaluation.covariance import standard_errors
-from sysid_bench.evaluation.recorded_score import (
-    joint_errors,
-    rms_error,
-    torque_error,
-    weighted_error,
-)
+from sysid_bench.evaluation.recorded_score import joint_errors
 from sysid_bench.evaluation.score import data_figures, feasible_figures
+from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.model_prior import MODEL, ModelPrior
 from sysid_bench.experiments.recorded.payload_mass import payload_intervals, payload_mass
@@ -31,6 +25,7 @@ from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.naming import build
 from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_description import LogDescription, read_description
+from sysid_bench.signals.pipeline_choice import default_of_logs
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.constraint_costs import constraint_costs
@@ -60,6 +55,8 @@ _FIGURES: Final = (
     *("condition", "condition_unit"),
 )
 """Figures of the data; the two conditions are absent where the data excite nothing."""
+_ON_TESTS: Final = ("rmse_test", "torque_error", "torque_error_moving", "torque_error_weighted")
+"""Errors on all test recordings together; None without one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +156,7 @@ def _estimator(request: RecordedRequest) -> str:
 
 
 def _options(request: RecordedRequest) -> LogOptions:
+    own_filter = {} if request.filter is None else {"filter": request.filter}
     return LogOptions(
         task=request.task,
         terms=request.terms,
@@ -168,7 +166,7 @@ def _options(request: RecordedRequest) -> LogOptions:
         candidates=request.choose,
         position_given=request.position_given,
         accept=request.accept,
-        pipeline=request.pipeline_spec,
+        pipeline=request.pipeline_or(default_of_logs(own_filter)),
         prior=request.prior,
         feasible=request.feasible,
     )
@@ -232,12 +230,10 @@ def _prior(prior: ModelPrior) -> dict[str, str]:
 def _errors(posed: Prepared[RecordedSource], beta: Array) -> dict[str, Any]:
     """Errors of the predicted torques: pooled, by joint, and of the training torque itself."""
     problem, source, tests = posed.problem, posed.source, posed.held_out
+    figures = torque_figures(tests, posed.held_out_moving, beta)
     return {
-        "rmse_train": rms_error(problem, beta),
-        "rmse_test": _mean([rms_error(test, beta) for test in tests.values()]),
-        "torque_error": torque_error(tests, beta),
-        "torque_error_moving": torque_error(posed.held_out_moving, beta),
-        "torque_error_weighted": weighted_error(tests, beta),
+        "rmse_train": RowErrors([problem], beta).rms_error,
+        **{name: figures.get(name) for name in _ON_TESTS},
         "standstill": posed.figures["standstill"],
         "training": joint_errors(problem, beta),
         "tests": {label: joint_errors(test, beta) for label, test in tests.items()},
@@ -317,10 +313,6 @@ def _labels(tests: Sequence[Path | LogDescription]) -> list[str]:
         stem if stems.count(stem) == 1 else str(path)
         for stem, path in zip(stems, paths, strict=True)
     ]
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
 
 def _segments(source: RecordedSource) -> list[dict[str, Any]]:

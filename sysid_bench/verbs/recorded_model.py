@@ -9,8 +9,9 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, ModelError, first_names
 from sysid_bench.evaluation.crosscheck import crosscheck
-from sysid_bench.evaluation.recorded_score import joint_errors, torque_error
+from sysid_bench.evaluation.recorded_score import joint_errors
 from sysid_bench.evaluation.score import feasible_figures
+from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.identification.estimators.entropic import Entropic
@@ -186,6 +187,7 @@ def _judged(
         raise ModelError(f"{file}: the engines disagree on the written model: {check.reason()}.")
     beta = posed.problem.base.K @ _theta_of(robot, posed.problem)
     completed, refitted = choice
+    tests = list(posed.held_out.values())
     return WrittenModel(
         file=str(written.path),
         manifest=str(file),
@@ -195,7 +197,7 @@ def _judged(
         left_out=left_out,
         gap=check.gap,
         closure=check.closure,
-        torque_error=torque_error(posed.held_out, beta),
+        torque_error=RowErrors(tests, beta).torque_error if tests else None,
         tests={label: _relative(test, beta) for label, test in posed.held_out.items()},
         training=_relative(posed.problem, beta),
     )
