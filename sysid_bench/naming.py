@@ -82,9 +82,13 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         },
         "log_reader": {
             "delimited-text": "sysid_bench.signals.log_readers.delimited_text:DelimitedText",
+            "hdf5": "sysid_bench.signals.log_readers.hdf5:HDF5",
+            "lerobot": "sysid_bench.signals.log_readers.lerobot:LeRobot",
             "matlab": "sysid_bench.signals.log_readers.matlab:Matlab",
             "numpy": "sysid_bench.signals.log_readers.numpy_arrays:NumpyArrays",
             "parquet": "sysid_bench.signals.log_readers.parquet:Parquet",
+            "rerun": "sysid_bench.signals.log_readers.rerun_recording:RerunRecording",
+            "rosbag2": "sysid_bench.signals.log_readers.rosbag2:Rosbag2",
         },
         "term": {
             "play": "sysid_bench.regressors.joint_features:Play",

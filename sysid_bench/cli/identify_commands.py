@@ -20,6 +20,7 @@ from sysid_bench.cli.options import (
     task_option,
     terms_option,
 )
+from sysid_bench.cli.progress import read_progress
 from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import (
     parse_contact,
@@ -233,6 +234,7 @@ _output_options = group_options(
 @_output_options
 @robots_option
 @report_errors
+@read_progress()
 def identify(
     model: str | None,
     source: _Source,

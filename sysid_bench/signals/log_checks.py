@@ -13,7 +13,17 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.types import Array
 
-NAMES: Final = ("rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits")
+NAMES: Final = (
+    "rate",
+    "velocity",
+    "units",
+    "held",
+    "lost",
+    "non-finite",
+    "time",
+    "limits",
+    "joined",
+)
 """Names of findings, for `--accept`."""
 
 _AGREES: Final = 0.98

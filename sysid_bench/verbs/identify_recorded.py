@@ -61,7 +61,7 @@ _ON_TESTS: Final = ("rmse_test", "torque_error", "torque_error_moving", "torque_
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRequest(IdentifyRequest):
-    """Identification from recordings described by TOML files.
+    """Identification from recordings described by TOML files, or in memory.
 
     `derivatives`: "from q", or "from v" (the default where every log has v). `moving`: samples of
     a joint slower than this (rad/s, m/s) are left out. `choose`: joint terms and features ("play",
@@ -71,8 +71,8 @@ class RecordedRequest(IdentifyRequest):
     mass is the only unknown. `accept`: contradictions in the data that may pass.
     """
 
-    logs: tuple[Path, ...]
-    tests: tuple[Path, ...] = ()
+    logs: tuple[Path | LogDescription, ...]
+    tests: tuple[Path | LogDescription, ...] = ()
     filter: str | None = None
     derivatives: str | None = None
     moving: float = 0.0
@@ -135,16 +135,19 @@ def _descriptions(
     return training, {label: _description(log) for label, log in tests}
 
 
-def _description(file: Path) -> LogDescription:
+def _description(file: Path | LogDescription) -> LogDescription:
     """Description of a recording; for a file that is not TOML, an error with an example."""
+    if isinstance(file, LogDescription):
+        return file
     try:
         return read_description(file)
     except UsageError as error:
         if file.suffix.lower() == ".toml" or not is_file(file):
             raise
         raise UsageError(
-            f"{str(file)!r} is not the description of a recording. Write a TOML file that names "
-            f"its data and its columns, and give that: {DESCRIPTION.format(file.name)}"
+            f"{str(file)!r} is not the description of a recording. Let sysid-bench init log "
+            f"{file.name} --model MODEL write one, or write a TOML file that names its data and "
+            f"its columns, and give that: {DESCRIPTION.format(file.name)}"
         ) from error
 
 
@@ -302,12 +305,13 @@ def _signals(preprocessing: LogProcessing) -> dict[str, Any]:
     }
 
 
-def _labels(tests: Sequence[Path]) -> list[str]:
+def _labels(tests: Sequence[Path | LogDescription]) -> list[str]:
     """Stems of the test files; whole paths where two stems are the same."""
-    stems = [test.stem for test in tests]
+    paths = [test.source if isinstance(test, LogDescription) else test for test in tests]
+    stems = [path.stem for path in paths]
     return [
-        stem if stems.count(stem) == 1 else str(test)
-        for stem, test in zip(stems, tests, strict=True)
+        stem if stems.count(stem) == 1 else str(path)
+        for stem, path in zip(stems, paths, strict=True)
     ]
 
 
