@@ -15,6 +15,7 @@ from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.identification.estimators.entropic import Entropic
+from sysid_bench.identification.estimators.lmi import LMI
 from sysid_bench.identification.feasibility.completion import completed_parameters
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.models.load import load_robot
@@ -102,8 +103,16 @@ def _whole(
         theta = completed_parameters(feasible, problem.base, estimate.beta, prior.prior, distance)
     except EstimationError:
         # Noise has carried beta out of the feasible set: fit again within it.
-        return Entropic().solve(problem), distance, True
+        return _feasible_fit(problem), distance, True
     return replace(estimate, theta=theta), distance, False
+
+
+def _feasible_fit(problem: Problem) -> Estimate:
+    """The feasible fit with bodies near to the prior; those of `lmi` where it does not converge."""
+    try:
+        return Entropic().solve(problem)
+    except EstimationError:
+        return LMI().solve(problem)
 
 
 def _is_feasible(theta: Array | None, problem: Problem) -> bool:
@@ -159,7 +168,8 @@ def _in_file(robot: RobotModel, terms: Mapping[str, JointTerms]) -> dict[str, di
     """Terms in the words of the model file, those that its format has a place for."""
     held = ("viscous", "coulomb") if robot.format == "urdf" else IN_MJCF
     return {
-        joint: {KEYS.get(term, term): float(getattr(values, term)) for term in held}
+        # A negative stiffness, as of a counterbalance, stands in the manifest alone.
+        joint: {KEYS.get(term, term): max(float(getattr(values, term)), 0.0) for term in held}
         for joint, values in terms.items()
     }
 

@@ -41,10 +41,10 @@ class Parallel:
     controller holds over its period belongs to the middle of the period, and is shifted there.
 
     Where no `cutoff` (Hz) is given it is 10 times the bandwidth of the recorded motion: the
-    frequency below which a coordinate has 99 % of the power of its rate, in the median; the
-    highest harmonic of a Fourier motion. Positions are filtered at twice the cut-off. Above 0.4
-    times the rate there is no filter. Every `step`-th row is kept, step the integer nearest below
-    0.4 rate / cutoff that divides the period of a periodic motion.
+    frequency below which a coordinate has 99 % of the power of its rate, measured where the log has
+    it, in the median; the highest harmonic of a Fourier motion. Positions are filtered at twice the
+    cut-off. Above 0.4 times the rate there is no filter. Every `step`-th row is kept, step the
+    integer nearest below 0.4 rate / cutoff that divides the period of a periodic motion.
     """
 
     cutoff: float | None = field(default=None, metadata={"unit": "Hz"})
@@ -80,7 +80,7 @@ class Parallel:
         """Return the cut-off (Hz) for a recording."""
         if self.cutoff is not None:
             return self.cutoff
-        found = CUTOFF * bandwidth(recording.q, recording.rate)
+        found = CUTOFF * bandwidth(recording.q, recording.rate, recording.v)
         return found if found > 0 else recording.rate
 
 
