@@ -28,7 +28,7 @@ from scipy.signal import butter, sosfiltfilt
 
 import sysid_bench
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.evaluation.score import RowErrors
+from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
 from sysid_bench.experiments.recorded.prepare import prepare_recordings
