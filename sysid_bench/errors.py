@@ -57,7 +57,7 @@ class ModelError(SysidBenchError):
 class NotWrittenError(ModelError):
     """A model file that was asked for and not written; `result` holds what was identified."""
 
-    def __init__(self, message: str, result: object) -> None:
+    def __init__(self, message: str, result: object = None) -> None:
         super().__init__(message)
         self.result = result
 

@@ -12,6 +12,7 @@ MOTOR: Final = "motor"
 motors instead of joints."""
 FINDINGS: Final = (
     "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
+    "joined",
 )  # fmt: skip
 """Findings in a recording that a user can accept."""
 STATUSES: Final = (

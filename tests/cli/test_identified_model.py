@@ -167,11 +167,11 @@ def test_features_take_the_place_of_joint_terms(folder: Path, tmp_path: Path) ->
     assert smooth["torque_error"] < 0.5 * plain["torque_error"]
     row = named_robot("scara").rows[0]
     one = asked(folder, "scara", terms=("viscous", "offset", f"{row}.tanh"))
-    assert set(one["joints"][row]) - set(plain["joints"][row]) == {"tanh10", "tanh50"}
+    assert set(one["joints"][row]) - set(plain["joints"][row]) == {"tanh20"}
     others = [name for name in one["joints"] if name != row]
     assert all(set(one["joints"][name]) == set(plain["joints"][name]) for name in others)
     written = asked(folder, "scara", terms=("viscous", f"{row}.tanh"), model_out=tmp_path / "m.xml")
-    assert written["written"]["left_out"] == [f"{row}.tanh10", f"{row}.tanh50"]
+    assert written["written"]["left_out"] == [f"{row}.tanh20"]
     with pytest.raises(UsageError, match="tanh"):
         asked(folder, "scara", terms=("tanhh",))
 

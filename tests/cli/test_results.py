@@ -119,13 +119,15 @@ def test_a_summary_has_base_parameters_and_one_line_for_bodies_without_values() 
         == 1
     )
     start = lines.index("  base parameters, most significant first:")
-    assert lines[start + 9] == f"    and {len(result.base) - 8} more (--json)"
+    assert lines[start + 9] == f"    ... {len(result.base) - 8 - 3} more (--json)"
     sizes = {e["expression"]: abs(e["value"]) / e["std"] for e in result.base}
     singles = [line.split()[-1] for line in lines[start + 1 : start + 9] if line.count(" + ") == 0]
     assert singles
     assert sorted(singles, key=sizes.__getitem__, reverse=True) == singles
-    ranked = sorted(sizes, key=sizes.__getitem__, reverse=True)[:8]
-    assert set(singles) <= set(ranked)
+    ranked = sorted(sizes, key=sizes.__getitem__, reverse=True)
+    assert set(singles) <= set(ranked[:8])
+    weakest = [line.split()[-1] for line in lines[start + 10 : start + 13] if " + " not in line]
+    assert set(weakest) <= set(ranked[-3:])
 
 
 def test_one_source_of_data_is_given() -> None:

@@ -112,7 +112,7 @@ class Output:
                 return theta + step, experiment.simulate(theta + step)
             except EstimationError:
                 step = 0.5 * step
-        raise EstimationError("No step along the gradient leads to bodies that can exist.")
+        return theta, experiment.simulate(theta)  # on the boundary of bodies that can exist
 
 
 class Raising:

@@ -121,16 +121,17 @@ def test_the_controller_is_declared_for_the_joints_that_the_model_sees() -> None
     robot = robot_of("ur5")
     plant = GearRatio([0.02, -0.02, 0.01, 0.03, -0.03, 0.01]).apply(robot, rng())
     joints = PlantCoordinates(robot, plant)
-    commanded = motion_of(robot, SHORT, 500.0)
-    oracle, controller = TrackingControl(rate=500.0).run(
+    commanded = motion_of(robot, SHORT, 2000.0)
+    oracle, controller = TrackingControl(rate=2000.0).run(
         plant_of(plant), joints.to_plant(commanded), np.zeros((len(commanded), 6))
     )
     assert controller is not None
     seen = joints.to_model(oracle)
+    assert controller.held  # else the feedback is that of the rates at the end of a step
     declared = controller.kp * (commanded.q - seen.motion.q)
     declared += controller.kd * (commanded.v - seen.motion.v)
     np.testing.assert_allclose(seen.tau, declared, atol=1e-9 * np.abs(seen.tau).max())
-    nominal = TrackingControl(rate=500.0).run(
+    nominal = TrackingControl(rate=2000.0).run(
         plant_of(robot), commanded, np.zeros((len(commanded), 6))
     )[1]
     assert nominal is not None  # gains of one digit tell nothing about the ratio

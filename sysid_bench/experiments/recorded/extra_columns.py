@@ -120,31 +120,41 @@ def _feature_of(word: str, rows: Sequence[str]) -> str:
 
 
 def feature_columns(
-    words: Sequence[str], rows: Sequence[str], folder: Path | None
+    words: Sequence[str], rows: Sequence[str], folder: Path | None, several: bool = False
 ) -> tuple[str, ...]:
-    """The columns of features of joints: of one joint where the word names it, else of all."""
+    """The columns of features of joints: of one joint where the word names it, else of all.
+    `several`: with each setting of VARIANTS."""
     return tuple(
         f"{row}.{suffix}"
         for word in joint_words(words)
         for row in ((joint_of(word, rows),) if joint_of(word, rows) else rows)
-        for feature in _features([_feature_of(word, rows)], folder)
+        for feature in _features([_feature_of(word, rows)], folder, several)
         for suffix in feature.suffixes
     )
 
 
 def extra_columns(
-    robot: RobotModel, rows: Sequence[str], words: Sequence[str], training: Sequence[ProcessedLog]
+    robot: RobotModel,
+    rows: Sequence[str],
+    words: Sequence[str],
+    training: Sequence[ProcessedLog],
+    candidates: Sequence[str] = (),
 ) -> ExtraColumns:
-    """The named features, of joints ("play") and of motors ("motor.play").
+    """The named features, of joints ("play") and of motors ("motor.play"), and those of which a
+    selection chooses: joints' features with their default setting, candidates with several.
 
     Raises UsageError for unknown names, and for motors where a log states no transmission.
     """
     address = _addresses(robot)
     motions = [log.recording.motion for log in training]
-    named = dict.fromkeys(_feature_of(word, rows) for word in joint_words(words))
-    features = _features(tuple(named), plugin_folder(robot))
+    folder = plugin_folder(robot)
+    named, more = (
+        tuple(dict.fromkeys(_feature_of(word, rows) for word in joint_words(some)))
+        for some in (words, candidates)
+    )
+    features = [*_features(named, folder, False), *_features(more, folder)]
     table = features_of(features, rows, [address[row] for row in rows], motions)
-    of_motors = [word.removeprefix(f"{MOTOR}.") for word in motor_terms(words)]
+    of_motors = [word.removeprefix(f"{MOTOR}.") for word in motor_terms((*words, *candidates))]
     return ExtraColumns(table, _motors(of_motors, training) if of_motors else None)
 
 
@@ -202,10 +212,10 @@ def _validate_motor_terms(words: Sequence[str]) -> None:
         raise unknown_name("term of motors", unknown[0], MOTOR_TERMS, advice)
 
 
-def _features(names: Sequence[str], folder: Path | None = None) -> list[Any]:
-    """The feature plug-ins of these names, in several widths or scales where they have one."""
+def _features(names: Sequence[str], folder: Path | None = None, several: bool = True) -> list[Any]:
+    """The feature plug-ins of these names; `several`: in several widths or scales."""
     return [
         build("term", resolve_files({"use": name, **settings}, folder))
         for name in names
-        for settings in VARIANTS.get(name, ({},))
+        for settings in (VARIANTS.get(name, ({},)) if several else ({},))
     ]

@@ -88,8 +88,8 @@ def _with_candidates(
     words = feature_words(candidates, robot)
     columns = robot.term_columns(tuple(name for name in candidates if name not in words))
     more = [column for column in columns if column.split(".")[0] in rows]
-    table = extra_columns(robot, rows, (*unknowns.words, *words), training)
-    named = feature_columns(words, rows, plugin_folder(robot))
+    table = extra_columns(robot, rows, unknowns.words, training, candidates=words)
+    named = feature_columns(words, rows, plugin_folder(robot), several=True)
     coupled = () if table.motors is None else table.motors.coupled
     return replace(
         unknowns,

@@ -78,7 +78,11 @@ class GaussNewton:
             goal, inside = _goal(simulatable, trial, R)
             change = simulatable.problem.base.K @ (goal - trial.theta)
             if has_converged(R, change, trial.beta):
-                return self._estimate(trial, R, steps, halvings)
+                if correction is None or step_rms(R, change) <= CONVERGED:
+                    return self._estimate(trial, R, steps, halvings)
+                # Small against rounding by a corrected Jacobian: the analytical one decides.
+                correction = None
+                continue
             # A step within the noise may fail because the objective is flat: it is halved once at
             # most.
             tries = 2 if has_converged(R, change, trial.beta, FLAT) else HALVINGS
