@@ -1,0 +1,79 @@
+"""Contradictions between a recording and its robot: the cures of all checks compete.
+
+A mistake leaves a residual that other cures remove in part as well; the one that removes most is
+named first.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from sysid_bench.diagnosis.checks.encoder_offset import encoder_offset
+from sysid_bench.diagnosis.checks.gravity_direction import gravity_direction
+from sysid_bench.diagnosis.checks.joint_columns import joint_columns
+from sysid_bench.diagnosis.checks.joint_direction import joint_direction
+from sysid_bench.diagnosis.checks.sample_rate import sample_rate
+from sysid_bench.diagnosis.checks.torque_columns import torque_columns
+from sysid_bench.diagnosis.checks.torque_gain import torque_gain
+from sysid_bench.diagnosis.checks.torque_sign import torque_sign
+from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
+from sysid_bench.diagnosis.hypothesis import Cure, CureSearch, Hypothesis, as_recorded
+
+SEARCHES: Final[Sequence[CureSearch]] = (
+    sample_rate, torque_sign, torque_columns, joint_columns, joint_direction, torque_gain,
+    gravity_direction, encoder_offset,
+)  # fmt: skip
+"""Searches in the order in which equal cures are named."""
+
+GATE: Final = 0.03
+"""Cost below which nothing is left to explain: two per cent of the torque on each of six joints,
+with the penalty."""
+
+SURE: Final = 0.35
+DOUBTFUL: Final = 0.2
+"""Shares of the cost that a cure has to remove, for an error and for a warning."""
+
+LARGE: Final = 0.03
+"""Cost that an error has to remove."""
+
+ROUNDS: Final = 3
+"""Mistakes that are looked for one after another."""
+
+
+def contradictions(evidence: Evidence) -> list[Finding]:
+    """Return the mistakes that a robot near the model explains, each after the one before it is
+    cured."""
+    found: list[Finding] = []
+    current = as_recorded(evidence)
+    for _ in range(ROUNDS):
+        if current.fit.cost < GATE:
+            break
+        best = max(_cures(current), key=lambda cure: cure.explains(current), default=None)
+        if best is None or best.explains(current) < DOUBTFUL:
+            break
+        found.append(_finding(best, current))
+        if found[-1].severity != ERROR:
+            break
+        current = best.hypothesis
+    return found
+
+
+def _cures(current: Hypothesis) -> Iterator[Cure]:
+    for search in SEARCHES:
+        yield from search(current)
+
+
+def _finding(cure: Cure, before: Hypothesis) -> Finding:
+    explains = cure.explains(before)
+    sure = explains >= SURE and cure.removes(before) >= LARGE
+    joints = tuple(before.evidence.joints[j] for j in cure.joints)
+    return Finding(
+        name=cure.name,
+        severity=ERROR if sure else WARNING,
+        message=cure.message,
+        joints=joints,
+        explains=round(explains, 3),
+        confidence=round(min(1.0, explains), 2),
+        blind=cure.blind,
+        edit=cure.edit,
+    )
