@@ -12,8 +12,10 @@ MOTOR: Final = "motor"
 motors instead of joints."""
 FINDINGS: Final = (
     "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
+    "zero", "copied", "sign", "columns", "direction", "gain", "gravity", "offset", "robot", "delay",
 )  # fmt: skip
-"""Findings in a recording that a user can accept."""
+"""Findings in a recording that a user can accept: those of the reader, then those of a diagnosis.
+"""
 STATUSES: Final = (
     "ok", "failed", "timeout", "crash", "memory", "lost", "unsupported", "skipped",
 )  # fmt: skip

@@ -7,12 +7,13 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.diagnosis.near_model import FREE, spreads
+from sysid_bench.diagnosis.near_model import FREE, NearModel, NearModelFit, near_model, spreads
 from sysid_bench.diagnosis.placeholders import placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.signals.filters import Butterworth, derivative
 from sysid_bench.signals.log import Log
+from sysid_bench.signals.log_samples import Samples
 from sysid_bench.spatial.inertia import NAMES
 from sysid_bench.types import Array, Trajectory
 
@@ -100,6 +101,17 @@ class Evidence:
         """Indices (n,) of the recorded joints among the torque rows of the robot."""
         return np.array([self.robot.torque_rows.index(name) for name in self.joints], dtype=int)
 
+    @property
+    def raw(self) -> Samples:
+        """Samples of the file; see `columns`."""
+        assert self.log.raw is not None
+        return self.log.raw
+
+    @cached_property
+    def columns(self) -> list[int]:
+        """Indices (n,) of the recorded joints among the coordinates of the description."""
+        return [self.log.description.joints.index(name) for name in self.joints]
+
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """Kinds (hinge, slide) of the recorded joints."""
@@ -122,6 +134,25 @@ class Evidence:
         return max(1, int(self.rate / (OVERSAMPLING * self.cutoff)))
 
     @cached_property
+    def _smooth_torque(self) -> Array:
+        """Filtered torque (N, n) at the rate of the recording."""
+        return Butterworth(3, self.cutoff).smooth(self.torque_samples, self.rate)
+
+    @cached_property
+    def _kept(self) -> slice:
+        """Samples of the recording that are kept: without the ends, decimated."""
+        count = len(self.log.recording)
+        edge = min(Butterworth(3, self.cutoff).edge(self.rate), count // 10)
+        return slice(edge, count - edge, self.step)
+
+    def shifted_torque(self, j: int, lags: Array, rows: slice) -> tuple[Array, Array]:
+        """Filtered torque (N', k) of a joint, `lags` (k,) samples later than each of some samples,
+        and which of these (N',) have all of them."""
+        index = np.arange(len(self.log.recording))[self._kept][rows]
+        inside = (index + lags.min() >= 0) & (index + lags.max() < len(self.log.recording))
+        return self._smooth_torque[:, j][index[inside][:, None] + lags], np.flatnonzero(inside)
+
+    @cached_property
     def _filtered(self) -> tuple[JointMotion, Array]:
         """Motion and torque (N, n), decimated."""
         low_pass = Butterworth(3, self.cutoff)
@@ -129,11 +160,9 @@ class Evidence:
         q = low_pass.smooth(recording.q[:, self.addresses], rate)
         v = derivative(low_pass, q, rate)
         a = derivative(low_pass, v, rate)
-        tau = low_pass.smooth(self.torque_samples, rate)
         sign = low_pass.smooth(np.sign(v), rate)
-        edge = min(low_pass.edge(rate), len(q) // 10)
-        keep = slice(edge, len(q) - edge, self.step)
-        return JointMotion(q[keep], v[keep], a[keep], sign[keep]), tau[keep]
+        motion = JointMotion(q, v, a, sign)
+        return motion.rows(self._kept), self._smooth_torque[self._kept]
 
     @cached_property
     def torque_samples(self) -> Array:
@@ -203,6 +232,29 @@ class Evidence:
         v[:, self.dofs], a[:, self.dofs] = motion.v, motion.a
         t = np.arange(N) * self.step / self.rate
         return self.robot.completed(Trajectory(t, q, v, a, "diagnosed"))
+
+    def normal(
+        self, motion: JointMotion, W: Array | None = None, more: Array | None = None
+    ) -> NearModel:
+        """Normal equations near the model along a motion of as many samples as `sparse`, with its
+        own link columns or with others W (N, n, p); `more` (N, n, k): columns that a mixing may add
+        to the torques."""
+        W = self.regressor(motion) if W is None else W
+        T = np.repeat(self.sparse[1][:, None], self.count, axis=1)
+        T = T if more is None else np.concatenate([T, more], axis=2)
+        return near_model(W, terms(motion), T, self.file_parameters.ravel(), self.link_spreads)
+
+    @cached_property
+    def as_recorded(self) -> NearModel:
+        """Normal equations of the recording as it is."""
+        return self.normal(self.sparse[0])
+
+    def predicted(self, fit: NearModelFit) -> Array:
+        """Torque (N, n) of a fit along `sparse`."""
+        motion = self.sparse[0]
+        return np.asarray(
+            self.regressor(motion) @ fit.links + (terms(motion) * fit.terms).sum(axis=2)
+        )
 
 
 def terms(motion: JointMotion) -> Array:

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from sysid_bench.diagnosis.evidence import Evidence, JointMotion, terms
-from sysid_bench.diagnosis.near_model import NearModel, NearModelFit, near_model
+from sysid_bench.diagnosis.evidence import Evidence, JointMotion
+from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
 from sysid_bench.types import Array
 
 
@@ -23,7 +23,7 @@ class Hypothesis:
     @cached_property
     def model(self) -> NearModel:
         """Normal equations along the motion."""
-        return self.given or self.normal()
+        return self.given or self.evidence.normal(self.motion)
 
     @cached_property
     def fit(self) -> NearModelFit:
@@ -34,15 +34,6 @@ class Hypothesis:
     def torque(self) -> Array:
         """Torque (N, n) after the changes."""
         return np.asarray(self.evidence.sparse[1] @ self.mixing)
-
-    def normal(self, W: Array | None = None, more: Array | None = None) -> NearModel:
-        """Normal equations with other link columns W (N, n, p), and with further columns (N, n, k)
-        that a mixing may add to the torques."""
-        e, n = self.evidence, self.evidence.count
-        W = e.regressor(self.motion) if W is None else W
-        T = np.repeat(e.sparse[1][:, None], n, axis=1)
-        T = T if more is None else np.concatenate([T, more], axis=2)
-        return near_model(W, terms(self.motion), T, e.file_parameters.ravel(), e.link_spreads)
 
     def mixed(self, mixing: Array) -> "Hypothesis":
         """The hypothesis with torques mixed once more, on the same motion."""
@@ -56,12 +47,14 @@ class Hypothesis:
     def with_columns(self, W: Array, motion: JointMotion | None = None) -> "Hypothesis":
         """The hypothesis with other link columns."""
         changed = self if motion is None else replace(self, motion=motion)
-        return replace(changed, given=changed.normal(W))
+        return replace(changed, given=self.evidence.normal(changed.motion, W))
 
 
 def as_recorded(evidence: Evidence) -> Hypothesis:
     """The recording as it is."""
-    return Hypothesis(evidence, evidence.sparse[0], np.eye(evidence.count))
+    return Hypothesis(
+        evidence, evidence.sparse[0], np.eye(evidence.count), evidence.as_recorded
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

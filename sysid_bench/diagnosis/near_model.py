@@ -73,6 +73,7 @@ class NearModel:
     basis: Array
     scale: Array
     known: Array  # (p,) of the file
+    information: Array  # (r,) mean squared relative torque of one spread along each direction
 
     @property
     def rank(self) -> int:
@@ -156,10 +157,11 @@ def near_model(W: Array, F: Array, T: Array, known: Array, scale: Array) -> Near
     Ws = W * scale
     gram = np.einsum("j,jik->ik", weight**2, _grams(Ws))
     values, vectors = np.linalg.eigh(gram)
-    basis = vectors[:, values > 1e-9 * max(float(values[-1]), 1e-300)]
+    kept = values > 1e-9 * max(float(values[-1]), 1e-300)
+    basis = vectors[:, kept]
     file = W @ known
     columns = np.concatenate([Ws @ basis, F, file[:, :, None], T], axis=2)
-    return NearModel(_grams(columns), basis, scale, known)
+    return NearModel(_grams(columns), basis, scale, known, values[kept])
 
 
 def _grams(X: Array) -> Array:

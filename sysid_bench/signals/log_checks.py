@@ -12,9 +12,8 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.types import Array
+from sysid_bench.vocabulary import FINDINGS
 
-NAMES: Final = ("rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits")
-"""Names of findings, for `--accept`."""
 
 _AGREES: Final = 0.98
 """Correlation of travelled and integrated distances above which a joint counts for the rate."""
@@ -47,7 +46,7 @@ FASTEST: Final = {"hinge": 50.0, "slide": 20.0}
 
 @dataclass(frozen=True)
 class Finding:
-    """Observation made `count` times in a recording; `name` is one of NAMES."""
+    """Observation made `count` times in a recording; `name` is one of FINDINGS."""
 
     name: str
     count: int
@@ -65,8 +64,8 @@ def refuse_findings(findings: Sequence[Finding], accepted: Sequence[str], where:
 
 
 def _check_name(name: str) -> None:
-    if name not in NAMES:
-        raise unknown_name("finding", name, NAMES, "Give --accept the names to let pass.")
+    if name not in FINDINGS:
+        raise unknown_name("finding", name, FINDINGS, "Give --accept the names to let pass.")
 
 
 def _refusal(refused: Sequence[Finding], where: str) -> UsageError:

@@ -1,7 +1,7 @@
 """Identification of one robot from recordings of the real one."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,6 +32,7 @@ from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
+from sysid_bench.verbs.diagnose import refuse_contradictions
 from sysid_bench.verbs.estimate_fields import estimate_fields, warnings_of
 from sysid_bench.verbs.identify_request import IdentifyRequest
 from sysid_bench.verbs.log_warnings import finding_warnings, log_warnings, repetition_warnings
@@ -88,10 +89,12 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     manifest = find_manifest(request.model, request.robots_dir)
     _check_targets(request, manifest)
     posed = prepare_logs(manifest, training, tests, _options(request))
+    doubts = refuse_contradictions(posed.source.logs, request.accept)
     estimate = estimate_parameters(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
         raise EstimationError(f"{_estimator(request)} on {manifest.name}: {estimate.reason}")
     result = _result(request, manifest, posed, estimate, estimate.beta)
+    result = replace(result, warnings=[*result.warnings, *doubts])
     if request.figure is not None:
         _draw(request.figure, posed, estimate.beta)
     if request.model_out is not None:

@@ -46,7 +46,7 @@ def _cure(before: Hypothesis, j: int, offset: float) -> Cure:
 def _small_offsets(before: Hypothesis) -> Array:
     """Offset (n,) of each joint alone that minimises the cost, with torques linear in it."""
     n = before.evidence.count
-    model = before.normal(more=_slopes(before))
+    model = before.evidence.normal(before.motion, more=_slopes(before))
     offsets = np.zeros(n)
     for k in range(n):
         costs = []

@@ -32,6 +32,11 @@ class RecordedSource:
     true_mass: float | None = None  # kg
 
     @property
+    def logs(self) -> tuple[ProcessedLog, ...]:
+        """Training logs, then tests."""
+        return (*self.training, *self.tests.values())
+
+    @property
     def warning(self) -> str:
         """Empty: recordings have no structure to compare their excitation with."""
         return ""

@@ -1,0 +1,75 @@
+"""Torque channels that are late or early against the positions."""
+
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
+from sysid_bench.diagnosis.own_rows import OwnRows
+from sysid_bench.types import Array
+
+LONGEST: Final = 0.15
+"""s."""
+LAGS: Final = 25
+"""Steps to either side."""
+SURE: Final = 0.5
+DOUBTFUL: Final = 0.3
+"""Shares of the mean squared residual that a shift has to remove."""
+SHORTEST: Final = 0.015
+"""s; shorter shifts are those of filters and drives, and cost little."""
+GOOD: Final = 0.5
+"""Relative residual above which a joint is not explained well enough to be timed."""
+BLIND: Final = "all channels late alike; play and hysteresis look like a delay"
+
+
+def torque_delay(evidence: Evidence) -> list[Finding]:
+    """Return joints whose torque fits their own motion better at another time: in both halves of
+    the recording alike."""
+    own = OwnRows(evidence)
+    step = max(1, round(LONGEST / LAGS * evidence.rate))
+    lags = step * np.arange(-LAGS, LAGS + 1)
+    found = [_of_joint(own, j, lags) for j in range(evidence.count) if evidence.rms[j] > 0]
+    return [finding for finding in found if finding is not None]
+
+
+def _of_joint(own: OwnRows, j: int, lags: Array) -> Finding | None:
+    shifted, rows = own.evidence.shifted_torque(j, lags, own.rows)
+    residual = _residuals(own.columns(j)[rows], shifted)
+    whole = residual.sum(axis=0)
+    best = int(np.argmin(whole))
+    zero = len(lags) // 2
+    explains = 1.0 - float(whole[best] / whole[zero]) if whole[zero] > 0 else 0.0
+    delay = float(lags[best]) / own.evidence.rate
+    size = float((shifted[:, zero] ** 2).sum())
+    interior = 0 < best < len(lags) - 1
+    good = size > 0 and np.sqrt(whole[best] / size) < GOOD
+    halves = [int(np.argmin(part.sum(axis=0))) for part in np.array_split(residual, 2)]
+    agree = max(abs(half - best) for half in halves) <= 1 + abs(best - zero) // 3
+    if explains < DOUBTFUL or abs(delay) < SHORTEST or not (interior and good and agree):
+        return None
+    return _finding(own.evidence, j, delay, explains)
+
+
+def _residuals(X: Array, Y: Array) -> Array:
+    """Squared residuals (N, k) of the columns Y (N, k) after a fit by X."""
+    X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+    H = X.T @ X + 1e-9 * np.eye(X.shape[1])
+    return np.asarray((Y - X @ np.linalg.solve(H, X.T @ Y)) ** 2)
+
+
+def _finding(evidence: Evidence, j: int, delay: float, explains: float) -> Finding:
+    word = "late" if delay > 0 else "early"
+    return Finding(
+        name="delay",
+        severity=ERROR if explains >= SURE else WARNING,
+        message=(
+            f"the torque of {evidence.joints[j]} is {1e3 * abs(delay):.0f} ms {word}: a shift "
+            f"explains {100 * explains:.0f} % of its residual"
+        ),
+        joints=(evidence.joints[j],),
+        explains=round(explains, 3),
+        confidence=round(explains, 2),
+        blind=BLIND,
+        edit=f"shift the torque of {evidence.joints[j]} by {-1e3 * delay:.0f} ms in the file",
+    )
