@@ -36,6 +36,9 @@ DOUBTFUL: Final = 0.2
 LARGE: Final = 0.03
 """Cost that an error has to remove."""
 
+EQUAL: Final = 0.02
+"""Difference of the shares of two cures that recordings do not tell apart."""
+
 ROUNDS: Final = 3
 """Mistakes that are looked for one after another."""
 
@@ -48,13 +51,13 @@ def contradictions(evidence: Evidence) -> list[Finding]:
     for _ in range(ROUNDS):
         if current.fit.cost < GATE:
             break
-        best = max(_cures(current), key=lambda cure: cure.explains(current), default=None)
-        if best is None or best.explains(current) < DOUBTFUL:
+        cures = sorted(_cures(current), key=lambda cure: cure.hypothesis.fit.cost)
+        if not cures or cures[0].explains(current) < DOUBTFUL:
             break
-        found.append(_finding(best, current))
+        found.append(_finding(cures, current))
         if found[-1].severity != ERROR:
             break
-        current = best.hypothesis
+        current = cures[0].hypothesis
     return found
 
 
@@ -63,17 +66,19 @@ def _cures(current: Hypothesis) -> Iterator[Cure]:
         yield from search(current)
 
 
-def _finding(cure: Cure, before: Hypothesis) -> Finding:
-    explains = cure.explains(before)
+def _finding(cures: Sequence[Cure], before: Hypothesis) -> Finding:
+    """Finding of the best of some cures, with another one that is as good."""
+    cure, explains = cures[0], cures[0].explains(before)
     sure = explains >= SURE and cure.removes(before) >= LARGE
-    joints = tuple(before.evidence.joints[j] for j in cure.joints)
+    others = [one for one in cures[1:] if one.explains(before) > explains - EQUAL]
+    other = next((one for one in others if one.name != cure.name), None)
     return Finding(
         name=cure.name,
         severity=ERROR if sure else WARNING,
-        message=cure.message,
-        joints=joints,
+        message=cure.message + (f" (or, as likely: {other.message})" if other else ""),
+        joints=tuple(before.evidence.joints[j] for j in cure.joints),
         explains=round(explains, 3),
-        confidence=round(min(1.0, explains), 2),
+        confidence=round(min(1.0, explains) * (0.5 if other else 1.0), 2),
         blind=cure.blind,
         edit=cure.edit,
     )

@@ -32,11 +32,21 @@ GROUPS: Final[Sequence[tuple[str, Sequence[Check]]]] = (
 
 def diagnose(evidence: Evidence, accept: Collection[str] = ()) -> list[Finding]:
     """Return the findings, group by group and the gravest first, up to the first contradiction
-    whose name is not in `accept`."""
+    whose name is not in `accept`.
+
+    Behind an accepted one contradictions are warnings: their tests take for granted what it denies.
+    """
     findings: list[Finding] = []
     for _, checks in GROUPS:
         found = [finding for check in checks for finding in check(evidence)]
+        if any(one.is_contradiction for one in findings):
+            found = [one.softened() for one in found]
         findings += sorted(found, key=lambda one: SEVERITIES.index(one.severity))
-        if any(one.is_contradiction and one.name not in accept for one in found):
+        if contradictions_left(findings, accept):
             break
     return findings
+
+
+def contradictions_left(findings: Sequence[Finding], accept: Collection[str]) -> list[Finding]:
+    """Return the contradictions that are not accepted."""
+    return [one for one in findings if one.is_contradiction and one.name not in accept]

@@ -1,7 +1,7 @@
 """Findings of a diagnosis: what contradicts the model or physics, how sure it is, and its cure."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
@@ -38,6 +38,10 @@ class Finding:
     def is_contradiction(self) -> bool:
         """True for errors, which a user has to cure or to accept."""
         return self.severity == ERROR
+
+    def softened(self) -> "Finding":
+        """The finding, of a contradiction a warning."""
+        return replace(self, severity=WARNING) if self.is_contradiction else self
 
     def to_json(self) -> dict[str, Any]:
         """Fields as JSON values."""

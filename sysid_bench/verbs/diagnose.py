@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from sysid_bench.diagnosis.diagnose import contradictions_left
 from sysid_bench.diagnosis.diagnose import diagnose as findings_of
 from sysid_bench.diagnosis.evidence import Evidence
-from sysid_bench.diagnosis.finding import ERROR, SEVERITIES, Finding
+from sysid_bench.diagnosis.finding import ERROR, SEVERITIES, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import as_recorded
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
@@ -133,7 +134,7 @@ def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
     result = DiagnoseResult(
         model=manifest.name,
         file=str(manifest.path),
-        ok=not refused([one for part in found for one in part], request.accept),
+        ok=not any(contradictions_left(part, request.accept) for part in found),
         accepted=list(request.accept),
         logs=[_log_fields(str(n), e) for n, e in zip(request.logs, evidence, strict=True)],
         findings=findings,
@@ -170,11 +171,6 @@ def _payload(written: Any) -> Any:
     return written["use"] if named else written
 
 
-def refused(findings: Sequence[Finding], accept: Collection[str]) -> list[Finding]:
-    """Contradictions that are not accepted."""
-    return [one for one in findings if one.is_contradiction and one.name not in accept]
-
-
 def refuse_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
     """Diagnose recordings that are about to be used; return their warnings as sentences.
 
@@ -183,11 +179,11 @@ def refuse_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str])
     warnings = []
     for log in logs:
         findings = findings_of(Evidence(log.log, log.robot), accept)
-        wrong = refused(findings, accept)
+        wrong = contradictions_left(findings, accept)
         if wrong:
             raise UsageError(_refusal(str(log.log.description.source), wrong))
         name = log.log.description.source.name
-        warnings += [f"{name}: {one.message}" for one in findings if one.severity == "warning"]
+        warnings += [f"{name}: {one.message}" for one in findings if one.severity == WARNING]
     return warnings
 
 

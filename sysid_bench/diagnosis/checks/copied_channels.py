@@ -48,9 +48,9 @@ def _copies(kind: str, other: str, channels: dict[str, Array]) -> Iterator[_Pair
 
 def _unit(x: Array) -> Array:
     """Columns without their means, of length 1; constant ones are zero."""
+    moves = np.ptp(x, axis=0) > EXACT * np.abs(x).max(axis=0)
     x = x - x.mean(axis=0)
     size = np.linalg.norm(x, axis=0)
-    moves = size > EXACT * np.abs(x).max(initial=0.0)
     return np.where(moves, x / np.where(moves, size, 1.0), 0.0)
 
 

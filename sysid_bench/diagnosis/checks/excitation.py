@@ -3,12 +3,11 @@
 from typing import Final
 
 from sysid_bench.diagnosis.evidence import Evidence
-from sysid_bench.diagnosis.finding import NOTE, WARNING, Finding
+from sysid_bench.diagnosis.finding import NOTE, Finding
 from sysid_bench.diagnosis.near_model import PENALTY
 
-POOR: Final = 0.5
 FAIR: Final = 0.25
-"""Shares of the directions of the links that the motion excites less than the model file knows
+"""Share of the directions of the links that the motion excites less than the model file knows
 them: least squares is then worse than a feasible fit or one with a prior."""
 
 
@@ -22,7 +21,7 @@ def excitation(evidence: Evidence) -> list[Finding]:
     return [
         Finding(
             name="condition",
-            severity=WARNING if share > POOR else NOTE,
+            severity=NOTE,
             message=(
                 f"{weak} of {len(information)} combinations of the links' parameters are better "
                 "known from the model file than from this motion"

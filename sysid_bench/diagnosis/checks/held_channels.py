@@ -40,9 +40,8 @@ def held_channels(evidence: Evidence) -> list[Finding]:
 
 
 def _typical_run(x: Array) -> float:
-    """Length of the run in which half of the samples lie at least; 1 for coarse values."""
+    """Median length of the runs of equal values; 1 for coarse values."""
     if len(np.unique(x)) < LEVELS:
         return 1.0
     edges = np.flatnonzero(np.diff(x) != 0)
-    runs = np.diff(np.concatenate([[-1], edges, [len(x) - 1]]))
-    return float(np.median(np.repeat(runs, runs)))
+    return float(np.median(np.diff(np.concatenate([[-1], edges, [len(x) - 1]]))))

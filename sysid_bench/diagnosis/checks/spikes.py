@@ -11,8 +11,10 @@ from sysid_bench.types import Array
 WINDOW: Final = 5
 SCALES: Final = 8.0
 """Median absolute deviations from the running median (Hampel)."""
-RANGE: Final = 0.5
+RANGE: Final = 0.7
 """Least height in units of the channel's range between its 5 % and 95 % quantiles."""
+MOST: Final = 0.02
+"""Share of the samples above which they are noise, not spikes."""
 
 
 def spikes(evidence: Evidence) -> list[Finding]:
@@ -37,7 +39,7 @@ def spike_rows(x: Array) -> Array:
     scale = SCALES * 1.4826 * float(np.median(distance))
     low, high = np.quantile(valid, [0.05, 0.95])
     rows = np.flatnonzero(distance > max(scale, RANGE * float(high - low)))
-    return rows if high > low else rows[:0]
+    return rows if high > low and len(rows) <= MOST * len(x) else rows[:0]
 
 
 def _finding(evidence: Evidence, word: str, joints: list[int], rows: list[Array]) -> Finding:

@@ -11,13 +11,17 @@ from sysid_bench.diagnosis.hypothesis import Cure, Hypothesis
 from sysid_bench.types import Array
 
 BLIND: Final = "twin joints, whose torques are alike: parallel axes, the fingers of a gripper"
+EXCHANGED: Final = 0.5
+"""Cost below which three or more columns cannot be exchanged."""
 
 
 def torque_columns(before: Hypothesis) -> Iterator[Cure]:
     """Cures that exchange two torque columns, and the one of the best assignment of all."""
     n = before.evidence.count
     orders = {tuple(_exchanged(n, pair)) for pair in combinations(range(n), 2)}
-    for order in sorted(orders | {tuple(_assignment(before))} - {tuple(range(n))}):
+    if before.fit.cost > EXCHANGED:
+        orders |= {tuple(_assignment(before))} - {tuple(range(n))}
+    for order in sorted(orders):
         yield _cure(before, order)
 
 

@@ -16,7 +16,7 @@ LAGS: Final = 25
 SURE: Final = 0.5
 DOUBTFUL: Final = 0.3
 """Shares of the mean squared residual that a shift has to remove."""
-SHORTEST: Final = 0.015
+SHORTEST: Final = 0.022
 """s; shorter shifts are those of filters and drives, and cost little."""
 GOOD: Final = 0.5
 """Relative residual above which a joint is not explained well enough to be timed."""
