@@ -22,9 +22,7 @@ _file = click.Path(path_type=Path)
 @click.command()
 @click.argument("logs", nargs=-1, required=True, type=_file, metavar="LOG.toml...")
 @click.option("--model", required=True, metavar="MODEL", help="Robot: a name or a model file.")
-@click.option(
-    "--accept", metavar="rate,gain", help="Contradictions behind which the checks go on."
-)
+@click.option("--accept", metavar="rate,gain", help="Contradictions behind which the checks go on.")
 @click.option("--html", type=_file, metavar="FILE.html", help="A page with figures.")
 @click.option("--json-out", type=_file, help="The result as a file.")
 @robots_option

@@ -4,7 +4,7 @@ A mistake leaves a residual that other cures remove in part as well; the one tha
 named first.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from sysid_bench.diagnosis.checks.encoder_offset import encoder_offset
@@ -15,15 +15,20 @@ from sysid_bench.diagnosis.checks.sample_rate import sample_rate
 from sysid_bench.diagnosis.checks.torque_columns import torque_columns
 from sysid_bench.diagnosis.checks.torque_gain import torque_gain
 from sysid_bench.diagnosis.checks.torque_sign import torque_sign
+from sysid_bench.diagnosis.checks.wrong_robot import wrong_robot
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import Cure, CureSearch, Hypothesis, as_recorded
 
 SEARCHES: Final[Sequence[CureSearch]] = (
-    sample_rate, torque_sign, torque_columns, joint_columns, joint_direction, torque_gain,
-    gravity_direction, encoder_offset,
+    sample_rate, torque_sign, torque_columns, torque_gain, gravity_direction, encoder_offset,
+    joint_columns, joint_direction,
 )  # fmt: skip
 """Searches in the order in which equal cures are named."""
+
+OF_MOTION: Final = (joint_columns, joint_direction)
+ROUGH: Final = 0.06
+"""Cost below which no joint moves the wrong way or in the place of another."""
 
 GATE: Final = 0.03
 """Cost below which nothing is left to explain: two per cent of the torque on each of six joints,
@@ -39,6 +44,11 @@ LARGE: Final = 0.03
 EQUAL: Final = 0.02
 """Difference of the shares of two cures that recordings do not tell apart."""
 
+EXPLAINED: Final = 0.75
+FOREIGN: Final = 0.15
+"""Share of the cost that a cure explains, and cost, from which and up to which the library is not
+searched for another robot."""
+
 ROUNDS: Final = 3
 """Mistakes that are looked for one after another."""
 
@@ -51,7 +61,7 @@ def contradictions(evidence: Evidence) -> list[Finding]:
     for _ in range(ROUNDS):
         if current.fit.cost < GATE:
             break
-        cures = sorted(_cures(current), key=lambda cure: cure.hypothesis.fit.cost)
+        cures = _ranked_cures(current)
         if not cures or cures[0].explains(current) < DOUBTFUL:
             break
         found.append(_finding(cures, current))
@@ -61,9 +71,19 @@ def contradictions(evidence: Evidence) -> list[Finding]:
     return found
 
 
-def _cures(current: Hypothesis) -> Iterator[Cure]:
-    for search in SEARCHES:
-        yield from search(current)
+def _ranked_cures(current: Hypothesis) -> list[Cure]:
+    """All cures, the best first; other robots only where nothing else explains the recording."""
+    rough = current.fit.cost >= ROUGH
+    searches = [search for search in SEARCHES if rough or search not in OF_MOTION]
+    cures = [cure for search in searches for cure in search(current)]
+    cures.sort(key=_cost)
+    if cures and cures[0].explains(current) < EXPLAINED and current.fit.cost > FOREIGN:
+        cures = sorted([*cures, *wrong_robot(current)], key=_cost)
+    return cures
+
+
+def _cost(cure: Cure) -> float:
+    return cure.hypothesis.fit.cost
 
 
 def _finding(cures: Sequence[Cure], before: Hypothesis) -> Finding:

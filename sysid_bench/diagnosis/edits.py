@@ -19,9 +19,7 @@ def offset_edit(evidence: Evidence, signal: str, offsets: Array) -> str:
     return _setting(evidence, signal, "offset", np.ones(evidence.count), offsets)
 
 
-def _setting(
-    evidence: Evidence, signal: str, setting: str, factors: Array, summands: Array
-) -> str:
+def _setting(evidence: Evidence, signal: str, setting: str, factors: Array, summands: Array) -> str:
     log = evidence.log.description
     part = log.signals[signal]
     values = log.joint_values(f"{signal}.{setting}", getattr(part, setting))
@@ -40,7 +38,9 @@ def columns_edit(evidence: Evidence, signals: Sequence[str], order: Sequence[int
         names = ", ".join(evidence.joints[i] for i in order)
         return f"write the columns of {' and '.join(signals)} in the order of {names}"
     places = [log.joints.index(joint) for joint in evidence.joints]
-    return "; ".join(f"{name} = {{ columns = {_reordered(p, places, order)} }}" for name, p in parts)
+    return "; ".join(
+        f"{name} = {{ columns = {_reordered(p, places, order)} }}" for name, p in parts
+    )
 
 
 def _reordered(part: Signal, places: Sequence[int], order: Sequence[int]) -> list[int | str]:

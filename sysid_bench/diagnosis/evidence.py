@@ -23,7 +23,7 @@ BAND: Final = 0.18
 """Highest cut-off as a share of the rate: second differences amplify what lies above."""
 OVERSAMPLING: Final = 5.0
 """Rate after decimation in units of the cut-off."""
-ROWS: Final = 700
+ROWS: Final = 500
 """Samples of the fits near the model: many fits are made, and neighbouring samples are alike."""
 
 

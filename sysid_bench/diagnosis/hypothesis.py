@@ -52,9 +52,7 @@ class Hypothesis:
 
 def as_recorded(evidence: Evidence) -> Hypothesis:
     """The recording as it is."""
-    return Hypothesis(
-        evidence, evidence.sparse[0], np.eye(evidence.count), evidence.as_recorded
-    )
+    return Hypothesis(evidence, evidence.sparse[0], np.eye(evidence.count), evidence.as_recorded)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

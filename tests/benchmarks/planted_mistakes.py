@@ -20,6 +20,8 @@ from sysid_bench.diagnosis.diagnose import diagnose
 from sysid_bench.diagnosis.evidence import Evidence, terms
 from sysid_bench.diagnosis.finding import NOTE, Finding
 from sysid_bench.errors import UsageError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
@@ -201,6 +203,15 @@ def _mounted(robot: RobotModel) -> RobotModel:
     return replace(robot, tree=replace(robot.tree, gravity=np.roll(g, 1)))
 
 
+OTHER: Final = {"ur5": "ur3", "ur3": "ur5", "ur10": "ur5", "ur10e": "ur3"}
+"""Robots whose joints have the same names."""
+
+
+def _other(robot: RobotModel) -> RobotModel:
+    """The model of another robot, the same one where there is none."""
+    return load_robot(find_manifest(OTHER[robot.name])) if robot.name in OTHER else robot
+
+
 DEGREES: Final = 180 / np.pi
 MISTAKES: Final = (
     Mistake("torque sign, all", ("sign",), _times(tau=-1, every=True), False),
@@ -223,7 +234,9 @@ MISTAKES: Final = (
     Mistake("torque held for 10 samples", ("held", "delay"), _tau(_hold)),
     Mistake("torque spikes x 20", ("spikes",), _spikes(20.0)),
     Mistake("torque spikes x 1e6", ("spikes", "units"), _spikes(1e6)),
-    Mistake("q in deg, no v", ("units", "limits"), _without_v(_times(q=DEGREES, every=True)), False),
+    Mistake(
+        "q in deg, no v", ("units", "limits"), _without_v(_times(q=DEGREES, every=True)), False
+    ),
     Mistake("q in deg", ("units", "rate", "velocity"), _times(q=DEGREES, every=True), False),
     Mistake("v in deg/s", ("units", "rate", "velocity"), _times(v=DEGREES, every=True), False),
     Mistake("q columns exchanged, no v", ("columns",), _without_v(_exchange("q"))),
@@ -246,6 +259,7 @@ MISTAKES: Final = (
     Mistake("5 % of stamps repeated", ("time",), _stamped(_repeated), False),
     Mistake("5 % of one torque not finite", ("non-finite",), _holes),
     Mistake("gravity along another axis", ("gravity",), _same, False, _mounted),
+    Mistake("model of another robot", ("robot", "gain"), _same, False, _other),
 )
 
 

@@ -191,8 +191,8 @@ def _simulated(name: str) -> Subject:
     parts = []
     for period in (8, 9):  # other lengths draw other motions of the same plant
         suite = parse_suite(SUITE.format(plant=SIMULATED[name], period=period, robot=name))
-        cell = next(iter(expand(suite)))
-        raw = prepare_simulated(cell.experiment, loaded).experiment.raw
+        (spec,) = expand(suite).specs
+        raw = prepare_simulated(spec, loaded).experiment.raw
         parts.append(_of_robot(loaded.robot, raw))
     return Subject(f"sim:{name}", _told(loaded.robot), *parts)
 

@@ -26,7 +26,9 @@ def _turned(before: Hypothesis, joints: tuple[int, ...]) -> Cure:
     e = before.evidence
     signs = _signs(e.count, joints)
     names = "all joints" if len(joints) == e.count else e.joints[joints[0]]
-    edits = [factor_edit(e, s, "ratio", signs) for s in ("q", "v") if s in e.log.description.signals]
+    edits = [
+        factor_edit(e, s, "ratio", signs) for s in ("q", "v") if s in e.log.description.signals
+    ]
     return Cure(
         name="direction",
         joints=joints,

@@ -7,6 +7,7 @@ import numpy as np
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
 from sysid_bench.diagnosis.own_rows import OwnRows
+from sysid_bench.regressors.joint_features import Play
 from sysid_bench.types import Array
 
 LONGEST: Final = 0.15
@@ -14,13 +15,19 @@ LONGEST: Final = 0.15
 LAGS: Final = 25
 """Steps to either side."""
 SURE: Final = 0.5
-DOUBTFUL: Final = 0.3
-"""Shares of the mean squared residual that a shift has to remove."""
+DOUBTFUL: Final = 0.35
+"""Shares of the mean squared residual that a shift has to remove, for an error and a warning."""
+LONG: Final = 0.045
 SHORTEST: Final = 0.022
-"""s; shorter shifts are those of filters and drives, and cost little."""
+"""s, of an error and of a warning; shorter shifts are those of filters and drives, and cost little.
+"""
+SMOOTH: Final = (0.03, 0.1, 0.3, 1.0)
+"""Widths, relative to the RMS rate, over which friction may change its sign."""
+WIDTHS: Final = (0.003, 0.01, 0.03)
+"""Widths of play as shares of the joint's range."""
 GOOD: Final = 0.5
 """Relative residual above which a joint is not explained well enough to be timed."""
-BLIND: Final = "all channels late alike; play and hysteresis look like a delay"
+BLIND: Final = "all channels late alike, q and v included; joints that friction alone loads"
 
 
 def torque_delay(evidence: Evidence) -> list[Finding]:
@@ -35,7 +42,8 @@ def torque_delay(evidence: Evidence) -> list[Finding]:
 
 def _of_joint(own: OwnRows, j: int, lags: Array) -> Finding | None:
     shifted, rows = own.evidence.shifted_torque(j, lags, own.rows)
-    residual = _residuals(own.columns(j)[rows], shifted)
+    # Play and smooth friction lag the sign of v: without their columns they would be delays.
+    residual = _residuals(np.column_stack([own.columns(j), _friction(own, j)])[rows], shifted)
     whole = residual.sum(axis=0)
     best = int(np.argmin(whole))
     zero = len(lags) // 2
@@ -51,6 +59,15 @@ def _of_joint(own: OwnRows, j: int, lags: Array) -> Finding | None:
     return _finding(own.evidence, j, delay, explains)
 
 
+def _friction(own: OwnRows, j: int) -> Array:
+    """Columns (N, k) of friction that changes its sign smoothly, or late."""
+    q, v = own.motion.q[:, j], own.motion.v[:, j]
+    scale = float(np.sqrt((v**2).mean())) or 1.0
+    reach = (float(q.min()), float(q.max()))
+    smooth = [np.tanh(v / (width * scale)) for width in SMOOTH]
+    return np.column_stack([*smooth, *(Play(width).values(q, v, reach) for width in WIDTHS)])
+
+
 def _residuals(X: Array, Y: Array) -> Array:
     """Squared residuals (N, k) of the columns Y (N, k) after a fit by X."""
     X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
@@ -62,7 +79,7 @@ def _finding(evidence: Evidence, j: int, delay: float, explains: float) -> Findi
     word = "late" if delay > 0 else "early"
     return Finding(
         name="delay",
-        severity=ERROR if explains >= SURE else WARNING,
+        severity=ERROR if explains >= SURE and abs(delay) >= LONG else WARNING,
         message=(
             f"the torque of {evidence.joints[j]} is {1e3 * abs(delay):.0f} ms {word}: a shift "
             f"explains {100 * explains:.0f} % of its residual"
