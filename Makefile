@@ -28,7 +28,7 @@ smoke: $(STAMP)
 test: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m pytest -m "not long" $(TESTS)
 
-# All commands of README.md and CONTRIBUTING.md as printed, and runs that are killed.
+# All commands of README.md and CONTRIBUTING.md as printed, whole suites, and runs that are killed.
 long: $(STAMP)
 	$(ONE_THREAD) $(BIN)/python -m pytest -m long $(TESTS)
 

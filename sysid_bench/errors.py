@@ -54,6 +54,14 @@ class ModelError(SysidBenchError):
     """A robot, payload or model file that cannot be used as it is."""
 
 
+class NotWrittenError(ModelError):
+    """A model file that was asked for and not written; `result` holds what was identified."""
+
+    def __init__(self, message: str, result: object) -> None:
+        super().__init__(message)
+        self.result = result
+
+
 class UnsupportedError(SysidBenchError):
     """Valid input that this method or robot does not support; its cell becomes `unsupported`."""
 

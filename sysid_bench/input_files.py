@@ -55,7 +55,7 @@ def check_file(path: Path, largest: int = LARGEST) -> None:
         raise OSError(_size_text(path, status.st_size, largest))
 
 
-def read_bytes(path: Path, largest: int = LARGEST) -> bytes:
+def read_data(path: Path, largest: int = LARGEST) -> bytes:
     """Return the content of a file; raises OSError as `check_file` does."""
     check_file(path, largest)
     with path.open("rb") as file:
@@ -77,7 +77,7 @@ def file_hash(path: Path) -> str:
 def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST) -> str:
     """Return the text of a file; raises OSError as `check_file` does, UnicodeDecodeError for
     another encoding."""
-    text = read_bytes(path, largest).decode(encoding)
+    text = read_data(path, largest).decode(encoding)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
 from sysid_bench.types import Better, Level, Metric, MetricInput, Row
-from sysid_bench.vocabulary import CELL_FIELDS
+from sysid_bench.vocabulary import CELL_FIELDS, MACHINE_FIELDS
 
 _TORQUE: Final = "N m|N"
 _ROUNDING: Final = 1e-12
@@ -215,6 +215,12 @@ def names_of(level: Level) -> tuple[str, ...]:
 ROW_FIELDS: Final = CELL_FIELDS | {"status", "reason", "crosscheck", *names_of("cell")}
 """Fields of a finished cell in expressions."""
 
+_OTHER_FIELDS: Final = MACHINE_FIELDS | {
+    *("joints", "parameters_table", "stats", "versions", "fingerprint", "sources", "losses"),
+    *("traceback", "row_sha256", "native_reason", "repairs", "nv", "free_base", REASONS),
+}
+"""Fields of rows that are not metrics, nor in expressions."""
+
 
 def metric_of(name: str, metrics: Mapping[str, Metric] = METRICS) -> Metric:
     """The metric of a column; an unknown column keeps its name as title."""
@@ -241,7 +247,7 @@ def checked_metric(thing: Any) -> Metric:
 def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name):
         raise UsageError(f"The metric name {name!r} is not a field name; use a-z, 0-9 and _.")
-    if name in METRICS:
+    if name in {*METRICS, *ROW_FIELDS, *_OTHER_FIELDS}:
         raise UsageError(f"The metric name {name!r} is a field of rows already; choose another.")
 
 

@@ -10,7 +10,7 @@ from sysid_bench.units import quantity
 
 
 @dataclasses.dataclass(frozen=True)
-class SettingField:
+class _SettingField:
     """Field of a plug-in: its unit (None: not read with a unit), and True where its type allows a
     list with one value per joint."""
 
@@ -28,14 +28,14 @@ def plugin_settings(plugin: str, make: Any, given: Mapping[str, Any]) -> dict[st
     except (TypeError, ValueError):  # written in C, without a signature
         return dict(given)
     _check_settings(plugin, parameters, given)
-    fields = setting_fields(make)
+    fields = plugin_fields(make)
     return {key: _setting(plugin, key, value, fields.get(key)) for key, value in given.items()}
 
 
-def setting_fields(make: Any) -> dict[str, SettingField]:
+def plugin_fields(make: Any) -> dict[str, _SettingField]:
     """Return the dataclass fields of a plug-in by name; {} for another callable."""
     fields = dataclasses.fields(make) if dataclasses.is_dataclass(make) else ()
-    return {f.name: SettingField(f.metadata.get("unit"), _takes_list(f.type)) for f in fields}
+    return {f.name: _SettingField(f.metadata.get("unit"), _takes_list(f.type)) for f in fields}
 
 
 def _takes_list(annotation: Any) -> bool:
@@ -67,7 +67,7 @@ def _takes_any(parameters: Mapping[str, inspect.Parameter]) -> bool:
     return any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
 
 
-def _setting(plugin: str, key: str, value: Any, field: SettingField | None) -> Any:
+def _setting(plugin: str, key: str, value: Any, field: _SettingField | None) -> Any:
     if field is None or field.unit is None:
         return value
     try:

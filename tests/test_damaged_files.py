@@ -14,7 +14,7 @@ from sysid_bench.excitation.criterion import CRITERIA, Criterion
 from sysid_bench.experiments import loaded_sources
 from sysid_bench.harness import fingerprint, store
 from sysid_bench.harness.frame_files import COVERAGE_FILE, read_coverage
-from sysid_bench.harness.plan import planned_heads
+from sysid_bench.harness.plan import planned_fields
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.harness.work import row_files
@@ -64,7 +64,7 @@ def test_a_row_longer_than_rows_are_is_garbled(
 )
 def test_a_line_of_a_plan_that_is_not_a_cell_is_named(line: str) -> None:
     with pytest.raises(UsageError, match=r"plan\.jsonl:1"):
-        list(planned_heads(line))
+        list(planned_fields(line))
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), Path.mkdir])

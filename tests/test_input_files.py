@@ -17,7 +17,7 @@ from sysid_bench.excitation.motion_file import MotionFile
 from sysid_bench.excitation.optimised import Optimised
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.work.row_files import read_rows
-from sysid_bench.input_files import parse_json, parse_toml, read_bytes
+from sysid_bench.input_files import parse_json, parse_toml, read_data
 from sysid_bench.models.dh import dh_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import read_manifest
@@ -110,9 +110,9 @@ def test_json_is_not_nested_without_end() -> None:
 
 
 def test_a_file_that_states_no_size_is_read_and_bounded() -> None:
-    assert b"Name" in read_bytes(Path("/proc/self/status"))
+    assert b"Name" in read_data(Path("/proc/self/status"))
     with pytest.raises(OSError, match="20 are allowed"):
-        read_bytes(Path("/proc/self/status"), largest=20)
+        read_data(Path("/proc/self/status"), largest=20)
 
 
 def test_a_message_is_short_and_printable() -> None:

@@ -28,6 +28,7 @@ BASE = frozenset(
         "input_files",
         "csv_text",
         "plugin_settings",
+        "score_fields",
     }
     | {"canonical_json", "versions", "vocabulary", "metrics", "qr_factor"}
 )

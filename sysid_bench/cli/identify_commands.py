@@ -1,6 +1,7 @@
 """Command that identifies one robot: identify."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import click
@@ -21,15 +22,17 @@ from sysid_bench.cli.options import (
 )
 from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import (
-    parse_contacts,
+    parse_contact,
     parse_names,
     parse_noise,
     parse_payload,
     parse_pipeline,
+    parse_prior,
     parse_terms,
     pipeline_name,
 )
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import NotWrittenError, UsageError
+from sysid_bench.verbs.result import Result
 
 
 class _Source(OptionsRecord):
@@ -57,6 +60,8 @@ class _Unknowns(OptionsRecord):
 
 
 class _Method(OptionsRecord):
+    prior: str | None
+    feasible: str | None
     estimator: str | None
     noise: str | None
     contacts: str | None
@@ -164,6 +169,18 @@ _method_options = group_options(
             help="Default: ols; wls with logs and for wrench; min-norm for terminal.",
         ),
         click.option(
+            "--prior",
+            metavar="model|none|TABLE",
+            help="Logs: the model file's inertias where they are plausible (default), none, or "
+            'their spreads, \'{ mass = "10 %", com = "20 mm" }\'.',
+        ),
+        click.option(
+            "--feasible",
+            type=click.Choice(["terms", "bodies"]),
+            help="Logs, feasible fits: friction and rotor inertia are not negative either (terms, "
+            "the default), or only the bodies are constrained.",
+        ),
+        click.option(
             "--noise", metavar="tau=0.5 %,q=1e-4 rad", help="Sensor noise; default: none."
         ),
         click.option(
@@ -223,7 +240,8 @@ def identify(
     code = supervised(_plugins(source, of_logs, unknowns, method))
     if code is not None:
         return code
-    result = sysid_bench.identify(
+    arguments = partial(
+        sysid_bench.identify,
         _given(model),
         task=unknowns.task,
         payload=parse_payload(unknowns.payload),
@@ -239,7 +257,7 @@ def identify(
         seed=method.seed,
         sensor=unknowns.sensor,
         free_base=unknowns.free_base,
-        contacts=parse_contacts(method.contacts),
+        contacts=parse_contact(method.contacts),
         complete=method.complete,
         filter=of_logs.filter_text,
         derivatives=of_logs.derivatives,
@@ -249,7 +267,15 @@ def identify(
         accept=parse_names(of_logs.accept),
         figure=of_logs.figure,
         pipeline=parse_pipeline(method.pipeline),
+        prior=parse_prior(method.prior),
+        feasible=method.feasible,
     )
+    try:
+        result = arguments()
+    except NotWrittenError as error:
+        if isinstance(error.result, Result):
+            print_result(error.result, output.as_json)
+        raise
     print_result(result, output.as_json)
     return OK
 
@@ -263,9 +289,9 @@ def _plugins(
     for name in parse_names(of_logs.candidates):
         yield "term", name.removeprefix("motor.")
     if source.logs:
-        from sysid_bench.experiments.third_party import readers_of_logs
+        from sysid_bench.experiments.third_party import reader_names
 
-        yield from readers_of_logs((*source.logs, *source.tests))
+        yield from reader_names((*source.logs, *source.tests))
 
 
 def _given(model: str | None) -> str:

@@ -12,7 +12,7 @@ from click.shell_completion import CompletionItem
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.harness.work.interrupt import ignore_interrupt, on_interrupt, raise_interrupt
+from sysid_bench.harness.work.interrupt import default_interrupt, on_interrupt, without_interrupt
 
 if TYPE_CHECKING:
     from sysid_bench import Result
@@ -110,11 +110,11 @@ def report_errors(function: Callable[..., int]) -> Callable[..., None]:
     @wraps(function)
     def guarded(*args: Any, **options: Any) -> None:
         context = click.get_current_context()
-        with on_interrupt(raise_interrupt):
+        with on_interrupt(default_interrupt):
             try:
                 code = _exit_code(partial(function, *args, **options), context)
             except KeyboardInterrupt:  # a second one, while the first was reported
-                ignore_interrupt()
+                without_interrupt()
                 code = INTERRUPTED
         context.exit(code)
 
@@ -126,7 +126,7 @@ def _exit_code(command: Callable[[], int], context: click.Context) -> int:
     try:
         code = command()
     except KeyboardInterrupt:
-        ignore_interrupt()
+        without_interrupt()
         click.echo(_INTERRUPTION, err=True)
         code = INTERRUPTED
     except BrokenPipeError:  # the reader of our output has closed it, as `head` does
@@ -138,7 +138,7 @@ def _exit_code(command: Callable[[], int], context: click.Context) -> int:
         click.echo(f"sysid-bench: {_paragraph(error)}", err=True)
         code = USAGE
     if code == INTERRUPTED:
-        ignore_interrupt()
+        without_interrupt()
     return code
 
 

@@ -39,6 +39,12 @@ def parse_pipeline(text: str | None) -> str | dict[str, Any] | None:
     return None if text is None else _name_or_table("pipeline", text, example)
 
 
+def parse_prior(text: str | None) -> str | dict[str, Any] | None:
+    """Name of a prior, or the TOML table of its spreads."""
+    example = '{ mass = "10 %", com = "20 mm" }'
+    return None if text is None else _name_or_table("prior", text, example)
+
+
 def pipeline_name(pipeline: str | dict[str, Any] | None) -> str | None:
     """Name of a pipeline's code; None where none is named."""
     return str(pipeline.get("use")) if isinstance(pipeline, dict) else pipeline
@@ -81,7 +87,7 @@ def parse_condition(text: str | None) -> str | None:
     return text
 
 
-def parse_contacts(text: str | None) -> list[str] | str | None:
+def parse_contact(text: str | None) -> list[str] | str | None:
     """ "detect", or the periods of "10 s to 25 s,40 s to 41 s"; raise UsageError for others."""
     if text is None or text == "detect":
         return text

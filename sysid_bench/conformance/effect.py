@@ -23,13 +23,13 @@ from sysid_bench.conformance.findings import (
     first_error,
     shape_error,
 )
-from sysid_bench.conformance.size_zero import without_error
 from sysid_bench.conformance.state_law_checks import (
     STATE_LAWS,
     TRANSMISSION_LAWS,
     torque_along,
 )
-from sysid_bench.simulation.force_laws import StateLaw
+from sysid_bench.conformance.without_error import without_error
+from sysid_bench.simulation.force_law import StateLaw
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.transmission import Transmission
 from sysid_bench.types import Array, Trajectory

@@ -18,7 +18,7 @@ from sysid_bench.conformance.findings import (
     findings_of,
     shape_error,
 )
-from sysid_bench.conformance.size_zero import without_error
+from sysid_bench.conformance.without_error import without_error
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.experiments.loaded_robot import loaded_robot

@@ -1,7 +1,7 @@
 """Conformance kit of sensor errors: `prepare(robot, rng)` gives a stage of the sensor chain or
 None.
 
-A stage has one or several of the methods `encoder_error`, `torque_reading`, `lateness` and
+A stage has one or several of the methods `encoder_error`, `torque_reading`, `sampling_delay` and
 `stored` (simulation/sensor_chain.py). The class attribute `sizes` names the settings that are zero
 without the error.
 """
@@ -22,7 +22,7 @@ from sysid_bench.conformance.findings import (
     first_error,
     shape_error,
 )
-from sysid_bench.conformance.size_zero import without_error
+from sysid_bench.conformance.without_error import without_error
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.experiments.loaded_robot import loaded_robot
@@ -40,7 +40,7 @@ from sysid_bench.types import Array
 
 PREPARED: Final = "prepares a stage"
 
-METHODS: Final = ("encoder_error", "torque_reading", "lateness", "stored")
+METHODS: Final = ("encoder_error", "torque_reading", "sampling_delay", "stored")
 
 SEED: Final = 1
 
@@ -115,8 +115,8 @@ def _outputs(stage: Any, case: SensorErrorCase) -> dict[str, Array]:
     if isinstance(stage, TorqueStage):
         outputs["torque_reading"] = stage.torque_reading(signal, np.random.default_rng(SEED))
     if isinstance(stage, SamplingStage):
-        late = stage.lateness(signal.t, np.random.default_rng(SEED))
-        outputs |= dict(zip(("lateness of q", "lateness of tau"), late, strict=True))
+        late = stage.sampling_delay(signal.t, np.random.default_rng(SEED))
+        outputs |= dict(zip(("sampling delay of q", "sampling delay of tau"), late, strict=True))
     if isinstance(stage, LossStage):
         outputs["stored"] = stage.stored(len(signal.t), np.random.default_rng(SEED))
     return {name: np.asarray(value) for name, value in outputs.items()}
@@ -129,8 +129,8 @@ def _undisturbed(case: SensorErrorCase) -> dict[str, Array]:
     return {
         "encoder_error": zero,
         "torque_reading": signal.tau,
-        "lateness of q": zero,
-        "lateness of tau": zero,
+        "sampling delay of q": zero,
+        "sampling delay of tau": zero,
         "stored": np.arange(len(signal.t)),
     }
 

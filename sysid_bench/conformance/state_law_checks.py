@@ -1,7 +1,7 @@
 """Conformance laws of force laws with internal states, and of elastic transmissions.
 
 A force law with states has `start(q, v) -> states` and `step(states, h, t, q, v, load) -> (torque,
-states)`, see `simulation/force_laws.py`.
+states)`, see `simulation/force_law.py`.
 """
 
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ from sysid_bench.conformance.findings import data_hash, first_error, shape_error
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
-from sysid_bench.simulation.compiled_steps import KINDS, laws_along
-from sysid_bench.simulation.force_laws import StateLaw
+from sysid_bench.simulation.compiled_steps import KINDS, compiled_torque
+from sysid_bench.simulation.force_law import StateLaw
 from sysid_bench.simulation.inverse import joint_positions, rigid_torque
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl
@@ -52,7 +52,7 @@ def _signals(case: EffectCase) -> tuple[Array, Array, Array]:
 
 def torque_along(case: EffectCase, law: StateLaw) -> Array:
     """Return the torque (N, nv) of a law along the motion of a case."""
-    return laws_along([law], case.motion.t, *_signals(case), STEPS)
+    return compiled_torque([law], case.motion.t, *_signals(case), STEPS)
 
 
 def _is_finite(effect: Any, case: EffectCase, law: StateLaw) -> str | None:
@@ -103,7 +103,9 @@ def _vanishes_at_rest(effect: Any, case: EffectCase, law: StateLaw) -> str | Non
         return None
     q, v, load = _signals(case)
     still = np.zeros_like(v)
-    torque = laws_along([law], case.motion.t, np.broadcast_to(q[0], q.shape), still, load, STEPS)
+    torque = compiled_torque(
+        [law], case.motion.t, np.broadcast_to(q[0], q.shape), still, load, STEPS
+    )
     largest = float(np.abs(torque).max())
     return None if largest == 0.0 else f"its torque at rest is up to {largest:.3g} N m or N"
 

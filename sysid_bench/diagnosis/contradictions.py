@@ -30,8 +30,8 @@ OF_MOTION: Final = (joint_columns, joint_direction)
 ROUGH: Final = 0.06
 """Cost below which no joint moves the wrong way or in the place of another."""
 
-GATE: Final = 0.03
-"""Cost below which nothing is left to explain: two per cent of the torque on each of six joints,
+GATE: Final = 0.008
+"""Cost below which nothing is left to explain: three per cent of the torque on each of six joints,
 with the penalty."""
 
 SURE: Final = 0.35

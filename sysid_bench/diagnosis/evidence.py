@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.diagnosis.near_model import FREE, NearModel, NearModelFit, near_model, spreads
-from sysid_bench.diagnosis.placeholders import placeholder_reason
+from sysid_bench.models.checks.placeholder_inertias import placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import AnyRegression, torque_regression
 from sysid_bench.signals.filters import Butterworth, derivative
@@ -210,7 +210,7 @@ class Evidence:
     @cached_property
     def placeholder(self) -> str:
         """Reason why the file's inertias are not believed; empty where they are."""
-        return placeholder_reason(self.file_parameters)
+        return placeholder_reason(self.robot)
 
     @cached_property
     def link_spreads(self) -> Array:

@@ -11,7 +11,7 @@ from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.regressors.pinocchio import pinocchio_regressor, reduced_regressor
-from sysid_bench.simulation.mujoco_inverse import constrained_torque
+from sysid_bench.simulation.mujoco_inverse import independent_torque
 from sysid_bench.types import Array, Trajectory
 
 REDUCED_GAP: Final = 1e-10
@@ -60,9 +60,9 @@ def check_coupling(robot: RobotModel, samples: int) -> CouplingCheck:
     coupling = robot.coupling
     assert coupling is not None
     motion = random_states(robot, samples, np.random.default_rng(SEED))
-    Y = torque_regression(robot, robot.inertial_columns).dense(motion).Y
+    Y = torque_regression(robot, robot.inertia_columns).dense(motion).Y
     reference = reduced_regressor(robot, motion, pinocchio_regressor(robot, motion)).Y
-    constrained = constrained_torque(robot, motion)
+    constrained = independent_torque(robot, motion)
     armature = coupling.reduced(motion.q, robot.joint_terms.armature * motion.a)
     return CouplingCheck(
         gap=relative_error(Y - reference, reference),

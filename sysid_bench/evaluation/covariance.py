@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from sysid_bench.errors import UsageError
-from sysid_bench.evaluation.motion_spread import MotionFits, motion_fits
+from sysid_bench.evaluation.motion_spread import MotionFit, motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.types import Array, Estimate, Problem
@@ -113,8 +113,8 @@ def standard_errors(problem: Problem, estimate: Estimate) -> dict[str, StandardE
     method itself.
     """
     found: dict[str, StandardError] = {}
-    fits = motion_fits(problem, estimate)
-    if isinstance(fits, MotionFits):
+    fits = motion_fit(problem, estimate)
+    if isinstance(fits, MotionFit):
         found["motions"] = fits.standard_error
     if estimate.beta is not None and estimate.sigma is not None:
         found |= _robust(problem, residual_scores(problem, estimate.beta, estimate.sigma))

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.motion_spread import MotionFits
+from sysid_bench.evaluation.motion_spread import MotionFit
 from sysid_bench.evaluation.standard_error import LEVEL, StandardError
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.models.robot import SUFFIX
@@ -23,7 +23,7 @@ CLASSES: Final = (INERTIAL, FRICTION)
 
 
 @dataclass(frozen=True, eq=False)
-class Targets:
+class TrueValues:
     """Values (r,) that intervals should hold, the class of each parameter, and `friction`: "true",
     or how the values of friction were found."""
 
@@ -32,15 +32,15 @@ class Targets:
     friction: str
 
 
-def targets_of(problem: Problem, true: Array, pseudo_true: Array | None, how: str) -> Targets:
+def true_values(problem: Problem, true: Array, pseudo_true: Array | None, how: str) -> TrueValues:
     """Return the targets (r,): true values, those of friction from `pseudo_true` unless None."""
-    classes = parameter_classes(problem)
+    classes = _parameter_classes(problem)
     if pseudo_true is None:
-        return Targets(true, classes, "true")
-    return Targets(np.where(classes == FRICTION, pseudo_true, true), classes, how)
+        return TrueValues(true, classes, "true")
+    return TrueValues(np.where(classes == FRICTION, pseudo_true, true), classes, how)
 
 
-def parameter_classes(problem: Problem) -> Array:
+def _parameter_classes(problem: Problem) -> Array:
     """Return the class (r,) of each base parameter: inertias of links and rotors are inertial, all
     other terms of joints are friction."""
     bodies = {column for body in problem.bodies for column in body.columns}
@@ -64,11 +64,11 @@ def interval_score(error: StandardError, beta: Array, targets: Array) -> Array:
 
 
 def interval_fields(
-    problem: Problem, beta: Array, errors: Mapping[str, StandardError], targets: Targets
+    problem: Problem, beta: Array, errors: Mapping[str, StandardError], targets: TrueValues
 ) -> dict[str, Any]:
     """Return `coverage_<class>`, `width_<class>` and `interval_score_<class>` by kind of interval,
     means over the parameters of a class; widths and scores as shares of the torque."""
-    shares = torque_shares(problem)
+    shares = _torque_shares(problem)
     fields: dict[str, Any] = {"friction_target": targets.friction}
     for one in CLASSES:
         chosen = targets.classes == one
@@ -86,7 +86,7 @@ def interval_fields(
     return fields
 
 
-def torque_shares(problem: Problem) -> Array:
+def _torque_shares(problem: Problem) -> Array:
     """Return the torque (r,) of one unit of each base parameter as a share of the whole one: the
     norm of its column over that of the right-hand side, both on the training data."""
     R = stacked_factor(problem)
@@ -94,7 +94,7 @@ def torque_shares(problem: Problem) -> Array:
     return np.asarray(size[:-1] / size[-1]) if size[-1] > 0 else np.zeros(len(size) - 1)
 
 
-def torque_inside(fits: MotionFits, held_out: Mapping[str, Problem]) -> Array:
+def torque_coverage(fits: MotionFit, held_out: Mapping[str, Problem]) -> Array:
     """Return the share (rows,) of held-out torques inside of their prediction interval."""
     half_width = fits.torque_half_width()
     inside, samples = np.zeros(len(half_width)), 0

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.evaluation.standard_error import LEVEL, StandardError, student_quantile
+from sysid_bench.evaluation.standard_error import LEVEL, StandardError, coverage_factor
 from sysid_bench.identification.linear.normal_qr import (
     excited_rank,
     residual_norm,
@@ -26,7 +26,7 @@ ENOUGH_MOTIONS: Final = 5
 
 
 @dataclass(frozen=True, eq=False)
-class MotionFits:
+class MotionFit:
     """Weighted least squares with each of M motions left out: `beta` (r,) of all motions, `betas`
     (M, r), and the RMS error (M, rows) of each on the motion that it has not seen."""
 
@@ -35,25 +35,25 @@ class MotionFits:
     errors: Array
 
     @property
-    def freedom(self) -> int:
+    def _freedom(self) -> int:
         """Degrees of freedom of the spread between motions."""
         return len(self.betas) - 1
 
     @property
     def standard_error(self) -> StandardError:
         """Jackknife covariance (M - 1) / M sum_m (beta_m - beta)(beta_m - beta)'."""
-        moved = np.sqrt(self.freedom / len(self.betas)) * (self.betas - self.beta)
-        return StandardError(moved.T @ moved, self.freedom)
+        moved = np.sqrt(self._freedom / len(self.betas)) * (self.betas - self.beta)
+        return StandardError(moved.T @ moved, self._freedom)
 
     def torque_half_width(self, level: float = LEVEL) -> Array:
         """Return half of the length (rows,) of the prediction interval for the torque of another
         motion: Student's quantile times the RMS error on motions left out, which holds noise,
         misfit and the uncertainty of the parameters."""
         rms = np.sqrt((self.errors**2).mean(axis=0))
-        return np.asarray(student_quantile(level, self.freedom) * rms)
+        return np.asarray(coverage_factor(level, self._freedom) * rms)
 
 
-def motion_fits(problem: Problem, estimate: Estimate) -> MotionFits | str:
+def motion_fit(problem: Problem, estimate: Estimate) -> MotionFit | str:
     """Return the fits without each motion, with the weights of the estimate of all of them; or the
     reason why there are none.
 
@@ -73,7 +73,7 @@ def motion_fits(problem: Problem, estimate: Estimate) -> MotionFits | str:
             return f"motion {index + 1} alone excites some parameter"
         betas.append(solve_upper(R))
         errors.append(residual_norm(motion, betas[-1]) / np.sqrt(_counts(motion)))
-    return MotionFits(estimate.beta, np.array(betas), np.array(errors))
+    return MotionFit(estimate.beta, np.array(betas), np.array(errors))
 
 
 def _is_excited(R: Array) -> bool:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.special import betaincinv
 
 from sysid_bench.types import Array
 
@@ -36,6 +35,8 @@ Figure = tuple[float, float, float]
 
 def share_interval(hits: int, count: int) -> tuple[float, float]:
     """Return the exact 95 % interval of a share, `hits` of `count` (Clopper and Pearson 1934)."""
+    from scipy.special import betaincinv  # loads longer than a table takes
+
     low = float(betaincinv(hits, count - hits + 1, 0.025)) if hits > 0 else 0.0
     high = float(betaincinv(hits + 1, count - hits, 0.975)) if hits < count else 1.0
     return low, high

@@ -55,7 +55,7 @@ def score(
     return Score(
         **about_data,
         **_held_out_figures(test, held_out, beta_true),
-        **moving_figures(list((moving or {}).values()), beta),
+        **_moving_figures(list((moving or {}).values()), beta),
         rmse_train=train.rms_error,
         beta_error=_relative(beta - beta_true, beta_true),
         coverage={kind: _coverage(e, beta, beta_true) for kind, e in (errors or {}).items()},
@@ -80,7 +80,7 @@ def _held_out_figures(
         "torque_error": test.torque_error,
         "torque_error_weighted": test.weighted,
         "torque_error_sample": _sample_error(test.problems, beta),
-        "torque_error_worst": test.worst,
+        "torque_error_worst": test.largest,
         "torque_error_by_motion": {
             name: RowErrors([problem], beta).torque_error for name, problem in held_out.items()
         },
@@ -88,7 +88,7 @@ def _held_out_figures(
     }
 
 
-def moving_figures(moving: list[Problem], beta: Array) -> dict[str, Any]:
+def _moving_figures(moving: list[Problem], beta: Array) -> dict[str, Any]:
     """Return the error on the rows of moving joints; {} without held-out motions."""
     return {"torque_error_moving": RowErrors(moving, beta).torque_error} if moving else {}
 
@@ -148,18 +148,18 @@ def _d_optimality(problem: Problem, held_out: list[Problem]) -> float | None:
 def _row_rms(problems: list[Problem]) -> Array:
     """RMS torque of each row (rows,) over all samples, known contributions included; zero where it
     is a rounding error."""
-    squares = np.array([row_counts(problem) * _torque(problem) ** 2 for problem in problems])
+    squares = np.array([_row_counts(problem) * _torque(problem) ** 2 for problem in problems])
     rms = np.sqrt(squares.sum(axis=0) / _all_counts(problems))
     return np.where(rms > ROUNDING * rms.max(initial=0.0), rms, 0.0)
 
 
-def row_counts(problem: Problem) -> Array:
+def _row_counts(problem: Problem) -> Array:
     """Return the samples of each row (rows,), at least 1: rows at standstill may be left out."""
     return np.array([max(factor.samples, 1) for factor in problem.factors])
 
 
 def _all_counts(problems: list[Problem]) -> Array:
-    return np.asarray(sum(row_counts(problem) for problem in problems))
+    return np.asarray(sum(_row_counts(problem) for problem in problems))
 
 
 def _torque(problem: Problem) -> Array:
@@ -168,7 +168,7 @@ def _torque(problem: Problem) -> Array:
         return problem.torque
     # The last column of R is Q'b, which has the norm of b: Q is orthogonal.
     norms = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
-    return np.asarray(norms / np.sqrt(row_counts(problem)))
+    return np.asarray(norms / np.sqrt(_row_counts(problem)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +239,7 @@ class RowErrors:
         return float(np.sqrt(np.mean(squares))) if squares else None
 
     @property
-    def worst(self) -> float | None:
+    def largest(self) -> float | None:
         """Largest judged relative error."""
         return float(self.judged.max()) if len(self.judged) else None
 

@@ -25,7 +25,7 @@ class StandardError:
 
     def half_width(self, level: float = LEVEL) -> Array:
         """Return half of the length (r,) of the confidence interval."""
-        return student_quantile(level, self.freedom) * self.std
+        return coverage_factor(level, self.freedom) * self.std
 
     def interval(self, beta: Array, level: float = LEVEL) -> tuple[Array, Array]:
         """Return the confidence interval (low, high), (r,) each, by Student's distribution."""
@@ -33,7 +33,7 @@ class StandardError:
         return beta - half_width, beta + half_width
 
 
-def student_quantile(level: float, freedom: float) -> float:
+def coverage_factor(level: float, freedom: float) -> float:
     """Return the two-sided quantile of Student's distribution: half of the length of an interval of
     a confidence level, in standard deviations."""
     # stdtrit is not defined for infinity; at 1e9 Student's distribution is the normal one.

@@ -21,7 +21,7 @@ import numpy as np
 from sysid_bench.evaluation.rms import rms
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut
-from sysid_bench.regressors.wrench import SubtreeRegressors, subtree_regressors
+from sysid_bench.regressors.wrench import SubtreeRegressor, subtree_regressor
 from sysid_bench.types import Array, Trajectory
 
 
@@ -34,7 +34,7 @@ class SensorNewtonEuler:
     sensor to torques of the joints between the sensor and the base.
     """
 
-    tree: SubtreeRegressors
+    tree: SubtreeRegressor
     base: str | None
     X: Array | None
     J: Array | None
@@ -72,7 +72,7 @@ def sensor_newton_euler(
 ) -> SensorNewtonEuler:
     """Return the equations along a motion, with the external wrench on the body `base` distal to
     the sensor (None: no external wrench); raises UsageError for any other body."""
-    tree = subtree_regressors(robot, cut, motion)
+    tree = subtree_regressor(robot, cut, motion)
     if base is None:
         return SensorNewtonEuler(tree, None, None, None)
     return SensorNewtonEuler(tree, base, tree.wrench_transform(base), tree.jacobian(base))

@@ -100,7 +100,7 @@ class CollisionModel:
             q[mj.jnt_qposadr[scalar]] = rng.uniform(low, high)[scalar]
             yield q
 
-    def contacts(self, q: Array) -> list[tuple[float, str, Array]]:
+    def contact_list(self, q: Array) -> list[tuple[float, str, Array]]:
         """Return the closest pairs of shapes at q (nq,), the closest first, none beyond _REACH:
         (distance in m, "body - body", derivative by the degrees of freedom (nv,))."""
         self.data.qpos[:] = q
@@ -163,7 +163,7 @@ def collision_limit(scene: CollisionModel, clearance: float) -> Limit:
     """
     if not 0.0 <= clearance < _REACH:
         raise UsageError(f"A clearance lies between 0 and {_REACH} m; got {clearance}.")
-    contacts = _LastMotion(scene.contacts)
+    contacts = _LastMotion(scene.contact_list)
 
     def distances(motion: Trajectory) -> Array:
         out = np.full((len(motion), _WATCHED), _REACH)
@@ -195,7 +195,7 @@ def collision_limit(scene: CollisionModel, clearance: float) -> Limit:
     )
 
 
-def box_limit(scene: CollisionModel, boxes: Mapping[str, Sequence[Sequence[float]]]) -> Limit:
+def origin_limit(scene: CollisionModel, boxes: Mapping[str, Sequence[Sequence[float]]]) -> Limit:
     """Return the limit of body origins to boxes {body: [[x, x], [y, y], [z, z]]} (m, world frame).
 
     Raises UsageError for an unknown body or a wrong box.

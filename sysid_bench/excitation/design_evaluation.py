@@ -30,7 +30,7 @@ _NEGLIGIBLE: Final = 1e-7
 """Weight in a smooth maximum below which a sample is skipped."""
 
 
-class SearchStop(Exception):
+class SearchEnd(Exception):
     """The budget of evaluations is used up."""
 
 
@@ -102,12 +102,12 @@ class DesignEvaluation:
     def evaluate(self, C: Array) -> None:
         """Evaluate criterion and limits at C once for the calls of value, slope and constraints.
 
-        Raises SearchStop at the end of the budget.
+        Raises SearchEnd at the end of the budget.
         """
         if self._C is not None and np.array_equal(self._C, C):
             return
         if self.evaluations >= self.budget:
-            raise SearchStop
+            raise SearchEnd
         self.evaluations += 1
         motion = self._motion_or_none(C)
         if motion is None and self._C is not None:

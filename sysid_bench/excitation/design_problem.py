@@ -11,7 +11,7 @@ from sysid_bench.excitation.collision_model import CollisionModel
 from sysid_bench.excitation.information import InformationModel, TorqueModel
 from sysid_bench.models.coupling.coupling import Coupling
 from sysid_bench.models.robot import Joint, RobotModel
-from sysid_bench.spatial.rotation import body_rates, product, quaternion_of_rotation
+from sysid_bench.spatial.rotation import body_rates, composed_rotation, quaternion_of_rotation
 from sysid_bench.types import Array, Trajectory
 
 MARGIN: Final = 0.98
@@ -79,7 +79,7 @@ class DesignProblem:
         """Return the same problem sampled at another rate (Hz)."""
         return replace(self, rate=rate)
 
-    def times(self, duration: float) -> Array:
+    def time_grid(self, duration: float) -> Array:
         """Return the time grid (N,) in s of a motion; raises UsageError below 10 samples."""
         count = round(duration * self.rate)
         if count < 10:
@@ -113,7 +113,9 @@ class DesignProblem:
                 q[:, first : first + 3] += x[:, dof : dof + 3]
                 first, dof = first + 3, dof + 3
             quaternion, part = slice(first, first + 4), slice(dof, dof + 3)
-            q[:, quaternion] = product(q[:, quaternion], quaternion_of_rotation(x[:, part]))
+            q[:, quaternion] = composed_rotation(
+                q[:, quaternion], quaternion_of_rotation(x[:, part])
+            )
             v[:, part], a[:, part] = body_rates(x[:, part], dx[:, part], ddx[:, part])
         return q, v, a
 

@@ -61,7 +61,7 @@ class DesignSpace:
         x, dx, ddx = (slope[:, self.v_indices] for slope in slopes)
         return x, dx, ddx
 
-    def bounds(self) -> tuple[Array, Array]:
+    def limits(self) -> tuple[Array, Array]:
         """Return the lowest and highest coefficients (m, k) that steps of a search may reach.
 
         A harmonic is at most 4 / pi of the largest value of its curve (a square wave). Neighbours

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.excitation.motion_check import ROUNDING, increments
+from sysid_bench.excitation.motion_check import ROUNDING, motion_steps
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Row, Trajectory
 
@@ -71,7 +71,7 @@ def check_limits(margins: Margins, origin: str) -> None:
         )
 
 
-def margin_fields(margins: Margins) -> Row:
+def limit_fields(margins: Margins) -> Row:
     """Return the row fields of margins; `limits_broken` is "" where all limits are kept."""
     return {
         "q_margin": margins.q,
@@ -132,7 +132,7 @@ def _ends(motion: Trajectory, robot: RobotModel, step: float) -> Array:
     for joint in robot.joints:
         if joint.kind in ("hinge", "slide"):
             q[:, joint.vadr] = motion.q[:, joint.qadr]
-    moves = increments(motion, robot.joints).moves
+    moves = motion_steps(motion, robot.joints).moves
     v, a = step * motion.v, step**2 * motion.a
     return np.array([q[:-1], moves, v[:-1], v[1:], a[:-1], a[1:]])
 

@@ -14,7 +14,11 @@ from scipy.ndimage import maximum_filter1d
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import Joint
-from sysid_bench.spatial.rotation import inverse_quaternion, product, rotation_of_quaternion
+from sysid_bench.spatial.rotation import (
+    composed_rotation,
+    inverse_quaternion,
+    rotation_of_quaternion,
+)
 from sysid_bench.types import Array, Trajectory
 
 SHORTEST: Final = 4
@@ -36,7 +40,7 @@ DIGITS: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Increments:
+class MotionSteps:
     """Increments `moves` (N - 1, nv) of a signal from sample to sample, by degree of freedom: of a
     quaternion the rotation vector between both (rad). `swing` (N - 2, nv): half the cross product
     of successive rotation vectors, by which their axis swings. `size` (nv,): that of the numbers it
@@ -48,7 +52,7 @@ class Increments:
 
 
 @dataclass(frozen=True)
-class Mismatch:
+class _Mismatch:
     """Largest difference of a rate from the differences of its signal, at a sample and a degree of
     freedom, beyond its tolerance."""
 
@@ -145,12 +149,12 @@ def _quaternion_problems(motion: Trajectory, joints: Sequence[Joint]) -> Iterato
 def derivative_problems(motion: Trajectory, joints: Sequence[Joint]) -> Iterator[str]:
     """Yield a sentence where v is not the derivative of q, and where a is not that of v."""
     step = float(motion.t[-1] - motion.t[0]) / (len(motion) - 1)
-    gains = increments(motion, joints)
+    gains = motion_steps(motion, joints)
     # Rates of splines have the rounding of the positions that they are made of.
-    rates = Increments(np.diff(motion.v, axis=0), np.zeros_like(gains.swing), gains.size / step)
+    rates = MotionSteps(np.diff(motion.v, axis=0), np.zeros_like(gains.swing), gains.size / step)
     names = [dof for joint in joints for dof in joint.dofs]
     for name, of, change, rate in (("v", "q", gains, motion.v), ("a", "v", rates, motion.a)):
-        found = mismatch(change, rate, step)
+        found = _mismatch(change, rate, step)
         if found is not None:
             yield (
                 f"{name} of {names[found.dof]} differs from the differences of {of} at "
@@ -160,7 +164,7 @@ def derivative_problems(motion: Trajectory, joints: Sequence[Joint]) -> Iterator
             )
 
 
-def increments(motion: Trajectory, joints: Sequence[Joint]) -> Increments:
+def motion_steps(motion: Trajectory, joints: Sequence[Joint]) -> MotionSteps:
     """Return the increments of the positions of a motion."""
     N, nv = motion.v.shape
     moves, swing, size = np.zeros((N - 1, nv)), np.zeros((N - 2, nv)), np.ones(nv)
@@ -174,13 +178,15 @@ def increments(motion: Trajectory, joints: Sequence[Joint]) -> Increments:
             first, dof = first + count, dof + count
         if joint.kind in ("ball", "free"):
             turns = motion.q[:, first : first + 4]
-            turn = rotation_of_quaternion(product(inverse_quaternion(turns[:-1]), turns[1:]))
+            turn = rotation_of_quaternion(
+                composed_rotation(inverse_quaternion(turns[:-1]), turns[1:])
+            )
             moves[:, dof : dof + 3] = turn
             swing[:, dof : dof + 3] = 0.5 * np.cross(turn[:-1], turn[1:])
-    return Increments(moves, swing, size)
+    return MotionSteps(moves, swing, size)
 
 
-def mismatch(change: Increments, rate: Array, step: float) -> Mismatch | None:
+def _mismatch(change: MotionSteps, rate: Array, step: float) -> _Mismatch | None:
     """Return the largest difference of `rate` (N, n) from the differences of a signal, in units of
     its tolerance; None where all are within."""
     moves = change.moves
@@ -203,7 +209,7 @@ def mismatch(change: Increments, rate: Array, step: float) -> Mismatch | None:
     k, j = np.unravel_index(int(np.argmax(error)), error.shape)
     if not error[k, j] > 1.0:
         return None
-    return Mismatch(
+    return _Mismatch(
         int(k), int(j), float(rate[k, j]), float(expected[k, j] / step), float(tolerance[k, j])
     )
 

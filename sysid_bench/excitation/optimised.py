@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
-from sysid_bench.excitation.collision_model import box_limit, collision_limit
+from sysid_bench.excitation.collision_model import collision_limit, origin_limit
 from sysid_bench.excitation.criterion import Criterion, criterion_weights
 from sysid_bench.excitation.curves import FAMILIES, curves_of
 from sysid_bench.excitation.design_evaluation import DesignEvaluation, Progress
@@ -54,7 +54,7 @@ class Optimised:
     `E`, `predict`), or a table of their weights (Gautier & Khalil 1992; Swevers et al. 1997).
 
     `joints` move (none named: all hinges and slides), the others stay at the reference
-    configuration. `clearance` and `floor` are in m, `boxes` as in `box_limit`.
+    configuration. `clearance` and `floor` are in m, `boxes` as in `origin_limit`.
     """
 
     objective: str | Mapping[str, float] = "D"
@@ -92,7 +92,7 @@ class Optimised:
     def motion(self, C: Array, brief: DesignProblem) -> Trajectory:
         """Return the motion of coefficients C (m, k), sampled at the rate of the problem."""
         space = self.space(brief)
-        t = brief.times(self.cycles * self.period)
+        t = brief.time_grid(self.cycles * self.period)
         # Families at rest at both ends are not periodic functions: each cycle starts them anew.
         motion = space.motion(C, t % self.period if not space.curves.periodic else t)
         return replace(motion, t=t, name="optimised", period=self.period)
@@ -114,7 +114,7 @@ class Optimised:
         )
 
     @staticmethod
-    def draws(space: DesignSpace, rng: np.random.Generator) -> list[Array]:
+    def random_coefficients(space: DesignSpace, rng: np.random.Generator) -> list[Array]:
         """Return coefficients of random motions, the starts and the reference of a search."""
         return [space.random(rng, 0.99 * MARGIN) for _ in range(_DRAWS)]
 
@@ -141,7 +141,7 @@ class Optimised:
         if (self.clearance is not None and scene.shapes) or self.floor is not None:
             yield collision_limit(scene, (self.clearance or 0.0) + spare)
         if self.boxes:
-            yield box_limit(scene, self.boxes)
+            yield origin_limit(scene, self.boxes)
 
     def solve(
         self,
@@ -158,7 +158,7 @@ class Optimised:
         if brief.regress is None:
             raise UsageError("An optimised motion needs a regressor to judge it by; none is given.")
         space = self.space(brief)
-        draws = self.draws(space, rng)
+        draws = self.random_coefficients(space, rng)
         information = excited_parameters(space, brief.regress, draws)
         criterion = design_criterion(self.objective, information, space, draws, known)
         limits = self.limits(brief, MARGIN)
@@ -175,7 +175,7 @@ class Optimised:
         if not (search.interrupted or improved):
             # No feasible motion, or none better than random: start small, within the limits.
             small = _scaled_to_limits(evaluation, draws[order[0]], rng)
-            search.box_search(small, self.iterations)
+            search.bounded_search(small, self.iterations)
         C, value = self._checked(brief, evaluation)
         median = float(np.median(values))
         return Design(C, value, median, evaluation.evaluations, search.interrupted)

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import scipy
 
-from sysid_bench.excitation.design_evaluation import DesignEvaluation, SearchStop
+from sysid_bench.excitation.design_evaluation import DesignEvaluation, SearchEnd
 from sysid_bench.types import Array
 
 _SHARPNESS: Final = (60.0, 240.0)
@@ -60,12 +60,12 @@ class Search:
         """Keep the best so far where the budget or the user ends the search."""
         try:
             yield
-        except SearchStop:
+        except SearchEnd:
             pass
         except KeyboardInterrupt:
             self.interrupted = True
 
-    def box_search(self, C: Array, iterations: int) -> None:
+    def bounded_search(self, C: Array, iterations: int) -> None:
         """Run short searches, each within a box around the best coefficients so far.
 
         The box widens after a gain and shrinks otherwise. Where many limits bind at once, slopes
@@ -96,7 +96,7 @@ class Search:
         scaled coefficients away."""
         # A unit of each scaled coefficient moves its joint by the same share of the limits.
         scale = np.tile(self._scale(), (self.evaluation.shape[0], 1))
-        low, high = self.evaluation.space.bounds()
+        low, high = self.evaluation.space.limits()
         C = np.clip(C, low, high)
         box = np.maximum(low, C - radius * scale), np.minimum(high, C + radius * scale)
         end = self._restored(self._minimised(C, scale, box, sharpness, iterations), sharpness)
@@ -147,7 +147,7 @@ class Search:
         A search cut off by its iterations ends a few per cent outside.
         """
         scale = np.tile(self._scale(), (self.evaluation.shape[0], 1))
-        low, high = self.evaluation.space.bounds()
+        low, high = self.evaluation.space.limits()
         nearest, least = C, np.inf
         for _ in range(_RESTORING):
             value, slope = self.evaluation.smooth_limits(C, sharpness)

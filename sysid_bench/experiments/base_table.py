@@ -14,7 +14,7 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.base_map import base_map
-from sysid_bench.identifiability.feasible_bounds import check_bound, distance_to_feasible
+from sysid_bench.identifiability.feasible_error import check_bound, feasible_error
 from sysid_bench.identifiability.structural import structural_factor
 from sysid_bench.identifiability.symbolic_coefficients import random_values, symbolic_coefficients
 from sysid_bench.identifiability.verdicts import coefficients
@@ -85,7 +85,7 @@ def _smallest_change(base: BaseMap, values: Array, bodies: Sequence[Body]) -> An
     known = np.isfinite(values)
     if not known.any():
         return None
-    return distance_to_feasible(base.K[known], values[known], base.parameters, bodies)
+    return feasible_error(base.K[known], values[known], base.parameters, bodies)
 
 
 def _rows(robot: RobotModel, base: BaseMap) -> list[dict[str, Any]]:

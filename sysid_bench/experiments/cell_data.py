@@ -19,7 +19,7 @@ from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.shapes import body_frames, shapes_of
 from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
-from sysid_bench.regressors.wrench import subtree_regressors
+from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import Array, CellData, Estimate, Row
 
 
@@ -83,7 +83,7 @@ def _gap(loaded: LoadedRobot, prepared: Prepared[SimulatedSource]) -> dict[str, 
         return {"gap_map": check.gap_map[rows], "gap_columns": check.columns}
     motion = random_states(robot, 5, np.random.default_rng(0))
     base = robot.body_names[cuts[0].body]
-    ours = subtree_regressors(robot, cuts[0], motion).base_wrench(base)
+    ours = subtree_regressor(robot, cuts[0], motion).base_wrench(base)
     theirs, _ = pinocchio_wrench_regressor(robot, cuts[0], motion, base)
     return {"gap_map": np.abs(ours - theirs.Y).max(axis=0), "gap_columns": theirs.columns}
 

@@ -9,11 +9,11 @@ from functools import partial
 from typing import Any, Final
 
 from sysid_bench.canonical_json import plain
-from sysid_bench.errors import SysidBenchError, reason_of, status_of
-from sysid_bench.experiments.job_channel import JobChannel, JobDeath
+from sysid_bench.errors import SysidBenchError, UsageError, reason_of, status_of
+from sysid_bench.experiments.job_channel import JobChannel, JobEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
-from sysid_bench.experiments.loaded_sources import loaded_sources, read_distributions
-from sysid_bench.experiments.machine_use import PeakMemory, machine_fields
+from sysid_bench.experiments.loaded_sources import loaded_sources, read_installed
+from sysid_bench.experiments.machine_use import MemoryUse, machine_fields
 from sysid_bench.experiments.paper_data import store_paper_data
 from sysid_bench.experiments.plugin_metrics import plugin_metrics
 from sysid_bench.experiments.prepare import prepare
@@ -21,6 +21,7 @@ from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
 from sysid_bench.identification.identify import identify
+from sysid_bench.metrics import REASONS
 from sysid_bench.naming import build
 from sysid_bench.types import MetricInput, Row, Score
 from sysid_bench.versions import versions
@@ -38,10 +39,10 @@ def execute(argument: Mapping[str, Any], channel: JobChannel) -> None:
     if not has_third_party_data(argument):
         _execute(argument, False, channel)
         return
-    read_distributions()
+    read_installed()
     death = channel.isolate(partial(_execute, argument, True))
     if death is not None:
-        raise JobDeath(death)
+        raise JobEnd(death)
 
 
 def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobChannel) -> None:
@@ -66,12 +67,12 @@ def _execute(argument: Mapping[str, Any], third_party_data: bool, channel: JobCh
         return
     shared["seconds_experiment"] = time.perf_counter() - start
     if any(is_third_party_cell(argument, entry) for entry in estimators):
-        read_distributions()  # once, before the forks and the time limits of their cells
+        read_installed()  # once, before the forks and the time limits of their cells
     for entry in estimators:
         isolated = is_third_party_cell(argument, entry)
         header = headers[entry["cell"]] | shared
         cell = _PreparedCell(argument, entry, prepared, header, third_party_data or isolated)
-        channel.begin(entry["cell"])
+        channel.start_cell(entry["cell"])
         if isolated:
             cell.emit_isolated(channel)
         else:
@@ -91,10 +92,10 @@ class _PreparedCell:
 
     def emit(self, channel: JobChannel) -> None:
         """Compute the row in this process."""
-        peak = PeakMemory()
+        peak = MemoryUse()
         row = _result(self.argument, self.entry, self.prepared)
         sources = {"sources": loaded_sources()} if self.names_sources else {}
-        channel.emit(self.header | row | sources | machine_fields(peak))
+        channel.write(self.header | row | sources | machine_fields(peak))
 
     def emit_isolated(self, channel: JobChannel) -> None:
         """Compute the row in a process of its own; its end without a row is one here."""
@@ -102,7 +103,7 @@ class _PreparedCell:
         death = channel.isolate(self.emit)
         if death is not None and self.entry["cell"] in channel.cells:
             row = _explained(fields | machine_fields(None) | death.fields, self.prepared)
-            channel.emit(self.header | row)
+            channel.write(self.header | row)
 
 
 def load_experiment(argument: Mapping[str, Any]) -> tuple[ExperimentSpec, LoadedRobot]:
@@ -130,7 +131,7 @@ def _robot_fields(loaded: LoadedRobot, rule: Mapping[str, Any]) -> Row:
 
 def _emit_all(headers: Mapping[str, Row], channel: JobChannel, fields: Row) -> None:
     for header in headers.values():
-        channel.emit(header | fields)
+        channel.write(header | fields)
 
 
 def _header(argument: Mapping[str, Any], estimator: Mapping[str, Any]) -> Row:
@@ -173,7 +174,18 @@ def _scored(
     cell = MetricInput(estimate, prepared.problem, prepared.held_out, score)
     row |= _unusable(row, scores)
     store_paper_data(argument, estimator["cell"], estimate, prepared)
-    return row | scores | prepared.fields | plugin_metrics(argument, cell) | {"stats": stats}
+    row |= scores | prepared.fields | {"stats": stats}
+    return row | _new_fields(plugin_metrics(argument, cell), row)
+
+
+def _new_fields(metrics: Row, row: Row) -> Row:
+    """Metrics of plug-ins; raise UsageError for one with the name of a field of the row."""
+    taken = sorted((metrics.keys() - {REASONS}) & row.keys())
+    if taken:
+        raise UsageError(
+            f"The metric name {taken[0]!r} is a field of rows already; choose another."
+        )
+    return metrics
 
 
 def _unusable(row: Row, scores: Row) -> Row:

@@ -8,7 +8,7 @@ from sysid_bench.types import Row
 
 
 @dataclass(frozen=True)
-class Death:
+class ProcessEnd:
     """End of an isolated process without its result: `status` of the cell that it computed."""
 
     status: str
@@ -22,10 +22,10 @@ class Death:
         return row | {"traceback": self.traceback} if self.traceback else row
 
 
-class JobDeath(Exception):
+class JobEnd(Exception):
     """A job whose isolated process ended before its cells had rows."""
 
-    def __init__(self, death: Death) -> None:
+    def __init__(self, death: ProcessEnd) -> None:
         super().__init__(death.reason)
         self.death = death
 
@@ -37,16 +37,16 @@ class JobChannel(Protocol):
     def cells(self) -> frozenset[str]:
         """Ids of the cells to compute; others of the experiment have a row already."""
 
-    def begin(self, cell: str) -> None:
+    def start_cell(self, cell: str) -> None:
         """Announce a cell: its time limit starts, and it answers for the end of the process."""
 
-    def emit(self, row: Row) -> None:
+    def write(self, row: Row) -> None:
         """Store the row of a cell and announce it."""
 
     def progress(self, value: Any) -> None:
         """Pass a JSON value on to the caller of this job, while it goes on."""
 
-    def isolate(self, function: Callable[["JobChannel"], Any]) -> Death | None:
+    def isolate(self, function: Callable[["JobChannel"], Any]) -> ProcessEnd | None:
         """Run a function in a process of its own, a fork of this one with all that is prepared.
 
         Its channel leads to this one. Nothing that it changes (modules, global state, descriptors)

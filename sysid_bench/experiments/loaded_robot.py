@@ -34,7 +34,7 @@ class LoadedRobot:
         """The plug-in that a suite names, built with its settings."""
         return build(kind, resolve_files(spec, self.folder))
 
-    def plugin_class(self, kind: str, spec: Mapping[str, Any]) -> Any:
+    def plugin_of(self, kind: str, spec: Mapping[str, Any]) -> Any:
         """The object that `build_plugin` calls with the settings."""
         return resolve(kind, str(resolve_files(spec, self.folder)["use"]))
 

@@ -38,7 +38,7 @@ def loaded_sources() -> dict[str, str]:
     return dict(sorted(sources.items()))
 
 
-def read_distributions() -> None:
+def read_installed() -> None:
     """Read what is installed, which takes a while, before the forks of this process need it."""
     _required()
     for entry in sys.path:

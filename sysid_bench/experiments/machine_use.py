@@ -11,7 +11,7 @@ _CLEAR = Path("/proc/self/clear_refs")
 _RESET_PEAK = "5"
 
 
-class PeakMemory:
+class MemoryUse:
     """Largest resident memory of this process since the object was made; Linux alone has it."""
 
     def __init__(self) -> None:
@@ -30,7 +30,7 @@ class PeakMemory:
         return None
 
 
-def machine_fields(peak: PeakMemory | None) -> Row:
+def machine_fields(peak: MemoryUse | None) -> Row:
     """`load` (mean number of busy processes over a minute) and `peak_memory` (MB) of a cell."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {"load": load, "peak_memory": None if peak is None else peak.value}

@@ -15,7 +15,7 @@ from sysid_bench.experiments.base_table import base_table
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.source import LogTorque, RecordedSource, predict_log
 from sysid_bench.identifiability.base_expressions import base_expressions
-from sysid_bench.models.dh.dh_table import printed_table
+from sysid_bench.models.dh.dh_table import paper_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.types import Array, Estimate
@@ -94,7 +94,7 @@ def _write_torques(folder: Path, name: str, found: LogTorque) -> None:
 def _model(manifest: Manifest) -> dict[str, Any]:
     """The kinematic table where the robot has one, else its joints; limits in rad or m."""
     if manifest.dh is not None and manifest.manifest_file is not None:
-        head, rows, lengths = printed_table(manifest.manifest_file.parent / manifest.dh.table)
+        head, rows, lengths = paper_table(manifest.manifest_file.parent / manifest.dh.table)
         return {"robot": manifest.name, "head": head, "rows": rows, "lengths": dict(lengths)}
     robot = load_robot(manifest)
     low, high = robot.limits.q_low, robot.limits.q_high

@@ -46,7 +46,7 @@ class MotionRows:
         """Processed samples per period of the motion; 0 where it is not periodic."""
         return sampled_motion(motion, self.processing.step).period_samples
 
-    def filtered(self, x: Array) -> Array:
+    def processed(self, x: Array) -> Array:
         """Values x (N, rows, ...) of each row as processed, (M, rows, ...)."""
         parts = [self.of_row(i, x[:, i].reshape(len(x), -1)) for i in range(x.shape[1])]
         return np.stack(parts, axis=1).reshape(-1, *x.shape[1:])
@@ -55,7 +55,7 @@ class MotionRows:
         """Columns x (N, k) of row i as processed, (M, k)."""
         return self.processing.apply(x, self.weights[:, i], self.rate)
 
-    def kept(self, i: int, x: Array) -> Array:
+    def row_values(self, i: int, x: Array) -> Array:
         """Values x (N,) of row i as processed, without those left out where rows are samples."""
         if self.is_processed:
             return self.of_row(i, x[:, None])[:, 0]
@@ -67,7 +67,7 @@ class MotionRows:
 
     def rms(self, measured: Array) -> Array:
         """RMS (rows,) of measured signals (N, rows) as processed, over the rows that count."""
-        squares = [float((self.kept(i, x) ** 2).sum()) for i, x in enumerate(measured.T)]
+        squares = [float((self.row_values(i, x) ** 2).sum()) for i, x in enumerate(measured.T)]
         counts = [max(self.count(i), 1) for i in range(len(squares))]
         return np.sqrt(np.array(squares) / counts)
 
@@ -96,10 +96,10 @@ def motion_rows(
     for i, row in enumerate(rows):
         if row in scalar:
             rates[:, i] = motion.v[:, scalar[row]]
-    return MotionRows(processing, processing.weights(rates), rate_of(motion))
+    return MotionRows(processing, processing.weights(rates), _rate_of(motion))
 
 
-def rate_of(motion: Trajectory) -> float:
+def _rate_of(motion: Trajectory) -> float:
     """Rate (Hz) of uniform samples."""
     return (len(motion) - 1) / float(motion.t[-1] - motion.t[0]) if len(motion) > 1 else 1.0
 

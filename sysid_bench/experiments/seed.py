@@ -17,7 +17,7 @@ def motion_seed(spec: ExperimentSpec, index: int = 0) -> int:
     return seed_of(spec.seed, "motion", *_motion_parts(spec, index))
 
 
-def further_motion_seed(spec: ExperimentSpec, index: int) -> int:
+def other_motion_seed(spec: ExperimentSpec, index: int) -> int:
     """Seed of motion number `index` of the training's excitation, never one of the training."""
     return seed_of(spec.seed, "further motion", *_motion_parts(spec, index))
 

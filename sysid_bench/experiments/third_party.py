@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.simulated.composed_plant import plant_plugins
+from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.naming import is_builtin, known
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_reader import KIND as LOG_READER
@@ -32,7 +32,7 @@ def is_third_party_cell(argument: Mapping[str, Any], entry: Mapping[str, Any]) -
 def _simulation_plugins(spec: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the plug-ins of a simulated experiment."""
     yield "task", spec["task"]
-    yield from ((kind, str(plugin["use"])) for kind, plugin in plant_plugins(spec["plant"]))
+    yield from ((kind, str(plugin["use"])) for kind, plugin in plant_entries(spec["plant"]))
     for kind in ("excitation", "simulation"):
         yield kind, spec[kind]["use"]
     for motion in spec["held_out"]:
@@ -56,21 +56,21 @@ def _log_plugins(spec: Mapping[str, Any], folder: Path) -> Iterator[tuple[str, s
             yield "term", name.removeprefix(f"{MOTOR}.")
     for written in (*log["train"], *log["test"]):
         try:
-            yield from log_readers(log_description(written, folder))
+            yield from log_reader_names(log_description(written, folder))
         except UsageError:  # reported by the preparation
             continue
 
 
-def readers_of_logs(files: Iterable[Path]) -> Iterator[tuple[str, str]]:
+def reader_names(files: Iterable[Path]) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the readers of described recordings; invalid descriptions have none."""
     for file in files:
         try:
-            yield from log_readers(log_description(str(file), Path()))
+            yield from log_reader_names(log_description(str(file), Path()))
         except UsageError:  # reported by their reading
             continue
 
 
-def log_readers(log: LogDescription) -> Iterator[tuple[str, str]]:
+def log_reader_names(log: LogDescription) -> Iterator[tuple[str, str]]:
     """Yield (kind, name) of the readers of a log's files.
 
     Where none is named and the suffix is not ours, these are all installed ones: each is asked for

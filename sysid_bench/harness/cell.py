@@ -33,7 +33,7 @@ class Cell:
         return self.spec.id
 
     @property
-    def head(self) -> dict[str, Any]:
+    def first_fields(self) -> dict[str, Any]:
         """The first fields of the row of this cell, of any status."""
         return {
             "id": self.id,

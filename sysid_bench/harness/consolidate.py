@@ -17,16 +17,16 @@ from pathlib import Path
 from types import NoneType
 from typing import IO, Any, Final
 
-from sysid_bench.harness.data_frames import FIRST, flat
+from sysid_bench.harness.data_frames import FIRST, frame_row
 from sysid_bench.harness.frame_files import (
     COVERAGE_FILE,
     FRAMES,
     UNREADABLE,
     Coverage,
-    CoveredFile,
+    CoveragePart,
     FrameFiles,
-    covered_file,
-    footer_hash,
+    coverage_part,
+    frame_hash,
     read_coverage,
 )
 from sysid_bench.harness.work.row_check import TABLES
@@ -92,7 +92,7 @@ def _consolidate(
             for part in parts.values():
                 stack.callback(part.unlink, missing_ok=True)
             _write_parts(rows, parts, files)
-            footers = {name: footer_hash(part) for name, part in parts.items()}
+            footers = {name: frame_hash(part) for name, part in parts.items()}
         coverage = Coverage(footers, plan, rows.covered, tuple(rows.garbled), rows.kinds_to_json())
         text.write_text(coverage.to_json(), encoding="utf-8")
         for name, part in parts.items():
@@ -102,7 +102,7 @@ def _consolidate(
 
 
 def _ids(files: FrameFiles | None) -> frozenset[str]:
-    return frozenset(files.heads(["id"])) if files else frozenset()
+    return frozenset(files.fields_of_rows(["id"])) if files else frozenset()
 
 
 def _part_file(folder: Path, name: str) -> Path:
@@ -124,7 +124,7 @@ class _Scan:
     stored: frozenset[str] = frozenset()  # cells of the earlier files
     places: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # start, size, types
     types: dict[_Kind, int] = field(default_factory=dict)
-    covered: dict[str, CoveredFile] = field(default_factory=dict)
+    covered: dict[str, CoveragePart] = field(default_factory=dict)
     garbled: list[str] = field(default_factory=list)
 
     def read(self) -> None:
@@ -139,7 +139,7 @@ class _Scan:
                         break  # it may become a row
                     self.garbled.append(f"{path.name}:{line.number}")
                 end, count = line.end, line.number
-            self.covered[path.name] = covered_file(path, end, count, changed)
+            self.covered[path.name] = coverage_part(path, end, count, changed)
 
     def _take(self, text: bytes) -> bool:
         """Copy a row; False for a line that is not a row."""
@@ -179,7 +179,7 @@ class _Scan:
     def _frames_of(self, row: Row) -> dict[str, _Columns]:
         """Part of each frame that a row makes."""
         row = row | self.heads[row["id"]]
-        cell = flat({key: value for key, value in row.items() if key not in TABLES})
+        cell = frame_row({key: value for key, value in row.items() if key not in TABLES})
         parts = {name: _long_columns(row, table) for name, table in _TABLE_OF.items()}
         return {"cells": {key: [value] for key, value in cell.items()}, **parts}
 
@@ -211,7 +211,9 @@ def _long_columns(row: Row, field: str) -> _Columns:
     """Columns of a table of a row, nested values as `flat` makes them."""
     columns = columns_of(row.get(field))
     if columns is None or any({dict, list} & set(map(type, c)) for c in columns.values()):
-        entries = [{"id": row["id"], **flat(entry)} for entry in with_entries(row).get(field) or ()]
+        entries = [
+            {"id": row["id"], **frame_row(entry)} for entry in with_entries(row).get(field) or ()
+        ]
         names = dict.fromkeys(name for entry in entries for name in entry)
         return {name: [entry.get(name) for entry in entries] for name in names}
     size = len(next(iter(columns.values())))

@@ -1,7 +1,7 @@
 """Data frames of rows: one of cells, and long ones of parameters and joints."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
@@ -29,21 +29,24 @@ FIRST: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Columns that a frame has in any case, by its name."""
 
-ReadFrame = Callable[[str, Sequence[str] | None], "pd.DataFrame"]
-"""(frame, columns or None for all) -> the frame with those of the columns that it has."""
+ReadFrame = Callable[[str, Collection[str] | None], "pd.DataFrame"]
+"""(frame, fields or None for all) -> the frame with the columns of those fields that it has."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
     """`cells` has a line per row; `parameters` and `joints` have one per parameter or joint of the
-    cell `id`. Each is read when it is used first."""
+    cell `id`. Each is read when it is used first. `fields`: the fields of `cells`, and of what is
+    made of them, where these are not all: lines by joint repeat those of their cell."""
 
     read: ReadFrame
+    fields: frozenset[str] | None = None
 
     @cached_property
     def cells(self) -> "pd.DataFrame":
         """One line per row."""
-        return self.read("cells", None)
+        always = {"id", "status", "estimator", COVERAGE}
+        return self.read("cells", None if self.fields is None else self.fields | always)
 
     @cached_property
     def parameters(self) -> "pd.DataFrame":
@@ -67,8 +70,13 @@ class Frames:
     def by_joint(self) -> "pd.DataFrame":
         """`cells` with a line per joint and its errors; a cell without any has a line for each
         joint of the others."""
-        errors = self.read("joints", ["id", *_JOINT_COLUMNS]).rename(columns=_JOINT_COLUMNS)
-        return self._merged(errors.reindex(columns=["id", *_JOINT_COLUMNS.values()]), JOINT)
+        names = {
+            key: name
+            for key, name in _JOINT_COLUMNS.items()
+            if self.fields is None or name in self.fields | {JOINT}
+        }
+        errors = self.read("joints", ["id", *names]).rename(columns=names)
+        return self._merged(errors.reindex(columns=["id", *names.values()]), JOINT)
 
     def _merged(self, entries: "pd.DataFrame", label: str) -> "pd.DataFrame":
         """`cells` with a line for each line of `entries` (id, label, ...), in order."""
@@ -118,30 +126,39 @@ def data_frames(rows: Iterable[Row]) -> Frames:
     """Return the frames of rows; nested tables of a cell become columns with dotted names."""
     rows = list(rows)
     tables = _TABLE_OF.values()
-    cells = [flat({key: value for key, value in row.items() if key not in tables}) for row in rows]
+    cells = [
+        frame_row({key: value for key, value in row.items() if key not in tables}) for row in rows
+    ]
     made = {"cells": _frame(cells, FIRST["cells"])}
     for name, table in _TABLE_OF.items():
         made[name] = _frame(_long(rows, table), FIRST[name])
 
-    def read(name: str, columns: Sequence[str] | None) -> "pd.DataFrame":
+    def read(name: str, columns: Collection[str] | None) -> "pd.DataFrame":
         frame = made[name]
-        return frame if columns is None else frame[[c for c in columns if c in frame.columns]]
+        return frame if columns is None else frame[columns_of(columns, frame.columns)]
 
     return Frames(read)
+
+
+def columns_of(fields: Collection[str] | None, known: Iterable[str]) -> list[str]:
+    """Return the known columns that fields have, nested ones several (`flat`); all for None."""
+    if fields is None:
+        return list(known)
+    return [name for name in known if name in fields or name.partition(".")[0] in fields]
 
 
 def _long(rows: Iterable[Row], field: str) -> Iterator[Row]:
     for row in rows:
         for entry in row.get(field) or ():
-            yield {"id": row["id"], **flat(entry)}
+            yield {"id": row["id"], **frame_row(entry)}
 
 
-def flat(row: Mapping[str, Any], prefix: str = "") -> Row:
+def frame_row(row: Mapping[str, Any], prefix: str = "") -> Row:
     """Return a row without nesting: names with dots for mappings, JSON texts for lists."""
     fields: Row = {}
     for key, value in row.items():
         if isinstance(value, dict):
-            fields |= flat(value, f"{prefix}{key}.")
+            fields |= frame_row(value, f"{prefix}{key}.")
         else:
             # Lists are stored as JSON, which DuckDB and people both read.
             fields[prefix + key] = json.dumps(value) if isinstance(value, list) else value

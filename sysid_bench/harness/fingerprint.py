@@ -12,9 +12,9 @@ from typing import Any
 from sysid_bench import naming
 from sysid_bench.canonical_json import canonical_hash
 from sysid_bench.errors import SysidBenchError
-from sysid_bench.experiments.simulated.composed_plant import plant_plugins
+from sysid_bench.experiments.simulated.composed_plant import plant_entries
 from sysid_bench.harness.cell import Cell
-from sysid_bench.input_files import file_hash, is_file, read_bytes
+from sysid_bench.input_files import file_hash, is_file, read_data
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.naming import resolve_files
 from sysid_bench.versions import PACKAGE_FOLDER, source_hash, versions
@@ -60,7 +60,7 @@ def cell_fingerprint(
     if files is None:
         return ""
     named = [(kind, plugin) for kind, group in plugins.items() for plugin in group]
-    named += [] if spec.log is not None else plant_plugins(spec.plant)
+    named += [] if spec.log is not None else plant_entries(spec.plant)
     targets = [_target(kind, plugin, folder) for kind, plugin in named]
     specs = [resolve_files(plugin, folder) for _, plugin in named]
     read = [Path(spec["file"]) for spec in specs if isinstance(spec.get("file"), str)]
@@ -139,7 +139,7 @@ def _model(path: str) -> list[str]:
 
 def _text(file: Path) -> bytes:
     try:
-        return read_bytes(file)
+        return read_data(file)
     except OSError:  # too large for a model; it is in the hashes in any case
         return b""
 

@@ -7,13 +7,14 @@ hashes of their footers. Readers use them where all of that is true; else the ro
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from sysid_bench.harness.data_frames import columns_of
 from sysid_bench.input_files import LARGEST_HASHED, check_file, file_hash, parse_json, read_text
 from sysid_bench.types import Row
 
@@ -32,7 +33,7 @@ _BLOCK: Final = 1 << 20
 
 
 @dataclass(frozen=True)
-class CoveredFile:
+class CoveragePart:
     """The covered part of a row file: its bytes, lines and sha256; `mtime` (ns) of the whole."""
 
     bytes: int
@@ -60,7 +61,7 @@ class Coverage:
 
     footers: Mapping[str, str]
     plan: str
-    files: Mapping[str, CoveredFile]
+    files: Mapping[str, CoveragePart]
     garbled: tuple[str, ...]
     kinds: tuple[Any, ...] = ()
     format: int = _FORMAT
@@ -81,7 +82,7 @@ def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
     """Return the coverage of a run folder's Parquet files; None where it is absent or not true."""
     try:
         data = parse_json(read_text(folder / COVERAGE_FILE))
-        files = {name: CoveredFile(**file) for name, file in data.pop("files").items()}
+        files = {name: CoveragePart(**file) for name, file in data.pop("files").items()}
         coverage = Coverage(
             files=files, **{**data, **{key: tuple(data[key]) for key in ("garbled", "kinds")}}
         )
@@ -94,7 +95,7 @@ def read_coverage(folder: Path, paths: Sequence[Path]) -> Coverage | None:
     return coverage if is_true else None
 
 
-def footer_hash(path: Path) -> str:
+def frame_hash(path: Path) -> str:
     """Return the sha256 of the footer of a Parquet file, with its length and the magic number."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
@@ -104,9 +105,9 @@ def footer_hash(path: Path) -> str:
         return hashlib.sha256(file.read(length)).hexdigest()
 
 
-def covered_file(path: Path, size: int, count: int, changed: int) -> CoveredFile:
+def coverage_part(path: Path, size: int, count: int, changed: int) -> CoveragePart:
     """Describe the first `size` bytes of a row file, with `count` lines, `changed` at a time."""
-    return CoveredFile(size, count, _hash_of_start(path, size), changed)
+    return CoveragePart(size, count, _hash_of_start(path, size), changed)
 
 
 def _hash_of_start(path: Path, size: int) -> str:
@@ -130,22 +131,21 @@ class FrameFiles:
             path = folder / f"{name}.parquet"
             check_file(path, LARGEST_HASHED)
             self.files[name] = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True)
-            if footer_hash(path) != coverage.footers.get(name):
+            if frame_hash(path) != coverage.footers.get(name):
                 raise ValueError(f"{path} is not of this consolidation.")
 
-    def read(self, name: str, columns: Sequence[str] | None = None) -> "pd.DataFrame":
-        """Return a frame, or those of its columns that are there, as rows give it."""
+    def read(self, name: str, fields: Collection[str] | None = None) -> "pd.DataFrame":
+        """Return a frame, or the columns of some fields that are there, as rows give it."""
         import pandas as pd
 
-        table = self._table(name, columns)
+        table = self._table(name, fields)
         made = {name: _values(table.column(name)) for name in table.column_names}
         typed = {name: pd.Series(values, dtype=values.dtype) for name, values in made.items()}
         return pd.DataFrame(typed, index=pd.RangeIndex(table.num_rows))
 
-    def heads(self, fields: Sequence[str]) -> dict[str, Row]:
+    def fields_of_rows(self, fields: Collection[str]) -> dict[str, Row]:
         """Return some fields of all rows, by id, without those that a row does not have."""
-        names = self.files["cells"].schema_arrow.names
-        table = self._table("cells", [name for name in names if name.partition(".")[0] in fields])
+        table = self._table("cells", fields)
         heads: list[Row] = [{} for _ in range(table.num_rows)]
         for name in table.column_names:
             field, _, key = name.partition(".")
@@ -154,11 +154,9 @@ class FrameFiles:
                     (head.setdefault(field, {}) if key else head)[key or field] = value
         return {head["id"]: head for head in heads}
 
-    def _table(self, name: str, columns: Sequence[str] | None) -> "pyarrow.Table":
+    def _table(self, name: str, fields: Collection[str] | None) -> "pyarrow.Table":
         file = self.files[name]
-        known = file.schema_arrow.names
-        wanted = known if columns is None else [column for column in columns if column in known]
-        return file.read(columns=wanted, use_threads=False)
+        return file.read(columns=columns_of(fields, file.schema_arrow.names), use_threads=False)
 
 
 def _python_values(column: Any) -> list[Any]:

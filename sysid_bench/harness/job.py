@@ -33,7 +33,9 @@ def job_of(cells: Sequence[Cell], suite: Suite, robots_dir: Path | None) -> dict
             for entry in suite.metric
         ],
         "papers": {cell.id: _papers(cell, suite) for cell in cells} if suite.paper else {},
-        "labels": {key: value for key, value in cells[0].head.items() if key not in by_estimator},
+        "labels": {
+            key: value for key, value in cells[0].first_fields.items() if key not in by_estimator
+        },
         "crosscheck": {
             "tolerance": quantity(suite.crosscheck.tolerance, "1"),
             "on_fail": suite.crosscheck.on_fail,

@@ -8,8 +8,8 @@ from typing import Any, Final
 from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.experiments.simulated.composed_plant import (
     COMPOSED,
+    plant_entries,
     plant_name,
-    plant_plugins,
 )
 from sysid_bench.experiments.spec import normal_noise, normal_payload, normal_prior
 from sysid_bench.harness.suite.data_entries import Noise, Prior
@@ -36,7 +36,7 @@ def _unique_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
     return labels
 
 
-def plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
+def plugin_label(spec: Mapping[str, Any], label: str | None = None) -> tuple[str, str]:
     """Return short and long text of a plug-in: "Geodesic" and "Geodesic step=0.1"."""
     use = str(spec["use"])
     short = label or use.rpartition(":")[2]
@@ -49,9 +49,9 @@ def plugin_texts(spec: Mapping[str, Any], label: str | None = None) -> tuple[str
 def _plant_texts(spec: Mapping[str, Any]) -> tuple[str, str]:
     """Return short and long text of a plant: "L2" and "L2 stribeck share=0.2 delay"."""
     if spec["use"] != COMPOSED:
-        return plugin_texts(spec, spec.get("label"))
+        return plugin_label(spec, spec.get("label"))
     short = plant_name(spec)
-    parts = (plugin_texts(part)[1] for _, part in plant_plugins(spec))
+    parts = (plugin_label(part)[1] for _, part in plant_entries(spec))
     return short, " ".join((short, *parts))
 
 
@@ -72,14 +72,14 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
         "pipeline": chain(*pipelines),
     }
     labels = {
-        axis: _unique_labels((p.spec, *plugin_texts(p.spec, p.spec.get("label"))) for p in specs)
+        axis: _unique_labels((p.spec, *plugin_label(p.spec, p.spec.get("label"))) for p in specs)
         for axis, specs in plugins.items()
     }
     labels["plant"] = _unique_labels((p.spec, *_plant_texts(p.spec)) for p in axes.plant)
     labels["estimator"] = _unique_labels(
-        (e.spec, *plugin_texts(e.spec, e.label)) for e in suite.estimator
+        (e.spec, *plugin_label(e.spec, e.label)) for e in suite.estimator
     )
-    labels["task"] = _unique_labels((task, *plugin_texts({"use": task})) for task in axes.task)
+    labels["task"] = _unique_labels((task, *plugin_label({"use": task})) for task in axes.task)
     labels["robot"] = _unique_labels(
         (
             robot_key(source, entry.free_base, entry.sensor),
@@ -124,6 +124,6 @@ def _prior_texts(prior: Prior | str) -> tuple[Any, str, str]:
 
 
 def _motion_texts(motions: Sequence[Plugin]) -> tuple[Any, str, str]:
-    texts = [plugin_texts(motion.spec) for motion in motions]
+    texts = [plugin_label(motion.spec) for motion in motions]
     value = [motion.spec for motion in motions]
     return value, ", ".join(short for short, _ in texts), ", ".join(long for _, long in texts)

@@ -4,11 +4,12 @@ import itertools
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.harness.labels import plugin_texts
+from sysid_bench.experiments.spec import ExperimentSpec, normal_prior
+from sysid_bench.harness.labels import plugin_label
+from sysid_bench.harness.plan_size import prior_table
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
-from sysid_bench.signals.pipeline_choice import PLAIN, named_pipeline
+from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_spec
 from sysid_bench.vocabulary import LABELS
 
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
@@ -18,9 +19,9 @@ RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
     """Yield one specification for each combination of the sweeps of a log."""
     sweeps = itertools.product(
-        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline
+        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline, entry.prior
     )
-    for terms, choose, filter, moving, pipeline in sweeps:
+    for terms, choose, filter, moving, pipeline, prior in sweeps:
         signals = {"filter": filter, "derivatives": entry.derivatives}
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
@@ -29,7 +30,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             task=entry.task,
             terms=terms,
             plant=RECORDED,
-            prior="none",
+            prior=normal_prior(prior_table(prior)),
             excitation=RECORDED,
             held_out=(),
             simulation=RECORDED,
@@ -37,7 +38,7 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             noise={},
             signals={k: x for k, x in signals.items() if x not in (None, "default")},
             repeat=0,
-            pipeline=named_pipeline(pipeline.spec),
+            pipeline=pipeline_spec(pipeline.spec),
             log={
                 "train": list(entry.train),
                 "test": list(entry.test),
@@ -46,13 +47,21 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
                 "accept": list(entry.accept),
                 "position_given": entry.position_given,
                 "true_mass": entry.true_mass,
+                **({} if entry.feasible == "terms" else {"feasible": entry.feasible}),
             },
         )
 
 
-def pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
+def _pipeline_label(pipeline: Mapping[str, Any] | None) -> str:
     """Return "parallel cutoff=6 Hz" for the pipeline of a log."""
-    return plugin_texts(pipeline or {"use": PLAIN})[1]
+    return plugin_label(pipeline or {"use": PLAIN})[1]
+
+
+def prior_label(prior: str | Mapping[str, float]) -> str:
+    """Return "model", "none", or "mass=0.2, inertia=0.3" for the prior of a log."""
+    if isinstance(prior, str):
+        return prior
+    return ", ".join(f"{key}={value:g}" for key, value in prior.items())
 
 
 def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, str]:
@@ -71,6 +80,7 @@ def log_labels(entry: LogEntry, spec: ExperimentSpec, robot: str) -> dict[str, s
         "held_out": ", ".join(name_of(log) for log in entry.test) or "none",
         "signals": f"{spec.signals.get('filter', 'default')}, "
         f"{spec.signals.get('derivatives', 'default')}{moving}",
-        "pipeline": pipeline_label(spec.pipeline),
+        "pipeline": _pipeline_label(spec.pipeline),
+        "prior": prior_label(spec.prior),
     }
     return {axis: labels.get(axis, "recorded") for axis in LABELS if axis != "estimator"}

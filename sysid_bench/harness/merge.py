@@ -2,7 +2,7 @@
 
 import shutil
 import sys
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -11,6 +11,7 @@ from sysid_bench.canonical_json import canonical, canonical_hash
 from sysid_bench.errors import UsageError, first_names
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.work.row_files import RowStart
+from sysid_bench.harness.work.row_hash import changed_cell
 from sysid_bench.types import Row
 from sysid_bench.vocabulary import MACHINE_FIELDS
 
@@ -21,19 +22,21 @@ _EXCEPT: Final = MACHINE_FIELDS | {"fingerprint", "versions", "sources", "traceb
 
 @dataclass(frozen=True)
 class MergeResult:
-    """Merged run. `contradictions`: cells with different ok rows; nothing is written then. `twice`:
-    cells that several runs computed with equal results, a test of reproducibility."""
+    """Merged run. `contradictions`: cells with different ok rows, and `changed`: places of rows
+    that are not as they were written; nothing is written then. `twice`: cells that several runs
+    computed with equal results, a test of reproducibility."""
 
     folder: RunFolder | None
     rows: int
     open: int
     twice: int
     contradictions: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
-        """1 where rows contradict each other, else 0."""
-        return 1 if self.contradictions else 0
+        """1 where rows contradict each other or were changed, else 0."""
+        return 1 if self.contradictions or self.changed else 0
 
 
 def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResult:
@@ -46,13 +49,13 @@ def merge(paths: Sequence[Path], out: Path, *, mixed: bool = False) -> MergeResu
     if (out / "plan.jsonl").exists():
         raise UsageError(f"{str(out)!r} is a run already; choose another -o, or remove it.")
     planned = _same_plan(folders)
-    candidates = _candidates(folders, frozenset(planned))
+    candidates, changed = _candidates(folders, frozenset(planned))
     if not mixed:
         _check_same_code(candidates)
     contradictions = tuple(cell for cell, rows in candidates.items() if _contradict(rows))
     twice = sum(sum(row.status == "ok" for row in rows) > 1 for rows in candidates.values())
-    if contradictions:
-        return MergeResult(None, len(candidates), len(planned), twice, contradictions)
+    if contradictions or changed:
+        return MergeResult(None, len(candidates), len(planned), twice, contradictions, changed)
     folder = folders[0].write_plan(out, _environment(folders))
     with folder.new_writer("merge") as writer:
         for cell in filter(candidates.__contains__, planned):
@@ -90,16 +93,24 @@ class _Candidate(NamedTuple):
 
 
 def _candidates(
-    folders: Iterable[RunFolder], planned: Collection[str]
-) -> dict[str, list[_Candidate]]:
-    """Return the rows of each planned cell, in the order of the runs."""
+    folders: Iterable[RunFolder], planned: frozenset[str]
+) -> tuple[dict[str, list[_Candidate]], tuple[str, ...]]:
+    """Return the rows of each planned cell, in the order of the runs, and the places of changed
+    rows of cells that have no other in their run."""
     found: dict[str, list[_Candidate]] = {}
+    places: list[str] = []
     for folder in folders:
-        rows = folder.rows_with_places()
-        last = {r["id"]: _candidate(r, place) for r, place in rows if r["id"] in planned}
+        last, changed = dict[str, _Candidate](), dict[str, RowStart]()
+        for row, place in folder.rows_with_origin():
+            if isinstance(row, dict):
+                if row["id"] in planned:
+                    last[row["id"]] = _candidate(row, place)
+            elif (cell := changed_cell(row)) in planned:
+                changed[cell] = place
         for cell, candidate in last.items():
             found.setdefault(cell, []).append(candidate)
-    return found
+        places += [f"{at.path}:{at.line}" for cell, at in changed.items() if cell not in last]
+    return found, tuple(places)
 
 
 def _candidate(row: Row, place: RowStart) -> _Candidate:

@@ -1,7 +1,6 @@
 """Plan of a suite: its cells, one experiment and one estimator each."""
 
 import json
-import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,8 +17,10 @@ from sysid_bench.harness.suite.names import Names, installed_names
 from sysid_bench.harness.suite_cells import is_random, suite_cells
 from sysid_bench.vocabulary import CELL_FIELDS
 
-_ID = '{"id": "'
-_REPEAT = re.compile(r', "repeat": \d+\}\}$')  # as last field of a line
+_ID = b'{"id": "'
+_KIND = len(_ID + b'123456789abc", "experiment": "123456789abc", ')
+"""Offset of the first field of a line that cells share which differ by their repeat."""
+_REPEAT = b', "repeat": '  # as last field of a line
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Plan:
         return tuple({cell.experiment: cell.spec for cell in self.cells}.values())
 
     @property
-    def seconds(self) -> float:
+    def run_time(self) -> float:
         """Expected cost on one worker."""
         return sum(cell.seconds for cell in self.cells)
 
@@ -86,7 +87,7 @@ def _check_rankings(suite: Suite, cells: Sequence[Cell]) -> None:
             raise unknown_name("estimator of this suite", entry.against, methods, where)
 
 
-def expand(suite: Suite, names: Names | None = None, *, large: bool = False) -> Plan:
+def cells_of_suite(suite: Suite, names: Names | None = None, *, large: bool = False) -> Plan:
     """Return all cells of a suite, without those of an [[exclude]] and without duplicates.
 
     Raises UsageError for more than MANY cells, unless `large`.
@@ -140,30 +141,43 @@ def _numbered(text: str) -> Iterator[tuple[int, str]]:
     return ((n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip())
 
 
-def planned_ids(text: str) -> tuple[str, ...]:
+def _lines(plan: bytes) -> Iterator[tuple[int, bytes]]:
+    return ((n, line) for n, line in enumerate(plan.split(b"\n"), 1) if line.strip())
+
+
+def planned_ids(plan: bytes) -> tuple[str, ...]:
     """Return the ids of the cells of a plan.jsonl."""
-    return tuple(_id_of(number, line) for number, line in _numbered(text))
+    return tuple(_id_of(number, line) for number, line in _lines(plan))
 
 
-def _id_of(number: int, line: str) -> str:
+def _id_of(number: int, line: bytes) -> str:
     """Id of a line. Plans begin each line with it: parsing the rest would take 20 times as long."""
-    begins, name, ends = line[: len(_ID)], line[len(_ID) : len(_ID) + 12], line[len(_ID) + 12 :]
-    if begins == _ID and name.isalnum() and ends.startswith('", ') and ends.endswith("}"):
-        return name
+    name = line[len(_ID) : len(_ID) + 12]
+    if line.startswith(_ID) and name.isalnum() and line.startswith(b'", ', 20) and line[-1] == 125:
+        return name.decode()
     return _cell_of(number, line).id
 
 
-def planned_cells(text: str, ids: Iterable[str]) -> Iterator[tuple[Cell, list[str]]]:
-    """Yield cells of a plan.jsonl, each with those of the `ids` of all cells that differ from it by
-    their repeat. One line of them is parsed."""
-    alike: dict[str, tuple[int, str, list[str]]] = {}
-    for (number, line), cell in zip(_numbered(text), ids, strict=True):
-        kind = _REPEAT.sub("", line.partition('"labels": ')[2] or line)
-        alike.setdefault(kind, (number, line, []))[2].append(cell)
+def planned_cells(plan: bytes) -> Iterator[tuple[Cell, list[str]]]:
+    """Yield cells of a plan.jsonl, each with the ids of all that differ from it by their repeat.
+
+    One line of them is parsed.
+    """
+    alike: dict[bytes, tuple[int, bytes, list[str]]] = {}
+    for number, line in _lines(plan):
+        alike.setdefault(_kind(line), (number, line, []))[2].append(_id_of(number, line))
     return ((_cell_of(number, line), ids) for number, line, ids in alike.values())
 
 
-def planned_heads(text: str) -> Iterator[dict[str, Any]]:
+def _kind(line: bytes) -> bytes:
+    """Part of a line that cells share which differ by their repeat; of other lines all."""
+    end = line.rfind(_REPEAT)
+    is_plain = line.startswith(b'"labels": ', _KIND) and line.endswith(b"}}")
+    is_plain = is_plain and line[end + len(_REPEAT) : -2].isdigit()
+    return line[_KIND:end] if is_plain else line
+
+
+def planned_fields(text: str) -> Iterator[dict[str, Any]]:
     """Yield `Cell.head` of each cell of a plan.jsonl, without the rest of the cell."""
     for number, line in _numbered(text):
         try:
@@ -172,11 +186,11 @@ def planned_heads(text: str) -> Iterator[dict[str, Any]]:
             repeat = data["spec"]["repeat"]
             head = {"id": data["id"], "experiment": data["experiment"], **labels, "repeat": repeat}
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            head = _cell_of(number, line).head  # raises with the reason
+            head = _cell_of(number, line).first_fields  # raises with the reason
         yield head
 
 
-def _cell_of(number: int, line: str) -> Cell:
+def _cell_of(number: int, line: str | bytes) -> Cell:
     try:
         data = json.loads(line)
         spec = ExperimentSpec.from_json(data["spec"])

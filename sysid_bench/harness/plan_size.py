@@ -7,7 +7,7 @@ from typing import Any, Final
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import COMPOSED, composed_plant
 from sysid_bench.experiments.spec import REDRAWN, normal_noise, normal_prior
-from sysid_bench.harness.suite.data_entries import Prior
+from sysid_bench.harness.suite.data_entries import ModelSpread, Prior
 from sysid_bench.harness.suite.model import LogEntry, Suite
 from sysid_bench.harness.suite.plugin_entries import Plant
 
@@ -41,7 +41,7 @@ def has_random_sensors(plant: Mapping[str, Any]) -> bool:
     return plant["use"] == COMPOSED and composed_plant(plant).has_random_signals
 
 
-def prior_table(prior: Prior | str) -> str | dict[str, Any]:
+def prior_table(prior: Prior | ModelSpread | str) -> str | dict[str, Any]:
     """Return a prior as its words or keys."""
     return prior if isinstance(prior, str) else prior.model_dump(exclude_none=True)
 
@@ -88,7 +88,7 @@ def _kinds(suite: Suite, plant: Plant) -> tuple[int, int]:
 def _recorded(suite: Suite, log: LogEntry) -> tuple[int, str]:
     sweeps: Mapping[str, Sequence[Any]] = {
         "terms": log.terms, "choose": log.choose, "filter": log.filter, "moving": log.moving,
-        "pipeline": log.pipeline, "estimators": suite.estimator,
+        "pipeline": log.pipeline, "prior": log.prior, "estimators": suite.estimator,
     }  # fmt: skip
     sizes = {name: len(values) for name, values in sweeps.items()}
     return prod(sizes.values()), _product(sizes)

@@ -19,10 +19,10 @@ from sysid_bench import package_folders
 from sysid_bench.errors import FAILURES, UsageError, unknown_name
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.job import job_of
-from sysid_bench.harness.plan import Plan, expand
+from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run_frames import frames_of_run
 from sysid_bench.harness.shard import Shard
-from sysid_bench.harness.stale_rows import fingerprints, is_stale, stale_cells, stale_note
+from sysid_bench.harness.stale_rows import current_fingerprint, is_stale, stale_cells, stale_note
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import Suite, load_suite
 from sysid_bench.harness.suite.model import Origin
@@ -92,7 +92,7 @@ def run(
     selected = _selected(folder.plan, select, shard)[:limit]
     source = _JobSource(folder, call, robots_dir or folder.suite.robots_dir)
     with folder.lock() as descriptor:
-        stored = folder.heads().rows
+        stored = folder.first_fields().rows
         todo = _todo(selected, stored, rerun, source.fingerprint)
         work = source.jobs(todo, stored)
         if work:
@@ -175,7 +175,7 @@ def _run_folder(source: Suite | str | Path, out: Path | None, options: _SuiteOpt
     else:
         suite = load_suite(package_folders.suite(str(source)), options.names, options.overrides)
         suite = _signed(suite, str(source), options.robots_dir, options.overrides)
-    plan = expand(suite, options.names, large=options.large)
+    plan = cells_of_suite(suite, options.names, large=options.large)
     return RunFolder.make(out or Path("reports") / suite.name, suite, plan, environment())
 
 
@@ -228,7 +228,7 @@ class _JobSource:
 
     @cached_property
     def _fingerprint(self) -> Callable[[Cell], str]:
-        return fingerprints(self.folder.suite, self.robots_dir)
+        return current_fingerprint(self.folder.suite, self.robots_dir)
 
     def fingerprint(self, cell: Cell) -> str:
         """Fingerprint of all that a cell depends on now."""
@@ -246,7 +246,7 @@ class _JobSource:
             "artifacts": str(self.folder.path.resolve() / "artifacts"),
         }
         heads = (
-            {**cell.head, "fingerprint": now[cell.id], "losses": losses.get(cell.id, 0)}
+            {**cell.first_fields, "fingerprint": now[cell.id], "losses": losses.get(cell.id, 0)}
             for cell in cells
         )
         return Job(self.call, argument, tuple(heads))
@@ -271,7 +271,7 @@ def _result(
     ending: Ending,
     more: Iterable[str],
 ) -> RunResult:
-    stored = folder.heads()
+    stored = folder.first_fields()
     rows = [stored.rows[cell.id] for cell in selected if cell.id in stored.rows]
     number = Counter(str(row.get("status")) for row in rows)
     counts = {name: number[name] for name in dict.fromkeys((*STATUSES, *number)) if number[name]}
@@ -311,4 +311,7 @@ def _notes(torn: int, garbled: Sequence[str]) -> Iterable[str]:
     if torn:
         yield f"{torn} unfinished rows of killed writers were skipped; their cells ran again."
     if garbled:
-        yield f"{len(garbled)} invalid rows were skipped: {', '.join(garbled[:5])}."
+        yield (
+            f"{len(garbled)} rows that are invalid, or were changed after they were written, were "
+            f"skipped: {', '.join(garbled[:5])}."
+        )

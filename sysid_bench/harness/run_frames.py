@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.harness.store import FEW_BYTES, RunFolder
-from sysid_bench.harness.work.processes import with_parent
+from sysid_bench.harness.work.processes import kill_with
 from sysid_bench.harness.work.row_files import row_files
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.harness.work.worker_process import worker_environment
@@ -89,7 +89,7 @@ class _Growth:
 
 def main(folder: str, parent: str) -> None:
     """Consolidate the rows stored so far; what fails here is reported at the end of the run."""
-    with_parent(int(parent))
+    kill_with(int(parent))
     if hasattr(os, "nice"):
         os.nice(10)
     RunFolder(Path(folder)).write_frames()

@@ -31,7 +31,7 @@ def stale_cells(
     ]
 
 
-def fingerprints(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]:
+def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]:
     """Return a function that gives the fingerprint of a cell now; cells share it by their parts."""
     metrics = [entry.spec for entry in suite.metric]
     known: dict[str, str] = {}
@@ -40,7 +40,7 @@ def fingerprints(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]
         spec = cell.spec
         parts = [
             spec.robot, spec.task, spec.plant, spec.excitation, spec.held_out, spec.simulation,
-            spec.log, cell.estimator,
+            spec.pipeline, spec.log, cell.estimator,
         ]  # fmt: skip
         key = canonical(parts)
         if key not in known:
@@ -52,7 +52,7 @@ def fingerprints(suite: Suite, robots_dir: Path | None) -> Callable[[Cell], str]
 
 def other_code(folder: RunFolder, rows: Mapping[str, Row]) -> int:
     """Return the number of rows of a run that are from other code, models or libraries than now."""
-    fingerprint = fingerprints(folder.suite, folder.suite.robots_dir)
+    fingerprint = current_fingerprint(folder.suite, folder.suite.robots_dir)
     count = 0
     for like, cells in folder.planned_cells():
         now = fingerprint(like)

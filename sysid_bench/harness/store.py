@@ -4,19 +4,19 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.consolidate import consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import UNREADABLE, FrameFiles, read_coverage
-from sysid_bench.harness.plan import Plan, planned_cells, planned_heads, planned_ids
+from sysid_bench.harness.plan import Plan, planned_cells, planned_fields, planned_ids
 from sysid_bench.harness.suite.load_suite import Suite, parse_stored, suite_text
 from sysid_bench.harness.work.processes import processes_with
 from sysid_bench.harness.work.row_files import (
@@ -27,9 +27,9 @@ from sysid_bench.harness.work.row_files import (
     new_row_file,
     read_rows,
     row_files,
-    rows_with_places,
+    rows_with_origin,
 )
-from sysid_bench.input_files import LARGEST, is_file, parse_json, read_text
+from sysid_bench.input_files import LARGEST, is_file, parse_json, read_data, read_text
 from sysid_bench.types import Row
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ try:
 except ImportError:  # Windows has no flock: two runners on one folder are not detected there
     fcntl = None  # type: ignore[assignment]
 
+_Content = TypeVar("_Content", str, bytes)
 _LARGEST: Final = {"plan.jsonl": 2**31}
 """Bytes of a file of a run folder: 2 kB for each of a million cells."""
 HEAD: Final = ("id", "status", "reason", "crosscheck", "fingerprint", "losses", "sources")
@@ -62,12 +63,15 @@ class RunFolder:
     def make(cls, path: Path, suite: Suite, plan: Plan, env: Mapping[str, Any]) -> "RunFolder":
         """Create a run; for an existing run with the same cells, update suite and labels.
 
-        Raises UsageError where the folder holds a run of other cells.
+        Raises UsageError where the folder holds a run of other cells, and where another runner
+        makes or runs one.
         """
         folder = cls(path)
-        if is_file(path / "plan.jsonl"):
-            folder._check_same(suite, plan)
-        folder._fill(suite, plan.to_json_lines(), env)
+        path.mkdir(parents=True, exist_ok=True)
+        with folder.lock():
+            if is_file(path / "plan.jsonl"):
+                folder._check_same(suite, plan)
+            folder._fill(suite, plan.to_json_lines(), env)
         return folder
 
     def write_plan(self, path: Path, env: Mapping[str, Any]) -> "RunFolder":
@@ -107,11 +111,11 @@ class RunFolder:
     @cached_property
     def planned(self) -> tuple[str, ...]:
         """Ids of the cells of the plan, which is not read as a whole."""
-        return planned_ids(self._read("plan.jsonl"))
+        return planned_ids(self._read_bytes("plan.jsonl"))
 
     def planned_cells(self) -> Iterator[tuple[Cell, list[str]]]:
         """Yield cells of the plan, each with the ids of all that differ from it by their repeat."""
-        return planned_cells(self._read("plan.jsonl"), self.planned)
+        return planned_cells(self._read_bytes("plan.jsonl"))
 
     @property
     def environment(self) -> dict[str, Any]:
@@ -140,19 +144,20 @@ class RunFolder:
         """One line per cell and joint."""
         return self.frames().joints
 
-    def rows(self) -> StoredRows:
-        """Read the rows stored so far."""
-        return read_rows(self._cells)
+    def rows(self, cells: Collection[str] | None = None) -> StoredRows:
+        """Read the rows stored so far, or those of some cells."""
+        return read_rows(self._cells, cells=cells)
 
-    def rows_with_places(self) -> Iterator[tuple[Row, RowStart]]:
-        """Yield each stored row and where it is; of rows with one id the last holds."""
-        return rows_with_places(self._cells)
+    def rows_with_origin(self) -> Iterator[tuple[Row | bytes, RowStart]]:
+        """Yield each stored row and where it is, of other lines the text; of rows with one id the
+        last holds."""
+        return rows_with_origin(self._cells)
 
     def row(self, cell: str) -> Row | None:
         """Read the row of one cell; None where it has none."""
         return find_row(self._cells, cell)
 
-    def heads(self) -> StoredRows:
+    def first_fields(self) -> StoredRows:
         """Read the fields HEAD of the rows stored so far, as far as a row has them.
 
         They come from cells.parquet as far as it covers the row files.
@@ -162,11 +167,10 @@ class RunFolder:
         garbled: tuple[str, ...] = ()
         if (coverage := read_coverage(self.path, row_files(self._cells))) is not None:
             with suppress(*UNREADABLE):
-                rows = FrameFiles(self.path, coverage).heads(HEAD)
+                rows = FrameFiles(self.path, coverage).fields_of_rows(HEAD)
                 start, garbled = coverage.start, coverage.garbled
-        rest = read_rows(self._cells, start=start, tables=False)
-        for cell, row in rest.rows.items():
-            rows[cell] = {key: value for key, value in row.items() if key in HEAD}
+        rest = read_rows(self._cells, start=start, fields=HEAD)
+        rows |= rest.rows
         return StoredRows(rows, rest.torn, (*garbled, *rest.garbled))
 
     def frames(self) -> Frames:
@@ -185,11 +189,11 @@ class RunFolder:
         consolidate(self.path, self._heads)
 
     def _frames_of(self, files: FrameFiles) -> Frames:
-        def read(name: str, columns: Sequence[str] | None) -> "pd.DataFrame":
+        def read(name: str, fields: Collection[str] | None) -> "pd.DataFrame":
             try:
-                return files.read(name, columns)
+                return files.read(name, fields)
             except UNREADABLE:  # a damaged page: the row files decide
-                return self._frames_of_rows().read(name, columns)
+                return self._frames_of_rows().read(name, fields)
 
         return Frames(read)
 
@@ -208,7 +212,7 @@ class RunFolder:
 
     def _has_rows_behind(self, start: Mapping[str, tuple[int, int]]) -> bool:
         """True where planned cells have rows that the Parquet files do not cover."""
-        rest = read_rows(self._cells, start=start, tables=False).rows
+        rest = read_rows(self._cells, start=start, fields=HEAD[:1]).rows
         return bool(rest) and any(cell in rest for cell in self.planned)
 
     @property
@@ -218,7 +222,7 @@ class RunFolder:
     @cached_property
     def _heads(self) -> dict[str, Row]:
         """First fields of every planned cell, by id."""
-        return {head["id"]: head for head in planned_heads(self._read("plan.jsonl"))}
+        return {head["id"]: head for head in planned_fields(self._read("plan.jsonl"))}
 
     def new_writer(self, writer: str) -> RowWriter:
         """Open a writer with a new file, for rows that no worker can write."""
@@ -275,8 +279,14 @@ class RunFolder:
         return " and ".join(others[:3]) or f"process {written or 'unknown'}"
 
     def _read(self, name: str) -> str:
+        return self._read_with(read_text, name)
+
+    def _read_bytes(self, name: str) -> bytes:
+        return self._read_with(read_data, name)
+
+    def _read_with(self, read: Callable[..., _Content], name: str) -> _Content:
         try:
-            return read_text(self.path / name, largest=_LARGEST.get(name, LARGEST))
+            return read(self.path / name, largest=_LARGEST.get(name, LARGEST))
         except (OSError, UnicodeDecodeError) as error:
             raise self._unreadable(name, error) from error
 

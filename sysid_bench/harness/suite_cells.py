@@ -22,7 +22,7 @@ from sysid_bench.harness.suite.data_entries import Signals
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.models.payload import parse_payload
-from sysid_bench.signals.pipeline_choice import PLAIN, named_pipeline, own_signals
+from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_spec, signals_of_pipeline
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import LABELS
 
@@ -92,7 +92,7 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
                 noises, axes.signals, pipelines,
             )
         ):  # fmt: skip
-            pipeline = named_pipeline(line.spec)
+            pipeline = pipeline_spec(line.spec)
             spec = ExperimentSpec(
                 seed=suite.seed,
                 robot=robot,
@@ -106,7 +106,7 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
                 simulation=simulation.spec,
                 rate=quantity(rate, "Hz"),
                 noise=normal_noise(noise.model_dump(exclude_none=True)),
-                signals=own_signals(_signals(signals), pipeline),
+                signals=signals_of_pipeline(_signals(signals), pipeline),
                 repeat=0,
                 pipeline=pipeline,
                 motions=motions,

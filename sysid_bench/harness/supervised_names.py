@@ -11,7 +11,7 @@ from sysid_bench import naming
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.job_channel import JobChannel
-from sysid_bench.harness.suite.names import Names, TaskInfo, installed_names, name_error
+from sysid_bench.harness.suite.names import Names, PlannedTask, installed_names, name_error
 from sysid_bench.harness.work.worker_call import CallWorker, WorkerError
 from sysid_bench.metrics import checked_metric, metric_record
 
@@ -54,8 +54,8 @@ class _LookUp:
         return self._ask(kind, use, {"spec": dict(spec)}).get("metric")
 
     def task(
-        self, find: Callable[[str, Path | None], TaskInfo], name: str, folder: Path | None
-    ) -> TaskInfo:
+        self, find: Callable[[str, Path | None], PlannedTask], name: str, folder: Path | None
+    ) -> PlannedTask:
         """Facts of a task."""
         if not naming.is_third_party("task", name):
             return find(name, folder)

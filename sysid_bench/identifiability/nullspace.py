@@ -22,8 +22,8 @@ import numpy as np
 
 from sysid_bench.models.tree import BALL, FREE, HINGE, Tree, TreeJoint
 from sysid_bench.spatial.inertia import (
+    inertia_matrix,
     inertia_transform,
-    matrix_of_six,
     phi_of_pseudo_inertia,
     pseudo_inertia,
 )
@@ -155,7 +155,7 @@ def _spatial_inertias() -> Array:
     out = np.zeros((10, 6, 6))
     for k, phi in enumerate(np.eye(10)):
         h = skew(phi[1:4])
-        out[k] = np.block([[matrix_of_six(phi[4:]), h], [-h, phi[0] * np.eye(3)]])
+        out[k] = np.block([[inertia_matrix(phi[4:]), h], [-h, phi[0] * np.eye(3)]])
     return out
 
 

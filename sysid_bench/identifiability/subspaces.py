@@ -19,7 +19,7 @@ from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import FloatingSubtree, SensorCut, floating_subtree
 from sysid_bench.qr_factor import upper_factor
-from sysid_bench.regressors.wrench import SubtreeRegressors, floating_subtree_regressors
+from sysid_bench.regressors.wrench import SubtreeRegressor, floating_subtree_regressor
 from sysid_bench.types import Array, Trajectory
 
 SEED: Final = 0
@@ -64,7 +64,7 @@ def structural_subspaces(
     alone = floating_subtree(robot, cut)
     p = 10 * len(cut.bodies)
     motion = _floating_states(robot, alone, 40 + p // 5, np.random.default_rng(SEED))
-    subtree = floating_subtree_regressors(robot, alone, motion)
+    subtree = floating_subtree_regressor(robot, alone, motion)
     # All subspaces lie in the joint row space of Y_n and Y_c: computing there saves columns.
     basis, _ = row_space(np.concatenate([subtree.Y_n, subtree.Y_c], axis=1))
     Y_n, Y_c = subtree.Y_n @ basis, subtree.Y_c @ basis
@@ -84,7 +84,7 @@ def structural_subspaces(
     return Subspaces(subtree.columns, basis @ wrench, wrenches, torques, joints, values)
 
 
-def _joint_factors(subtree: SubtreeRegressors, Y_n: Array, Y_c: Array) -> list[tuple[Array, Array]]:
+def _joint_factors(subtree: SubtreeRegressor, Y_n: Array, Y_c: Array) -> list[tuple[Array, Array]]:
     """R factors of the row of Y_c of each degree of freedom, with the base proximal and distal to
     it; which of the distal links is the base does not matter."""
     factors = []
@@ -146,7 +146,7 @@ def row_space(Y: Array) -> tuple[Array, Array]:
     return Vt[:rank].T, values
 
 
-def subspace_residual(basis: Array, other: Array) -> float:
+def basis_residual(basis: Array, other: Array) -> float:
     """Return the norm of (I - B B^T) `other`, B = `basis` (p, r): the sine of the largest angle of
     a vector in span(`other`) (p, k) to span(`basis`); both bases are orthonormal."""
     if other.shape[1] == 0:
@@ -169,7 +169,7 @@ class Excitation:
     missing: Mapping[str, float]
 
     @property
-    def complete(self) -> bool:
+    def is_complete(self) -> bool:
         """True if the data excite all base parameters of the wrench."""
         return self.rank == self.structural
 
@@ -181,7 +181,7 @@ class Excitation:
     @property
     def warning(self) -> str:
         """Warning to print; empty if all base parameters are excited."""
-        if self.complete:
+        if self.is_complete:
             return ""
         names = ", ".join(self.unpredictable)
         torques = f"the torques of {names} are unpredictable" if names else "no torque is affected"
@@ -192,19 +192,17 @@ class Excitation:
         )
 
 
-def excitation_of(data: SubtreeRegressors | Array, subspaces: Subspaces) -> Excitation:
+def excitation_of(data: SubtreeRegressor | Array, subspaces: Subspaces) -> Excitation:
     """Return the excitation by a data set, given as its regressors or as rows (..., p) of Y_n.
 
     Raises UsageError if the number of columns is not that of the sub-tree.
     """
-    rows = data.Y_n if isinstance(data, SubtreeRegressors) else data
+    rows = data.Y_n if isinstance(data, SubtreeRegressor) else data
     if rows.shape[-1] != len(subspaces.columns):
         raise UsageError(
             f"The data have {rows.shape[-1]} columns, but the sub-tree {len(subspaces.columns)} "
             "parameters."
         )
     excited, _ = row_space(rows)
-    missing = {
-        joint: subspace_residual(excited, basis) for joint, basis in subspaces.joints.items()
-    }
+    missing = {joint: basis_residual(excited, basis) for joint, basis in subspaces.joints.items()}
     return Excitation(excited.shape[1], subspaces.rank, missing)

@@ -14,8 +14,8 @@ from sysid_bench.models.coupling.independent_joints import group_constraints, gr
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.tree import tree_of
 from sysid_bench.spatial.rotation import (
+    composed_rotation,
     matrix_of_quaternion,
-    product,
     quaternion_of_rotation,
 )
 from sysid_bench.types import Array
@@ -56,7 +56,7 @@ def with_gravity(robot: RobotModel, gravity: Array) -> RobotModel:
     return _rebuilt(robot, spec)
 
 
-def with_coupling_slopes(robot: RobotModel, factors: Mapping[int, float]) -> RobotModel:
+def with_scaled_coupling(robot: RobotModel, factors: Mapping[int, float]) -> RobotModel:
     """Return the robot with the slopes of joint and tendon equalities, by number, times a
     factor."""
     spec = robot.spec.copy()
@@ -74,7 +74,7 @@ def _displaced_pose(mj: mujoco.MjModel, b: int, by: Displacement) -> tuple[Array
     shift, turn = by
     return (
         position + matrix_of_quaternion(quaternion) @ shift,
-        product(quaternion, quaternion_of_rotation(turn)),
+        composed_rotation(quaternion, quaternion_of_rotation(turn)),
     )
 
 

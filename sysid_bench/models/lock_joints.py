@@ -8,8 +8,8 @@ import numpy as np
 from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.tree import BALL, FREE, HINGE
 from sysid_bench.spatial.rotation import (
+    composed_rotation,
     matrix_of_quaternion,
-    product,
     quaternion_of_rotation,
 )
 from sysid_bench.types import Array
@@ -59,7 +59,7 @@ def _displaced_pose(mj: mujoco.MjModel, j: int, displacement: float) -> tuple[Ar
     turn, anchor = quaternion_of_rotation(axis * displacement), np.array(mj.jnt_pos[j])
     # The anchor stays where it is; the body frame turns about it.
     origin = origin + R @ (anchor - matrix_of_quaternion(turn) @ anchor)
-    return origin, product(quaternion, turn)
+    return origin, composed_rotation(quaternion, turn)
 
 
 def _drop_couplings(spec: mujoco.MjSpec, mj: mujoco.MjModel, locked: set[str]) -> None:

@@ -57,7 +57,7 @@ Positive = Annotated[float, BeforeValidator(_positive)]
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 class Limits(_Table):
@@ -97,7 +97,7 @@ class _CouplingTable(_Table):
 class Source(_Table):
     """Origin of the model; further keys are free."""
 
-    model_config = ConfigDict(extra="allow", frozen=True)
+    model_config = ConfigDict(extra="allow", frozen=True, defer_build=True)
     licence: str = ""
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.spatial.inertia import matrix_of_six, phi_of
+from sysid_bench.spatial.inertia import inertia_matrix, phi_of
 from sysid_bench.types import Array
 from sysid_bench.units import parse_quantity
 
@@ -30,7 +30,7 @@ class Payload:
     @property
     def phi(self) -> Array:
         """Inertial parameters (10,) about the tool frame."""
-        return phi_of(self.mass, np.array(self.com), matrix_of_six(np.array(self.inertia)))
+        return phi_of(self.mass, np.array(self.com), inertia_matrix(np.array(self.inertia)))
 
     def __bool__(self) -> bool:
         return self.mass > 0.0
@@ -153,7 +153,7 @@ def _is_number(value: Any) -> bool:
 
 def _check_possible(name: str, six: list[float]) -> None:
     """Principal moments of mass in space obey I1 >= 0 and I1 + I2 >= I3; rounding is forgiven."""
-    moments = np.linalg.eigvalsh(matrix_of_six(np.array(six)))
+    moments = np.linalg.eigvalsh(inertia_matrix(np.array(six)))
     slack = 1e-9 * max(moments[-1], 1e-12)
     if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
         raise UsageError(

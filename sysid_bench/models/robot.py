@@ -162,7 +162,7 @@ class RobotModel:
         return any(joint.kind == "free" for joint in self.joints)
 
     @property
-    def inertial_columns(self) -> tuple[str, ...]:
+    def inertia_columns(self) -> tuple[str, ...]:
         """`<body>.m` ... `<body>.Izz` of every body, in tree order (10 nb,)."""
         return tuple(f"{body}.{name}" for body in self.body_names for name in NAMES)
 
@@ -191,6 +191,11 @@ class RobotModel:
                 "joint term", name, known, "Viscous friction on j5 due to j6 is 'j5.fv.j6'."
             )
         return self._term_names[name]
+
+    @property
+    def term_names(self) -> frozenset[str]:
+        """Names of all joint terms of single joints: "j1.fv", "j5.fv.j6"."""
+        return frozenset(self._term_names)
 
     @cached_property
     def _term_names(self) -> dict[str, tuple[str, int, int | None]]:

@@ -12,7 +12,7 @@ import numpy as np
 from sysid_bench.input_files import is_file
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.xml_file import parse_xml, read_file
-from sysid_bench.spatial.rotation import product
+from sysid_bench.spatial.rotation import composed_rotation
 from sysid_bench.types import Array, Shape, ShapeKind
 
 _MESHES: Final = (".stl", ".obj", ".glb", ".gltf", ".dae")
@@ -138,5 +138,5 @@ def _quaternion_of_rpy(rpy: Array) -> Array:
         # About a fixed axis: each later turn multiplies from the left.
         turn = np.zeros(4)
         turn[0], turn[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
-        total = product(turn, total)
+        total = composed_rotation(turn, total)
     return total

@@ -6,7 +6,7 @@ import numpy as np
 from sysid_bench.errors import ModelError, unknown_name
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.payload import Payload
-from sysid_bench.spatial.inertia import matrix_of_six
+from sysid_bench.spatial.inertia import inertia_matrix
 from sysid_bench.spatial.rotation import quaternion_of_matrix
 from sysid_bench.types import Array
 
@@ -51,7 +51,7 @@ def add_payload(spec: mujoco.MjSpec, body: int, pose: Pose, payload: Payload, na
     load.mass = payload.mass
     load.ipos = payload.com
     # Principal moments, since MuJoCo refuses a full inertia with a zero eigenvalue (points, rods).
-    moments, axes = np.linalg.eigh(matrix_of_six(np.array(payload.inertia)))
+    moments, axes = np.linalg.eigh(inertia_matrix(np.array(payload.inertia)))
     moments = np.maximum(moments, 0.0)
     moments[2] = min(moments[2], moments[0] + moments[1])  # a lamina lies on the border
     load.inertia = moments

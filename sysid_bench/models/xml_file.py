@@ -6,7 +6,7 @@ from typing import Final
 from xml.parsers import expat
 
 from sysid_bench.errors import ModelError
-from sysid_bench.input_files import read_bytes
+from sysid_bench.input_files import read_data
 
 LARGEST_FILE: Final = 64 * 2**20
 """Bytes; a larger model text is a mistake."""
@@ -19,7 +19,7 @@ def read_file(path: Path) -> bytes:
     """Return the bytes of a model file; raises ModelError for a file that cannot be read, or is
     larger than `LARGEST_FILE`."""
     try:
-        return read_bytes(path, LARGEST_FILE)
+        return read_data(path, LARGEST_FILE)
     except OSError as error:
         raise ModelError(f"{path.name} cannot be read: {error.strerror or error}.") from error
 

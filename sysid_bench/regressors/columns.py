@@ -68,7 +68,7 @@ class Columns:
         return tuple(np.array(row, dtype=int) for row in indices)
 
     @cached_property
-    def starts(self) -> tuple[int, ...]:
+    def first(self) -> tuple[int, ...]:
         """Index of each row's first value in `Block.values`.
 
         One value per row is left free behind its columns: `Block.augmented` writes the right-hand

@@ -59,7 +59,7 @@ class Regression(Columns):
     def _values(self, motion: Trajectory) -> Array:
         """Values (k, n) of a block by the NumPy kernel."""
         q, v, a = motion.q.T, motion.v.T, motion.a.T
-        free = list(self.starts)
+        free = list(self.first)
         out = np.empty((sum(len(row) + 1 for row in self.touched), len(motion)))
         states = link_motions(self.tree, q, v, a)
         for columns in self.links:
@@ -119,7 +119,7 @@ class Block:
 
     def row(self, i: int, out: Array | None = None) -> Array:
         """Return row i of Y, (k, n), in the columns `touched[i]`: a view, or `out` if given."""
-        start = self.regression.starts[i]
+        start = self.regression.first[i]
         values = self.values[start : start + len(self.regression.touched[i])]
         if out is None:
             return values
@@ -128,7 +128,7 @@ class Block:
 
     def augmented(self, i: int, b: Array) -> Array:
         """Return row i with a right-hand side b (n,) below it, (k + 1, n): a view of `values`."""
-        start = self.regression.starts[i]
+        start = self.regression.first[i]
         end = start + len(self.regression.touched[i])
         self.values[end] = b
         return self.values[start : end + 1]
@@ -165,7 +165,7 @@ def regression(
     the sensors' coordinates. Raises UsageError for an unknown name.
     """
     tree, rows = (robot.tree, robot.rows) if measured is None else (measured.tree, measured.rows)
-    inertial = {name: i for i, name in enumerate(robot.inertial_columns)}
+    inertial = {name: i for i, name in enumerate(robot.inertia_columns)}
     constants = {f"{row}.offset": robot.nv + k for k, row in enumerate(rows[robot.nv :])}
     weights: dict[int, list[tuple[int, Array]]] = {}
     terms = []
@@ -199,7 +199,7 @@ def _joint_term(robot: RobotModel, name: str) -> tuple[str, int, int | None]:
         return robot.resolve_term(name)
     except UsageError as error:
         raise unknown_name(
-            "parameter", name, [*robot.inertial_columns, *_term_names(robot)]
+            "parameter", name, [*robot.inertia_columns, *_term_names(robot)]
         ) from error
 
 

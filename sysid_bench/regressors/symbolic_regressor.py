@@ -52,7 +52,7 @@ def _adjoint_transpose() -> sp.Matrix:
     return sp.Matrix(sp.BlockMatrix([[-skew(W), -skew(V)], [sp.zeros(3), -skew(W)]]))
 
 
-def in_classical_acceleration(A: sp.Matrix) -> sp.Matrix:
+def with_point_acceleration(A: sp.Matrix) -> sp.Matrix:
     """Return A (6, 10) with dv replaced by d - w × v; v cancels."""
     change = dict(zip(DV, D - W.cross(V), strict=True))
     return A.subs(change).applyfunc(sp.expand)
@@ -65,7 +65,7 @@ def skew(x: sp.Matrix) -> sp.Matrix:
 
 def source() -> str:
     """Return the text of body.py."""
-    A = in_classical_acceleration(body_regressor())
+    A = with_point_acceleration(body_regressor())
     columns = []
     for c in range(10):
         rows = [row for row in range(6) if A[row, c] != 0]
@@ -112,7 +112,7 @@ def c_source() -> str:
 
     Raises ValueError if an entry is not zero for which kernel.c has no variable.
     """
-    A = in_classical_acceleration(body_regressor())
+    A = with_point_acceleration(body_regressor())
     columns = zip(NAMES, MOMENTS, FORCES, strict=True)
     return "".join(
         _c_lines(moment, A[:3, c], name) + _c_lines(force, A[3:, c], name)

@@ -34,7 +34,7 @@ from sysid_bench.types import Array, Regressor, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class SubtreeRegressors:
+class SubtreeRegressor:
     """Regressors of a sub-tree along one motion, with the base at the sensor.
 
     Y_n (N, 6, p): wrench [n; f] in the sensor frame; Y_c (N, k, p): torques of the k degrees of
@@ -112,16 +112,16 @@ class SubtreeRegressors:
         return np.concatenate(parts)
 
 
-def subtree_regressors(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> SubtreeRegressors:
+def subtree_regressor(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> SubtreeRegressor:
     """Return the regressors of a cut along a motion of the whole robot, fixed-base or floating; the
     pose, twist and acceleration of the sensor frame follow from the motion."""
     instruments = instruments_of(robot, (cut,))
     return _sub_tree(robot, cut, instruments, instruments.root(cut), instruments.motion(motion))
 
 
-def floating_subtree_regressors(
+def floating_subtree_regressor(
     robot: RobotModel, alone: FloatingSubtree, motion: Trajectory
-) -> SubtreeRegressors:
+) -> SubtreeRegressor:
     """Return the regressors of an isolated sub-tree with a free base; motion q (N, nq + 7), v and a
     (N, nv + 6).
 
@@ -135,7 +135,7 @@ def base_wrench_regressor(
 ) -> Regressor:
     """Return Y_n (N, 6, p), the wrench [n; f] of the sub-tree distal to a sensor, in the sensor
     frame or at the origin and in the axes of the body `base`. Traversaro et al. (2015), eq. 11."""
-    subtree = subtree_regressors(robot, cut, motion)
+    subtree = subtree_regressor(robot, cut, motion)
     prefix = cut.name if base is None else base
     rows = tuple(f"{prefix}.{row.rpartition('.')[2]}" for row in cut.rows)
     return Regressor(subtree.base_wrench(base), rows, subtree.columns)
@@ -146,7 +146,7 @@ def joint_torque_regressor(
 ) -> Regressor:
     """Return Y_c (N, k, p), the torques of the k degrees of freedom distal to a sensor, with the
     base at the sensor or at the body `base`. Traversaro et al. (2015), eq. 12."""
-    subtree = subtree_regressors(robot, cut, motion)
+    subtree = subtree_regressor(robot, cut, motion)
     return Regressor(subtree.joint_torque(base), subtree.rows, subtree.columns)
 
 
@@ -187,13 +187,13 @@ def _sub_tree(
     measured: Instruments | FloatingSubtree,
     root: range,
     motion: Trajectory,
-) -> SubtreeRegressors:
+) -> SubtreeRegressor:
     columns = _subtree_parameters(robot, cut)
     dofs = subtree_dofs(robot, cut)
     rows = [*root, *dofs]
     blocks_of_rows = regression(robot, columns, measured).blocks(motion)
     Y = np.concatenate([block.dense()[:, rows] for block in blocks_of_rows])
-    return SubtreeRegressors(
+    return SubtreeRegressor(
         robot=robot,
         cut=cut,
         tree=measured.tree,

@@ -1,5 +1,6 @@
 """Relative torque errors per joint of every robot, as tables of the HTML report."""
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -32,7 +33,8 @@ def joint_errors(cells: "pd.DataFrame", joints: "pd.DataFrame") -> list[JointErr
         return []
     methods = cells[["id", "robot"]].assign(method=_methods(cells))
     # Joints may carry fields of their cell, too; those of the cells are the ones to group by.
-    merged = joints[joints.columns.difference(["robot", "method"])].merge(methods, on="id")
+    columns = [name for name in JOINT_COLUMNS if name in joints.columns]
+    merged = joints[columns].merge(methods, on="id").drop(columns="id")
     return [_errors_of_robot(*group) for group in merged.groupby("robot", sort=False)]
 
 
@@ -48,10 +50,12 @@ def _methods(cells: "pd.DataFrame") -> list[str]:
 
 def _errors_of_robot(robot: Any, group: "pd.DataFrame") -> JointErrors:
     estimators = tuple(dict.fromkeys(group["method"]))
+    errors = group.groupby(["name", "method"], sort=False)["relative"].agg(["median", "max"])
+    found = {key: (median, worst) for key, median, worst in errors.itertuples()}
     rows = []
-    for joint, cells in group.groupby("name", sort=False):
-        numbers = [_median_and_worst(cells[cells["method"] == name]) for name in estimators]
-        rows.append((_title(joint, cells), *numbers))
+    for joint, lines in group.groupby("name", sort=False):
+        numbers = [_median_and_worst(found.get((joint, name))) for name in estimators]
+        rows.append((_title(joint, lines), *numbers))
     return JointErrors(label(robot), estimators, tuple(rows))
 
 
@@ -61,12 +65,11 @@ def _title(joint: Any, cells: "pd.DataFrame") -> str:
     return f"{label(joint)} (small torque)" if has_small_torque else label(joint)
 
 
-def _median_and_worst(group: "pd.DataFrame") -> str:
+def _median_and_worst(errors: tuple[float, float] | None) -> str:
     """Median (largest), each in its own notation: a table holds exact and noisy cells."""
-    values = group["relative"].dropna()
-    if values.empty:
+    if errors is None or math.isnan(errors[0]):
         return ABSENT
-    return f"{_two_digits(values.median())} ({_two_digits(values.max())})"
+    return f"{_two_digits(errors[0])} ({_two_digits(errors[1])})"
 
 
 def _two_digits(value: Any) -> str:

@@ -50,12 +50,17 @@ def make_table(
     return with_best(table, spec.get("best", "none"))
 
 
-def _used(cells: "pd.DataFrame", layout: TableLayout) -> "pd.DataFrame":
-    """Cells with the columns alone that a table can show or explain."""
-    names = [metric.name for metric in layout.metrics]
+def shown_fields(fields: Iterable[str], metrics: Iterable[str]) -> frozenset[str]:
+    """Columns of cells that a table of some fields and metrics can show or explain."""
+    names = list(metrics)
     more = [text for name in names for text in (f"{name}_names", f"{REASONS}.{name}")]
     always = ("id", "status", "repeat", "same_simulator")
-    fields = {*always, *SWEEPABLE, *SETTING, *layout.fields, *names, *more}
+    return frozenset((*always, *SWEEPABLE, *SETTING, *fields, *names, *more))
+
+
+def _used(cells: "pd.DataFrame", layout: TableLayout) -> "pd.DataFrame":
+    """Cells with the columns alone that a table can show or explain."""
+    fields = shown_fields(layout.fields, (metric.name for metric in layout.metrics))
     return cells[[name for name in cells.columns if name in fields]]
 
 

@@ -23,6 +23,8 @@ SWEEPABLE: Final = (
 
 def label(value: Any) -> str:
     """A field of a row as text; mappings and lists read as "tau 0.5 %, q 1e-4 rad"."""
+    if type(value) is str:
+        return value
     if isinstance(value, Mapping):
         return ", ".join(_parts(value)) or "none"
     if isinstance(value, (list, tuple, np.ndarray)):
@@ -48,11 +50,7 @@ def with_labels(cells: "pd.DataFrame") -> "pd.DataFrame":
     """The same cells with text in every field that can make a row or column."""
     columns = [cells[name] for name in cells.columns if _has_labels(cells[name])]
     texts = [str(column.name) for column in columns if set(map(type, column)) != {str}]
-    return cells.assign(**{name: list(map(_text, cells[name])) for name in texts})
-
-
-def _text(value: Any) -> str:
-    return value if type(value) is str else label(value)
+    return cells.assign(**{name: list(map(label, cells[name])) for name in texts})
 
 
 def _has_labels(column: "pd.Series") -> bool:

@@ -62,7 +62,7 @@ def layout_of(
     Raises UsageError for unknown keys, fields, metrics and statistics.
     """
     where = f"table {spec.get('name', '')!r}"
-    names = _metric_names(spec)
+    names = metric_names(spec)
     _check_keys(spec, names, where)
     _check_fields(spec, names, cells, metrics, where)
     _check_choices(spec)
@@ -81,7 +81,7 @@ def layout_of(
     )
 
 
-def _metric_names(spec: Mapping[str, Any]) -> tuple[str, ...]:
+def metric_names(spec: Mapping[str, Any]) -> tuple[str, ...]:
     """The metrics of a table: `metrics`, or the only one of `cells`."""
     only = spec.get("cells", {}).get("metric")
     return tuple(dict.fromkeys(spec.get("metrics") or filter(None, [only])))

@@ -21,7 +21,7 @@ from sysid_bench.signals.log_checks import (
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
 from sysid_bench.signals.log_samples import Grid, Samples, read_samples, scalar_kinds
 from sysid_bench.signals.log_units import UNITS
-from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, read_times, time_base
+from sysid_bench.signals.time_base import LONGEST_GAP, SHORTEST, read_time, time_base
 from sysid_bench.types import Array, Recording
 
 FAR: Final = 4.0
@@ -54,7 +54,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
     not be used. Raises UsageError for files, columns, units or joints that do not exist.
     """
     raw = read_samples(description, robot)
-    stamps = read_times(description, len(raw))
+    stamps = read_time(description, len(raw))
     invalid = check_finite(*raw.signals.values())
     t, rate, timing = time_base(description, stamps, invalid)
     grid = _uniform_grid(description, t, invalid, rate)

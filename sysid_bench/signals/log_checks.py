@@ -54,7 +54,7 @@ class Finding:
     contradiction: bool = False
 
 
-def refuse_findings(findings: Sequence[Finding], accepted: Sequence[str], where: str) -> None:
+def check_findings(findings: Sequence[Finding], accepted: Sequence[str], where: str) -> None:
     """Raise UsageError for contradictions that were not accepted, or for an unknown name."""
     for name in accepted:
         _check_name(name)

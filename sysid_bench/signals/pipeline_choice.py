@@ -33,19 +33,21 @@ def pipeline_of(
     return cast("Pipeline", build(KIND, {**shared, **spec}))
 
 
-def named_pipeline(written: Mapping[str, Any]) -> dict[str, Any] | None:
+def pipeline_spec(written: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the pipeline {use, settings} of a specification; None for `plain` without settings,
     since ids are older than pipelines."""
     return None if written == {"use": PLAIN} else dict(written)
 
 
-def own_signals(signals: Mapping[str, Any], pipeline: Mapping[str, Any] | None) -> dict[str, Any]:
+def signals_of_pipeline(
+    signals: Mapping[str, Any], pipeline: Mapping[str, Any] | None
+) -> dict[str, Any]:
     """Return a table `signals` without the keys that a pipeline other than `plain` ignores."""
-    if reads_signals(pipeline):
+    if _reads_signals(pipeline):
         return dict(signals)
     return {key: value for key, value in signals.items() if key not in OF_SIGNALS}
 
 
-def reads_signals(written: Mapping[str, Any] | None) -> bool:
+def _reads_signals(written: Mapping[str, Any] | None) -> bool:
     """Return True for the pipeline whose settings are the table `signals`."""
     return written is None or written["use"] == PLAIN

@@ -9,7 +9,7 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import Joint
 from sysid_bench.signals.filters import Filter, FourierSeries, derivative, filter_of
-from sysid_bench.spatial.rotation import inverse_quaternion, product
+from sysid_bench.spatial.rotation import composed_rotation, inverse_quaternion
 from sysid_bench.types import Array, Recording
 
 SETTINGS: Final = ("filter", "derivatives", "torque", "calibration", "contacts", "runs")
@@ -147,7 +147,9 @@ def _rates(q: Array, joints: tuple[Joint, ...], filter: Filter, rate: float) -> 
             v[:, dof : dof + 3] = dq[:, first : first + 3]
             first, dof = first + 3, dof + 3
         part = slice(first, first + 4)
-        v[:, dof : dof + 3] = 2 * product(inverse_quaternion(q[:, part]), dq[:, part])[:, 1:]
+        v[:, dof : dof + 3] = (
+            2 * composed_rotation(inverse_quaternion(q[:, part]), dq[:, part])[:, 1:]
+        )
     return v
 
 

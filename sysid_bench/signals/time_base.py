@@ -23,7 +23,7 @@ _WIDEST: Final = 3.0
 _SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
-def read_times(log: LogDescription, samples: int) -> Array | None:
+def read_time(log: LogDescription, samples: int) -> Array | None:
     """Return the time stamps (N,) of the chosen samples in s, as they stand in the file; None
     without a time column.
 

@@ -50,7 +50,7 @@ class Candidate:
         terms = replace(plant.terms, coulomb=np.zeros_like(coulomb))
         return replace(plant, terms=terms, laws=(law, *plant.laws))
 
-    def equals_plant(self, simulation: TrackingControl, step: float) -> bool:
+    def has_steps_of(self, simulation: TrackingControl, step: float) -> bool:
         """Return True where a plant with the time step `step` (s) under `simulation` may have the
         integrator of the candidate, and has its step."""
         own = self.control(simulation.rate)

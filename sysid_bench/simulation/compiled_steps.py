@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from sysid_bench.c_library import c_library
-from sysid_bench.simulation.force_laws import initial_states
+from sysid_bench.simulation.force_law import start_states
 from sysid_bench.simulation.plant import Plant
 from sysid_bench.simulation.transmission import Drive, Rotors
 from sysid_bench.types import Array
@@ -67,7 +67,7 @@ class Loop:
         return Rotors(np.array(self.data.qpos[dofs]), np.array(self.data.qvel[dofs]))
 
 
-def simulate_steps(loop: Loop) -> Signals:
+def run_steps(loop: Loop) -> Signals:
     """Simulate from the state of the loop's data on."""
     N, mj = len(loop.t), loop.mj
     motors = mj.nu if loop.drive.transmission is not None else 0
@@ -94,7 +94,9 @@ def steps_library() -> Any:
     return dll
 
 
-def laws_along(laws: Sequence[Any], t: Array, q: Array, v: Array, load: Array, each: int) -> Array:
+def compiled_torque(
+    laws: Sequence[Any], t: Array, q: Array, v: Array, load: Array, each: int
+) -> Array:
     """Return the torque (N, nv) of laws with states along a given motion.
 
     q, v and load (N, nv), by degree of freedom, are interpolated linearly at `each` steps between
@@ -183,7 +185,7 @@ class _Laws(ctypes.Structure):
         """Addresses of the laws' numbers and states, which live as long as the result."""
         kinds = np.array([KINDS[law.kind] for law in laws], dtype=np.int64)
         numbers = [np.ascontiguousarray(law.numbers, float) for law in laws]
-        states = [np.ascontiguousarray(x) for x in initial_states(laws, q, v).states]
+        states = [np.ascontiguousarray(x) for x in start_states(laws, q, v).states]
         addresses = [
             np.array([x.ctypes.data for x in arrays], dtype=np.uintp)
             for arrays in (numbers, states)
@@ -218,7 +220,7 @@ def _in_c(library: Any, loop: Loop, out: Signals) -> None:
 def _in_python(loop: Loop, out: Signals) -> None:
     mj, data, drive = loop.mj, loop.data, loop.drive
     h, load, rotors = mj.opt.timestep, np.zeros(mj.nv), loop.rotors
-    laws = initial_states(loop.plant.laws, data.qpos[: mj.nv], data.qvel)
+    laws = start_states(loop.plant.laws, data.qpos[: mj.nv], data.qvel)
     for k, now in enumerate(loop.t):
         out.q[k], out.v[k] = data.qpos, data.qvel
         if drive.transmission is not None:
@@ -249,8 +251,8 @@ def _held_torque(loop: Loop, k: int, rotors: Rotors) -> Array | None:
     if not drive.held:
         return None
     if drive.transmission is not None:
-        return drive.feedback(loop.control[k], rotors.theta, rotors.rate)
-    return drive.feedback(loop.control[k], data.qpos[drive.dofs], data.qvel[drive.dofs])
+        return drive.control_torque(loop.control[k], rotors.theta, rotors.rate)
+    return drive.control_torque(loop.control[k], data.qpos[drive.dofs], data.qvel[drive.dofs])
 
 
 def _input(loop: Loop, k: int, i: int) -> Array:
@@ -265,7 +267,7 @@ def _drive_links(
 ) -> tuple[Array, Rotors]:
     """Apply the transmissions' torque to the links; return the motors' torque (n,), and the rotors
     after the step."""
-    torque, load, turned = drive.turn(rotors, u, data.qpos[drive.dofs], data.qvel[drive.dofs], h)
+    torque, load, turned = drive.step(rotors, u, data.qpos[drive.dofs], data.qvel[drive.dofs], h)
     data.qfrc_applied[drive.dofs] += load
     data.ctrl[:] = 0.0
     return torque, turned
@@ -280,7 +282,7 @@ def _link_load(mj: mujoco.MjModel, data: mujoco.MjData) -> Array:
 def _along_in_python(
     laws: Sequence[Any], t: Array, signals: Sequence[Array], each: int, h: float
 ) -> Array:
-    states = initial_states(laws, signals[0][0], signals[1][0])
+    states = start_states(laws, signals[0][0], signals[1][0])
     tau = np.empty_like(signals[1])
     for k, now in enumerate(t):
         following = min(k + 1, len(t) - 1)

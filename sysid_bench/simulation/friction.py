@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.gravity import gravity_rms
-from sysid_bench.simulation.motor_load import typical_load
+from sysid_bench.simulation.motor_load import rigid_load
 from sysid_bench.types import Array
 
 ASSUMED_FRICTION: Final = 0.05
@@ -46,20 +46,20 @@ def friction_scale(robot: RobotModel) -> FrictionScale:
     assumed[dofs] = ASSUMED_FRICTION * np.maximum(gravity, 1e-3 * gravity.max())[dofs]
     own = robot.joint_terms
     missing = np.where(own.coulomb > 0, 0.0, assumed)
-    assumed = assumed / velocity_limit(robot)
+    assumed = assumed / rate_limit(robot)
     missing_viscous = np.where(own.viscous > 0, 0.0, assumed)
     return FrictionScale(
         own.coulomb + missing, missing, own.viscous + missing_viscous, missing_viscous
     )
 
 
-def velocity_limit(robot: RobotModel) -> Array:
+def rate_limit(robot: RobotModel) -> Array:
     """Return the velocity limits (nv,); 1 rad/s or m/s where there is none."""
     limit = robot.limits.v
     return np.where(np.isfinite(limit) & (limit > 0), limit, 1.0)
 
 
-def played(p: Array, q: Array, width: Array) -> Array:
+def play_position(p: Array, q: Array, width: Array) -> Array:
     """Return the play's position (nv,) after a motion to q (nv,)."""
     return np.asarray(np.clip(p, q - width, q + width))
 
@@ -117,7 +117,7 @@ class FrictionLaw:
         """Return the torque (nv,) and the play's position after a step."""
         Fc, ca, kl, Fv, cv, kv, cc = self.terms
         rate, elapsed = self.decay
-        p = played(state, q, self.width)
+        p = play_position(state, q, self.width)
         s, size, speed = (q - p) / self.width, np.abs(load), np.abs(v)
         force = (Fc + kl * size) * s + ca * np.abs(s)
         force = force + (Fv + kv * size + cc * speed) * v + cv * speed
@@ -136,6 +136,6 @@ def friction_law(
     stacked = np.array([acting * getattr(terms, f.name) for f in fields(FrictionTerms)])
     if not stacked.any():
         return None
-    load = PEAK_LOAD * typical_load(robot)
-    speed = velocity_limit(robot)
+    load = PEAK_LOAD * rigid_load(robot)
+    speed = rate_limit(robot)
     return FrictionLaw(stacked, np.where(acting, width, 1.0), load, speed, decay, replaces)

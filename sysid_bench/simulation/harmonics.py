@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.friction import played
+from sysid_bench.simulation.friction import play_position
 from sysid_bench.types import Array
 
 
@@ -48,7 +48,7 @@ class PeriodicLaw:
     ) -> tuple[Array, Array]:
         """Return the torque (nv,) and the play's position after a step."""
         Fc, F0, width = self.friction
-        p = played(state, q, width)
+        p = play_position(state, q, width)
         a, angle = self.amplitudes, self.ratio * q + self.phase
         first, second, third = (k * angle for k in self.orders)
         x = a[0] * np.sin(first) + a[1] * np.sin(second) + a[2] * np.sin(third)

@@ -8,8 +8,8 @@ from mujoco.batch import Batch
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.compiled_steps import laws_along
-from sysid_bench.simulation.force_laws import StateLaw
+from sysid_bench.simulation.compiled_steps import compiled_torque
+from sysid_bench.simulation.force_law import StateLaw
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
@@ -87,7 +87,7 @@ def _effect_torque(plant: Plant, motion: Trajectory, rigid: Array) -> Array:
         load = rigid - plant.terms.armature * motion.a
         each = max(1, round(float(motion.t[1] - motion.t[0]) / PLAYBACK_STEP))
         q = joint_positions(plant.robot, motion)
-        total = total + laws_along(remembering, motion.t, q, motion.v, load, each)
+        total = total + compiled_torque(remembering, motion.t, q, motion.v, load, each)
     return total
 
 

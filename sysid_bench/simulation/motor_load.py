@@ -50,7 +50,7 @@ def motor_load(plant: Plant) -> Array:
     return load
 
 
-def typical_load(robot: RobotModel) -> Array:
+def rigid_load(robot: RobotModel) -> Array:
     """Return the root sum of squares (nv,) of RMS gravity torque and torque of half the
     acceleration limit, N m or N."""
     limit = np.where(np.isfinite(robot.limits.a), robot.limits.a, 0.0)

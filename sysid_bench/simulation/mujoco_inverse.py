@@ -32,7 +32,7 @@ def inverse_torque(robot: RobotModel, motion: Trajectory) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class ConstrainedTorque:
+class _IndependentTorque:
     """Inverse dynamics of closed chains along a motion: `tau` (N, n) on the independent joints, and
     the largest constraint `violation` (rad, m)."""
 
@@ -40,7 +40,7 @@ class ConstrainedTorque:
     violation: float
 
 
-def constrained_torque(robot: RobotModel, motion: Trajectory) -> ConstrainedTorque:
+def independent_torque(robot: RobotModel, motion: Trajectory) -> _IndependentTorque:
     """Return the torques of a motion that the independent joints alone drive: M a + bias - J^T f.
 
     The constraint forces f follow from zero torque on the dependent joints, with MuJoCo's
@@ -63,4 +63,4 @@ def constrained_torque(robot: RobotModel, motion: Trajectory) -> ConstrainedTorq
         violation = max(violation, float(np.abs(data.efc_pos[equality]).max(initial=0.0)))
         force = np.linalg.lstsq(J[:, coupling.dependent].T, tree[k, coupling.dependent])[0]
         tau[k] -= J[:, coupling.independent].T @ force
-    return ConstrainedTorque(tau, violation)
+    return _IndependentTorque(tau, violation)

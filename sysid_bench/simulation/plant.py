@@ -43,7 +43,7 @@ class Plant:
     transmission: Transmission | None = None
 
     @cached_property
-    def nominal(self) -> "Plant":
+    def robot_without_effects(self) -> "Plant":
         """The robot with its own joint terms and no effects, which controllers are designed for."""
         if self.phi is not None:
             return self
@@ -63,7 +63,7 @@ class Plant:
         with recorded_warnings():
             mj = contact_free(spec.compile())
         if self.phi is not None:
-            set_inertias(mj, self.phi)
+            set_inertia(mj, self.phi)
         if self.phi is not None or self.terms is not self.robot.joint_terms:
             _set_joint_terms(mj, self)
             # Quantities that MuJoCo derives from inertias, such as the weights of constraints.
@@ -96,11 +96,11 @@ def _remaining_terms(
 def viscous_coupling(terms: JointTerms) -> tuple[Any, ...]:
     """Return the force law of viscous friction between joints, if there is any; MuJoCo has no
     passive element with an unsymmetric damping matrix."""
-    return (ViscousCoupling(terms.viscous_coupling),) if terms.viscous_coupling.any() else ()
+    return (_ViscousCoupling(terms.viscous_coupling),) if terms.viscous_coupling.any() else ()
 
 
 @dataclass(frozen=True, eq=False)
-class ViscousCoupling:
+class _ViscousCoupling:
     """Viscous friction between joints: tau = D v, with D = `numbers` (nv, nv)."""
 
     numbers: Array
@@ -138,7 +138,7 @@ def contact_free(mj: mujoco.MjModel) -> mujoco.MjModel:
     return mj
 
 
-def set_inertias(mj: mujoco.MjModel, phi: Array) -> None:
+def set_inertia(mj: mujoco.MjModel, phi: Array) -> None:
     """Write inertial parameters phi (nb, 10), in body axes, into a compiled model.
 
     Raises EstimationError for a body with negative mass or principal moments.

@@ -11,7 +11,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 
 
-class ModelDefect(Protocol):
+class _ModelDefect(Protocol):
     """Difference between the plant and the identified model, which stays nominal.
 
     `apply(robot, rng)` returns the plant's robot from another one, whose arrays it leaves alone:
@@ -40,20 +40,20 @@ class PlantCoordinates:
     plant: RobotModel
 
     @property
-    def differ(self) -> bool:
+    def _differ(self) -> bool:
         """True where signals change between the two sides."""
         coupled = self.plant.coupling is not self.model.coupling
         return coupled or self.plant.drive_ratio is not None
 
     def to_plant(self, motion: Trajectory) -> Trajectory:
         """Return a motion of the model's joints as the plant carries it out."""
-        if not self.differ:
+        if not self._differ:
             return motion
         return self.plant.completed(_scaled(self.plant, motion, _ratios(self.plant)))
 
     def to_model(self, oracle: Oracle) -> Oracle:
         """Return the motion and torque of the plant as the model counts them."""
-        if not self.differ:
+        if not self._differ:
             return oracle
         ratio = _ratios(self.plant)
         motion = self.model.completed(_scaled(self.model, oracle.motion, 1.0 / ratio))
@@ -73,7 +73,7 @@ class PlantCoordinates:
 
 
 def with_model_errors(
-    robot: RobotModel, errors: Sequence[ModelDefect], rngs: Sequence[np.random.Generator]
+    robot: RobotModel, errors: Sequence[_ModelDefect], rngs: Sequence[np.random.Generator]
 ) -> RobotModel:
     """Return the plant's robot from the model's, one error after the other."""
     for error, rng in zip(errors, rngs, strict=True):

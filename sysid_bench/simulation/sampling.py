@@ -10,7 +10,7 @@ from sysid_bench.simulation.sensors import with_position_error
 from sysid_bench.types import Array, Oracle, Trajectory
 
 
-def sampled_late(
+def sampled_with_delay(
     robot: RobotModel, oracle: Oracle, every: int, late_q: Array, late_tau: Array
 ) -> Oracle:
     """Return every `every`-th sample of motion and torque as they were `late_q` and `late_tau`

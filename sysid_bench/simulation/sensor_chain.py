@@ -17,13 +17,14 @@ RngOf = Callable[[int], np.random.Generator]
 """Random generator of one recording for the stage with this number."""
 
 
-class SensorDefect(Protocol):
+class _SensorDefect(Protocol):
     """Error of the sensor chain.
 
     `prepare(robot, rng)` returns a stage for the independent joints of a robot: an object with one
-    or several of `encoder_error`, `torque_reading`, `lateness` and `stored`; None for an error of
-    size zero. Constants of a robot are drawn with `rng`, those of a recording with the generator
-    that a stage is called with. `sizes` names the settings that are zero without the error.
+    or several of `encoder_error`, `torque_reading`, `sampling_delay` and `stored`; None for an
+    error of size zero. Constants of a robot are drawn with `rng`, those of a recording with the
+    generator that a stage is called with. `sizes` names the settings that are zero without the
+    error.
     """
 
     sizes: ClassVar[tuple[str, ...]]
@@ -66,7 +67,7 @@ class TorqueStage(Protocol):
 class SamplingStage(Protocol):
     """Errors of the sampling times."""
 
-    def lateness(self, t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    def sampling_delay(self, t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return by how much the positions and the torques, (K, n) each, are older than their
         stamps t (K,), s."""
         ...
@@ -109,11 +110,11 @@ class SensorChain:
             signal = replace(signal, tau=stage.torque_reading(signal, rng_of(k)))
         return signal.tau
 
-    def lateness(self, t: Array, joints: int, rng_of: RngOf) -> tuple[Array, Array]:
+    def sampling_delay(self, t: Array, joints: int, rng_of: RngOf) -> tuple[Array, Array]:
         """Return the age (K, n) of positions and of torques at their stamps t (K,), s."""
         q, tau = np.zeros((len(t), joints)), np.zeros((len(t), joints))
         for k, stage in self._of(SamplingStage):
-            late_q, late_tau = stage.lateness(t, rng_of(k))
+            late_q, late_tau = stage.sampling_delay(t, rng_of(k))
             q, tau = q + late_q, tau + late_tau
         return q, tau
 
@@ -128,7 +129,7 @@ class SensorChain:
 
 
 def sensor_chain(
-    robot: RobotModel, errors: Sequence[SensorDefect], rngs: Sequence[np.random.Generator]
+    robot: RobotModel, errors: Sequence[_SensorDefect], rngs: Sequence[np.random.Generator]
 ) -> SensorChain:
     """Return the chain of a robot with these errors; their numbers stay those of the list."""
     prepared = (error.prepare(robot, rng) for error, rng in zip(errors, rngs, strict=True))

@@ -7,7 +7,7 @@ import scipy
 
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.rotation import product, quaternion_of_rotation
+from sysid_bench.spatial.rotation import composed_rotation, quaternion_of_rotation
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
 
 
@@ -49,17 +49,17 @@ class Noise:
             return white
         c = self.tau_correlation
         start = (1 - np.sqrt(1 - c**2)) * white[:1]
-        return first_order(np.sqrt(1 - c**2), c, white, start)
+        return recursive_filter(np.sqrt(1 - c**2), c, white, start)
 
 
-def first_order(gain: float, pole: float, x: Array, start: Array) -> Array:
+def recursive_filter(gain: float, pole: float, x: Array, start: Array) -> Array:
     """Return y (N, n) of y_t = pole y_(t-1) + gain x_t, where y_0 = gain x_0 + `start` (1, n)."""
     y, _ = scipy.signal.lfilter([gain], [1.0, -pole], x, axis=0, zi=start)
     return np.asarray(y)
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseDraws:
+class NoiseSamples:
     """Standard normal draws of one repeat, shared by all noise levels: `encoder` (N, rows) per
     control step, `torque` (K, rows) per recorded sample."""
 
@@ -67,14 +67,14 @@ class NoiseDraws:
     torque: Array
 
 
-def draw_noise(count: int, recorded: int, rows: int, rng: np.random.Generator) -> NoiseDraws:
+def noise_samples(count: int, recorded: int, rows: int, rng: np.random.Generator) -> NoiseSamples:
     """Return the draws for `count` control steps and `recorded` samples."""
-    return NoiseDraws(rng.normal(size=(count, rows)), rng.normal(size=(recorded, rows)))
+    return NoiseSamples(rng.normal(size=(count, rows)), rng.normal(size=(recorded, rows)))
 
 
 def position_error(
     noise: Noise,
-    draws: NoiseDraws,
+    draws: NoiseSamples,
     q: Array | None = None,
     rounded: Array | slice = slice(None),
     repeated: Array | None = None,
@@ -144,7 +144,7 @@ def with_position_error(robot: RobotModel, q: Array, error: Array) -> Array:
         if joint.kind == "free":
             out[:, qadr : qadr + 3] += error[:, dof : dof + 3]
             qadr, dof = qadr + 3, dof + 3
-        out[:, qadr : qadr + 4] = product(
+        out[:, qadr : qadr + 4] = composed_rotation(
             out[:, qadr : qadr + 4], quaternion_of_rotation(error[:, dof : dof + 3])
         )
     return out

@@ -16,7 +16,7 @@ Range = Mapping[str, Any]
 """{ from = ..., to = ... }: limits of a uniform distribution, as written."""
 
 
-def per_joint(size: Size, names: Sequence[str], what: str) -> Array:
+def joint_sizes(size: Size, names: Sequence[str], what: str) -> Array:
     """Return a size as an array (n,) for the n joints `names`; raises UsageError for a list of
     another length, and for values that are not finite."""
     values = np.array(size, dtype=float)
@@ -30,7 +30,7 @@ def per_joint(size: Size, names: Sequence[str], what: str) -> Array:
     return np.broadcast_to(values, (len(names),)).copy()
 
 
-def check_not_negative(what: str, *sizes: Size, above: bool = False) -> None:
+def check_sizes(what: str, *sizes: Size, above: bool = False) -> None:
     """Raise UsageError for a size below zero, or for zero as well if it has to be `above`."""
     for size in sizes:
         values = np.asarray(size, dtype=float)
@@ -38,12 +38,12 @@ def check_not_negative(what: str, *sizes: Size, above: bool = False) -> None:
             raise UsageError(f"{what} = {size!r}: give {'more than 0' if above else '0 or more'}.")
 
 
-def is_range(value: Any) -> TypeGuard[Range]:
+def is_random(value: Any) -> TypeGuard[Range]:
     """Return True for a size that is drawn, { from = ..., to = ... }."""
     return isinstance(value, Mapping) and bool({"from", "to"} & set(value))
 
 
-def range_limits(written: Range, unit: str | None) -> tuple[float, float]:
+def random_limits(written: Range, unit: str | None) -> tuple[float, float]:
     """Return (low, high) of a range in SI units; raises UsageError for missing, further or wrong
     entries, and for a range that ends below its beginning."""
     if set(written) != {"from", "to"}:
@@ -59,13 +59,13 @@ def range_limits(written: Range, unit: str | None) -> tuple[float, float]:
     return low, high
 
 
-def drawn_sizes(limits: tuple[float, float], count: int, rng: np.random.Generator) -> Array:
+def random_sizes(limits: tuple[float, float], count: int, rng: np.random.Generator) -> Array:
     """Return `count` sizes, uniform between `limits`; ranges of other widths share their draws."""
     low, high = limits
     return np.asarray(low + (high - low) * rng.random(count))
 
 
-def all_or_none(values: Array, what: str) -> Array | None:
+def optional_sizes(values: Array, what: str) -> Array | None:
     """Return the values (n,) where all are above zero, and None where all are zero; raises
     UsageError for a mixture, since an effect replaces a term of all joints or of none."""
     if not values.any():

@@ -13,15 +13,15 @@ from mujoco.batch import Batch
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.compiled_steps import Loop, Signals, simulate_steps
+from sysid_bench.simulation.compiled_steps import Loop, Signals, run_steps
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.simulation.plant_robot import plant_controller
-from sysid_bench.simulation.sensors import first_order
+from sysid_bench.simulation.sensors import recursive_filter
 from sysid_bench.simulation.tracking_model import (
     StepChoice,
     drive_of,
-    fastest_decay,
+    largest_decay,
     motor_joints,
     tracking_model,
 )
@@ -146,11 +146,11 @@ class TrackingControl:
         data = mujoco.MjData(mj)
         data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
         loop = Loop(plant, mj, data, drive, t=commanded.t, control=control, each=each)
-        return simulate_steps(loop)
+        return run_steps(loop)
 
     def controller(self, plant: Plant) -> Controller:
         """Return the controller of a plant, with gains (n,), one per motor."""
-        kp, kd = self._declared(plant.robot) or self._designed(plant.nominal)
+        kp, kd = self._declared(plant.robot) or self._designed(plant.robot_without_effects)
         return Controller(kp, kd, self.rate, self.velocity_cutoff, self._holds(plant, kd))
 
     def _holds(self, plant: Plant, kd: Array) -> bool:
@@ -158,8 +158,8 @@ class TrackingControl:
         several steps per period, with damping in each."""
         if plant.robot.coupling is not None:
             return False
-        nominal = plant.nominal
-        decay = fastest_decay(nominal.contact_free_model, kd + nominal.terms.viscous)
+        nominal = plant.robot_without_effects
+        decay = largest_decay(nominal.contact_free_model, kd + nominal.terms.viscous)
         if plant.transmission is not None:
             with np.errstate(divide="ignore"):  # a motor without inertia cannot hold a torque
                 decay = max(decay, float((kd / plant.transmission.inertia).max()))
@@ -254,7 +254,7 @@ def commands(
     """
     difference = np.diff(encoder, axis=0, prepend=encoder[:1]) * controller.rate
     pole = float(np.exp(-2 * np.pi * controller.velocity_cutoff / controller.rate))
-    slope = first_order(1 - pole, pole, difference, np.zeros_like(difference[:1]))
+    slope = recursive_filter(1 - pole, pole, difference, np.zeros_like(difference[:1]))
     qadr = [joint.qadr for joint in motor_joints(robot)]
     ratio = controller.kd / controller.kp
     rates = commanded.v[:, robot.torque_dofs]

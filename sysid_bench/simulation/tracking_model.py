@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError
 from sysid_bench.models.robot import Joint, RobotModel
-from sysid_bench.simulation.force_laws import total
+from sysid_bench.simulation.force_law import law_values
 from sysid_bench.simulation.motor_load import mass_matrix, motor_inertia, motor_values
 from sysid_bench.simulation.plant import Plant
 from sysid_bench.simulation.transmission import Drive
@@ -112,7 +112,7 @@ def motor_joints(robot: RobotModel) -> list[Joint]:
     return [joint for joint in robot.joints if joint.vadr in moving]
 
 
-def fastest_decay(mj: mujoco.MjModel, damping: Array) -> float:
+def largest_decay(mj: mujoco.MjModel, damping: Array) -> float:
     """Return the largest eigenvalue (1/s) of M^-1 D for damping D (nv,) at the reference
     posture."""
     root = np.sqrt(damping)
@@ -167,7 +167,7 @@ def _steps(plant: Plant, mj: mujoco.MjModel, controller: Controller, choice: Ste
 def _spring_steps(plant: Plant, mj: mujoco.MjModel, rate: float) -> int:
     """Steps per control period for elastic joints and the springs of force laws."""
     nv, elastic = plant.robot.nv, plant.transmission
-    springs, dampers = (total(plant.laws, name, nv) for name in ("stiffness", "viscosity"))
+    springs, dampers = (law_values(plant.laws, name, nv) for name in ("stiffness", "viscosity"))
     if elastic is None and not (springs.any() or dampers.any()):
         return 1
     # The inertia that a joint's spring accelerates is that with all other joints free to move.

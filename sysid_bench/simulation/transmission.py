@@ -74,11 +74,11 @@ class Drive:
         """Kind of input, as steps.c has it."""
         return "held" if self.held else "interpolated" if self.smooth else "feedback"
 
-    def feedback(self, u: Array, q: Array, v: Array) -> Array:
+    def control_torque(self, u: Array, q: Array, v: Array) -> Array:
         """Return the limited torque kp (u - q) - kd v (n,)."""
         return np.asarray(np.clip(self.kp * (u - q) - self.kd * v, -self.limit, self.limit))
 
-    def turn(
+    def step(
         self, rotors: Rotors, u: Array, q: Array, v: Array, h: float
     ) -> tuple[Array, Array, Rotors]:
         """Return the motors' torque (n,) and the links' tau_e (n,) over a step of h (s) from the

@@ -13,12 +13,12 @@ NAMES = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
-def six_of_matrix(matrix: Array) -> Array:
+def inertia_values(matrix: Array) -> Array:
     """Return Ixx Ixy Ixz Iyy Iyz Izz (..., 6) of a symmetric matrix (..., 3, 3)."""
     return np.stack([matrix[..., i, j] for i, j in _PAIRS], axis=-1)
 
 
-def matrix_of_six(six: Array) -> Array:
+def inertia_matrix(six: Array) -> Array:
     """Return the symmetric matrix (..., 3, 3) of Ixx Ixy Ixz Iyy Iyz Izz (..., 6)."""
     matrix = np.zeros((*six.shape[:-1], 3, 3), dtype=six.dtype)
     for k, (i, j) in enumerate(_PAIRS):
@@ -34,7 +34,7 @@ def phi_of(mass: float, com: Array, inertia: Array) -> Array:
     """
     com = np.asarray(com, dtype=float)
     about_origin = inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return np.concatenate([[mass], mass * com, six_of_matrix(about_origin)])
+    return np.concatenate([[mass], mass * com, inertia_values(about_origin)])
 
 
 def mass_com_inertia(phi: Array) -> tuple[float, Array, Array]:
@@ -42,12 +42,12 @@ def mass_com_inertia(phi: Array) -> tuple[float, Array, Array]:
     is zero."""
     mass, h = float(phi[0]), phi[1:4]
     com = h / mass if mass != 0.0 else np.zeros(3)
-    return mass, com, matrix_of_six(phi[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return mass, com, inertia_matrix(phi[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com))
 
 
 def pseudo_inertia(phi: Array) -> Array:
     """Return J (..., 4, 4) of phi (..., 10)."""
-    inertia = matrix_of_six(phi[..., 4:])
+    inertia = inertia_matrix(phi[..., 4:])
     J = np.zeros((*phi.shape[:-1], 4, 4), dtype=phi.dtype)
     trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
     J[..., :3, :3] = 0.5 * trace * np.eye(3) - inertia
@@ -61,7 +61,9 @@ def phi_of_pseudo_inertia(J: Array) -> Array:
     second = J[..., :3, :3]
     trace = np.trace(second, axis1=-2, axis2=-1)[..., None, None]
     inertia = trace * np.eye(3) - second
-    return np.concatenate([J[..., 3, 3][..., None], J[..., :3, 3], six_of_matrix(inertia)], axis=-1)
+    return np.concatenate(
+        [J[..., 3, 3][..., None], J[..., :3, 3], inertia_values(inertia)], axis=-1
+    )
 
 
 def inertia_transform(R_ab: Array, p_ab: Array) -> Array:

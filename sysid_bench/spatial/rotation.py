@@ -43,7 +43,7 @@ def quaternion_of_matrix(R: Array) -> Array:
     return unit
 
 
-def product(left: Array, right: Array) -> Array:
+def composed_rotation(left: Array, right: Array) -> Array:
     """Return the quaternion product (..., 4): the rotation `right`, then `left`."""
     a, b, c, d = np.moveaxis(left, -1, 0)
     w, x, y, z = np.moveaxis(right, -1, 0)

@@ -13,6 +13,7 @@ from sysid_bench.models.robot import SUFFIX, RobotModel
 from sysid_bench.models.sensor import SensorCut
 from sysid_bench.spatial.inertia import inertia_transform
 from sysid_bench.spatial.rotation import matrix_of_quaternion
+from sysid_bench.tasks.feature_words import feature_words
 from sysid_bench.types import Array, Body, Truth
 
 SensorOffset = Callable[[int], Array]
@@ -54,8 +55,12 @@ class TaskDefinition(Protocol):
     where `identifies_payload`."""
 
     def default_terms(self, robot: RobotModel) -> tuple[str, ...]:
-        """Terms that are unknown where the user names none."""
-        return robot.manifest.terms if self.identifies_whole_robot else ()
+        """Terms that are unknown where the user names none; features, which only recordings have,
+        are left out."""
+        if not self.identifies_whole_robot:
+            return ()
+        features = feature_words(robot.manifest.terms, robot)
+        return tuple(term for term in robot.manifest.terms if term not in features)
 
     def unknowns(
         self,

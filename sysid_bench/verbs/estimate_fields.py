@@ -5,12 +5,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.evaluation.motion_spread import motion_fits
+from sysid_bench.evaluation.motion_spread import motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identifiability.base_expressions import base_expressions, expression
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.models.robot import SUFFIX
-from sysid_bench.spatial.inertia import NAMES, mass_com_inertia, six_of_matrix
+from sysid_bench.spatial.inertia import NAMES, inertia_values, mass_com_inertia
 from sysid_bench.types import Array, Estimate, Problem
 from sysid_bench.vocabulary import INTERVAL_LIMITS
 
@@ -41,7 +41,7 @@ def _limit(estimate: Estimate, problem: Problem, errors: Errors) -> str | None:
     kind = next(iter(errors), None)
     if kind is None:
         return None
-    fits = motion_fits(problem, estimate)
+    fits = motion_fit(problem, estimate)
     reason = f" (none between motions: {fits})" if isinstance(fits, str) else ""
     return INTERVAL_LIMITS[kind] + reason
 
@@ -84,7 +84,7 @@ def _body(phi: Array, verdict: Array, std: Array) -> dict[str, Any]:
     return {
         "mass": float(phi[0]) if single[0] else None,
         "com": com.tolist() if single[:4].all() and phi[0] > 0 else None,
-        "inertia": six_of_matrix(inertia).tolist() if single.all() else None,
+        "inertia": inertia_values(inertia).tolist() if single.all() else None,
         "parameters": dict(zip(NAMES, phi.tolist(), strict=True)),
         "identifiable": dict(zip(NAMES, verdict.tolist(), strict=True)),
         "std": dict(zip(NAMES, std.tolist(), strict=True)),

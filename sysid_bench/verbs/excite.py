@@ -268,7 +268,7 @@ def _figures(question: _Question, C: Array, seed: int) -> dict[str, Any]:
     """Rank and conditioning of the motion C, and medians over the draws that the search began
     with."""
     space = question.method.space(question.problem)
-    draws = question.method.draws(space, np.random.default_rng(seed))
+    draws = question.method.random_coefficients(space, np.random.default_rng(seed))
     information = excited_parameters(space, question.information, draws)
     grid = space.curves.grid()
     random = [design_figures(information, space.motion(draw, grid)) for draw in draws]

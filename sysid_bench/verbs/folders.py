@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from sysid_bench.errors import UsageError
+from sysid_bench.harness.cell import fields
 from sysid_bench.harness.store import RunFolder
+from sysid_bench.harness.suite.expression import Expression
 
 
 def open_run(folder: str | Path) -> RunFolder:
@@ -19,6 +21,17 @@ def find_cell(run_folder: RunFolder, identifier: str) -> str:
         return found[0]
     matches = _matches_text(identifier, found)
     raise UsageError(f"{matches}; the run has {len(ids)} cells, listed in its plan.jsonl.")
+
+
+def rows_that_meet(run_folder: RunFolder, condition: Expression) -> dict[str, bool]:
+    """Return for each planned cell with a row whether that, with the fields of the cell, meets a
+    condition; one row is in memory at a time."""
+    cells = {cell.id: cell for cell in run_folder.plan.cells}
+    met = dict[str, bool]()
+    for row, _ in run_folder.rows_with_origin():
+        if isinstance(row, dict) and row["id"] in cells:
+            met[row["id"]] = condition.holds({**row, **fields(cells[row["id"]])})
+    return met
 
 
 def _matches_text(identifier: str, found: list[str]) -> str:

@@ -1,11 +1,12 @@
 """Identification of one robot, from its own simulation or from recordings."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from sysid_bench.errors import UsageError
+from sysid_bench.errors import NotWrittenError, UsageError
 from sysid_bench.verbs.identify_recorded import RecordedRequest, identify_recorded
 from sysid_bench.verbs.identify_result import IdentifyResult
 from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
@@ -33,6 +34,7 @@ def identify(
     moving: float = 0.0, choose: Sequence[str] = (), position_given: bool = False,
     accept: Sequence[str] = (), figure: PathLike | None = None,
     pipeline: str | Mapping[str, Any] | None = None,
+    prior: str | Mapping[str, Any] | None = None, feasible: str | None = None,
 ) -> IdentifyResult:  # fmt: skip
     """Identify a robot: from the recordings `log`, judged on `test`, or from its own simulation.
 
@@ -45,23 +47,24 @@ def identify(
     shared: dict[str, Any] = {
         "model": str(model), "task": task, "terms": _terms(terms), "estimator": estimator,
         "model_out": _path(model_out), "json_out": _path(json_out), "robots_dir": robots_dir,
-        "pipeline": pipeline,
+        "pipeline": pipeline, "complete": complete,
     }  # fmt: skip
     of_logs: dict[str, Any] = {
         "accept": tuple(accept), "choose": tuple(choose), "position_given": position_given,
         "filter": filter, "derivatives": derivatives, "moving": moving, "figure": _path(figure),
     }  # fmt: skip
+    of_logs |= {k: x for k, x in {"prior": prior, "feasible": feasible}.items() if x is not None}
     of_simulation: dict[str, Any] = {
         "noise": noise, "payload": payload, "sensor": sensor, "contacts": contacts,
-        "complete": complete,
     }  # fmt: skip
     if logs:
         _refuse(of_simulation, OF_SIMULATION)
         recorded = RecordedRequest(logs=logs, tests=tests, **shared, **of_logs)
-        return _stored(identify_recorded(recorded), json_out)
+        return _stored(partial(identify_recorded, recorded), json_out)
     _refuse({"test": tests, **of_logs}, OF_LOGS)
     of_simulation |= {"seed": seed, "free_base": free_base}  # accepted, without effect, for logs
-    return _stored(identify_simulated(SimulatedRequest(**shared, **of_simulation)), json_out)
+    simulated = SimulatedRequest(**shared, **of_simulation)
+    return _stored(partial(identify_simulated, simulated), json_out)
 
 
 def _check_source(simulate: bool | None, logs: tuple[Path, ...]) -> None:
@@ -80,12 +83,22 @@ def _refuse(options: Mapping[str, Any], reason: str) -> None:
         raise UsageError(f"{', '.join(given).replace('_', '-')}: {reason}")
 
 
-def _stored(result: IdentifyResult, file: PathLike | None) -> IdentifyResult:
-    """Result, also written to the file `json_out`."""
+def _stored(identified: Callable[[], IdentifyResult], file: PathLike | None) -> IdentifyResult:
+    """Result, also written to the file `json_out`, which a model that is refused does not lose."""
+    try:
+        result = identified()
+    except NotWrittenError as error:
+        if isinstance(error.result, IdentifyResult):
+            _write_json(error.result, file)
+        raise
+    _write_json(result, file)
+    return result
+
+
+def _write_json(result: IdentifyResult, file: PathLike | None) -> None:
     if file is not None:
         text = json.dumps(result.to_dict(), indent=2) + "\n"
         Path(file).write_text(text, encoding="utf-8")
-    return result
 
 
 def _paths(files: PathLike | Sequence[PathLike]) -> tuple[Path, ...]:
@@ -94,7 +107,7 @@ def _paths(files: PathLike | Sequence[PathLike]) -> tuple[Path, ...]:
 
 def _terms(names: Sequence[str] | None) -> tuple[str, ...] | None:
     """Joint terms; raise UsageError for unknown ones, and for a single text."""
-    check_term_names(names)
+    check_term_names(names, features=True)
     return None if names is None else tuple(names)
 
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import EstimationError, UsageError
+from sysid_bench.errors import EstimationError, ModelError, NotWrittenError, UsageError
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.recorded_score import (
     joint_errors,
@@ -17,8 +17,9 @@ from sysid_bench.evaluation.recorded_score import (
 )
 from sysid_bench.evaluation.score import data_figures, feasible_figures
 from sysid_bench.experiments.prepared import Prepared
-from sysid_bench.experiments.recorded.payload_mass import payload_mass
-from sysid_bench.experiments.recorded.prepare import LogOptions, prepare_logs
+from sysid_bench.experiments.recorded.model_prior import MODEL, ModelPrior
+from sysid_bench.experiments.recorded.payload_mass import payload_intervals, payload_mass
+from sysid_bench.experiments.recorded.prepare import TERMS_TOO, LogOptions, prepare_recordings
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.repeatability import repeatability_error
 from sysid_bench.experiments.recorded.source import RecordedSource, predict_log
@@ -32,14 +33,21 @@ from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_description import LogDescription, read_description
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
+from sysid_bench.verbs.constraint_costs import constraint_costs
 from sysid_bench.verbs.diagnose import refuse_contradictions
 from sysid_bench.verbs.estimate_fields import estimate_fields, warnings_of
 from sysid_bench.verbs.identify_request import IdentifyRequest
-from sysid_bench.verbs.log_warnings import finding_warnings, log_warnings, repetition_warnings
+from sysid_bench.verbs.log_warnings import (
+    finding_warnings,
+    gain_warnings,
+    log_warnings,
+    repetition_warnings,
+)
+from sysid_bench.verbs.recorded_model import write_recorded_model
 from sysid_bench.verbs.recorded_result import RecordedResult
 from sysid_bench.verbs.result import file_text
 from sysid_bench.verbs.task_terms import check_term_names
-from sysid_bench.verbs.write_model import check_files, write_model
+from sysid_bench.verbs.write_model import check_files
 
 DENOMINATOR: Final = "RMS of the measured torque, filtered as described, over the same samples"
 ESTIMATOR: Final = "wls"
@@ -62,8 +70,9 @@ class RecordedRequest(IdentifyRequest):
     `derivatives`: "from q", or "from v" (the default where every log has v). `moving`: samples of
     a joint slower than this (rad/s, m/s) are left out. `choose`: joint terms and features ("play",
     "tanh", "poly", or your own) that cross-validation within the training recordings may add.
-    `position_given`: with the task `payload`, its mass is the only unknown. `accept`:
-    contradictions in the data that may pass.
+    `prior`: "model" (the file's inertias, where they are plausible), "none", or their spreads.
+    `feasible`: "terms" or "bodies", see LogOptions. `position_given`: with the task `payload`, its
+    mass is the only unknown. `accept`: contradictions in the data that may pass.
     """
 
     logs: tuple[Path, ...]
@@ -75,6 +84,8 @@ class RecordedRequest(IdentifyRequest):
     position_given: bool = False
     accept: tuple[str, ...] = ()
     figure: Path | None = None
+    prior: str | Mapping[str, Any] = MODEL
+    feasible: str = TERMS_TOO
 
 
 def identify_recorded(request: RecordedRequest) -> RecordedResult:
@@ -83,24 +94,35 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     Raises UsageError for descriptions, files or names that cannot be used and for contradictions
     in the data that `accept` does not name, EstimationError where the method fails.
     """
-    check_term_names(request.terms)
+    check_term_names(request.terms, features=True)
     training, tests = _descriptions(request)
     method = build("estimator", _estimator(request))
     manifest = find_manifest(request.model, request.robots_dir)
     _check_targets(request, manifest)
-    posed = prepare_logs(manifest, training, tests, _options(request))
+    posed = prepare_recordings(manifest, training, tests, _options(request))
     doubts = refuse_contradictions(posed.source.logs, request.accept)
     estimate = estimate_parameters(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
-        raise EstimationError(f"{_estimator(request)} on {manifest.name}: {estimate.reason}")
+        raise EstimationError(
+            f"{_estimator(request)} on {manifest.name}: {estimate.reason}{_no_prior(posed)}"
+        )
     result = _result(request, manifest, posed, estimate, estimate.beta)
     result = replace(result, warnings=[*result.warnings, *doubts])
     if request.figure is not None:
         _draw(request.figure, posed, estimate.beta)
-    if request.model_out is not None:
-        robot = posed.source.training[0].robot
-        write_model(robot, request.task, estimate, posed.problem, request.model_out)
-    return result
+    if request.model_out is None:
+        return result
+    try:
+        written = write_recorded_model(posed, estimate, request.model_out, request.complete)
+    except (EstimationError, ModelError) as error:
+        raise NotWrittenError(str(error), result) from error
+    return replace(result, model_out=written.file, written=asdict(written))
+
+
+def _no_prior(posed: Prepared[RecordedSource]) -> str:
+    """The reason why there is no prior, for methods that need one."""
+    reason = posed.source.prior.reason
+    return f" There is no prior: {reason}." if reason else ""
 
 
 def _check_targets(request: RecordedRequest, manifest: Manifest) -> None:
@@ -146,7 +168,9 @@ def _options(request: RecordedRequest) -> LogOptions:
         candidates=request.choose,
         position_given=request.position_given,
         accept=request.accept,
-        pipeline=request.named_pipeline,
+        pipeline=request.pipeline_spec,
+        prior=request.prior,
+        feasible=request.feasible,
     )
 
 
@@ -162,6 +186,7 @@ def _result(
     fields = estimate_fields(estimate, problem, standard_errors(problem, estimate))
     errors = _errors(posed, beta)
     data = data_figures(problem, {})
+    payload = _payload(request, posed, beta, fields["bodies"])
     figures: dict[str, Any] = {key: data.get(key) for key in _FIGURES}
     return RecordedResult(
         model=manifest.name,
@@ -178,12 +203,30 @@ def _result(
         **errors,
         **fields,
         logs=_segments(source),
-        payload=_payload(request, posed, beta, fields["bodies"]),
+        payload=payload,
         feasible=feasible_figures(estimate.theta, problem).get("feasible"),
-        warnings=_warnings(posed, estimate, errors, fields["joints"]),
+        warnings=[
+            *_warnings(posed, estimate, errors, fields["joints"]),
+            *gain_warnings(payload, max(log.payload.mass for log in posed.source.training)),
+        ],
         figure=file_text(request.figure),
-        model_out=file_text(request.model_out),
+        constraints=_constraints(request, posed),
+        prior=_prior(posed.source.prior),
     )
+
+
+def _constraints(
+    request: RecordedRequest, posed: Prepared[RecordedSource]
+) -> list[dict[str, Any]] | None:
+    """Costs of the constraints that bind, for the estimator `lmi` and for written models."""
+    if request.model_out is None and _estimator(request) != "lmi":
+        return None
+    return constraint_costs(posed.problem, posed.held_out)
+
+
+def _prior(prior: ModelPrior) -> dict[str, str]:
+    """The spreads of the prior, or the reason why there is none."""
+    return {"spreads": prior.text, "reason": prior.reason}
 
 
 def _errors(posed: Prepared[RecordedSource], beta: Array) -> dict[str, Any]:
@@ -214,9 +257,10 @@ def _payload(
     """Identified payload, or its mass alone where its position is given; None for other tasks."""
     if not find_task(request.task).identifies_payload:
         return None
-    if not request.position_given:
-        return list(bodies.values())[-1]
     method, source = build("estimator", _estimator(request)), posed.source
+    if not request.position_given:
+        intervals = payload_intervals(method, posed.problem, source.builder, source.training, beta)
+        return {**list(bodies.values())[-1], "intervals": intervals}
     return asdict(payload_mass(method, posed.problem, source.builder, source.training, beta))
 
 

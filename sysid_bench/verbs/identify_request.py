@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
-from sysid_bench.signals.pipeline_choice import PLAIN, named_pipeline
+from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_spec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +16,9 @@ class IdentifyRequest:
     `model`: a robot's name, a URDF or an MJCF file; `terms`: joint terms that are also unknown
     (None: those of the task); `estimator`: a plug-in (None: the usual one for the data).
     `pipeline`: signal pipeline of the fit, a name or {use, settings} (None: plain filtering).
-    `model_out`: the model file again, with the identified values; `json_out`: the result as a file.
+    `complete`: distance ("entropic", "euclidean", "pullback") in which whole, feasible bodies lie
+    nearest to the prior. `model_out`: the model file again, with the identified values; `json_out`:
+    the result as a file.
     """
 
     model: str
@@ -24,15 +26,16 @@ class IdentifyRequest:
     terms: tuple[str, ...] | None = None
     estimator: str | None = None
     pipeline: str | Mapping[str, Any] | None = None
+    complete: str | None = None
     model_out: Path | None = None
     json_out: Path | None = None
     robots_dir: Path | None = None
 
     @property
-    def named_pipeline(self) -> dict[str, Any] | None:
+    def pipeline_spec(self) -> dict[str, Any] | None:
         """The pipeline as an experiment names it."""
         written = PLAIN if self.pipeline is None else self.pipeline
-        return named_pipeline({"use": written} if isinstance(written, str) else written)
+        return pipeline_spec({"use": written} if isinstance(written, str) else written)
 
 
 def check_seed(seed: int) -> None:

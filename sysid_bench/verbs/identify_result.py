@@ -15,6 +15,9 @@ STD_FROM: Final = {
     "textbook": "by the method's own formula",
 }
 
+WEAKEST: Final = 3
+"""Base parameters at the end of the summary, those with the largest relative deviations."""
+
 TERMS: Final = 4
 """Terms of one base parameter in the summary."""
 
@@ -89,6 +92,7 @@ def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
     """Terms of a joint, each with its standard deviation or `not identifiable`."""
     parts = [
         f"{term} {estimate_text(value['value'], value['std'])}"
+        f"{relative_text(value['value'], value['std'])}"
         if value["identifiable"] == "identifiable"
         else f"{term} not identifiable"
         for term, value in terms.items()
@@ -98,14 +102,26 @@ def joint_line(name: str, terms: Mapping[str, Mapping[str, Any]]) -> str:
 
 def base_lines(base: Sequence[Mapping[str, Any]]) -> list[str]:
     """Base parameters with the largest ratio of value to standard deviation, or the largest values
-    where no deviation is known; then the number of the others."""
+    where no deviation is known; then the number of the others, and the weakest."""
     ranked = sorted(base, key=_significance, reverse=True)
-    lines = [
-        f"    {estimate_text(entry['value'], entry['std']):<20}  {_shortened(entry)}"
-        for entry in ranked[:SHOWN]
-    ]
-    more = [f"    and {len(base) - SHOWN} more (--json)"] if len(base) > SHOWN else []
-    return ["  base parameters, most significant first:", *lines, *more] if base else []
+    first, last = ranked[:SHOWN], ranked[max(SHOWN, len(ranked) - WEAKEST) :]
+    hidden = len(base) - len(first) - len(last)
+    more = [f"    ... {hidden} more (--json)"] if hidden else []
+    lines = [*map(_base_line, first), *more, *map(_base_line, last)]
+    return ["  base parameters, most significant first:", *lines] if base else []
+
+
+def _base_line(entry: Mapping[str, Any]) -> str:
+    share = relative_text(entry["value"], entry["std"])
+    return f"    {estimate_text(entry['value'], entry['std']) + share:<28}  {_shortened(entry)}"
+
+
+def relative_text(value: float | None, std: float | None) -> str:
+    """Standard deviation over the value, " (4.1 %)"; empty where either is unknown or zero."""
+    if not value or not std:
+        return ""
+    share = 100 * abs(std / value)
+    return f" ({share:.2g} %)" if share < 100 else " (> 100 %)"
 
 
 def std_lines(std_from: str | None, std_limit: str | None) -> list[str]:

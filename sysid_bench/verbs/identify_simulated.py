@@ -1,10 +1,10 @@
 """Identification of one robot from its own simulation: excite, simulate, estimate, export."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from sysid_bench.errors import EstimationError, ModelError
+from sysid_bench.errors import EstimationError, ModelError, NotWrittenError
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
@@ -16,7 +16,7 @@ from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_pa
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.naming import build
-from sysid_bench.signals.pipeline_choice import own_signals
+from sysid_bench.signals.pipeline_choice import signals_of_pipeline
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.estimate_fields import (
@@ -54,8 +54,7 @@ class SimulatedRequest(IdentifyRequest):
 
     `payload` (a name or a table) and `noise` ({"q": "1e-4 rad", "tau": "0.5 %"}) as in a suite;
     `free_base` overrides the robot's manifest; `contacts`: periods left out ("10 s to 25 s"), or
-    "detect"; `complete`: distance ("entropic", "euclidean", "pullback") in which whole, feasible
-    bodies lie nearest to the prior.
+    "detect".
     """
 
     payload: str | Mapping[str, Any] = "none"
@@ -64,7 +63,6 @@ class SimulatedRequest(IdentifyRequest):
     sensor: str | None = None
     free_base: bool | None = None
     contacts: Sequence[str] | str | None = None
-    complete: str | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -150,7 +148,12 @@ def identify_simulated(request: SimulatedRequest) -> SimulatedResult:
         sensor |= {"estimation": estimation_fields(ready, estimate)}
     result = _result(request, robot, ready, estimate, sensor)
     if request.model_out is not None:
-        write_model(robot.robot, request.task, estimate, ready.problem, request.model_out, whole)
+        try:
+            write_model(
+                robot.robot, request.task, estimate, ready.problem, request.model_out, whole
+            )
+        except ModelError as error:
+            raise NotWrittenError(str(error), replace(result, model_out=None)) from error
     return result
 
 
@@ -241,8 +244,8 @@ def _spec(request: SimulatedRequest) -> ExperimentSpec:
         simulation={"use": "inverse"},
         rate=200.0,
         noise=noise,
-        signals=own_signals(_signals(noise, request.contacts), request.named_pipeline),
-        pipeline=request.named_pipeline,
+        signals=signals_of_pipeline(_signals(noise, request.contacts), request.pipeline_spec),
+        pipeline=request.pipeline_spec,
         repeat=0,
         sensor=request.sensor,
         free_base=request.free_base,

@@ -11,6 +11,10 @@ UNEXPLAINED: Final = 0.9
 DEVIATIONS: Final = 3.0
 """Standard deviations below zero from which a friction coefficient counts as negative."""
 
+LEAST_GAIN_ERROR, LARGEST_DEVIATION = 0.05, 0.2
+"""Least error of a torque scale that is reported, and the largest standard deviation (shares) with
+which a joint decides it."""
+
 SILENT: Final = "the torque of {} is zero throughout: is its column the right one?"
 FOREIGN: Final = (
     "the model explains next to nothing of the torque of {}: are columns exchanged, constant, or "
@@ -79,3 +83,39 @@ def _repeated_test(label: str, errors: Mapping[str, float]) -> str:
         "predicted again, not how well others are; the training torque itself, played "
         f"again, errs by {shares} %"
     )
+
+
+def gain_warnings(payload: Mapping[str, Any] | None, stated: float) -> list[str]:
+    """Return sentences for torques whose scale a known load contradicts; `payload` as in the result
+    of `identify` on logs, `stated`: its mass (kg) in the log."""
+    if payload is None or not stated > 0:
+        return []
+    if "by_joint" in payload:
+        return _joint_gains(payload["by_joint"], stated)
+    ends = payload["intervals"].get("mass")
+    if ends is None:
+        return []
+    (low, high), found = ends[0], payload["mass"]
+    if low <= stated <= high or abs(found / stated - 1) < LEAST_GAIN_ERROR:
+        return []
+    return [
+        f"the log states a payload of {stated:.4g} kg, the torques give {found:.4g} kg (95 % in "
+        f"[{low:.4g}, {high:.4g}]): if the statement is right, torques are {found / stated:.3g} "
+        "times the true ones, as with wrong drive gains"
+    ]
+
+
+def _joint_gains(masses: Mapping[str, Sequence[float]], stated: float) -> list[str]:
+    """Sentence on the joints whose own torque gives another mass than the one stated."""
+    wrong = [
+        f"{name} {mass / stated:.3g} ± {std / stated:.1g}"
+        for name, (mass, std) in masses.items()
+        if abs(mass - stated) > max(DEVIATIONS * std, LEAST_GAIN_ERROR * stated)
+        and std < LARGEST_DEVIATION * stated
+    ]
+    if not wrong:
+        return []
+    return [
+        f"by the stated payload of {stated:.4g} kg, torques are these multiples of the true ones: "
+        f"{', '.join(wrong)}; divide the gains of these joints by them, or correct the statement"
+    ]

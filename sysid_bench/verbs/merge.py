@@ -14,18 +14,26 @@ from sysid_bench.verbs.result import Result
 @dataclass(frozen=True, eq=False, repr=False)
 class MergeResult(Result):
     """Merged run in `folder` (None where nothing is written): its rows, the cells still `open`,
-    cells that several runs computed with equal results (`twice`), and the ids of
-    `contradictions`: cells whose ok rows differ."""
+    cells that several runs computed with equal results (`twice`), the ids of `contradictions`:
+    cells whose ok rows differ, and the places (file:line) of rows that were `changed` after they
+    were written."""
 
     folder: str | None
     rows: int
     open: int
     twice: int
     contradictions: tuple[str, ...]
+    changed: tuple[str, ...]
     exit_code: int
 
     def summary(self) -> str:
-        """Counts and the path of the report, or the contradictions."""
+        """Counts and the path of the report, or the reasons why nothing is written."""
+        if self.changed:
+            return (
+                f"{len(self.changed)} rows were changed after they were written: "
+                f"{first_names(self.changed, 10)}. Nothing is written; run their runs again, which "
+                "computes these cells alone."
+            )
         if self.contradictions:
             return (
                 f"{len(self.contradictions)} cells have different results in these runs: "
@@ -36,15 +44,19 @@ class MergeResult(Result):
         return f"{counts}\nrun: {self.folder}"
 
     def _fields(self) -> dict[str, Any]:
-        return super()._fields() | {"contradictions": list(self.contradictions)}
+        return super()._fields() | {
+            "contradictions": list(self.contradictions),
+            "changed": list(self.changed),
+        }
 
 
 def merge(runs: Sequence[str | Path], out: str | Path, *, mixed: bool = False) -> MergeResult:
     """Merge runs of one plan into the folder `out`, and write its tables and report.
 
-    Of several rows of a cell an ok row is kept before any other; contradicting ok rows are an
-    answer (exit code 1), and nothing is written. Raises UsageError for runs of different plans, for
-    an `out` that is a run, and for rows of different code unless `mixed`.
+    Of several rows of a cell an ok row is kept before any other; contradicting ok rows, and rows
+    that were changed, are an answer (exit code 1), and nothing is written. Raises UsageError for
+    runs of different plans, for an `out` that is a run, and for rows of different code unless
+    `mixed`.
     """
     merged = merge_runs([Path(run) for run in runs], Path(out), mixed=mixed)
     if merged.folder is not None and merged.rows:
@@ -55,5 +67,6 @@ def merge(runs: Sequence[str | Path], out: str | Path, *, mixed: bool = False) -
         open=merged.open,
         twice=merged.twice,
         contradictions=merged.contradictions,
+        changed=merged.changed,
         exit_code=merged.exit_code,
     )

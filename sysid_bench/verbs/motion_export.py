@@ -163,7 +163,7 @@ def write_motion(
     be clamped to its range."""
     text, report = _export(file, kind, commands, drives, clamp)
     file.write_text(text, encoding="utf-8")
-    warnings = [] if commands.starts_at_rest else [MOVING_START]
+    warnings = [] if commands.is_at_standstill else [MOVING_START]
     return MotionExport(warnings + _hot_motors(report or []), report)
 
 
@@ -174,7 +174,7 @@ def _export(
     if kind == "csv":
         return commands_csv(commands), None
     if kind == "ros2":
-        return (ros2.json_text if file.suffix == ".json" else ros2.yaml_text)(commands), None
+        return (ros2.json_text if file.suffix == ".json" else ros2.ros2_text)(commands), None
     # Clamping changes the commands, so that table and report describe what the motors receive.
     commands, report = damiao.limit_commands(commands, drives, clamp)
     if kind == "can":

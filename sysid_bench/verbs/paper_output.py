@@ -11,7 +11,7 @@ from sysid_bench.input_files import parse_json, read_text
 from sysid_bench.reporting.listing import Listing, to_csv, to_latex, to_markdown
 from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_readers.numpy_arrays import read_arrays
-from sysid_bench.verbs.base_table import ROUNDING
+from sysid_bench.verbs.folders import rows_that_meet
 from sysid_bench.verbs.result import value_text
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def paper_tables(run: "RunFolder", name: str | None = None) -> tuple[Listing, ..
     return tuple(made)
 
 
-def draw_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
+def write_paper_figures(run: "RunFolder", folder: Path) -> list[tuple[str, Path]]:
     """Draw the torque figures of a run as .pdf and .svg; title and path of the latter."""
     files = []
     for entry, cell in _shown(run, drawn=True):
@@ -76,7 +76,7 @@ def _shown(run: "RunFolder", drawn: bool) -> "Iterator[tuple[Paper, Cell]]":
 
 def _cell(run: "RunFolder", entry: "Paper") -> "Cell | None":
     """The first cell with an ok row that an entry selects."""
-    rows = run.heads().rows
+    rows = run.first_fields().rows
     found = _selected(run, entry.select)
     if not found:
         raise UsageError(f"[[paper]] {entry.name!r}: no cell meets {entry.select!r}.")
@@ -88,8 +88,10 @@ def _selected(run: "RunFolder", condition: str | None) -> "Sequence[Cell]":
     """Cells that meet a condition on their fields and, where there is one, on their row."""
     if condition is None:
         return run.plan.cells
-    rows, wanted = run.rows().rows, Expression.parse(condition)
-    return [c for c in run.plan.cells if wanted.holds({**rows.get(c.id, {}), **fields(c)})]
+    wanted = Expression.parse(condition)
+    met = rows_that_meet(run, wanted)
+    cells = run.plan.cells
+    return [c for c in cells if (met[c.id] if c.id in met else wanted.holds(fields(c)))]
 
 
 def _file(run: "RunFolder", entry: "Paper", cell: "Cell", kind: str) -> Path:
@@ -129,6 +131,8 @@ def _base_parameters(entry: "Paper", cell: "Cell", data: Mapping[str, Any]) -> L
 
 def _notes(cell: "Cell", data: Mapping[str, Any]) -> Iterator[str]:
     """Source of the values, further values, and the change that makes them physical."""
+    from sysid_bench.verbs.base_table import ROUNDING  # loads the simulation
+
     yield _source(cell)
     extra = [f"{name} = {value_text(value)}" for name, value in data["extra"].items()]
     if extra:

@@ -1,11 +1,12 @@
 """Result of an identification from recordings, and its summary."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from sysid_bench.errors import SHOWN
 from sysid_bench.verbs.estimate_fields import parameters_with
-from sysid_bench.verbs.identify_result import IdentifyResult, base_lines, std_lines
+from sysid_bench.verbs.identify_result import IdentifyResult, base_lines, joint_line, std_lines
 from sysid_bench.verbs.result import OMIT_NONE, value_text
 
 
@@ -49,15 +50,18 @@ class RecordedResult(IdentifyResult):
     joints: dict[str, dict[str, dict[str, Any]]]
     payload: dict[str, Any] | None
     feasible: bool | None
+    prior: dict[str, str]
+    constraints: list[dict[str, Any]] | None
     warnings: list[str]
     figure: str | None = field(default=None, metadata=OMIT_NONE)
     model_out: str | None = field(default=None, metadata=OMIT_NONE)
+    written: dict[str, Any] | None = field(default=None, metadata=OMIT_NONE)
 
     def __post_init__(self) -> None:
         self._make_plain()
 
     def summary(self) -> str:
-        """Table of the joints' errors, then payload and warnings."""
+        """Errors and terms of the joints, base parameters, payload, model files, warnings."""
         test = next(iter(self.tests.values()), None)
         lines = [
             f"{self.model}, task {self.task}, {self.estimator}: rank {self.rank} "
@@ -67,9 +71,12 @@ class RecordedResult(IdentifyResult):
             "  joint                  RMS     train" + ("          test" if test else ""),
             *(_joint_line(joint, train, test) for joint, train in self.training.items()),
             *(_test_line(label, table) for label, table in list(self.tests.items())[1:]),
+            *(joint_line(name, terms) for name, terms in self.joints.items()),
             *base_lines(self.base),
             *std_lines(self.std_from, self.std_limit),
             *_payload_lines(self.payload),
+            *_constraint_lines(self.constraints),
+            *_written_lines(self.written),
         ]
         return "\n".join(lines + self._closing_lines())
 
@@ -112,17 +119,38 @@ def _error(joint: Mapping[str, Any]) -> str:
 
 
 def _payload_lines(payload: Mapping[str, Any] | None) -> list[str]:
-    """Line of the identified payload; none for tasks without one."""
+    """Lines of the identified payload; none for tasks without one."""
     if payload is None:
         return []
-    return [f"  payload: {(_mass_text if 'interval' in payload else _values_text)(payload)}"]
+    if "interval" in payload:
+        return [f"  payload: {_mass_text(payload)}", *_joint_mass_lines(payload["by_joint"])]
+    return [f"  payload: {_values_text(payload)}", *_interval_lines(payload["intervals"])]
+
+
+def _joint_mass_lines(masses: Mapping[str, Sequence[float]]) -> list[str]:
+    """The mass by the torque of each joint alone; torques of a wrong scale make them differ."""
+    parts = [f"{name} {mass:.3g} ± {std:.1g}" for name, (mass, std) in masses.items()]
+    return [f"    by the torque of one joint alone: {', '.join(parts)} kg"] if parts else []
+
+
+def _interval_lines(intervals: Mapping[str, Sequence[Sequence[float]]]) -> list[str]:
+    """95 % intervals of mass, centre of mass and inertia, as far as they are known."""
+    units = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
+    lines = [
+        f"    {name} in {' '.join(f'[{low:.4g}, {high:.4g}]' for low, high in ends)} {units[name]}"
+        for name, ends in intervals.items()
+    ]
+    note = (
+        "    95 % intervals by leaving parts of the motion out; a wrong torque scale, as of drive "
+    )
+    return [*lines, f"{note}gains, moves all of them alike and is not in them"] if lines else []
 
 
 def _mass_text(payload: Mapping[str, Any]) -> str:
     low, high = payload["interval"]
     return (
         f"mass {payload['mass']:.4g} kg, {100 * payload['confidence']:.0f} % in [{low:.4g}, "
-        f"{high:.4g}] by leaving parts of the motion out"
+        f"{high:.4g}] by leaving parts of the motion out and by the joints"
     )
 
 
@@ -134,3 +162,38 @@ def _values_text(payload: Mapping[str, Any]) -> str:
         for key in parameters_with(payload, "identifiable")
     ]
     return ", ".join(values) or "nothing of it is identifiable on its own"
+
+
+def _constraint_lines(constraints: Sequence[Mapping[str, Any]] | None) -> list[str]:
+    """The constraints of the feasible fit that bind, with what each adds to the error."""
+    if not constraints:
+        return []
+    shown = [f"{c['constraint']} {100 * c['cost']:+.2g}" for c in constraints[:SHOWN]]
+    more = f", and {len(constraints) - SHOWN} more (--json)" if len(constraints) > SHOWN else ""
+    return [
+        f"  constraints that bind, with what each adds to the error in %: {', '.join(shown)}{more}"
+    ]
+
+
+def _written_lines(written: Mapping[str, Any] | None) -> list[str]:
+    """Lines of the written model and of its errors when it is read again."""
+    if written is None:
+        return []
+    label, errors = next(iter(written["tests"].items()), ("the training", written["training"]))
+    shares = " ".join("-" if e is None else f"{100 * e:.1f}" for e in errors.values())
+    lines = [
+        f"  model: {written['file']}, its joint terms in {written['manifest']}; {_origin(written)}",
+        f"    read again in both engines (gap {written['gap']:.1e}), it predicts {label} with "
+        f"errors of {shares} %",
+    ]
+    more = written["left_out"]
+    return lines + ([f"    in neither file: {', '.join(more)}"] if more else [])
+
+
+def _origin(written: Mapping[str, Any]) -> str:
+    """Origin of the whole bodies of a written model."""
+    if written["refitted"]:
+        return "a feasible fit, since no feasible bodies have exactly these base parameters"
+    if written["completed"] is None:
+        return "bodies of the estimator itself"
+    return f"whole bodies nearest to the prior ({written['completed']})"

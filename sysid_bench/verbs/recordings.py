@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.experiments.cell_data import cell_data
 from sysid_bench.experiments.job_channel import JobChannel
 from sysid_bench.experiments.third_party import has_third_party_data, is_third_party_cell
-from sysid_bench.harness.cell import fields
 from sysid_bench.harness.job import job_of
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.expression import Expression
@@ -22,7 +20,7 @@ from sysid_bench.input_files import read_text
 from sysid_bench.metrics import ROW_FIELDS
 from sysid_bench.reporting import view as viewer
 from sysid_bench.units import quantity
-from sysid_bench.verbs.folders import find_cell, open_run
+from sysid_bench.verbs.folders import find_cell, open_run, rows_that_meet
 
 MOST: Final = 20
 """Recordings that a run writes by itself; `record` writes more."""
@@ -41,10 +39,10 @@ def record(folder: str | Path, what: str, robots_dir: Path | None = None) -> lis
     and, when all others are written, for those that cannot be recorded.
     """
     run_folder = open_run(folder)
-    stored = run_folder.rows().rows
     chosen = [find_cell(run_folder, what)] if _is_id(what) else _matching(run_folder, what)
     if not chosen:
         raise UsageError(f"No finished cell of {str(folder)!r} meets {what!r}; nothing to record.")
+    stored = run_folder.rows(frozenset(chosen)).rows
     for cell in chosen:
         _check_row(cell, stored.get(cell))
     attempts = [_attempt(run_folder, cell, stored[cell], robots_dir) for cell in chosen]
@@ -79,7 +77,7 @@ def record_selected(
     chosen = list(_matching(run_folder, expression) if expression else _by_rule(run_folder))
     if not chosen:
         return []
-    stored = run_folder.rows().rows
+    stored = run_folder.rows(frozenset(chosen)).rows
     with_data = [c for c in dict.fromkeys(chosen) if stored[c].get("data_rank") is not None]
     newest = _newest_row(run_folder)
     written = []
@@ -128,12 +126,8 @@ def _matching(run_folder: RunFolder, expression: str) -> list[str]:
     condition = Expression.parse(
         expression, run_folder.plan.fields | ROW_FIELDS | set(run_folder.suite.metrics)
     )
-    stored = run_folder.rows().rows
-    return [
-        cell.id
-        for cell in run_folder.plan.cells
-        if cell.id in stored and condition.holds({**stored[cell.id], **fields(cell)})
-    ]
+    met = rows_that_meet(run_folder, condition)
+    return [cell for cell in run_folder.planned if met.get(cell)]
 
 
 def _by_rule(run_folder: RunFolder) -> Iterable[str]:
@@ -217,6 +211,7 @@ def _runs_third_party_code(job: Mapping[str, Any]) -> bool:
 
 def write_cell(argument: Mapping[str, Any], channel: JobChannel | None = None) -> None:
     """Execute a cell and write its recording."""
+    from sysid_bench.experiments.cell_data import cell_data  # loads the simulation
     from sysid_bench.reporting import cell_recording
 
     data = cell_data(argument["job"], argument["row"])

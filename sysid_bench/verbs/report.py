@@ -1,7 +1,7 @@
 """The commands `report` and `table`: from the rows of a run to paper and screen."""
 
 import shlex
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
@@ -21,14 +21,15 @@ from sysid_bench.reporting.joint_errors import JOINT_COLUMNS
 from sysid_bench.reporting.latex import Origin, to_latex
 from sysid_bench.reporting.latex_macros import to_macros
 from sysid_bench.reporting.listing import Listing
-from sysid_bench.reporting.make_table import make_table
+from sysid_bench.reporting.make_table import make_table, shown_fields
 from sysid_bench.reporting.markdown import to_markdown
 from sysid_bench.reporting.performance_profile import profile
 from sysid_bench.reporting.rankings import Ranking, rankings
 from sysid_bench.reporting.repeat_errors import PARAMETER_COLUMNS
+from sysid_bench.reporting.table_layout import metric_names
 from sysid_bench.reporting.tables import Table
 from sysid_bench.verbs.folders import open_run
-from sysid_bench.verbs.paper_output import draw_paper_figures, paper_tables, text_of
+from sysid_bench.verbs.paper_output import paper_tables, text_of, write_paper_figures
 from sysid_bench.verbs.recordings import recording_notes
 from sysid_bench.vocabulary import JOINT, OF_REPEATS, PARAMETER, STD_FROM
 
@@ -71,7 +72,7 @@ def report(folder: str | Path) -> Path:
         (run_folder.path / name).mkdir(exist_ok=True)
     _write_tables(run_folder.path / "tables", tables, ranked, listings, origin)
     _draw(run_folder.path / "figures", tables, ranked)
-    drawn = draw_paper_figures(run_folder, run_folder.path / "figures")
+    drawn = write_paper_figures(run_folder, run_folder.path / "figures")
     return write_report(
         RunView(
             folder=run_folder.path,
@@ -93,7 +94,7 @@ def report(folder: str | Path) -> Path:
 
 def _stale_note(run_folder: "RunFolder") -> str:
     """Sentence on the rows that are from other code than now; empty for none."""
-    return stale_note(other_code(run_folder, run_folder.heads().rows))
+    return stale_note(other_code(run_folder, run_folder.first_fields().rows))
 
 
 def table(folder: str | Path, name: str, form: str = "md") -> str:
@@ -104,12 +105,13 @@ def table(folder: str | Path, name: str, form: str = "md") -> str:
     origin, frames = _origin(run_folder), run_folder.frames()
     if form == "latex":
         origin = replace(origin, note=_stale_note(run_folder))
-    tables = _by_name(_tables(run_folder, frames))
+    tables = _by_name(_tables(run_folder, frames, name))
     if name not in tables and name in [entry.name for entry in run_folder.suite.paper]:
         return text_of(_listing(run_folder, name), form, origin)
     if name not in tables:  # rankings resample thousands of times: made only where one is named
-        tables |= _by_name(_ranking_tables(_rankings(run_folder, frames)))
+        tables = _by_name(_ranking_tables(_rankings(run_folder, frames)))
     if name not in tables:
+        tables |= _by_name(_tables(run_folder, frames))
         raise unknown_name("table", name, tables)
     return _text(tables[name], form, origin)
 
@@ -131,7 +133,7 @@ def _ranking_tables(ranked: Iterable[Ranking]) -> Iterator[Table]:
         yield from ranking.tables
 
 
-def printed_tables(folder: str | Path) -> list[str]:
+def summary_tables(folder: str | Path) -> list[str]:
     """Every table of a run as Markdown, for the terminal."""
     run = open_run(folder)
     origin, frames = _origin(run), run.frames()
@@ -171,29 +173,34 @@ def _draw(folder: Path, tables: tuple[Table, ...], ranked: tuple[Ranking, ...]) 
             profile(ranking, folder / f"{ranking.name}.{suffix}")
 
 
-def _tables(run_folder: "RunFolder", frames: "Frames") -> Iterator[Table]:
+def _tables(run_folder: "RunFolder", frames: "Frames", name: str | None = None) -> Iterator[Table]:
+    """The tables of a run, or the one with a name."""
     suite = run_folder.suite
     specs = [entry.model_dump(exclude_none=True) for entry in suite.table] or [dict(DEFAULT_TABLE)]
     for spec in specs:
-        lines = _lines(frames, (*spec["rows"], *spec["columns"]))
-        with _incomplete_run(run_folder, frames):
-            yield make_table(lines, spec, _choose, _parameters(frames, spec), suite.metrics)
+        if name in (None, spec["name"]):
+            with _incomplete_run(run_folder, frames):
+                parameters = _parameters(frames, spec)
+                lines = _lines(frames, spec)
+                yield make_table(lines, spec, _choose, parameters, suite.metrics)
 
 
 def _parameters(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame | None":
     """Parameters of all cells, for a table whose metrics need them."""
-    names = spec.get("metrics") or [spec.get("cells", {}).get("metric")]
-    asked = (metric for metric in METRICS.values() if metric.name in names)
+    asked = (metric for metric in METRICS.values() if metric.name in metric_names(spec))
     needed = any(metric.level in OF_REPEATS for metric in asked)
     return frames.read("parameters", PARAMETER_COLUMNS) if needed else None
 
 
-def _lines(frames: "Frames", axes: Collection[str]) -> "pd.DataFrame":
+def _lines(frames: "Frames", spec: Mapping[str, Any]) -> "pd.DataFrame":
     """Data of a table: a row per joint, way of estimation or parameter where an axis needs it, else
-    one per cell."""
-    name = next((name for axis, name in _FRAMES.items() if axis in axes), "cells")
-    lines: pd.DataFrame = getattr(frames, name)
-    return lines
+    one per cell; with all fields only where it has not those of its axes, for the message."""
+    axes, select = (*spec["rows"], *spec["columns"]), spec.get("select") or ()
+    chosen = _parsed(select).fields if isinstance(select, str) else frozenset(select)
+    kind = next((kind for axis, kind in _FRAMES.items() if axis in axes), "cells")
+    fields = shown_fields((*axes, *chosen), metric_names(spec))
+    lines: pd.DataFrame = getattr(replace(frames, fields=fields), kind)
+    return lines if {*axes} <= {*lines.columns} else getattr(frames, kind)
 
 
 def _rankings(run_folder: "RunFolder", frames: "Frames") -> tuple[Ranking, ...]:

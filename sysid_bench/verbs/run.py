@@ -9,7 +9,7 @@ from typing import Any
 from sysid_bench import package_folders
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import Rerun
 from sysid_bench.harness.run import RunResult as Outcome
 from sysid_bench.harness.run import run as execute
@@ -22,7 +22,7 @@ from sysid_bench.harness.supervised_names import supervised_names
 from sysid_bench.harness.work.supervise import OnEvent
 from sysid_bench.input_files import is_folder
 from sysid_bench.verbs.recordings import record_selected, recording_notes
-from sysid_bench.verbs.report import printed_tables, report
+from sysid_bench.verbs.report import report, summary_tables
 from sysid_bench.verbs.result import Result
 from sysid_bench.verbs.status import count_text
 
@@ -86,7 +86,7 @@ class RunResult(Result):
             return f"No cell was selected; see 'sysid-bench plan'. {notes}".rstrip()
         counts = count_text(self.counts)
         lines = [
-            *printed_tables(folder),
+            *summary_tables(folder),
             counts + (f", {self.open} open" if self.open else ""),
             *self.notes,
             f"report: {folder / 'report.html'}",
@@ -116,7 +116,7 @@ def plan(
     own = nullcontext(static_names(robots_dir)) if no_code else supervised_names(robots_dir)
     with own as names:
         loaded = load_suite(package_folders.suite(str(suite)), names, overrides)
-    whole = expand(loaded, names, large=large)
+    whole = cells_of_suite(loaded, names, large=large)
     plugins = third_party_names(loaded)
     unseen = [f"{kind} {name}" for kind, name in plugins if no_code]
     selected = replace(whole, cells=whole.select(select))
@@ -125,7 +125,7 @@ def plan(
         cells=selected.cells,
         experiments=selected.specs,
         excluded=whole.excluded,
-        seconds=selected.seconds,
+        seconds=selected.run_time,
         notes=(*whole.notes, *why, *_not_imported(unseen)),
         code="" if no_code else code_note(plugins),
     )

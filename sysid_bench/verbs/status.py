@@ -65,7 +65,7 @@ def _json_text(value: Any) -> str:
 def status(folder: str | Path) -> StatusResult:
     """Return the progress of a run and the reasons of cells that are not `ok`."""
     run_folder = open_run(folder)
-    stored, planned = run_folder.heads().rows, run_folder.planned
+    stored, planned = run_folder.first_fields().rows, run_folder.planned
     rows = [stored[cell] for cell in planned if cell in stored]
     return StatusResult(
         folder=str(run_folder.path),

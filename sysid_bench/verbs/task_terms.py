@@ -5,17 +5,20 @@ from collections.abc import Sequence
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.models.robot import RobotModel
+from sysid_bench.naming import known
 from sysid_bench.tasks.task import TaskDefinition, find_task, task_names_with_terms
 
 
-def check_term_names(terms: Sequence[str] | None) -> None:
-    """Raise UsageError with the nearest name for an unknown joint term, and for a single text."""
+def check_term_names(terms: Sequence[str] | None, features: bool = False) -> None:
+    """Raise UsageError with the nearest name for an unknown joint term, and for a single text;
+    `features`: those of recordings ("tanh") are terms as well."""
+    more = tuple(known("term")) if features else ()
     if isinstance(terms, str):
         raise UsageError(f"terms is a sequence of names, as [{terms!r}]; got the text {terms!r}.")
-    unknown = next((term for term in terms or () if not is_term(term)), None)
+    unknown = next((term for term in terms or () if not (is_term(term) or term in more)), None)
     if unknown is not None:
         advice = f"{TERM_ADVICE} Separate several by commas, or: none."
-        raise unknown_name("joint term", unknown, TERMS, advice)
+        raise unknown_name("joint term", unknown, (*TERMS, *more), advice)
 
 
 def check_terms(task: str, terms: Sequence[str] | None) -> None:

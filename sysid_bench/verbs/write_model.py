@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.errors import ModelError, UnsupportedError, UsageError
 from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.input_files import is_file, is_folder
 from sysid_bench.models.robot import SUFFIX, RobotModel
@@ -89,9 +89,30 @@ def write_model(
         bodies = {name: phi - _welded(robot, name) for name, phi in bodies.items()}
     # What remains behind a sensor are its constants (offsets, gains), which no model file holds.
     joints = {} if definition.measures_sensor_only else _joint_terms(theta)
+    write_values(robot, bodies, joints, verdict_of, target)
+
+
+def write_values(
+    robot: RobotModel,
+    bodies: Mapping[str, Array],
+    joints: Mapping[str, Mapping[str, float]],
+    verdict_of: Mapping[str, str],
+    target: Path,
+) -> None:
+    """Write the robot's model file again with phi (10,) by body and terms by joint, in the words of
+    the format; raises ModelError for what must not be written."""
     write = updated_urdf if robot.format == "urdf" else updated_mjcf
     with _source(robot) as source:
-        target.write_bytes(write(source, bodies, joints, verdict_of).encode())
+        text = write(source, bodies, joints, verdict_of)
+    write_text(target, text)
+
+
+def write_text(target: Path, text: str) -> None:
+    """Write a file as UTF-8, its line ends unchanged; raises ModelError where that fails."""
+    try:
+        target.write_bytes(text.encode())
+    except OSError as error:
+        raise ModelError(f"{target} cannot be written: {error.strerror or error}.") from error
 
 
 def _pop(theta: dict[str, float], columns: Sequence[str]) -> Array:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import sysid_bench
-from sysid_bench.harness.plan import Plan, expand
+from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.harness.suite.names import installed_names
@@ -63,7 +63,7 @@ def make_run(folder: Path, cells: int) -> RunFolder:
         suite_file = _write_suite(Path(name), max(1, cells // (8 * len(ESTIMATORS))), ESTIMATORS)
         names = installed_names()
         suite = load_suite(suite_file, names)
-        plan = expand(suite, names)
+        plan = cells_of_suite(suite, names)
     run = RunFolder.make(folder, suite, plan, {"python": "3"})
     writers = [run.new_writer(f"worker{number}") for number in range(WRITERS)]
     for number, row in enumerate(rows_of(plan, template)):
@@ -77,7 +77,7 @@ def rows_of(plan: Plan, template: Mapping[str, Any]) -> Iterator[dict[str, Any]]
     """Yield a row for each cell, with numbers that are drawn around those of a computed row."""
     draw = random.Random(1)
     for cell in plan.cells:
-        row = {key: _disturbed(value, draw) for key, value in template.items()} | cell.head
+        row = {key: _disturbed(value, draw) for key, value in template.items()} | cell.first_fields
         for field, count in (("joints", JOINTS), ("parameters_table", PARAMETERS)):
             entries = template[field]
             row[field] = [

@@ -29,7 +29,7 @@ from sysid_bench.types import Array
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tests.benchmarks.recordings_to_diagnose import (  # noqa: E402
+from tests.benchmarks.recordings_to_diagnose import (
     RECORDED,
     SIMULATED,
     TUNED,

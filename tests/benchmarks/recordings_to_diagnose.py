@@ -28,7 +28,7 @@ PANDA: Final = tuple(f"panda_joint{i}" for i in range(1, 8))
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """One recording in SI, joint side: t (N,), q, v, tau (N, n), and what its description states."""
+    """One recording in SI, joint side: t (N,), q, v, tau (N, n), and how its time is stated."""
 
     joints: tuple[str, ...]
     t: Array
@@ -37,7 +37,6 @@ class Signals:
     tau: Array
     stamps: bool = True  # else the rate is declared
     rate: float = 0.0
-    keys: Mapping[str, Any] | None = None  # of the description
 
 
 @dataclass(frozen=True, eq=False)

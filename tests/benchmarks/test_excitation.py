@@ -20,7 +20,7 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import Bounds, minimize
 
-from sysid_bench.excitation.design_evaluation import DesignEvaluation, SearchStop
+from sysid_bench.excitation.design_evaluation import DesignEvaluation, SearchEnd
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.information import information_model
 from sysid_bench.excitation.optimised import Optimised, design_criterion
@@ -42,7 +42,7 @@ class Arm:
 
     def __init__(self, objective: str) -> None:
         self.robot = load_robot(Path(str(DATA)) / "robots" / "kuka_iiwa_14__iiwa14.xml")
-        self.base = structural_base(self.robot, self.robot.inertial_columns)
+        self.base = structural_base(self.robot, self.robot.inertia_columns)
         brief = design_problem(self.robot, 200.0)
         self.brief = replace(
             brief,
@@ -74,7 +74,7 @@ class Arm:
         pairing, t = self.robot.pairing, self.space.curves.grid()
         model, data = pairing.model, pairing.model.createData()
         C = self.space.random(np.random.default_rng(0), 0.9)
-        places = [self.robot.inertial_columns.index(name) - 10 for name in self.base.names]
+        places = [self.robot.inertia_columns.index(name) - 10 for name in self.base.names]
 
         def evaluate() -> None:
             m = self.space.motion(C, t)
@@ -97,16 +97,16 @@ def timed(search: Search, work: Callable[[], None], budget: float) -> list[tuple
     def record(count: int, value: float) -> None:
         course.append((time.process_time() - start, value))
         if course[-1][0] > budget:
-            raise SearchStop
+            raise SearchEnd
 
     search.evaluation.progress = record
-    with suppress(SearchStop):
+    with suppress(SearchEnd):
         work()
     return course
 
 
 def ours(arm: Arm, search: Search, rng: np.random.Generator) -> None:
-    draws = arm.made.draws(arm.space, rng)
+    draws = arm.made.random_coefficients(arm.space, rng)
     values = [search.evaluation.objective(C) for C in draws]
     best = search.start([draws[int(np.argmin(values))]], arm.made.iterations)
     search.run_from(best, arm.made.iterations)
@@ -114,9 +114,9 @@ def ours(arm: Arm, search: Search, rng: np.random.Generator) -> None:
 
 def by_differences(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     """The same solver, slopes of the objective by finite differences."""
-    draws = arm.made.draws(arm.space, rng)
+    draws = arm.made.random_coefficients(arm.space, rng)
     C = draws[int(np.argmin([search.evaluation.objective(C) for C in draws]))]
-    low, high = arm.space.bounds()
+    low, high = arm.space.limits()
     scale = np.tile(arm.brief.v, (11, 1))
 
     def value(x: Array) -> float:
@@ -142,7 +142,7 @@ def by_differences(arm: Arm, search: Search, rng: np.random.Generator) -> None:
 
 def by_evolution(arm: Arm, search: Search, rng: np.random.Generator) -> None:
     """CMA-ES (Hansen 2016) with a penalty on the limits, in its plain form."""
-    draws = arm.made.draws(arm.space, rng)
+    draws = arm.made.random_coefficients(arm.space, rng)
     C = draws[int(np.argmin([search.evaluation.objective(C) for C in draws]))]
     scale = np.tile(arm.brief.v, (11, 1))
     mean, n, sigma = (C / scale).ravel(), C.size, 0.05

@@ -7,6 +7,8 @@ import pytest
 
 from .conftest import Run
 
+pytestmark = pytest.mark.long
+
 REFERENCE = Path(__file__).parents[2] / "reports" / "reference" / "smoke.md"
 ROUNDING = 1e-12
 SELECT = 'robot == "ur5" and payload == "none" and task == "robot"'

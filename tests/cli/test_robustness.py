@@ -18,6 +18,8 @@ from sysid_bench.vocabulary import MACHINE_FIELDS
 
 from .conftest import Run, one_sentence, rows_of, small_suite
 
+pytestmark = pytest.mark.long
+
 METHODS = """
 import os, signal, time
 from sysid_bench.vocabulary import MACHINE_FIELDS
@@ -137,7 +139,6 @@ def scores(run: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
-@pytest.mark.long
 def test_killed_at_any_moment_a_run_goes_on_as_if_nothing_had_happened(
     cli: Run, tmp_path: Path
 ) -> None:

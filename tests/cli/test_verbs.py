@@ -119,6 +119,7 @@ def test_plan_counts_and_refuses_with_lines(cli: Run, tmp_path: Path) -> None:
     assert "'ols'" in result
 
 
+@pytest.mark.long
 def test_a_run_from_the_first_command_to_the_report(cli: Run, program: Run, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(small_suite(payloads=("none", "box-2kg")))
     done = program("run", "s.toml", "-o", "out", "-j", "2")
@@ -229,6 +230,7 @@ cells = { metric = "efficiency", interval = "ci95" }
 """
 
 
+@pytest.mark.long
 def test_a_suite_measures_coverage_and_efficiency(cli: Run, tmp_path: Path) -> None:
     (tmp_path / "covered.toml").write_text(COVERAGE)
     done = cli("run", "covered.toml", "-o", "out", "-j", "1")

@@ -17,7 +17,7 @@ from sysid_bench.regressors.block_qr import accumulate
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.kinematics import kinematics_of
-from sysid_bench.simulation.mujoco_inverse import constrained_torque
+from sysid_bench.simulation.mujoco_inverse import independent_torque
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl
 from sysid_bench.simulation.tracking_model import StepChoice, tracking_model
@@ -74,7 +74,7 @@ def test_torque_is_linear_in_all_parameters_along_closed_motions(kind: str) -> N
     robot = mechanism(kind, 1)
     motion = states(robot, 15)
     terms = ("viscous", "coulomb", "offset", "armature", "spring")
-    columns = robot.inertial_columns + robot.term_columns(terms)
+    columns = robot.inertia_columns + robot.term_columns(terms)
     theta = np.concatenate([robot.phi.ravel(), robot.term_values(terms)])
     oracle, _ = Inverse().run(plant_of(robot), motion, np.zeros_like(motion.v))
     regression = torque_regression(robot, columns)
@@ -88,7 +88,7 @@ def test_torque_is_linear_in_all_parameters_along_closed_motions(kind: str) -> N
 def test_folded_rows_hold_what_the_dense_rows_hold(kind: str) -> None:
     robot = mechanism(kind, 2)
     motion = states(robot, 40)
-    regression = torque_regression(robot, robot.inertial_columns + robot.term_columns(("viscous",)))
+    regression = torque_regression(robot, robot.inertia_columns + robot.term_columns(("viscous",)))
     Y = regression.dense(motion).Y
     b = np.random.default_rng(0).normal(size=Y.shape[:2])
     for i, factor in enumerate(accumulate(regression, motion, b)):
@@ -129,7 +129,7 @@ def test_a_method_simulates_the_same_closed_robot(kind: str) -> None:
     assert again.tau.shape == raw.tau.shape
     assert relative_gap(again.tau, raw.tau) <= 1e-6
     motion = states(made.robot, 10)
-    assert constrained_torque(kinematics_of(made.robot), motion).violation <= 1e-12
+    assert independent_torque(kinematics_of(made.robot), motion).violation <= 1e-12
 
 
 @pytest.mark.parametrize("kind", LOOPS)

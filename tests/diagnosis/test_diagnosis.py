@@ -12,7 +12,6 @@ from sysid_bench.diagnosis.diagnose import contradictions_left, diagnose
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import NOTE, Finding
 from sysid_bench.diagnosis.hypothesis import as_recorded
-from sysid_bench.diagnosis.placeholders import placeholder_reason
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import read_description
@@ -77,7 +76,7 @@ def _turned(log: Recorded, j: int) -> Recorded:
 
 
 def _spiked(tau: Array, j: int) -> Array:
-    tau[::97, j] = 20 * np.sqrt((tau[:, j] ** 2).mean())
+    tau[::97, j] = 4 * np.sqrt((tau[:, j] ** 2).mean())
     return tau
 
 
@@ -145,11 +144,3 @@ def test_an_accepted_contradiction_lets_the_checks_go_on(tmp_path: Path) -> None
     assert contradictions_left(stopped, ())
     assert not contradictions_left(further, ["sign"])
     assert len(further) > len(stopped)
-
-
-@pytest.mark.parametrize("count", [2, 3])
-def test_links_alike_are_placeholders_from_three_on(count: int) -> None:
-    rng = np.random.default_rng(0)
-    others = [phi_of(m, rng.normal(size=3), np.diag([0.1, 0.11, 0.12]) * m) for m in (1, 2, 3)]
-    alike = [phi_of(2.0, rng.normal(size=3), 0.01 * np.eye(3)) for _ in range(count)]
-    assert bool(placeholder_reason(np.array(alike + others))) is (count >= 3)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from sysid_bench.evaluation.covariance import residual_scores, standard_errors
-from sysid_bench.evaluation.interval_figures import held, interval_score, torque_inside
+from sysid_bench.evaluation.interval_figures import held, interval_score, torque_coverage
 from sysid_bench.evaluation.motion_spread import (
     ENOUGH_MOTIONS,
-    MotionFits,
-    motion_fits,
+    MotionFit,
+    motion_fit,
 )
 from sysid_bench.evaluation.repeat_statistic import share_interval
 from sysid_bench.evaluation.standard_error import StandardError
@@ -40,9 +40,9 @@ def several(count: int, seed: int = 0, misfit: float = 0.0) -> Problem:
     return pooled([motion(rng, misfit, SAMPLES + 10 * i) for i in range(count)])
 
 
-def fits_of(problem: Problem) -> MotionFits:
-    fits = motion_fits(problem, fitted(problem)[0])
-    assert isinstance(fits, MotionFits)
+def fits_of(problem: Problem) -> MotionFit:
+    fits = motion_fit(problem, fitted(problem)[0])
+    assert isinstance(fits, MotionFit)
     return fits
 
 
@@ -119,16 +119,16 @@ def test_torque_of_other_motions_lies_in_its_prediction_interval() -> None:
         problem = several(ENOUGH_MOTIONS, seed, 1.0)
         fits = fits_of(problem)
         other = {"other": motion(np.random.default_rng(1000 + seed), 1.0)}
-        shares.append(torque_inside(fits, other))
+        shares.append(torque_coverage(fits, other))
     assert np.mean(shares) > 0.95
-    assert torque_inside(replace(fits, errors=0 * fits.errors), other).max() == 0.0
+    assert torque_coverage(replace(fits, errors=0 * fits.errors), other).max() == 0.0
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_few_motions_give_a_reason_and_no_interval(count: int) -> None:
     problem = several(count)
     estimate, _, _ = fitted(problem)
-    reason = motion_fits(problem, estimate)
+    reason = motion_fit(problem, estimate)
     assert isinstance(reason, str)
     assert reason.startswith(f"{count} training motion")
     assert "motions" not in standard_errors(problem, estimate)
@@ -140,7 +140,7 @@ def test_a_motion_that_cannot_be_left_out_is_named() -> None:
             for one in (motion(rng, 0.0) for _ in range(5))]  # fmt: skip
     problem = pooled([*poor[:2], motion(rng, 0.0), *poor[2:]])
     estimate, _, _ = fitted(problem)
-    assert motion_fits(problem, estimate) == "motion 3 alone excites some parameter"
+    assert motion_fit(problem, estimate) == "motion 3 alone excites some parameter"
     assert "motions" not in standard_errors(problem, estimate)
 
 

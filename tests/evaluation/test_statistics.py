@@ -26,7 +26,7 @@ from sysid_bench.evaluation.repeat_statistic import WITH_BOUND, mean_error
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.linear.weights import row_sigmas
+from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Array, Estimate, Trajectory
 from tests.identification.test_least_squares import problem_of
 
@@ -65,7 +65,7 @@ def covered(kind: str) -> dict[str, float]:
     for _ in range(REPEATS):
         W = regressor()
         problem = problem_of(W, W @ TRUTH + noise(kind, rng))
-        estimate, sigma = WLS().solve(problem), row_sigmas(problem)
+        estimate, sigma = WLS().solve(problem), row_noise(problem)
         assert estimate.beta is not None
         assert estimate.covariance is not None
         scores = residual_scores(problem, estimate.beta, sigma)

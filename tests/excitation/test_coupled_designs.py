@@ -39,7 +39,7 @@ def briefed(
 ) -> tuple[DesignProblem, Trajectory]:
     """A brief in which torques are limited, and all that followers do: to what a random motion
     does, times `margin`; and that motion."""
-    base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
+    base = structural_base(robot, robot.inertia_columns + robot.term_columns(terms))
     given = replace(
         design_problem(robot, 100.0),
         regress=information_model(robot, base.names),
@@ -103,7 +103,9 @@ def test_a_design_closes_and_keeps_the_limits_of_all_joints(name: str) -> None:
     design = made.solve(given, np.random.default_rng(0))
     space = made.space(given)
     assert given.regress is not None
-    asked = excited_parameters(space, given.regress, made.draws(space, np.random.default_rng(0)))
+    asked = excited_parameters(
+        space, given.regress, made.random_coefficients(space, np.random.default_rng(0))
+    )
     best = space.motion(design.C, space.curves.grid())
     assert design_figures(asked, best)["log_det"] > design_figures(asked, known)["log_det"]
     assert all(used.use <= 1.0 for used in made.report(design.C, given).values())

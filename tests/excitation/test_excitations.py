@@ -13,7 +13,7 @@ from sysid_bench.excitation.fourier import series
 from sysid_bench.excitation.scale_to_limits import dense_grid, scale_to_limits
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import build, known
-from sysid_bench.spatial.rotation import inverse_quaternion, product
+from sysid_bench.spatial.rotation import composed_rotation, inverse_quaternion
 from sysid_bench.types import Array, Trajectory
 from tests.experiments.experiment_world import OWN, SHIPPED, motion_of, robot_of
 
@@ -71,7 +71,9 @@ def test_motions_stay_inside_all_limits_between_the_samples_too(name: str, use: 
                 assert np.abs(fine.q[:, at] - robot.mj.qpos0[at]).max() <= FLOATING_REACH[0]
         for at4, _ in turns(robot):
             start = robot.mj.qpos0[at4]
-            turned = product(np.tile(inverse_quaternion(start), (len(fine), 1)), fine.q[:, at4])
+            turned = composed_rotation(
+                np.tile(inverse_quaternion(start), (len(fine), 1)), fine.q[:, at4]
+            )
             assert angle_of(turned).max() <= np.sqrt(3) * FLOATING_REACH[1]
 
 
@@ -82,7 +84,7 @@ def rates_by_differences(robot: RobotModel, motion: Trajectory) -> Array:
     for at, dof in lengths(robot):
         v[:, dof] = (motion.q[2:, at] - motion.q[:-2, at]) / two_steps
     for at4, dofs in turns(robot):
-        half = product(inverse_quaternion(motion.q[:-2, at4]), motion.q[2:, at4])
+        half = composed_rotation(inverse_quaternion(motion.q[:-2, at4]), motion.q[2:, at4])
         half = half * np.sign(half[:, :1])
         # log of the turn between the neighbours, in the body's axes half way: exact to order two
         v[:, dofs] = 2 * half[:, 1:] / two_steps[:, None]

@@ -24,7 +24,7 @@ from sysid_bench.excitation.export.damiao import (
     log_text,
     table_text,
 )
-from sysid_bench.excitation.export.ros2 import json_text, yaml_text
+from sysid_bench.excitation.export.ros2 import json_text, ros2_text
 from sysid_bench.types import Array
 
 PUBLISHED = tuple(name for name, motor in MOTORS.items() if motor.speed is not None)
@@ -200,6 +200,6 @@ def test_the_ros_message_holds_every_sample() -> None:
         since = point["time_from_start"]
         assert since["sec"] + 1e-9 * since["nanosec"] == pytest.approx(asked.t[k], abs=1e-9)
         np.testing.assert_array_equal(point["effort"], asked.tau[k])
-    lines = yaml_text(asked).splitlines()
+    lines = ros2_text(asked).splitlines()
     assert [json.loads(line[2:]) for line in lines[3:]] == design_problem["points"]
     assert lines[2] == "points:"

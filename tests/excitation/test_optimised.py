@@ -25,7 +25,7 @@ TREES = RandomRobot(bodies=(4, 4), ball=0.0, free_root=0.0, welded=0.0)
 
 
 def brief(robot: RobotModel, rate: float = 100.0, terms: tuple[str, ...] = ()) -> DesignProblem:
-    base = structural_base(robot, robot.inertial_columns + robot.term_columns(terms))
+    base = structural_base(robot, robot.inertia_columns + robot.term_columns(terms))
     return replace(
         design_problem(robot, rate),
         regress=information_model(robot, base.names),
@@ -224,4 +224,4 @@ def test_a_floor_is_watched_by_all_that_can_leave_it(name: str, height: float) -
     moving = [robot.body_names[link.body] for link in robot.tree.links]
     assert excused.isdisjoint(moving[2:])
     low = np.array(robot.mj.qpos0)
-    assert any("world" in pair for _, pair, _ in scene.contacts(low))
+    assert any("world" in pair for _, pair, _ in scene.contact_list(low))

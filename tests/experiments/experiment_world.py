@@ -10,7 +10,7 @@ import numpy as np
 
 from sysid_bench import package_folders
 from sysid_bench.excitation.design_problem import design_problem
-from sysid_bench.experiments.job_channel import Death, JobChannel
+from sysid_bench.experiments.job_channel import JobChannel, ProcessEnd
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
@@ -120,17 +120,17 @@ class Collected:
     cells: frozenset[str]
     rows: list[Row] = field(default_factory=list)
 
-    def begin(self, cell: str) -> None:
+    def start_cell(self, cell: str) -> None:
         assert cell in self.cells
 
-    def emit(self, row: Row) -> None:
+    def write(self, row: Row) -> None:
         assert row["id"] in self.cells
         self.rows.append(row)
 
     def progress(self, value: Any) -> None:
         raise AssertionError("an experiment reports rows alone")
 
-    def isolate(self, function: Callable[[JobChannel], Any]) -> Death | None:
+    def isolate(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
         function(self)
         return None
 

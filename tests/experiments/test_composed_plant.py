@@ -8,7 +8,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import composed_plant, plant_name
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.naming import BUILTIN, resolve
@@ -184,7 +184,7 @@ def test_plants_are_labelled_by_their_name_or_their_parts() -> None:
       { use = "composed", effects = ["stribeck"], errors = ["base-tilt"] },
       { use = "composed", effects = ["stribeck"], errors = [{ use = "base-tilt", angle = 0.1 }] },
     ]"""
-    cells = expand(suite(text)).cells
+    cells = cells_of_suite(suite(text)).cells
     labels = {cell.labels["plant"]: cell for cell in cells}
     assert list(labels)[:2] == ["matched", "L1"]
     assert len(labels) == 4

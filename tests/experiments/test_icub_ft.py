@@ -16,7 +16,7 @@ from sysid_bench.identification.linear.online_estimation import RecursiveEstimat
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, instruments_of
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.wrench import subtree_dofs, subtree_regressors
+from sysid_bench.regressors.wrench import subtree_dofs, subtree_regressor
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.simulation.wrench_sensors import contact_torque, sensor_wrench
 from sysid_bench.tasks.prior import PriorSpread, prior_of
@@ -47,7 +47,7 @@ def cad(draw: int) -> Prior:
 def rows() -> Array:
     """Y_n B (N, 6, 38) of the training motion."""
     robot, cut, _ = arm()
-    return np.asarray(subtree_regressors(robot, cut, training()[0]).Y_n @ basis())
+    return np.asarray(subtree_regressor(robot, cut, training()[0]).Y_n @ basis())
 
 
 @cache
@@ -115,7 +115,7 @@ def upstream_torque(
     upstream = phi.copy()
     upstream[list(_distal_bodies(robot, cut))] = 0.0
     tau = newton_euler(instruments.tree, instruments.tree.link_parameters(upstream), whole)[:, dofs]
-    J = subtree_regressors(robot, cut, motion).link_jacobian(link, dofs)
+    J = subtree_regressor(robot, cut, motion).link_jacobian(link, dofs)
     return tuple(robot.rows[dof] for dof in dofs), tau + np.einsum("nuc,nc->nu", J, f_b)
 
 
@@ -165,7 +165,7 @@ def test_recursion_ends_where_the_batch_does() -> None:
 def test_on_line_torques_start_at_cad_and_leave_it_behind(draw: int) -> None:
     robot, cut, _ = arm()
     made, f = training()
-    tree = subtree_regressors(robot, cut, made)
+    tree = subtree_regressor(robot, cut, made)
     prior = cad(draw)
     track = RecursiveEstimator(every=20).run(rows(), noisy(f, draw), SIGMA, *_prior_in_basis(prior))
     running = np.repeat(track.beta @ basis().T, 20, axis=0)[: len(made)]
@@ -212,7 +212,7 @@ def test_noisy_encoders_and_filtered_rates_suffice() -> None:
         signals = {"filter": "butter 4 8 Hz zero-phase", "derivatives": "from q"}
         done = processing_of(signals).apply(raw, robot.joints)
         assert done.wrench is not None
-        W = subtree_regressors(robot, cut, done.motion).Y_n @ basis()
+        W = subtree_regressor(robot, cut, done.motion).Y_n @ basis()
         error.append(np.linalg.norm(solved(W, done.wrench) - basis().T @ task().truth.theta))
     assert np.median(error) < 2e-3
 
@@ -257,7 +257,7 @@ def test_the_kalman_version_follows_what_changes() -> None:
     made, f = training()
     load = np.zeros(len(task().parameters))
     load[task().parameters.index("l_hand.m")] = 0.5
-    tree = subtree_regressors(robot, cut, made)
+    tree = subtree_regressor(robot, cut, made)
     later = (made.t > 30)[:, None] * (tree.Y_n @ load)
     start, P = _prior_in_basis(cad(0))
     new = basis().T @ (task().truth.theta + load)

@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.experiments.seed import prior_seed
 from sysid_bench.harness.cell import Cell
-from sysid_bench.harness.plan import Plan, expand
+from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.package_folders import suite
 from tests.experiments.experiment_world import argument, rows_of
@@ -15,7 +15,7 @@ from tests.experiments.experiment_world import argument, rows_of
 
 @cache
 def planned() -> Plan:
-    return expand(load_suite(suite("icub-ft")))
+    return cells_of_suite(load_suite(suite("icub-ft")))
 
 
 @cache

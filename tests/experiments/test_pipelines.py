@@ -66,7 +66,7 @@ def test_processed_rows_have_the_same_solution(
     W, beta, v = rng.normal(size=(200, 3, 5)), rng.normal(size=5), rng.normal(size=(200, 3))
     processing = RowProcessing(filter, step, standstill, weight)
     rows = MotionRows(processing, processing.weights(v), RATE)
-    np.testing.assert_allclose(rows.filtered(W) @ beta, rows.filtered(W @ beta), atol=1e-12)
+    np.testing.assert_allclose(rows.processed(W) @ beta, rows.processed(W @ beta), atol=1e-12)
     slow = np.abs(v) < standstill * np.sqrt((v**2).mean(axis=0))
     np.testing.assert_array_equal(rows.weights, np.where(slow, weight, 1.0))
 

@@ -10,7 +10,7 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint
-from sysid_bench.harness.plan import Plan, expand
+from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.suite.load_suite import parse_stored, parse_suite, suite_text
@@ -94,7 +94,7 @@ def ran(folder: Path) -> Iterator[RunFolder]:
 
 def plan(folder: Path, old: str = "", new: str = "") -> Plan:
     assert old in SUITE
-    return expand(parse_suite(SUITE.replace(old, new, 1), folder=folder))
+    return cells_of_suite(parse_suite(SUITE.replace(old, new, 1), folder=folder))
 
 
 def test_a_cell_is_what_the_command_line_gives(ran: RunFolder, folder: Path) -> None:
@@ -195,6 +195,6 @@ def test_a_suite_is_about_something() -> None:
 def test_the_shipped_suite_plans_without_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SYSID_BENCH_DATA", raising=False)
     path = Path(__file__).parents[2] / "suites" / "dvrk-real.toml"
-    cells = expand(parse_suite(path.read_text(), folder=path.parent)).cells
+    cells = cells_of_suite(parse_suite(path.read_text(), folder=path.parent)).cells
     assert {cell.labels["robot"] for cell in cells} == {"dvrk_psm", "dvrk_mtm"}
     assert np.isfinite([cell.seconds for cell in cells]).all()

@@ -29,7 +29,7 @@ def positions(prepared: Prepared[SimulatedSource]) -> list[Array]:
     """Commanded positions (N, nq) of each training motion."""
     source = prepared.source
     spec = source.spec
-    trainings = source.noise_free.trainings
+    trainings = source.noise_free.simulated_motions
     if "motions" in spec.redrawn:
         trainings = tuple(replace(one, spec=spec) for one in trainings)
     return [training.commanded.q for training in trainings]

@@ -25,7 +25,7 @@ from sysid_bench.regressors.symbolic_regressor import (
     D,
     W,
     body_regressor,
-    in_classical_acceleration,
+    with_point_acceleration,
 )
 from sysid_bench.tasks.task import Task, task_of
 from sysid_bench.types import Array, BaseMap, Trajectory
@@ -105,7 +105,7 @@ def test_the_row_is_the_axis_times_the_moment_rows_of_the_body_regressor(name: s
     link = robot.tree.links[int(robot.tree.carrier[robot.tool_body])]
     joint = link.joints[-1]
     assert not joint.anchor.any()
-    entries = sp.lambdify([W, DW, D], in_classical_acceleration(body_regressor()), "numpy")
+    entries = sp.lambdify([W, DW, D], with_point_acceleration(body_regressor()), "numpy")
     moments = np.array([entries(*state)[:3] for state in _link_states(robot, link.body, motion)])
     seed = np.einsum("i,nij->nj", joint.axis, moments)
     np.testing.assert_allclose(Y, seed, atol=1e-10 * np.abs(seed).max())

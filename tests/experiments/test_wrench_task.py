@@ -15,12 +15,12 @@ from sysid_bench.identification.estimators.rls import RLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.identify import identify
 from sysid_bench.identification.linear.online_estimation import RecursiveEstimator, rows_of
-from sysid_bench.identification.linear.weights import row_sigmas
+from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.models.manifest import Sensor, find_manifest
 from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.sensor import cut_at, instruments_of
 from sysid_bench.regressors.nested_sensors import measured_regression
-from sysid_bench.regressors.wrench import subtree_regressors
+from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.wrench_sensors import (
     Contact,
@@ -46,7 +46,7 @@ def test_mujocos_sensor_feels_what_the_regressor_predicts(seed: int) -> None:
     motion, rng = states(robot, 5, seed), np.random.default_rng(seed)
     for name in rng.permutation(robot.body_names)[:3]:
         cut = cut_at(robot, name)
-        made = subtree_regressors(robot, cut, motion)
+        made = subtree_regressor(robot, cut, motion)
         free = made.Y_n @ robot.phi[list(cut.bodies)].ravel()
         assert relative_gap(free, sensor_wrench(plant_of(robot), (cut,), motion)) < 1e-12
         touch = Contact(int(rng.choice(cut.bodies)), rng.normal(size=(5, 6)))
@@ -186,7 +186,7 @@ def test_rls_is_the_on_line_recursion_from_a_prior_that_says_nothing(forgetting:
     W, f = rows_of(problem)
     start = np.zeros(16), np.full(16, 1e5)
     recursion = RecursiveEstimator(forgetting=forgetting, gate=False, every=10**6)
-    track = recursion.run(W, f, row_sigmas(problem), *start)
+    track = recursion.run(W, f, row_noise(problem), *start)
     estimate = RLS(forgetting).solve(problem)
     assert estimate.beta is not None
     assert estimate.covariance is not None

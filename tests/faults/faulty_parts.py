@@ -1,5 +1,5 @@
-"""Faulty parts of experiments: an excitation, an effect, a task, a log reader, a metric. `act`
-selects what happens."""
+"""Faulty parts of experiments, one of each kind of plug-in but methods. `act` selects what
+happens."""
 
 import ctypes
 import os
@@ -10,6 +10,8 @@ from typing import Any, ClassVar
 
 from sysid_bench.signals.log_readers.delimited_text import DelimitedText
 from sysid_bench.signals.log_table import LogTable
+from sysid_bench.signals.pipelines.raw import Raw
+from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.tasks.robot import RobotTask
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Metric
@@ -40,6 +42,42 @@ class Excitation(_Part):
 class Effect(_Part):
     def prepare(self, robot: Any) -> Any:
         perform(self.act)
+
+
+class ModelError(_Part):
+    def apply(self, robot: Any, rng: Any) -> Any:
+        perform(self.act)
+        return robot
+
+
+class SensorError(_Part):
+    def prepare(self, robot: Any, rng: Any) -> None:
+        perform(self.act)
+
+
+class Pipeline(_Part):
+    ideal_rates = False
+
+    def process(self, recording: Any, joints: Any) -> Any:
+        perform(self.act)
+        return Raw().process(recording, joints)
+
+
+class SoundPipeline(Pipeline):
+    pass
+
+
+class Simulation(_Part):
+    def design_rate(self, recording: float) -> float:
+        return recording
+
+    def run(self, *arguments: Any) -> Any:
+        perform(self.act)
+        return Inverse().run(*arguments)
+
+
+class SoundSimulation(Simulation):
+    pass
 
 
 class SoundTask(RobotTask):

@@ -1,11 +1,12 @@
-"""Law: a faulty excitation, effect, task, log reader or metric is the row of its own cells,
-wherever it stands."""
+"""Law: a faulty part of an experiment, a plug-in of any kind, is the row of its own cells, wherever
+it stands."""
 
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from sysid_bench.errors import UsageError
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.vocabulary import MACHINE_FIELDS
@@ -21,6 +22,11 @@ Rows = dict[str, dict[str, Any]]
 
 def part(name: str, act: str) -> str:
     return f'{{ use = "{FAULTY}:{name}", act = "{act}" }}'
+
+
+def composed(group: str, name: str, act: str) -> str:
+    """A plant with one error."""
+    return f'{{ use = "composed", name = "{act} {name}", {group} = [{part(name, act)}] }}'
 
 
 def rows(out: Path, text: str, folder: Path = HERE) -> Rows:
@@ -54,6 +60,24 @@ def check(found: Rows, undisturbed: Rows) -> None:
     [
         ("excitation", (FOURIER, '"ptp"'), [part("Excitation", act) for act in STATUS]),
         ("plant", ('"matched"', '"stribeck"'), [part("Effect", act) for act in STATUS]),
+        (
+            "plant",
+            (composed("errors", "ModelError", ""), composed("sensors", "SensorError", "")),
+            [
+                composed(*(("errors", "ModelError"), ("sensors", "SensorError"))[i % 2], act)
+                for i, act in enumerate(STATUS)
+            ],
+        ),
+        (
+            "pipeline",
+            ('"raw"', f'"{FAULTY}:SoundPipeline"'),
+            [part("Pipeline", act) for act in STATUS],
+        ),
+        (
+            "simulation",
+            ('"inverse"', f'"{FAULTY}:SoundSimulation"'),
+            [part("Simulation", act) for act in STATUS],
+        ),
         (
             "task",
             ('"robot"', f'"{FAULTY}:SoundTask"'),
@@ -91,3 +115,15 @@ def test_a_metric(tmp_path: Path) -> None:
     metric = f'[[metric]]\nuse = "{FAULTY}:metric"\nact = "kill"\n'
     found = rows(tmp_path, simulated({"excitation": [FOURIER, '"ptp"']}) + metric)
     assert [row["status"] for row in found.values()] == ["lost"] * 2
+
+
+@pytest.mark.parametrize("name", ["status", "id", "joints", "robot", "nv", "row_sha256", "rank"])
+def test_a_metric_with_the_name_of_another_field(tmp_path: Path, name: str) -> None:
+    """It would take the place of the status, or of a row as a whole."""
+    file = tmp_path / "metric.py"
+    file.write_text(
+        "from sysid_bench.types import Metric\n"
+        f"own = Metric({name!r}, 'Own', compute=lambda cell: 1.0)\n"
+    )
+    with pytest.raises(UsageError, match=f"{name!r} is a field of rows already"):
+        rows(tmp_path / "run", simulated({}) + f'[[metric]]\nuse = "file:{file}:own"\n')

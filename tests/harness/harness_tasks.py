@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sysid_bench.experiments.job_channel import JobChannel, JobDeath
+from sysid_bench.experiments.job_channel import JobChannel, JobEnd
 
 
 def act(argument: dict[str, Any], channel: JobChannel) -> None:
@@ -25,17 +25,17 @@ def act(argument: dict[str, Any], channel: JobChannel) -> None:
         perform(do)
     for cell in argument["cells"]:
         if cell in channel.cells:
-            channel.begin(cell)
+            channel.start_cell(cell)
             if cell == inside:
                 perform(do)
-            channel.emit({"id": cell, "status": "ok", "pid": os.getpid()})
+            channel.write({"id": cell, "status": "ok", "pid": os.getpid()})
 
 
 def act_apart(argument: dict[str, Any], channel: JobChannel) -> None:
     """Does the same in a process of its own."""
     death = channel.isolate(partial(act, argument))
     if death is not None:
-        raise JobDeath(death)
+        raise JobEnd(death)
 
 
 def perform(do: str) -> None:  # noqa: C901 - a table of acts
@@ -95,9 +95,9 @@ def perform(do: str) -> None:  # noqa: C901 - a table of acts
 
 def sleep_in_each(argument: dict[str, Any], channel: JobChannel) -> None:
     for cell in sorted(channel.cells):
-        channel.begin(cell)
+        channel.start_cell(cell)
         time.sleep(argument["seconds"])
-        channel.emit({"id": cell, "status": "ok"})
+        channel.write({"id": cell, "status": "ok"})
 
 
 def silent(argument: Any, channel: JobChannel) -> None:
@@ -106,7 +106,7 @@ def silent(argument: Any, channel: JobChannel) -> None:
 
 def foreign_error(argument: Any, channel: JobChannel) -> None:
     """Emits a row that nobody asked for."""
-    channel.emit({"id": "nobody", "status": "ok"})
+    channel.write({"id": "nobody", "status": "ok"})
 
 
 def execute(argument: dict[str, Any], channel: JobChannel) -> None:
@@ -117,13 +117,13 @@ def execute(argument: dict[str, Any], channel: JobChannel) -> None:
     for estimator in argument["estimators"]:
         if estimator["cell"] not in channel.cells:
             continue
-        channel.begin(estimator["cell"])
+        channel.start_cell(estimator["cell"])
         time.sleep(estimator.get("seconds", 0.0))
         perform(estimator.get("do", ""))
         if "SYSID_TEST_LOG" in os.environ:
             with Path(os.environ["SYSID_TEST_LOG"]).open("a") as log:
                 log.write(estimator["cell"] + "\n")
-        channel.emit(
+        channel.write(
             {
                 **argument["labels"],
                 "id": estimator["cell"],

@@ -5,6 +5,7 @@ import os
 import random
 import shutil
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from sysid_bench.harness import store
 from sysid_bench.harness.consolidate import consolidate
 from sysid_bench.harness.data_frames import Frames, data_frames
 from sysid_bench.harness.frame_files import COVERAGE_FILE, FRAMES, FrameFiles
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run_frames import frames_of_run
 from sysid_bench.harness.store import HEAD, RunFolder
 from sysid_bench.harness.work.row_files import RowWriter, new_row_file, parse_row, read_rows
@@ -46,7 +47,7 @@ contents = st.fixed_dictionaries(
 @pytest.fixture
 def run(tmp_path: Path) -> RunFolder:
     suite = read(small())
-    return RunFolder.make(tmp_path / "run", suite, expand(suite, NAMES), {"python": "3"})
+    return RunFolder.make(tmp_path / "run", suite, cells_of_suite(suite, NAMES), {"python": "3"})
 
 
 def store_rows(run: RunFolder, seed: int) -> None:
@@ -55,7 +56,11 @@ def store_rows(run: RunFolder, seed: int) -> None:
     with run.new_writer("a") as one, run.new_writer("b") as two:
         for cell in draw.choices(run.plan.cells, k=6):
             table = [{"name": f"m{i}", "true": draw.random(), "std": None} for i in range(3)]
-            row = {**cell.head, "status": draw.choice(["ok", "failed"]), "rank": draw.randrange(9)}
+            row = {
+                **cell.first_fields,
+                "status": draw.choice(["ok", "failed"]),
+                "rank": draw.randrange(9),
+            }
             tables = {"parameters_table": table, "joints": [{"name": "j", "relative": 0.5}]}
             more = {"fingerprint": str(seed), "losses": 1, "sources": {"a.py": "hash"}}
             draw.choice([one, two]).write({**row, **more, **tables})
@@ -63,7 +68,7 @@ def store_rows(run: RunFolder, seed: int) -> None:
 
 def of_rows(run: RunFolder) -> Frames:
     rows = run.rows().rows
-    return data_frames({**rows[c.id], **c.head} for c in run.plan.cells if c.id in rows)
+    return data_frames({**rows[c.id], **c.first_fields} for c in run.plan.cells if c.id in rows)
 
 
 def assert_same(found: Frames, wanted: Frames) -> None:
@@ -79,7 +84,7 @@ def assert_reads_all(run: RunFolder) -> None:
     """Frames and heads of a folder as opened anew are those of its rows."""
     again = RunFolder.open(run.path)
     assert_same(again.frames(), of_rows(again))
-    stored, heads = again.rows(), again.heads()
+    stored, heads = again.rows(), again.first_fields()
     wanted = {
         cell: {k: v for k, v in row.items() if k in HEAD} for cell, row in stored.rows.items()
     }
@@ -126,7 +131,7 @@ def test_all_rows_in_parquet_are_not_parsed_again(
     wanted = of_rows(run)
     monkeypatch.setattr("sysid_bench.harness.work.row_files.parse_row", None)
     assert_same(run.frames(), wanted)
-    assert len(run.heads().rows) == len(wanted.cells)
+    assert len(run.first_fields().rows) == len(wanted.cells)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -149,7 +154,9 @@ def test_new_rows_join_the_earlier_files(
             for cell in cells[turn::3]:
                 table = [{"name": f"m{i}", "true": draw.random()} for i in range(turn)]
                 values = {"rank": 1 if turn == 0 else 0.5, "note": None if turn == 0 else "a"}
-                writer.write({**cell.head, "status": "ok", **values, "parameters_table": table})
+                writer.write(
+                    {**cell.first_fields, "status": "ok", **values, "parameters_table": table}
+                )
         run.write_frames()
         assert_reads_all(run)
         run.write_frames()
@@ -174,7 +181,7 @@ def test_a_run_is_consolidated_as_it_grows(run: RunFolder, monkeypatch: pytest.M
         on_event("task", {})
     assert heard == ["row", "task"]
     monkeypatch.setattr("sysid_bench.harness.work.row_files.parse_row", None)
-    assert len(RunFolder.open(run.path).frames().cells) == len(run.heads().rows) > 0
+    assert len(RunFolder.open(run.path).frames().cells) == len(run.first_fields().rows) > 0
 
 
 @pytest.mark.parametrize("kept", range(len(FILES)))
@@ -235,11 +242,11 @@ def test_torn_and_garbled_lines_are_counted_once(run: RunFolder) -> None:
 def test_a_last_row_without_its_newline_is_a_row(run: RunFolder) -> None:
     store_rows(run, 1)
     file = max((run.path / "cells").iterdir())
-    row = {**run.plan.cells[0].head, "status": "crash"}
+    row = {**run.plan.cells[0].first_fields, "status": "crash"}
     with file.open("ab") as out:
         out.write(json.dumps(row).encode())
     run.write_frames()
-    assert run.heads().rows[row["id"]]["status"] == "crash"
+    assert run.first_fields().rows[row["id"]]["status"] == "crash"
     assert_reads_all(run)
 
 
@@ -295,6 +302,44 @@ def test_files_that_others_replace_stay_readable(run: RunFolder) -> None:
     store_rows(run, 2)
     run.write_frames()
     assert_same(frames, wanted)
+
+
+@pytest.mark.parametrize("kind", ["cells", "by_joint", "by_parameter", "by_std_from"])
+@pytest.mark.parametrize("seed", range(2))
+def test_frames_of_some_fields_have_the_lines_of_all(run: RunFolder, kind: str, seed: int) -> None:
+    store_rows(run, seed)
+    for _ in range(2):  # from rows, then from Parquet files
+        frames = run.frames()
+        whole = getattr(frames, kind)
+        for names in (["robot"], ["torque_error", "joint"], list(whole.columns)):
+            few = getattr(replace(frames, fields=frozenset(names)), kind)
+            kept = [name for name in names if name in whole.columns]
+            pd.testing.assert_frame_equal(few[kept], whole[kept])
+        run.write_frames()
+
+
+def test_rows_of_some_cells_and_fields(run: RunFolder) -> None:
+    store_rows(run, 1)
+    store_rows(run, 2)
+    rows = run.rows().rows
+    some = set(list(rows)[::2])
+    assert run.rows(some).rows == {cell: rows[cell] for cell in rows if cell in some}
+    few = read_rows(run.path / "cells", fields=("id", "status")).rows
+    assert few == {c: {"id": c, "status": row["status"]} for c, row in rows.items()}
+
+
+def test_cells_that_differ_by_their_repeat_are_one_kind(run: RunFolder) -> None:
+    def others(cell: Any) -> str:
+        data = cell.to_json()
+        for key in ("id", "experiment"):
+            del data[key]
+        return json.dumps(data | {"spec": {**data["spec"], "repeat": 0}})
+
+    kinds: dict[str, list[str]] = {}
+    for cell in run.plan.cells:
+        kinds.setdefault(others(cell), []).append(cell.id)
+    assert [ids for _, ids in run.planned_cells()] == list(kinds.values())
+    assert [cell.id for cell, _ in run.planned_cells()] == [ids[0] for ids in kinds.values()]
 
 
 def test_one_row_is_found(run: RunFolder) -> None:

@@ -12,7 +12,7 @@ from sysid_bench import versions
 from sysid_bench.harness import fingerprint as fingerprints
 from sysid_bench.harness.cell import Cell
 from sysid_bench.harness.fingerprint import cell_fingerprint, fingerprint
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.versions import environment
 
@@ -89,7 +89,7 @@ def test_a_fingerprint_follows_models_plugins_and_versions(
 def cell_of(folder: Path, body: str = "", estimators: str = "") -> Cell:
     text = small(body, estimators=estimators or '[[estimator]]\nuse = "file:mine.py:Mine"\n')
     text = text.replace('use = "ur5"', 'use = "file:arm.urdf"')
-    return expand(parse_suite(text, "suite.toml", folder, NAMES), NAMES).cells[0]
+    return cells_of_suite(parse_suite(text, "suite.toml", folder, NAMES), NAMES).cells[0]
 
 
 def test_a_cell_depends_on_its_model_and_on_every_plugin_file(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from harness_world import FULL, NAMES, read
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.merge import merge
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.shard import Shard
 from sysid_bench.harness.work.row_files import read_rows
@@ -39,7 +39,7 @@ def falsify(folder: Path, cell: str, **fields: Any) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 100])
 def test_shards_are_disjoint_whole_experiments_and_complete(count: int) -> None:
-    cells = expand(read(FULL), NAMES).cells
+    cells = cells_of_suite(read(FULL), NAMES).cells
     parts = [Shard(index, count).cells(cells) for index in range(1, count + 1)]
     assert sorted(cell.id for part in parts for cell in part) == sorted(cell.id for cell in cells)
     experiments = [{cell.experiment for cell in part} for part in parts]
@@ -76,6 +76,29 @@ def test_a_falsified_row_is_found_and_nothing_written(tmp_path: Path, place: int
     result = merge(parts, tmp_path / "merged")
     assert (result.exit_code, result.contradictions) == (1, (cell,))
     assert not (tmp_path / "merged").exists()
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_a_row_that_was_changed_is_found_where_no_other_run_has_it(
+    tmp_path: Path, place: int
+) -> None:
+    """In whatever field, by an editor or a program; the run repairs itself, with this row alone."""
+    parts = [go(tmp_path / f"part{i}", shard=Shard(i, 2)) for i in (1, 2)]
+    file = sorted((parts[1] / "cells").glob("*.jsonl"))[0]
+    lines = file.read_text().splitlines()
+    number = place % len(lines)
+    row = json.loads(lines[number])
+    name = ("torque_error", "status", "reason", "fingerprint")[place]
+    changes = {"torque_error": 0.25, "status": "failed", "reason": "none", "fingerprint": "0"}
+    lines[number] = json.dumps(row | {name: changes[name]})
+    file.write_text("\n".join(lines) + "\n")
+    result = merge(parts, tmp_path / "merged")
+    assert (result.exit_code, result.changed) == (1, (f"{file}:{number + 1}",))
+    assert not (tmp_path / "merged").exists()
+    repaired = run(parts[1], names=NAMES, call=CALL, shard=Shard(2, 2))
+    assert repaired.asked == 1
+    assert f"{file.name}:{number + 1}" in " ".join(repaired.notes)
+    assert merge(parts, tmp_path / "merged").exit_code == 0
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -22,12 +22,12 @@ from sysid_bench.experiments.seed import (
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import fields
-from sysid_bench.harness.plan import Plan, expand
+from sysid_bench.harness.plan import Plan, cells_of_suite
 from sysid_bench.vocabulary import LABELS
 
 
 def plan_of(text: str) -> Plan:
-    return expand(read(text), NAMES)
+    return cells_of_suite(read(text), NAMES)
 
 
 SPEC = plan_of(FULL).cells[-1].spec
@@ -150,7 +150,7 @@ def test_cells_are_experiments_times_estimators() -> None:
     assert len(plan.cells) == 7 * (1 + 3) * 2
     assert len(plan.specs) * 2 == len(plan.cells) == len({cell.id for cell in plan.cells})
     assert any("repeat 0 stands for all 3" in note for note in plan.notes)
-    assert plan.seconds == pytest.approx(sum(cell.seconds for cell in plan.cells)) != 0
+    assert plan.run_time == pytest.approx(sum(cell.seconds for cell in plan.cells)) != 0
 
 
 def test_closed_loop_repeats_without_noise() -> None:

@@ -8,7 +8,7 @@ from harness_world import NAMES
 
 from sysid_bench.errors import UsageError
 from sysid_bench.harness import plan_size
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import Suite, parse_suite
 
 HEAD = """
@@ -51,13 +51,13 @@ def test_the_size_is_the_number_of_cells(
     noise: str, prior: str, simulation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sample = suite(3, 2, noise, prior, simulation)
-    cells = len(expand(sample, NAMES).cells)
+    cells = len(cells_of_suite(sample, NAMES).cells)
     monkeypatch.setattr(plan_size, "MANY", cells - 1)
     with pytest.raises(UsageError, match=rf"'size' has {cells:,} cells "):
-        expand(sample, NAMES)
-    assert len(expand(sample, NAMES, large=True).cells) == cells
+        cells_of_suite(sample, NAMES)
+    assert len(cells_of_suite(sample, NAMES, large=True).cells) == cells
     monkeypatch.setattr(plan_size, "MANY", cells)
-    assert len(expand(sample, NAMES).cells) == cells
+    assert len(cells_of_suite(sample, NAMES).cells) == cells
 
 
 def test_several_tables_of_robots_and_the_product(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,13 +65,13 @@ def test_several_tables_of_robots_and_the_product(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(plan_size, "MANY", 29)
     product = r"5 robots with payloads x 2 estimators x 3 rate = 30\. .*--large"
     with pytest.raises(UsageError, match=product):
-        expand(sample, NAMES)
+        cells_of_suite(sample, NAMES)
 
 
 def test_a_plan_that_no_machine_could_hold_is_refused_at_once() -> None:
     """Made cell by cell it would never end: 3,000 rates, 10^9 repeats."""
     sample = suite(repeats=10**9, rates=3000, noise=NOISY)
     with pytest.raises(UsageError) as caught:
-        expand(sample, NAMES)
+        cells_of_suite(sample, NAMES)
     factors = "2 robots x 2 payloads x 2 estimators x 3,000 rate x 1,000,000,000 repeats"
     assert re.search(re.escape(f"{factors} = 24,000,000,000,000"), str(caught.value))

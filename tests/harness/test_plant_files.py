@@ -8,7 +8,7 @@ import pytest
 from sysid_bench import list_, package_folders, show, table
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.simulated.composed_plant import composed_plant
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.harness.suite.plant_file import read_plant
@@ -60,7 +60,7 @@ def test_every_level_is_a_plant_that_can_be_shown_copied_and_planned(
     (level,), (copied,) = by_name.defaults.plant, by_file.defaults.plant
     assert copied.spec == {**level.spec, "name": "copy"}
     assert composed_plant(level.spec).entries
-    (cell, _) = expand(by_name).cells
+    (cell, _) = cells_of_suite(by_name).cells
     assert cell.labels["plant"] == name
 
 
@@ -71,7 +71,7 @@ def test_a_plant_file_is_read_once_and_its_keys_hold(tmp_path: Path) -> None:
     file.unlink()
     again = parse_suite(suite_text(suite), folder=tmp_path)
     assert again == suite
-    cells = expand(again).cells
+    cells = cells_of_suite(again).cells
     assert [cell.labels["plant"] for cell in cells] == ["matched", "matched", "mine", "mine"]
     spec = cells[-1].spec
     assert spec.simulation == {"use": "closed-loop", "rate": "500 Hz"}
@@ -84,7 +84,7 @@ def test_a_plant_file_is_read_once_and_its_keys_hold(tmp_path: Path) -> None:
 def test_keys_beside_the_name_replace_those_of_the_file(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(MINE)
     suite = suite_of('{ use = "file:mine.toml", noise = {}, effects = [] }', folder=tmp_path)
-    (cell, _) = expand(suite).cells
+    (cell, _) = cells_of_suite(suite).cells
     assert cell.spec.noise == {}
     assert cell.spec.plant["effects"] == []
     assert cell.spec.simulation["rate"] == "500 Hz"
@@ -135,11 +135,11 @@ def test_one_simulator_for_plant_and_candidates_is_stated_below_tables(tmp_path:
 def test_simulators_are_one_where_the_steps_that_are_taken_are_equal() -> None:
     """Internal springs of a plant take more steps than `substeps`."""
     plant, fine = TrackingControl(substeps=4), Candidate(step=0.25e-3)
-    assert fine.equals_plant(plant, 0.25e-3)
-    assert not fine.equals_plant(plant, 0.05e-3)
-    assert not Candidate().equals_plant(plant, 0.25e-3)
-    assert fine.equals_plant(TrackingControl(integrator="euler"), 0.25e-3)
-    assert not Candidate(0.25e-3, "rk4").equals_plant(TrackingControl(integrator="euler"), 0.25e-3)
+    assert fine.has_steps_of(plant, 0.25e-3)
+    assert not fine.has_steps_of(plant, 0.05e-3)
+    assert not Candidate().has_steps_of(plant, 0.25e-3)
+    assert fine.has_steps_of(TrackingControl(integrator="euler"), 0.25e-3)
+    assert not Candidate(0.25e-3, "rk4").has_steps_of(TrackingControl(integrator="euler"), 0.25e-3)
 
 
 def test_a_candidate_step_divides_the_control_period() -> None:

@@ -148,6 +148,7 @@ def test_rerun_stale_runs_what_a_change_has_touched(tmp_path: Path, executed: An
     assert go(suite, tmp_path / "run", rerun="stale").asked == 0
 
 
+@pytest.mark.long
 def test_a_lost_cell_is_repeated_twice_and_then_left(tmp_path: Path, executed: Any) -> None:
     suite = suite_of("", 'do = "killed"', "")
     for asked, losses in ((3, 1), (1, 2), (1, 3), (0, 3), (0, 3)):
@@ -159,6 +160,7 @@ def test_a_lost_cell_is_repeated_twice_and_then_left(tmp_path: Path, executed: A
     assert go(suite, tmp_path, rerun="failed").asked == 1
 
 
+@pytest.mark.long
 def test_a_worker_killed_from_outside_is_repaired_by_a_plain_resume(tmp_path: Path) -> None:
     """The sentence of the reason says who ended it; the second run has all rows."""
     suite = suite_of("", "seconds = 2", "")
@@ -190,7 +192,7 @@ def test_events_begin_with_the_plan_and_its_cost(tmp_path: Path) -> None:
     assert kinds[:2] == ["code", "plan"]  # the suite names a plug-in of others
     plan = events[1][1]
     assert (plan["cells"], plan["open"], plan["tasks"]) == (56, 56, 28)
-    assert sum(plan["seconds"].values()) == pytest.approx(result.folder.plan.seconds)
+    assert sum(plan["seconds"].values()) == pytest.approx(result.folder.plan.run_time)
 
 
 @pytest.mark.parametrize(
@@ -217,6 +219,7 @@ def test_a_run_goes_on_where_it_is(tmp_path: Path) -> None:
         run(tmp_path / "run", names=ANY, call=CALL, overrides={"seed": "1"})
 
 
+@pytest.mark.long
 def test_rows_are_the_same_with_one_worker_and_with_two(tmp_path: Path) -> None:
     one, two = (
         run(read(FULL), tmp_path / str(jobs), jobs=jobs, names=ANY, call=CALL).folder.cells

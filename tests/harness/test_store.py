@@ -17,22 +17,29 @@ from hypothesis import strategies as st
 from sysid_bench.canonical_json import canonical, plain
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.data_frames import data_frames
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.store import RunFolder
 from sysid_bench.harness.work import row_files
-from sysid_bench.harness.work.row_files import RowWriter, new_row_file, read_rows, stored_rows
+from sysid_bench.harness.work.row_files import (
+    RowWriter,
+    new_row_file,
+    parse_row,
+    read_rows,
+    stored_rows,
+)
+from sysid_bench.harness.work.row_hash import with_hash
 
 
 def make(folder: Path, text: str = FULL) -> RunFolder:
     suite = read(text)
-    return RunFolder.make(folder, suite, expand(suite, NAMES), {"python": "3"})
+    return RunFolder.make(folder, suite, cells_of_suite(suite, NAMES), {"python": "3"})
 
 
 def test_a_run_folder_records_what_it_was_made_of(tmp_path: Path) -> None:
     make(tmp_path / "run")
     run = RunFolder.open(tmp_path / "run")
     assert run.suite == read(FULL)
-    assert run.plan.cells == expand(read(FULL), NAMES).cells
+    assert run.plan.cells == cells_of_suite(read(FULL), NAMES).cells
     assert run.environment == {"python": "3"}
     assert run.rows().rows == {}
     assert len(run.cells) == 0
@@ -108,6 +115,31 @@ def test_a_row_is_on_file_when_append_returns(tmp_path: Path) -> None:
     writer.close()
 
 
+stored_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.text(st.characters()) | st.just("\ud800")
+    | st.floats(allow_nan=False, allow_infinity=False),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+)  # fmt: skip
+
+
+@given(stored_values)
+def test_any_value_is_read_as_it_was_written(value: Any) -> None:
+    line = with_hash(json.dumps({"id": "a", "status": "ok", "value": value}).encode())
+    row = parse_row(line + b"\n")
+    assert json.dumps(row) == json.dumps({"id": "a", "status": "ok", "value": value})
+
+
+@given(st.data())
+def test_a_changed_byte_makes_a_line_another_one(data: st.DataObject) -> None:
+    """No row, or where the name of the hash itself is hit, that of a line without one."""
+    row = {"id": "a", "status": "ok", "value": 0.123456789, "text": "abc"}
+    line = bytearray(with_hash(json.dumps(row).encode()))
+    place = data.draw(st.integers(0, len(line) - 1))
+    line[place] = data.draw(st.integers(32, 126).filter(lambda byte: byte != line[place]))
+    found = parse_row(bytes(line))
+    assert found is None or {key: found[key] for key in row} == row
+
+
 def test_a_row_that_is_no_json_leaves_no_trace(tmp_path: Path) -> None:
     with RowWriter(new_row_file(tmp_path, "w")) as writer:
         with pytest.raises(TypeError, match="cannot be stored as JSON"):
@@ -168,7 +200,12 @@ def test_consolidation_keeps_every_number(tmp_path: Path) -> None:
         for number, cell in enumerate(reversed(run.plan.cells)):
             joints = [{"name": f"j{i}", "rmse_test": i / 7} for i in range(3)]
             table = [{"body": "b", "name": "m", "true": 1.0, "estimate": None, "std": 0.1}]
-            row = {**cell.head, "noise": "old label", "status": "ok", "torque_error": number / 3}
+            row = {
+                **cell.first_fields,
+                "noise": "old label",
+                "status": "ok",
+                "torque_error": number / 3,
+            }
             more = {"versions": {"numpy": "2"}, "warnings": ["a"], "rank": number or None}
             writer.write({**row, **more, "joints": joints, "parameters_table": table})
         writer.write({"id": "of no plan", "status": "ok"})

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from sysid_bench import vocabulary as words
 from sysid_bench.errors import UsageError
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import (
     load_suite,
-    override,
     parse_stored,
     parse_suite,
+    set_values,
     suite_text,
 )
 from sysid_bench.harness.suite.names import Names, installed_names
@@ -46,11 +46,13 @@ def test_a_frozen_suite_reads_back_as_the_same(text: str) -> None:
     assert parse_suite(frozen, "run.toml", Path("/else/where"), NAMES) == suite
     assert parse_stored(frozen, "run.toml") == suite
     assert suite.folder == Path("/some/where")
-    assert expand(suite, NAMES) == expand(parse_stored(frozen, "run.toml"), NAMES)
+    assert cells_of_suite(suite, NAMES) == cells_of_suite(parse_stored(frozen, "run.toml"), NAMES)
 
 
 def test_the_folder_is_no_part_of_an_id() -> None:
-    here, there = (expand(parse_suite(FULL, "s", Path(p), NAMES), NAMES) for p in ("/a", "/b"))
+    here, there = (
+        cells_of_suite(parse_suite(FULL, "s", Path(p), NAMES), NAMES) for p in ("/a", "/b")
+    )
     assert [cell.id for cell in here.cells] == [cell.id for cell in there.cells]
 
 
@@ -211,19 +213,19 @@ def test_a_file_that_is_no_toml_or_no_file(tmp_path: Path) -> None:
      ("panda", "panda"), ("1\nx = 2", "1\nx = 2"), ("{ q = 1 }", {"q": 1})],
 )  # fmt: skip
 def test_settings_are_toml_or_else_texts(text: str, value: Any) -> None:
-    assert override(FULL, {"defaults.rate": text})["defaults"]["rate"] == value
+    assert set_values(FULL, {"defaults.rate": text})["defaults"]["rate"] == value
 
 
 def test_settings_reach_everything_and_nothing_else() -> None:
     before = tomllib.loads(FULL)
-    after = override(before, {"seed": "7", "robot.0.payloads": "[]", "record.new.deep": "1"})
+    after = set_values(before, {"seed": "7", "robot.0.payloads": "[]", "record.new.deep": "1"})
     assert before == tomllib.loads(FULL)
     assert after["seed"] == 7
     assert after["robot"][0] == {**before["robot"][0], "payloads": []}
     assert after["record"]["new"] == {"deep": 1}
     assert after["defaults"] == before["defaults"]
     with pytest.raises(UsageError, match=r"--set name\.x"):
-        override(before, {"name.x": "1"})
+        set_values(before, {"name.x": "1"})
     with pytest.raises(UsageError, match="unknown key"):
         parse_suite(FULL, names=NAMES, overrides={"sead": "7"})
     assert parse_suite(FULL, names=NAMES, overrides={"seed": "7"}).seed == 7
@@ -309,11 +311,13 @@ def test_noise_may_have_a_memory_below_one(memory: Any, right: bool) -> None:
         with pytest.raises(UsageError, match=f"must be below 1; got {memory}"):
             read(text)
         return
-    (cell, *_) = expand(read(text), NAMES).cells
+    (cell, *_) = cells_of_suite(read(text), NAMES).cells
     assert cell.spec.noise == {"tau": 1.0, "tau_correlation": 0.98 if memory == 0.98 else 0.5}
 
 
 def test_a_memory_of_no_noise_is_none() -> None:
-    (cell, *_) = expand(read(small("[defaults]\nnoise = { tau_correlation = 0.9 }")), NAMES).cells
+    (cell, *_) = cells_of_suite(
+        read(small("[defaults]\nnoise = { tau_correlation = 0.9 }")), NAMES
+    ).cells
     assert cell.spec.noise == {}
     assert cell.labels["noise"] == "exact"

@@ -4,7 +4,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.experiments.seed import prior_seed
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 
 SUITE = """schema = 1
@@ -53,7 +53,7 @@ def changed(more: str) -> str:
 def test_contacts_are_found_or_declared(contacts: str) -> None:
     made = parse_suite(changed(f"signals = {{ contacts = {contacts} }}"))
     assert parse_suite(suite_text(made)) == made
-    assert "contacts" in expand(made).cells[0].labels["signals"]
+    assert "contacts" in cells_of_suite(made).cells[0].labels["signals"]
 
 
 def test_a_period_that_is_none_is_reported() -> None:
@@ -66,6 +66,6 @@ def test_a_period_that_is_none_is_reported() -> None:
 )
 def test_a_prior_that_is_drawn_again_is_another_with_each_repeat(prior: str, draws: int) -> None:
     more = f"prior = {prior}\nnoise = {{ tau = '1 %' }}\n[run]\nrepeats = 3"
-    cells = expand(parse_suite(changed(more))).cells
+    cells = cells_of_suite(parse_suite(changed(more))).cells
     assert len(cells) == 3
     assert len({prior_seed(cell.spec) for cell in cells}) == draws

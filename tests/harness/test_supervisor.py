@@ -49,6 +49,7 @@ def only(folder: Path, do: str, **settings: Any) -> dict[str, Any]:
     return row
 
 
+@pytest.mark.long
 def test_two_hundred_tasks_three_of_them_bad(tmp_path: Path) -> None:
     bad = {50: "raise", 100: "die", 150: "hang"}
     ending, stored = run(tmp_path, [task(n, bad.get(n, "")) for n in range(200)], timeout=4.0)
@@ -129,6 +130,7 @@ def test_an_end_before_the_first_cell_is_a_row_of_each(tmp_path: Path, call: str
     assert stored.rows["0.2"]["reason"].startswith("while the experiment was prepared")
 
 
+@pytest.mark.long
 def test_each_cell_has_the_whole_time_limit(tmp_path: Path) -> None:
     """Three cells of 1.5 s are within a limit of 3 s, of which they take half again as much."""
     jobs = [task(0, "in 0 sleep 1.5", cells=1), task(1, "in 0 sleep 1.5", cells=1)]
@@ -169,6 +171,7 @@ def test_prints_go_to_the_log(tmp_path: Path) -> None:
     assert "behind our back" in log
 
 
+@pytest.mark.long
 def test_a_timeout_ends_what_the_task_has_started(tmp_path: Path) -> None:
     born = tmp_path / "born"
     assert only(tmp_path, f"grandchild {born}", timeout=3.0)["status"] == "timeout"
@@ -261,6 +264,7 @@ def parent(folder: Path, seconds: float) -> "subprocess.Popen[str]":
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_an_orphan_writes_no_row(tmp_path: Path) -> None:
     with parent(tmp_path, 20.0) as runner:
         assert runner.stdout is not None
@@ -272,6 +276,7 @@ def test_an_orphan_writes_no_row(tmp_path: Path) -> None:
     assert read_rows(tmp_path / "cells").rows == {}
 
 
+@pytest.mark.long
 def test_a_deaf_orphan_writes_no_row_without_the_help_of_linux(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -301,6 +306,7 @@ def test_a_deaf_orphan_writes_no_row_without_the_help_of_linux(
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.long
 def test_an_interrupt_keeps_finished_rows_and_kills_the_workers(tmp_path: Path, how: int) -> None:
     with parent(tmp_path, 0.5) as runner:
         assert runner.stdout is not None

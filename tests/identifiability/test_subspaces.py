@@ -8,15 +8,15 @@ import pytest
 from sysid_bench.errors import UsageError
 from sysid_bench.identifiability.subspaces import (
     Subspaces,
+    basis_residual,
     excitation_of,
     row_space,
     structural_subspaces,
-    subspace_residual,
 )
 from sysid_bench.models.random.random_tree import random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import cut_at
-from sysid_bench.regressors.wrench import subtree_regressors
+from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import Trajectory
 from tests.robots import named_robot, revolute_tree, robot_of, states
 
@@ -37,10 +37,10 @@ def assert_lemma_and_proposition(found: Subspaces) -> None:
     """Lemma 1: I_Yn is the same for every base. Proposition 1: I_Yc is a subspace of I_Yn."""
     for wrench in found.wrenches.values():
         assert found.wrench.shape == wrench.shape
-        assert subspace_residual(found.wrench, wrench) < ANGLE
-        assert subspace_residual(wrench, found.wrench) < ANGLE
+        assert basis_residual(found.wrench, wrench) < ANGLE
+        assert basis_residual(wrench, found.wrench) < ANGLE
     for torque in found.torques.values():
-        assert subspace_residual(found.wrench, torque) < ANGLE
+        assert basis_residual(found.wrench, torque) < ANGLE
 
 
 @pytest.mark.parametrize("at", CUTS)
@@ -75,7 +75,7 @@ def test_lemma_and_proposition_hold_for_every_link_of_any_tree(seed: int) -> Non
     assert_lemma_and_proposition(found)
     assert found.rank >= 10
     for basis in found.joints.values():
-        assert subspace_residual(found.wrench, basis) < ANGLE
+        assert basis_residual(found.wrench, basis) < ANGLE
 
 
 def _moving(robot: RobotModel, names: tuple[str, ...], seed: int = 0) -> Trajectory:
@@ -106,11 +106,11 @@ def test_a_locked_joint_is_named_before_its_torque_is_trusted(case: str) -> None
     robot = named_robot("icub")
     cut = cut_at(robot, "l_arm_ft_sensor")
     excitation = excitation_of(
-        subtree_regressors(robot, cut, _moving(robot, names)), structural_subspaces(robot, cut)
+        subtree_regressor(robot, cut, _moving(robot, names)), structural_subspaces(robot, cut)
     )
     assert (excitation.rank, excitation.structural) == (rank, 38)
     assert excitation.unpredictable == lost
-    assert excitation.complete == (not lost)
+    assert excitation.is_complete == (not lost)
     assert bool(excitation.warning) == bool(lost)
     for name in lost:
         assert name in excitation.warning
@@ -125,13 +125,13 @@ def test_what_the_data_excite_predicts_what_is_not_flagged(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cut = cut_at(robot, robot.body_names[0])
     moved = tuple(rng.choice(robot.rows[6:], 3, replace=False))
-    made = subtree_regressors(robot, cut, _moving(robot, moved, seed))
+    made = subtree_regressor(robot, cut, _moving(robot, moved, seed))
     excitation = excitation_of(made, structural_subspaces(robot, cut))
     basis, _ = row_space(made.Y_n)
     change = np.array(rng.normal(size=made.Y_n.shape[-1:]))
     change = change - basis @ (basis.T @ change)
     assert np.abs(made.Y_n @ change).max() < 1e-10
-    other = subtree_regressors(robot, cut, states(robot, 50, seed + 1))
+    other = subtree_regressor(robot, cut, states(robot, 50, seed + 1))
     bases = [robot.body_names[b] for b in cut.bodies]
     errors = np.max([np.abs(other.joint_torque(b) @ change).max(axis=0) for b in bases], axis=0)
     for row, size in zip(other.rows, errors, strict=True):
@@ -141,11 +141,11 @@ def test_what_the_data_excite_predicts_what_is_not_flagged(seed: int) -> None:
 def test_apart_and_outside_are_sines() -> None:
     x, y, z = np.eye(3)[:, :, None]
     tilted = np.cos(0.1) * x + np.sin(0.1) * y
-    assert subspace_residual(x, tilted) == pytest.approx(np.sin(0.1))
-    assert subspace_residual(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
-    assert subspace_residual(x, np.hstack([x, y])) == pytest.approx(1.0)
-    assert subspace_residual(np.hstack([x, y]), x) == pytest.approx(0.0, abs=1e-15)
-    assert subspace_residual(np.hstack([x, y]), tilted) == pytest.approx(0.0, abs=1e-15)
+    assert basis_residual(x, tilted) == pytest.approx(np.sin(0.1))
+    assert basis_residual(np.hstack([x, y]), np.hstack([tilted, z])) == pytest.approx(1.0)
+    assert basis_residual(x, np.hstack([x, y])) == pytest.approx(1.0)
+    assert basis_residual(np.hstack([x, y]), x) == pytest.approx(0.0, abs=1e-15)
+    assert basis_residual(np.hstack([x, y]), tilted) == pytest.approx(0.0, abs=1e-15)
 
 
 def test_data_of_another_sub_tree_are_refused() -> None:
@@ -153,5 +153,5 @@ def test_data_of_another_sub_tree_are_refused() -> None:
     arm, foot = cut_at(robot, "l_arm_ft_sensor"), cut_at(robot, "l_foot_ft_sensor")
     with pytest.raises(UsageError, match="columns"):
         excitation_of(
-            subtree_regressors(robot, foot, states(robot, 5)), structural_subspaces(robot, arm)
+            subtree_regressor(robot, foot, states(robot, 5)), structural_subspaces(robot, arm)
         )

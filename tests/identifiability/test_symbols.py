@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from sysid_bench.identifiability.feasible_bounds import (
+from sysid_bench.identifiability.feasible_error import (
     bound_of,
     check_bound,
-    distance_to_feasible,
+    feasible_error,
 )
 from sysid_bench.identifiability.symbolic_coefficients import random_values, symbolic_coefficients
 from sysid_bench.spatial.inertia import NAMES, pseudo_inertia
@@ -78,10 +78,10 @@ def test_values_of_a_body_need_no_change_and_others_their_distance(seed: int) ->
     rng = np.random.default_rng(seed)
     K = np.eye(10)
     phi = _body(rng)
-    assert distance_to_feasible(K, phi, BODY.columns, [BODY]) < 1e-6
+    assert feasible_error(K, phi, BODY.columns, [BODY]) < 1e-6
     wrong = phi.copy()
     wrong[0] = -1.0  # a mass: at least 1 away from any, and the rest has to follow
-    assert distance_to_feasible(K, wrong, BODY.columns, [BODY]) >= 1.0 - 1e-6
+    assert feasible_error(K, wrong, BODY.columns, [BODY]) >= 1.0 - 1e-6
 
 
 def _body(rng: np.random.Generator) -> Array:

@@ -20,7 +20,7 @@ from sysid_bench.identification.estimators.reconstruction import Reconstruction
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.feasibility.bregman import divergence
 from sysid_bench.identification.feasibility.cholesky_coordinates import coordinates
-from sysid_bench.identification.feasibility.completion import DISTANCES, complete
+from sysid_bench.identification.feasibility.completion import DISTANCES, completed_parameters
 from sysid_bench.identification.feasibility.feasible_set import FeasibleSet, feasible_set_of
 from sysid_bench.identification.feasibility.required_prior import (
     feasible_point,
@@ -198,7 +198,7 @@ def test_completion_keeps_beta_and_lies_nearest(robot: str, distance: str) -> No
     at, of = made.problem, feasible_set_of(made.problem)
     beta = at.base.K @ made.source.truth.theta
     assert at.prior is not None
-    theta = complete(of, at.base, beta, at.prior, distance)
+    theta = completed_parameters(of, at.base, beta, at.prior, distance)
     assert np.linalg.norm(at.base.K @ theta - beta) <= 1e-8 * np.linalg.norm(beta)
     assert min_eigenvalues(theta[of.indices]).min() >= 0
     x0 = feasible_point(of, at.prior.theta / of.scale, spread_of(of, at.prior))
@@ -216,7 +216,7 @@ def test_a_prior_with_the_right_beta_is_its_own_completion(robot: str) -> None:
     x = feasible_point(of, at.prior.theta / of.scale, spread_of(of, at.prior))
     prior = Prior(of.scale * x, at.prior.std)
     for distance in DISTANCES:
-        theta = complete(of, at.base, at.base.K @ prior.theta, prior, distance)
+        theta = completed_parameters(of, at.base, at.base.K @ prior.theta, prior, distance)
         np.testing.assert_allclose(theta / of.scale, x, atol=2e-3)
 
 

@@ -14,7 +14,7 @@ from sysid_bench.errors import EstimationError
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.linear.normal_qr import residual_norm
-from sysid_bench.identification.linear.weights import row_sigmas
+from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Array, BaseMap, Estimate, Factor, Problem
 from tests.experiments.experiment_world import RICH, dense, ready
 
@@ -100,7 +100,7 @@ def test_wls_is_least_squares_on_rows_divided_by_their_sigma(
     problem = noisy(*place)
     Y, B = dense(problem)
     sigma = own_spreads(problem, Y, B)
-    np.testing.assert_allclose(row_sigmas(problem), sigma, rtol=1e-6)
+    np.testing.assert_allclose(row_noise(problem), sigma, rtol=1e-6)
     for _ in range(iterations):
         weight = 1.0 / sigma[None, :]
         scaled = (Y * weight[..., None]).reshape(-1, problem.base.rank)

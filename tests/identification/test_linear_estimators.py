@@ -18,7 +18,7 @@ from sysid_bench.identification.estimators.tls import TLS
 from sysid_bench.identification.estimators.tukey import Tukey
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.identification.linear.weights import row_sigmas
+from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Array, Estimate, Problem
 from tests.experiments.experiment_world import dense, ready
 from tests.identification.test_least_squares import problem_of
@@ -46,7 +46,7 @@ def deviations(estimate: Estimate) -> Array:
 def scaled(problem: Problem, root: Array | float = 1.0) -> tuple[Array, Array]:
     """Dense rows (M, r) and torques (M,) over the noise of their joint, times `root` (N, rows)."""
     Y, b = dense(problem)
-    weight = root / row_sigmas(problem) * np.ones_like(b)
+    weight = root / row_noise(problem) * np.ones_like(b)
     return (Y * weight[..., None]).reshape(-1, Y.shape[2]), (b * weight).ravel()
 
 
@@ -100,7 +100,7 @@ def test_the_kalman_filter_equals_generalised_least_squares(drift: float, hold: 
     later = step.max() - np.maximum(step[:, None], step)
     walked = W @ spread
     C = later * (walked @ walked.T) / (len(b) / hold)
-    C += np.diag(np.tile(row_sigmas(problem) ** 2, len(b)))
+    C += np.diag(np.tile(row_noise(problem) ** 2, len(b)))
     information = W.T @ np.linalg.solve(C, W)
     beta = np.linalg.solve(information, W.T @ np.linalg.solve(C, b.ravel()))
     estimate = Kalman(drift=drift, hold=hold).solve(problem)
@@ -293,6 +293,6 @@ def test_essential_parameters_keep_the_torques(place: tuple[str, str]) -> None:
     problem = noisy(*place)
     beta = beta_of(Essential().solve(problem))
     assert 0 < np.count_nonzero(beta) < len(beta)
-    R = stacked_factor(problem, (1 / row_sigmas(problem)).tolist())
+    R = stacked_factor(problem, (1 / row_noise(problem)).tolist())
     squares = np.sum((R[:, -1] - R[:, :-1] @ beta) ** 2)
     assert squares < 1.1 * R[-1, -1] ** 2

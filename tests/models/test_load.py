@@ -8,7 +8,7 @@ from sysid_bench.errors import ModelError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.plant import contact_free
-from sysid_bench.spatial.inertia import matrix_of_six, min_eigenvalues
+from sysid_bench.spatial.inertia import inertia_matrix, min_eigenvalues
 from tests.robots import NAMED, named_robot, random_robot, robot_of, states
 
 EVERY = [*NAMED, *range(8)]
@@ -22,7 +22,7 @@ def robot(request: pytest.FixtureRequest) -> RobotModel:
 
 
 def test_every_name_is_there_and_there_once(robot: RobotModel) -> None:
-    for names in (robot.body_names, robot.rows, robot.inertial_columns):
+    for names in (robot.body_names, robot.rows, robot.inertia_columns):
         assert all(names)
         assert len(set(names)) == len(names)
     assert len(robot.rows) == robot.nv == robot.mj.nv
@@ -48,7 +48,7 @@ def test_kinetic_energy_is_that_of_the_ten_numbers(robot: RobotModel) -> None:
         mujoco.mj_objectVelocity(mj, data, mujoco.mjtObj.mjOBJ_XBODY, b, twist, 1)
         w, v = twist[:3], twist[3:]
         energy += 0.5 * phi[0] * v @ v + w @ np.cross(phi[1:4], v)
-        energy += 0.5 * w @ matrix_of_six(phi[4:]) @ w
+        energy += 0.5 * w @ inertia_matrix(phi[4:]) @ w
     assert data.energy[1] == pytest.approx(energy, rel=1e-10)
 
 

@@ -15,7 +15,7 @@ from sysid_bench.models.payload import PAYLOADS, Payload, inertia_of, parse_payl
 from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.spatial.inertia import mass_com_inertia, matrix_of_six, min_eigenvalues
+from sysid_bench.spatial.inertia import inertia_matrix, mass_com_inertia, min_eigenvalues
 from sysid_bench.tasks.task import task_of
 from sysid_bench.types import Array
 from tests.robots import (
@@ -51,7 +51,9 @@ def test_solids_have_the_moments_of_their_shape(
     chosen = list(sizes[:count])
     text = " ".join([word, *map(repr, chosen)])
     expected = mass * unit_moments(word, chosen)
-    np.testing.assert_allclose(matrix_of_six(np.array(inertia_of(text, mass))), expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        inertia_matrix(np.array(inertia_of(text, mass))), expected, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -126,7 +128,7 @@ def test_built_in_payloads_are_found_by_name_and_can_exist(name: str) -> None:
         mass, com, inertia = mass_com_inertia(payload.phi)
         assert f"{mass:g}kg" in name
         np.testing.assert_allclose(com, payload.com)
-        np.testing.assert_allclose(inertia, matrix_of_six(np.array(payload.inertia)), atol=1e-12)
+        np.testing.assert_allclose(inertia, inertia_matrix(np.array(payload.inertia)), atol=1e-12)
 
 
 def check_composite(bare: RobotModel, loaded: RobotModel, payload: Payload) -> None:
@@ -177,7 +179,7 @@ def tool_pose(bare: RobotModel, loaded: RobotModel) -> tuple[Array, Array]:
 
 def cloud(payload: Payload) -> tuple[Array, Array]:
     """Six point masses with the payload's mass, centre and inertia."""
-    inertia = matrix_of_six(np.array(payload.inertia))
+    inertia = inertia_matrix(np.array(payload.inertia))
     covariance = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     values, axes = np.linalg.eigh(covariance)
     arms = (axes * np.sqrt(np.maximum(values, 0) * 3 / payload.mass)).T

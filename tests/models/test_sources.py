@@ -10,7 +10,7 @@ from sysid_bench import package_folders
 from sysid_bench.errors import ModelError, UsageError
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.spec import ExperimentSpec
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.verbs.catalogue import show
@@ -62,7 +62,7 @@ use = "ols"
 
 
 def specs(base: str, use: str = '"ur5"') -> list[ExperimentSpec]:
-    return list(expand(parse_suite(SUITE.format(use=use, base=base))).specs)
+    return list(cells_of_suite(parse_suite(SUITE.format(use=use, base=base))).specs)
 
 
 def test_a_base_that_is_not_given_leaves_the_id_alone() -> None:
@@ -78,11 +78,11 @@ def test_a_robot_may_come_on_both_bases() -> None:
     text += '[[robot]]\nuse = ["ur5", "solo12"]\nfree_base = false\n'
     suite = parse_suite(text)
     assert parse_suite(suite_text(suite)) == suite
-    cells = expand(suite).cells
+    cells = cells_of_suite(suite).cells
     labels = [cell.labels["robot"] for cell in cells]
     assert labels == [f"{r} ({b} base)" for b in ("free", "fixed") for r in ("ur5", "solo12")]
     assert [cell.facts["robot.free_base"] for cell in cells] == [True, True, False, False]
-    chosen = expand(suite).select('robot == "ur5" and robot.free_base')
+    chosen = cells_of_suite(suite).select('robot == "ur5" and robot.free_base')
     assert [cell.labels["robot"] for cell in chosen] == ["ur5 (free base)"]
 
 

@@ -11,7 +11,7 @@ from sysid_bench import package_folders
 from sysid_bench.errors import ModelError
 from sysid_bench.models.urdf.canonical_urdf import Mimic, canonical_urdf
 from sysid_bench.models.xml_file import parse_xml
-from sysid_bench.spatial.inertia import matrix_of_six
+from sysid_bench.spatial.inertia import inertia_matrix
 from sysid_bench.types import Array
 from tests.robots import named_robot, random_rotation, robot_of, urdf_files, urdf_robot
 
@@ -167,7 +167,7 @@ def test_entities_are_refused_in_every_encoding(encoding: str) -> None:
 
 
 def body_inertia(text: str, name: str) -> Array:
-    return matrix_of_six(np.array(inertials(text)[name][7:]))
+    return inertia_matrix(np.array(inertials(text)[name][7:]))
 
 
 IMPOSSIBLE = ["1 0 0 1 0 5", "-1 0 0 1 0 1", "1 2 0 1 0 1", "1 0 0 1 0 0", "0 0 0 0 0 3"]
@@ -216,7 +216,7 @@ def test_a_lamina_in_a_turned_frame_is_a_robot_as_written(seed: int) -> None:
     flat = link("b", inertia=six).replace("<origin", f'<origin rpy="{rpy}"')
     loaded = robot_of(robot(link("a"), flat, joint("j", "a", "b")))
     assert loaded.repairs == ()
-    moments = np.linalg.eigvalsh(matrix_of_six(loaded.phi[1, 4:]))
+    moments = np.linalg.eigvalsh(inertia_matrix(loaded.phi[1, 4:]))
     np.testing.assert_allclose(moments, sorted([x, y, x + y]), rtol=1e-11)
 
 

@@ -10,7 +10,7 @@ from sysid_bench.regressors.pinocchio_wrench import pinocchio_wrench_regressor
 from sysid_bench.regressors.wrench import (
     base_wrench_regressor,
     joint_torque_regressor,
-    subtree_regressors,
+    subtree_regressor,
 )
 from tests.robots import (
     NAMED,
@@ -37,7 +37,7 @@ def _random(seed: int) -> RobotModel:
 
 def _agrees(robot: RobotModel, at: str, bases: list[str], samples: int = 6, seed: int = 0) -> None:
     cut, motion = cut_at(robot, at), states(robot, samples, seed)
-    ours = subtree_regressors(robot, cut, motion)
+    ours = subtree_regressor(robot, cut, motion)
     for base in bases:
         Y_n, Y_c = pinocchio_wrench_regressor(robot, cut, motion, base)
         assert Y_c.rows == ours.rows
@@ -83,7 +83,7 @@ def test_torques_behind_the_sensor_are_those_of_the_whole_robot(seed: int) -> No
     motion = states(robot, 5)
     tau = newton_euler(robot.tree, robot.tree.link_parameters(robot.phi), motion)
     cut = cut_at(robot, robot.body_names[seed % len(robot.body_names)])
-    made = subtree_regressors(robot, cut, motion)
+    made = subtree_regressor(robot, cut, motion)
     phi = robot.phi[list(cut.bodies)].ravel()
     truth = tau[:, list(made.dofs)]
     np.testing.assert_allclose(made.Y_c @ phi, truth, atol=1e-10 * (1 + np.abs(tau).max()))
@@ -111,6 +111,6 @@ def test_columns_and_rows_are_named() -> None:
 
 def test_a_base_upstream_is_refused_with_what_there_is() -> None:
     robot = named_robot("icub")
-    made = subtree_regressors(robot, cut_at(robot, "l_arm_ft_sensor"), states(robot, 2))
+    made = subtree_regressor(robot, cut_at(robot, "l_arm_ft_sensor"), states(robot, 2))
     with pytest.raises(UsageError, match="l_upper_arm"):
         made.base_wrench("chest")

@@ -12,6 +12,8 @@ from sysid_bench.verbs.report import report, table
 from tests.robots import named_robot
 from tests.signals.logs import recorded, write
 
+pytestmark = pytest.mark.long
+
 ROBOT = """
 name = "arm"
 file = "example-robot-data:ur_description/urdf/ur5_robot.urdf"

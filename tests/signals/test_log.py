@@ -12,7 +12,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log import Log, read_log
-from sysid_bench.signals.log_checks import refuse_findings
+from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import read_description
 from tests.robots import named_robot
 
@@ -58,7 +58,7 @@ def found(got: Log) -> dict[str, int]:
 
 def refused(got: Log, accepted: tuple[str, ...] = ()) -> str:
     with pytest.raises(UsageError) as error:
-        refuse_findings(got.findings, accepted, "run.toml")
+        check_findings(got.findings, accepted, "run.toml")
     return str(error.value)
 
 
@@ -162,7 +162,7 @@ def test_a_wrong_rate_is_refused_unless_accepted(
     got = read(robot, write(tmp_path, log, rate=f"{factor * RATE} Hz"))
     assert got.measured_rate == pytest.approx(RATE, rel=0.02)
     assert "--accept rate" in refused(got)
-    refuse_findings(got.findings, ("rate",), "")
+    check_findings(got.findings, ("rate",), "")
     noisy = replace(log, v=log.v + np.random.default_rng(0).normal(size=log.v.shape) * log.v.std())
     got = read(robot, write(tmp_path, noisy, rate=f"{factor * RATE} Hz", name="noisy"))
     assert got.measured_rate == pytest.approx(RATE, rel=0.04)
@@ -212,7 +212,7 @@ def test_a_limit_is_reported_and_passes(robot: RobotModel, log: Recorded, tmp_pa
     q = log.q + np.array([0.0, 0.2, 0.0])
     got = read(robot, write(tmp_path, replace(log, q=q)))
     assert found(got) == {"limits": int((q[:, 1] > 0.3).sum())}
-    refuse_findings(got.findings, (), "")
+    check_findings(got.findings, (), "")
 
 
 def test_held_lost_and_empty_samples_are_counted(
@@ -334,7 +334,7 @@ def test_damaged_files_are_one_sentence(robot: RobotModel, log: Recorded, tmp_pa
 
 def test_words_of_accept() -> None:
     with pytest.raises(UsageError, match="'rate'"):
-        refuse_findings((), ("rtae",), "")
+        check_findings((), ("rtae",), "")
 
 
 @pytest.mark.data

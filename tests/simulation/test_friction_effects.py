@@ -9,7 +9,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import BUILTIN, build, resolve
-from sysid_bench.simulation.compiled_steps import laws_along
+from sysid_bench.simulation.compiled_steps import compiled_torque
 from sysid_bench.simulation.effects.asymmetric_friction import Asymmetric
 from sysid_bench.simulation.effects.cables import Cables
 from sysid_bench.simulation.effects.curved_friction import CurvedFriction
@@ -44,7 +44,7 @@ def along(robot: RobotModel, effect: Any, q: Array, load: float = 0.0) -> Array:
     v = np.gradient(q, T)
     v[0] = 0.0
     every, rate, loads = (np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v, load + 0 * v))
-    return laws_along([effect.prepare(robot)], T, every, rate, loads, 4)
+    return compiled_torque([effect.prepare(robot)], T, every, rate, loads, 4)
 
 
 def work(tau: Array, q: Array) -> Array:

@@ -12,7 +12,7 @@ from sysid_bench.excitation.fourier import Fourier
 from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation import compiled_steps
-from sysid_bench.simulation.compiled_steps import laws_along, steps_library
+from sysid_bench.simulation.compiled_steps import compiled_torque, steps_library
 from sysid_bench.simulation.effects.elastic_joints import ElasticJoints
 from sysid_bench.simulation.effects.lugre import LuGre
 from sysid_bench.simulation.effects.stribeck import Stribeck
@@ -85,7 +85,7 @@ def _presliding_torque(q: Array, t: Array, each: int) -> Array:
     v = np.gradient(q, t)
     v[0] = 0.0  # from rest
     every, rate, load = (np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v, 0 * v))
-    return laws_along([law], t, every, rate, load, each)
+    return compiled_torque([law], t, every, rate, load, each)
 
 
 @pytest.mark.parametrize("amplitude", [1e-4, 1e-3, 0.1])

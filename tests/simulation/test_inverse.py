@@ -9,7 +9,7 @@ from sysid_bench.models.random.random_states import random_states
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.inverse import Inverse
 from sysid_bench.simulation.mujoco_inverse import inverse_torque
-from sysid_bench.simulation.plant import Plant, plant_of, set_inertias
+from sysid_bench.simulation.plant import Plant, plant_of, set_inertia
 from sysid_bench.types import Array, Trajectory
 from tests.experiments.experiment_world import OWN, RICH, SHIPPED, robot_of
 
@@ -129,4 +129,4 @@ def test_a_body_that_cannot_exist_is_named(column: int, value: float) -> None:
     phi = robot.phi.copy()
     phi[1, column] = value
     with pytest.raises(EstimationError, match="fore"):
-        set_inertias(plant_of(robot).contact_free_model, phi)
+        set_inertia(plant_of(robot).contact_free_model, phi)

@@ -7,7 +7,7 @@ import pytest
 
 from sysid_bench.errors import UsageError
 from sysid_bench.naming import BUILTIN, build
-from sysid_bench.simulation.sampling import sampled_late
+from sysid_bench.simulation.sampling import sampled_with_delay
 from sysid_bench.simulation.sensor_chain import SensorChain, TorqueSignal, sensor_chain
 from sysid_bench.simulation.sensor_errors.delay import Delay
 from sysid_bench.simulation.sensor_errors.lost_samples import LostSamples
@@ -117,7 +117,7 @@ def oracle() -> Oracle:
 @pytest.mark.parametrize("steps", [1, 4])
 def test_a_delay_of_whole_steps_shifts_the_samples(steps: int) -> None:
     exact, late = oracle(), np.full((2000, 6), steps / RATE)
-    read = sampled_late(robot_of("ur5"), exact, 1, late, late)
+    read = sampled_with_delay(robot_of("ur5"), exact, 1, late, late)
     for found, there in ((read.tau, exact.tau), (read.motion.q, exact.motion.q)):
         np.testing.assert_allclose(found[steps:], there[:-steps], atol=1e-12)
     np.testing.assert_array_equal(read.motion.t, exact.motion.t)
@@ -127,7 +127,7 @@ def test_a_delay_of_whole_steps_shifts_the_samples(steps: int) -> None:
 def test_a_fractional_delay_is_read_between_the_steps(late: float) -> None:
     exact = oracle()
     ages = np.full((400, 6), late)
-    read = sampled_late(robot_of("ur5"), exact, 5, ages, np.zeros((400, 6)))
+    read = sampled_with_delay(robot_of("ur5"), exact, 5, ages, np.zeros((400, 6)))
     t = exact.motion.t[::5][10:, None] - late
     phase = 2 * np.pi * t + np.arange(6)
     # Cubic between steps h of 1 ms: h^4 / 384 times the fourth derivative.
@@ -144,7 +144,7 @@ def test_lags_add_up_and_jitter_is_common_to_the_joints_of_a_sample() -> None:
         build("sensor_error", "jitter"),
     ]
     chain = sensor_chain(robot, errors, [rng(k) for k in range(3)])
-    q, tau = chain.lateness(np.arange(5000) / 200.0, 6, rng)
+    q, tau = chain.sampling_delay(np.arange(5000) / 200.0, 6, rng)
     np.testing.assert_allclose(tau - q, 0.004, atol=1e-15)
     assert not np.ptp(q, axis=1).any()
     assert q.mean() == pytest.approx(0.001, abs=2e-5)

@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_bench.spatial.inertia import (
+    inertia_matrix,
     inertia_transform,
+    inertia_values,
     mass_com_inertia,
-    matrix_of_six,
     min_eigenvalues,
     phi_of,
     phi_of_pseudo_inertia,
     pseudo_inertia,
-    six_of_matrix,
 )
 from tests.robots import cloud_phi, random_phi, random_rotation
 
@@ -36,8 +36,8 @@ def test_pseudo_inertia_there_and_back(seed: int) -> None:
 @given(seed=SEEDS)
 def test_six_numbers_there_and_back(seed: int) -> None:
     six = np.random.default_rng(seed).normal(size=(4, 6))
-    matrix = matrix_of_six(six)
-    np.testing.assert_array_equal(six_of_matrix(matrix), six)
+    matrix = inertia_matrix(six)
+    np.testing.assert_array_equal(inertia_values(matrix), six)
     np.testing.assert_array_equal(matrix, np.swapaxes(matrix, -1, -2))
 
 
@@ -107,4 +107,4 @@ def test_a_thin_rod_has_the_moments_of_the_textbooks(axis: int) -> None:
     end = np.zeros(3)
     end[axis] = length / 2
     phi = phi_of(mass, end, np.diag(mass * length**2 / 12 * across))
-    np.testing.assert_allclose(matrix_of_six(phi[4:]), np.diag(mass * length**2 / 3 * across))
+    np.testing.assert_allclose(inertia_matrix(phi[4:]), np.diag(mass * length**2 / 3 * across))

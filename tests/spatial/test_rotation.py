@@ -8,9 +8,9 @@ from scipy.linalg import expm
 
 from sysid_bench.spatial.rotation import (
     body_rates,
+    composed_rotation,
     inverse_quaternion,
     matrix_of_quaternion,
-    product,
     quaternion_of_matrix,
     quaternion_of_rotation,
     skew,
@@ -44,7 +44,7 @@ def test_a_quaternion_gives_a_rotation(q: Array) -> None:
 
 @given(q=quaternions(), r=quaternions())
 def test_products_compose(q: Array, r: Array) -> None:
-    together = matrix_of_quaternion(product(q, r))
+    together = matrix_of_quaternion(composed_rotation(q, r))
     np.testing.assert_allclose(
         together, matrix_of_quaternion(q) @ matrix_of_quaternion(r), atol=1e-14
     )
@@ -52,7 +52,9 @@ def test_products_compose(q: Array, r: Array) -> None:
 
 @given(q=quaternions())
 def test_the_conjugate_is_the_inverse(q: Array) -> None:
-    np.testing.assert_allclose(product(q, inverse_quaternion(q)), [1, 0, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        composed_rotation(q, inverse_quaternion(q)), [1, 0, 0, 0], atol=1e-15
+    )
     np.testing.assert_allclose(
         matrix_of_quaternion(inverse_quaternion(q)), matrix_of_quaternion(q).T, atol=1e-14
     )

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from sysid_bench.cli import main
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.fingerprint import cell_fingerprint
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.run import run
 from sysid_bench.harness.suite.load_suite import load_suite
 from sysid_bench.tasks.task import find_task
@@ -53,7 +53,7 @@ def test_a_task_in_a_file_beside_the_suite_runs_from_end_to_end(suite_file: Path
 
 
 def test_its_cells_are_selected_by_label_and_by_name(suite_file: Path) -> None:
-    plan = expand(load_suite(suite_file))
+    plan = cells_of_suite(load_suite(suite_file))
     for name in ("Wrist", "file:wrist.py:Wrist"):
         assert len(plan.select(f"task == '{name}'")) == 1
     assert [cell.spec.task for cell in plan.cells] == ["link", "file:wrist.py:Wrist"]
@@ -62,7 +62,7 @@ def test_its_cells_are_selected_by_label_and_by_name(suite_file: Path) -> None:
 def test_a_changed_file_makes_its_rows_stale_and_no_others(suite_file: Path) -> None:
     from sysid_bench.harness import fingerprint
 
-    cells, folder = expand(load_suite(suite_file)).cells, suite_file.parent
+    cells, folder = cells_of_suite(load_suite(suite_file)).cells, suite_file.parent
     before = [cell_fingerprint(cell, None, folder) for cell in cells]
     (folder / "wrist.py").write_text(WRIST.read_text() + "\n# another version\n")
     for cached in (fingerprint._file, fingerprint._plugin, fingerprint._fingerprint):

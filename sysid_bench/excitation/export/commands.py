@@ -23,7 +23,7 @@ class Commands:
         return len(self.t)
 
     @property
-    def starts_at_rest(self) -> bool:
+    def is_at_standstill(self) -> bool:
         """True if the motion starts and ends below 0.001 rad/s (m/s)."""
         return bool(np.abs(self.v[[0, -1]]).max() < 1e-3)
 

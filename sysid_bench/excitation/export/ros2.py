@@ -27,7 +27,7 @@ def json_text(commands: Commands) -> str:
     return json.dumps(_message(commands)) + "\n"
 
 
-def yaml_text(commands: Commands) -> str:
+def ros2_text(commands: Commands) -> str:
     """Return the message as YAML, one line per point in the JSON subset of YAML."""
     whole = _message(commands)
     lines = [

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -9,10 +10,11 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.models.robot import SUFFIX, RobotModel
-from sysid_bench.naming import build
+from sysid_bench.naming import build, resolve_files
 from sysid_bench.regressors.joint_features import JointFeatures, features_of
 from sysid_bench.regressors.motor_terms import MotorColumns, motor_names
 from sysid_bench.signals.log_description import NO_JOINT, LogDescription
+from sysid_bench.tasks.feature_words import joint_of
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.vocabulary import MOTOR
 
@@ -106,9 +108,28 @@ def motor_terms(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(word for word in words if word.startswith(f"{MOTOR}."))
 
 
-def joint_terms(words: Sequence[str]) -> tuple[str, ...]:
-    """Those words that name terms or features of joints: "play"."""
+def joint_words(words: Sequence[str]) -> tuple[str, ...]:
+    """Those words that name terms or features of joints: "viscous", "play", "j2.poly"."""
     return tuple(word for word in words if not word.startswith(f"{MOTOR}."))
+
+
+def _feature_of(word: str, rows: Sequence[str]) -> str:
+    """The feature that a word names, without its joint."""
+    joint = joint_of(word, rows)
+    return word.removeprefix(f"{joint}.") if joint else word
+
+
+def feature_columns(
+    words: Sequence[str], rows: Sequence[str], folder: Path | None
+) -> tuple[str, ...]:
+    """The columns of features of joints: of one joint where the word names it, else of all."""
+    return tuple(
+        f"{row}.{suffix}"
+        for word in joint_words(words)
+        for row in ((joint_of(word, rows),) if joint_of(word, rows) else rows)
+        for feature in _features([_feature_of(word, rows)], folder)
+        for suffix in feature.suffixes
+    )
 
 
 def extra_columns(
@@ -120,10 +141,18 @@ def extra_columns(
     """
     address = _addresses(robot)
     motions = [log.recording.motion for log in training]
-    features = _features(joint_terms(words))
+    named = dict.fromkeys(_feature_of(word, rows) for word in joint_words(words))
+    features = _features(tuple(named), plugin_folder(robot))
     table = features_of(features, rows, [address[row] for row in rows], motions)
     of_motors = [word.removeprefix(f"{MOTOR}.") for word in motor_terms(words)]
     return ExtraColumns(table, _motors(of_motors, training) if of_motors else None)
+
+
+def plugin_folder(robot: RobotModel) -> Path | None:
+    """The folder that "file:mine.py:Spring" is relative to: that of the manifest, if it has a
+    file."""
+    file = robot.manifest.manifest_file
+    return None if file is None else file.parent
 
 
 def _motors(words: Sequence[str], training: Sequence[ProcessedLog]) -> MotorColumns:
@@ -173,10 +202,10 @@ def _validate_motor_terms(words: Sequence[str]) -> None:
         raise unknown_name("term of motors", unknown[0], MOTOR_TERMS, advice)
 
 
-def _features(names: Sequence[str]) -> list[Any]:
+def _features(names: Sequence[str], folder: Path | None = None) -> list[Any]:
     """The feature plug-ins of these names, in several widths or scales where they have one."""
     return [
-        build("term", {"use": name, **settings})
+        build("term", resolve_files({"use": name, **settings}, folder))
         for name in names
         for settings in VARIANTS.get(name, ({},))
     ]

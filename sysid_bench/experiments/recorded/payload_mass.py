@@ -1,7 +1,8 @@
-"""Mass of a payload whose position is given, with a confidence interval."""
+"""Payloads with confidence intervals: the mass where the position is given, else all that the data
+identify."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any, Final
 
@@ -18,21 +19,29 @@ from sysid_bench.experiments.recorded.problem import (
 )
 from sysid_bench.experiments.recorded.term_selection import FOLDS
 from sysid_bench.experiments.recorded.unknowns import MASS
+from sysid_bench.identifiability.verdicts import verdicts
 from sysid_bench.identification.identify import identify
+from sysid_bench.spatial.inertia import inertia_values, mass_com_inertia
 from sysid_bench.types import Array, Factor, Problem
 
 CONFIDENCE: Final = 0.95
 
+SEPARATE: Final = 1e-3
+"""Share of the payload's column of a row that the other columns must leave, for a mass there."""
+
 
 @dataclass(frozen=True)
 class PayloadMass:
-    """kg; `parts`: the mass with each part of the motion left out."""
+    """kg; `parts`: the mass with each part of the motion left out; `by_joint`: the mass that the
+    torque of one joint alone gives, with its deviation. They are equal up to noise if all torques
+    have the right scale."""
 
     mass: float
     std: float
     interval: tuple[float, float]
     parts: tuple[float, ...]
     confidence: float = CONFIDENCE
+    by_joint: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def payload_mass(
@@ -43,22 +52,102 @@ def payload_mass(
     beta: Array,
 ) -> PayloadMass:
     """The mass in `beta` (r,), its deviation by the jackknife over parts of the motion (Tukey
-    1958), and the interval of Student's t.
+    1958) and by the disagreement of the joints, and the interval of Student's t.
 
     Residuals are not white: a formal deviation would be too small by an order of magnitude. Raises
     EstimationError where the method fails without one of the parts.
     """
     index = problem.base.names.index(MASS)
-    masses = [
-        float(_identified(method, part)[index])
-        for part in _leave_one_fold_out(problem, builder, training)
-    ]
-    n = len(masses)
-    # The jackknife inflates the scatter by (n - 1)^2: estimates that share most data differ little.
-    std = float(np.sqrt((n - 1) / n * np.sum((np.array(masses) - np.mean(masses)) ** 2)))
+    parts = _leave_one_fold_out(problem, builder, training)
+    masses = [float(_identified(method, part)[index]) for part in parts]
+    by_joint = _masses_by_joint(problem, parts, index)
+    spread, factor = _jackknife(np.array(masses)[:, None])
+    std = float(np.sqrt(spread[0] ** 2 + _disagreement(by_joint)))
     mass = float(beta[index])
-    half_width = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * std
-    return PayloadMass(mass, std, (mass - half_width, mass + half_width), tuple(masses))
+    interval = (mass - factor * std, mass + factor * std)
+    return PayloadMass(mass, std, interval, tuple(masses), by_joint=by_joint)
+
+
+def _disagreement(by_joint: Mapping[str, tuple[float, float]]) -> float:
+    """Variance (kg^2) that the mean over the joints has because they disagree by more than their
+    deviations, as with errors of their torque scales (DerSimonian and Laird 1986)."""
+    masses, std = np.array(list(by_joint.values())).reshape(-1, 2).T
+    if len(masses) < 2 or not (std > 0).all():
+        return 0.0
+    w = 1 / std**2
+    excess = float(w @ (masses - w @ masses / w.sum()) ** 2) - (len(masses) - 1)
+    between = max(excess, 0.0) / float(w.sum() - (w @ w) / w.sum())
+    return float(1 / (1 / (std**2 + between)).sum() - 1 / w.sum())
+
+
+def _masses_by_joint(
+    problem: Problem, parts: Sequence[Problem], index: int
+) -> dict[str, tuple[float, float]]:
+    """The mass (kg) and its deviation in the least-squares fit of each row alone, where the row's
+    other unknowns do not explain the payload's torque as well."""
+    found = {}
+    for i, row in enumerate(problem.rows):
+        values = np.array([_row_mass(one.factors[i], index) for one in (problem, *parts)])
+        if np.isfinite(values).all():
+            found[row] = (float(values[0]), float(_jackknife(values[1:, None])[0][0]))
+    return found
+
+
+def _row_mass(factor: Factor, index: int) -> float:
+    """The mass in the fit of one row; NaN where it is not identifiable there."""
+    at = np.flatnonzero(factor.columns == index)
+    W, b = factor.R[:, :-1], factor.R[:, -1]
+    scale = np.linalg.norm(W, axis=0)
+    if len(at) == 0 or not scale[at[0]] > 0:
+        return float("nan")
+    W = W / np.where(scale > 0, scale, 1.0)
+    others = np.delete(W, at[0], axis=1)
+    # The part of the mass column that the other unknowns of the row cannot take over.
+    own = W[:, at[0]] - others @ np.linalg.lstsq(others, W[:, at[0]], rcond=None)[0]
+    if np.linalg.norm(own) < SEPARATE:
+        return float("nan")
+    return float(own @ b / (own @ own) / scale[at[0]])
+
+
+def payload_intervals(
+    method: Any,
+    problem: Problem,
+    builder: LogProblemBuilder,
+    training: Sequence[ProcessedLog],
+    beta: Array,
+) -> dict[str, list[list[float]]]:
+    """The intervals [low, high] of a payload with ten unknowns: `mass` (kg), `com` (m, 3) and
+    `inertia` about it (kg m^2, 6), each where its parameters are identifiable on their own.
+
+    By the jackknife of `payload_mass`, whose errors it has.
+    """
+    at = [problem.parameters.index(name) for name in builder.unknowns.payload_parameters]
+    known = np.array(verdicts(problem.base))[at] == "identifiable"
+    fits = [_identified(method, part) for part in _leave_one_fold_out(problem, builder, training)]
+    found = np.array([_payload_numbers(problem.base.embed(one)[at]) for one in (beta, *fits)])
+    std, factor = _jackknife(found[1:])
+    ends = np.stack([found[0] - factor * std, found[0] + factor * std], axis=1)
+    parts = {"mass": (slice(0, 1), 1), "com": (slice(1, 4), 4), "inertia": (slice(4, 10), 10)}
+    return {
+        name: ends[where].tolist()
+        for name, (where, needed) in parts.items()
+        if known[:needed].all() and found[0, 0] > 0
+    }
+
+
+def _payload_numbers(phi: Array) -> Array:
+    """Mass, centre of mass and inertia about it (10,) of phi (10,)."""
+    mass, com, inertia = mass_com_inertia(phi)
+    return np.concatenate([[mass], com, inertia_values(inertia)])
+
+
+def _jackknife(values: Array) -> tuple[Array, float]:
+    """Standard deviations (k,) of n estimates (n, k) that leave out one part each, and the half
+    length of an interval in these deviations, by Student's t."""
+    n = len(values)
+    # The jackknife inflates the scatter by (n - 1)^2: estimates that share most data differ little.
+    spread = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+    return np.sqrt((n - 1) / n * spread), float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2))
 
 
 def _identified(method: Any, part: Problem) -> Array:

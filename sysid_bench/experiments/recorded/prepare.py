@@ -9,10 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.errors import UnsupportedError, UsageError, unknown_name
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+from sysid_bench.experiments.recorded.model_prior import MODEL, model_prior
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog, process_log
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
 from sysid_bench.experiments.recorded.source import RecordedSource
@@ -22,12 +23,13 @@ from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.naming import resolve_files
-from sysid_bench.signals.log_checks import refuse_findings
+from sysid_bench.regressors.coupled import torque_regression
+from sysid_bench.signals.log_checks import check_findings
 from sysid_bench.signals.log_description import LogDescription, log_description, name_of
 from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_of
 from sysid_bench.signals.processing import processing_of
 from sysid_bench.signals.row_processing import MOVING
-from sysid_bench.types import Experiment, Problem
+from sysid_bench.types import Array, Experiment, Problem, Trajectory
 from sysid_bench.units import quantity
 
 FILTER: Final = "butter 4 10 Hz zero-phase"
@@ -36,6 +38,9 @@ FILTER: Final = "butter 4 10 Hz zero-phase"
 
 SLOW: Final = 30.0
 """Hz; at lower rates that filter would distort the motion itself, and is left out."""
+
+TERMS_TOO, BODIES_ALONE = "terms", "bodies"
+"""Constraints of feasible fits: friction and rotor inertia as well, or bodies alone."""
 
 TERMS: Final = ("viscous", "coulomb", "offset")
 """Terms of real joints, where the robot's manifest names none."""
@@ -46,8 +51,10 @@ class LogOptions:
     """`terms` None: the robot's own. `filter` None: FILTER, or none at low rates. `derivatives`
     None: from v where every log has v. `moving`: rows slower than this (rad/s, m/s) are left out.
     `pipeline` {use, settings} of the training logs, its file below `folder`; None: plain filtering.
-    `candidates`, `position_given`: see `build_problems`. `accept`: contradictions that may pass.
-    `true_mass`: kg, of the payload on a scale."""
+    `candidates`, `position_given`: see `build_problems`. `prior`: "model" (the file's inertias
+    where they are plausible), "none", or spreads. `accept`: contradictions that may pass.
+    `feasible`: "terms", friction and rotor inertia are not negative in feasible fits, or "bodies"
+    alone. `true_mass`: kg, of the payload on a scale."""
 
     task: str = "robot"
     terms: tuple[str, ...] | None = None
@@ -60,6 +67,8 @@ class LogOptions:
     true_mass: float | None = None
     pipeline: Mapping[str, Any] | None = None
     folder: Path | None = None
+    prior: str | Mapping[str, Any] = MODEL
+    feasible: str = TERMS_TOO
 
 
 def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[RecordedSource]:
@@ -72,7 +81,7 @@ def prepare_recorded(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Reco
     options = _options(spec, spec.log, folder)
     training = [log_description(written, folder) for written in spec.log["train"]]
     tests = _test_descriptions(spec.log["test"], folder)
-    return prepare_logs(loaded.robot.manifest, training, tests, options)
+    return prepare_recordings(loaded.robot.manifest, training, tests, options)
 
 
 def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogOptions:
@@ -89,11 +98,13 @@ def _options(spec: ExperimentSpec, log: Mapping[str, Any], folder: Path) -> LogO
         accept=tuple(log["accept"]),
         true_mass=None if mass is None else quantity(mass, "kg"),
         pipeline=spec.pipeline,
+        prior=spec.prior,
+        feasible=str(log.get("feasible", TERMS_TOO)),
         folder=folder,
     )
 
 
-def prepare_logs(
+def prepare_recordings(
     manifest: Manifest,
     training: Sequence[LogDescription],
     tests: Mapping[str, LogDescription],
@@ -111,7 +122,7 @@ def prepare_logs(
     judged = [process_log(log, manifest, preprocessing, training=False) for log in tests.values()]
     logs = [*fits, *judged]
     for log in logs:
-        refuse_findings(log.log.findings, options.accept, str(log.log.description.source))
+        check_findings(log.log.findings, options.accept, str(log.log.description.source))
     return build_problems(fits, dict(zip(tests, judged, strict=True)), preprocessing, options)
 
 
@@ -137,6 +148,9 @@ def build_problems(
         unknowns, selection = select_terms(unknowns, options.candidates, training, preprocessing)
     base = unknowns.base()
     builder = LogProblemBuilder(unknowns, base.names, preprocessing)
+    built = builder.build(training, base)
+    prior = model_prior(options.prior, unknowns, built, training)
+    problem = _signed(prior.given_to(built), options.feasible)
     source = RecordedSource(
         builder=builder,
         training=tuple(training),
@@ -144,14 +158,31 @@ def build_problems(
         terms=terms,
         selection=selection,
         true_mass=options.true_mass,
+        prior=prior,
     )
-    problem = builder.build(training, base)
     held_out = {name: builder.build([test], base) for name, test in tests.items()}
     moving = {
         name: builder.build([replace(test, rows=MOVING)], base) for name, test in tests.items()
     }
     experiment = _experiment(problem, builder, training[0])
     return Prepared(unknowns.robot, problem, experiment, held_out, source, moving)
+
+
+def _signed(problem: Problem, feasible: str) -> Problem:
+    """The problem with the constraints of feasible fits; raises UsageError for another word."""
+    if feasible not in (TERMS_TOO, BODIES_ALONE):
+        raise unknown_name("choice of feasibility", feasible, (TERMS_TOO, BODIES_ALONE))
+    return problem if feasible == TERMS_TOO else replace(problem, signed=())
+
+
+def _known_torque(builder: LogProblemBuilder, first: ProcessedLog, motion: Trajectory) -> Array:
+    """Torque (n, rows) of the payload of the first log along a motion, where it is known."""
+    load, unknowns = first.robot.payload_body, builder.unknowns
+    if load is None or unknowns.loaded is not None:
+        return np.zeros((len(motion), len(unknowns.rows)))
+    regression = torque_regression(first.robot, first.robot.bodies[load].columns)
+    at = [regression.rows.index(row) for row in unknowns.rows]
+    return np.asarray(regression.torque(motion, first.robot.phi[load])[:, at])
 
 
 def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLog) -> Experiment:
@@ -162,7 +193,7 @@ def _experiment(problem: Problem, builder: LogProblemBuilder, first: ProcessedLo
         raw=first.log.recording,
         regress=partial(regressor_blocks, builder),
         simulate=_refuse_simulation,
-        known=_refuse_simulation,
+        known=partial(_known_torque, builder, first),
     )
 
 

@@ -146,7 +146,7 @@ class LogProblemBuilder:
             i = regression.rows.index(row)
             extra, columns = self.extra_columns(log, row)
             columns = np.concatenate([indices[regression.touched[i]], columns])
-            used = np.where(self.moving_rows(log, row), labels, UNUSED)
+            used = np.where(self._moving_rows(log, row), labels, UNUSED)
             joint = _RowFactors(row, i, columns, extra, tau=tau[:, i], labels=used, count=count)
             joints.append(joint)
         for block in regression.blocks(log.recording.motion):
@@ -200,7 +200,7 @@ class LogProblemBuilder:
         regression, indices = self.regression(log)
         names, tau = self.unknowns.rows, self.torque(log)
         rows = [regression.rows.index(row) for row in names]
-        moving = np.stack([self.moving_rows(log, row) for row in names], axis=1)
+        moving = np.stack([self._moving_rows(log, row) for row in names], axis=1)
         features = [self.extra_columns(log, row) for row in names]
         for block in regression.blocks(log.recording.motion):
             kept = moving[block.samples]
@@ -212,7 +212,7 @@ class LogProblemBuilder:
         values: list[float] = []
         for i, row in enumerate(self.unknowns.rows):
             parts = [
-                one.kept(i, log.recording.tau[:, log.robot.torque_rows.index(row)])
+                one.row_values(i, log.recording.tau[:, log.robot.torque_rows.index(row)])
                 for log, one in zip(logs, along, strict=True)
             ]
             count = sum(one.count(i) for one in along)
@@ -221,7 +221,7 @@ class LogProblemBuilder:
 
     def rows_along(self, log: ProcessedLog) -> MotionRows:
         """The processing of the rows of a log; those of slow joints have no weight."""
-        moving = [self.moving_rows(log, row) for row in self.unknowns.rows]
+        moving = [self._moving_rows(log, row) for row in self.unknowns.rows]
         rows = motion_rows(log.rows, log.robot, self.unknowns.rows, log.recording.motion)
         return replace(rows, weights=rows.weights * np.stack(moving, axis=1))
 
@@ -243,7 +243,7 @@ class LogProblemBuilder:
             self.unknowns.rows, tuple(columns), tuple(values), along, len(self.columns)
         )
 
-    def moving_rows(self, log: ProcessedLog, row: str) -> Array:
+    def _moving_rows(self, log: ProcessedLog, row: str) -> Array:
         """Samples (N,) at which a joint moves fast enough."""
         # Below the threshold static friction may balance any torque up to its limit.
         v = log.recording.motion.v[:, log.robot.rows.index(row)]

@@ -1,7 +1,7 @@
 """Recordings as a source: training and test logs, and scores against the measured torque."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.recorded_score import score_recorded
 from sysid_bench.evaluation.score import base_parameters, data_figures
 from sysid_bench.experiments.prepared import Prepared
+from sysid_bench.experiments.recorded.model_prior import ModelPrior
 from sysid_bench.experiments.recorded.payload_mass import payload_mass
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, predict_torque
@@ -30,6 +31,7 @@ class RecordedSource:
     terms: tuple[str, ...]
     selection: TermSelection | None = None
     true_mass: float | None = None  # kg
+    prior: ModelPrior = field(default_factory=ModelPrior)
 
     @property
     def logs(self) -> tuple[ProcessedLog, ...]:
@@ -54,6 +56,7 @@ class RecordedSource:
                 "derivatives": preprocessing.derivatives,
                 "pipeline": preprocessing.name,
                 "seconds": sum(float(np.ptp(log.recording.t)) for log in self.training),
+                "prior": self.prior.text,
                 "findings": "; ".join(dict.fromkeys(self._findings())),
                 **_selection_fields(self.selection),
             }

@@ -4,15 +4,19 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from sysid_bench.experiments.recorded.extra_columns import extra_columns, joint_terms
+from sysid_bench.experiments.recorded.extra_columns import (
+    extra_columns,
+    feature_columns,
+    plugin_folder,
+)
 from sysid_bench.experiments.recorded.preprocess import LogProcessing, ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, fold_factors
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.identification.linear.column_selection import FoldRow, select_columns
 from sysid_bench.identification.linear.normal_qr import spread
-from sysid_bench.models.manifest import is_term
 from sysid_bench.qr_factor import upper_factor
 from sysid_bench.signals.time_folds import time_folds
+from sysid_bench.tasks.feature_words import feature_words
 from sysid_bench.types import Array, Factor
 
 FOLDS: Final = 5
@@ -80,17 +84,18 @@ def _with_candidates(
 ) -> Unknowns:
     """The unknowns with all candidates; of motors those that share joints, since the columns of a
     motor that drives one joint alone are those of that joint."""
-    terms = tuple(name for name in joint_terms(candidates) if is_term(name))
-    columns = unknowns.robot.term_columns(terms)
-    more = [column for column in columns if column.split(".")[0] in unknowns.rows]
-    words = [name for name in candidates if name not in terms]
-    table = extra_columns(unknowns.robot, unknowns.rows, (*unknowns.motor_words, *words), training)
+    robot, rows = unknowns.robot, unknowns.rows
+    words = feature_words(candidates, robot)
+    columns = robot.term_columns(tuple(name for name in candidates if name not in words))
+    more = [column for column in columns if column.split(".")[0] in rows]
+    table = extra_columns(robot, rows, (*unknowns.words, *words), training)
+    named = feature_columns(words, rows, plugin_folder(robot))
     coupled = () if table.motors is None else table.motors.coupled
     return replace(
         unknowns,
         terms=tuple(dict.fromkeys([*unknowns.terms, *more])),
         features=table,
-        extra=tuple(dict.fromkeys([*unknowns.extra, *table.joints.columns, *coupled])),
+        extra=tuple(dict.fromkeys([*unknowns.extra, *named, *coupled])),
     )
 
 

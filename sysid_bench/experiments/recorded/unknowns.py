@@ -11,8 +11,8 @@ from sysid_bench.errors import UnsupportedError, UsageError
 from sysid_bench.experiments.recorded.extra_columns import (
     ExtraColumns,
     extra_columns,
-    joint_terms,
-    motor_terms,
+    feature_columns,
+    plugin_folder,
 )
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.identifiability.base_map import base_map
@@ -21,6 +21,7 @@ from sysid_bench.models.load import load_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.naming import known
 from sysid_bench.qr_factor import upper_factor
+from sysid_bench.tasks.feature_words import feature_words
 from sysid_bench.tasks.task import TaskDefinition, find_task, unknown_bodies
 from sysid_bench.types import Array, BaseMap, Body, Trajectory
 
@@ -40,7 +41,7 @@ class Unknowns:
     terms: tuple[str, ...]
     rows: tuple[str, ...]
     features: ExtraColumns | None = None
-    motor_words: tuple[str, ...] = ()  # terms of motors that were named, not selected
+    words: tuple[str, ...] = ()  # features and terms of motors that were named, not selected
     extra: tuple[str, ...] = ()
     given: bool = False  # the payload's position, so that its mass is one of the extra columns
 
@@ -162,25 +163,27 @@ def unknowns_of(
     definition = find_task(task)
     _validate_task(definition, position_given)
     unloaded, loaded = _robots(definition, training)
-    words = motor_terms(terms)
+    words = feature_words(terms, unloaded)
     unknowns = Unknowns(
         unloaded,
         loaded,
         _columns(unknown_bodies(unloaded)),
-        unloaded.term_columns(joint_terms(terms)),
+        unloaded.term_columns(tuple(term for term in terms if term not in words)),
         training[0].log.joints,
-        motor_words=words,
+        words=words,
         extra=(MASS,) if position_given else (),
         given=position_given,
     )
-    return _with_motors(unknowns, training) if words else unknowns
+    return _with_features(unknowns, training) if words else unknowns
 
 
-def _with_motors(unknowns: Unknowns, training: Sequence[ProcessedLog]) -> Unknowns:
-    """The unknowns with the named terms and features of motors."""
-    features = extra_columns(unknowns.robot, unknowns.rows, unknowns.motor_words, training)
-    assert features.motors is not None
-    return replace(unknowns, features=features, extra=(*unknowns.extra, *features.motors.columns))
+def _with_features(unknowns: Unknowns, training: Sequence[ProcessedLog]) -> Unknowns:
+    """The unknowns with the named features, and terms of motors."""
+    robot, rows, words = unknowns.robot, unknowns.rows, unknowns.words
+    features = extra_columns(robot, rows, words, training)
+    of_motors = () if features.motors is None else features.motors.columns
+    named = feature_columns(words, rows, plugin_folder(robot))
+    return replace(unknowns, features=features, extra=(*unknowns.extra, *named, *of_motors))
 
 
 def _validate_task(task: TaskDefinition, position_given: bool) -> None:

@@ -15,11 +15,11 @@ from sysid_bench.experiments.simulated.composed_plant import (
 )
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.plugin_settings import setting_fields
+from sysid_bench.plugin_settings import plugin_fields
 from sysid_bench.simulation.plant import Plant, plant_of, viscous_coupling
 from sysid_bench.simulation.plant_robot import PlantCoordinates, with_model_errors
 from sysid_bench.simulation.sensor_chain import RngOf, SensorChain, sensor_chain
-from sysid_bench.simulation.sizes import drawn_sizes
+from sysid_bench.simulation.sizes import random_sizes
 from sysid_bench.types import Row
 from sysid_bench.units import quantity
 
@@ -95,7 +95,7 @@ class _Draws:
 
     def values(self, entry: PlantEntry) -> Iterator[Row]:
         """The drawn sizes of an entry in SI units, by joint or as one number."""
-        make = self.loaded.plugin_class(entry.kind, entry.spec)
+        make = self.loaded.plugin_of(entry.kind, entry.spec)
         for key, sizes in self._sizes(entry, make).items():
             names = _joint_names(entry, make, self.robot)
             size = dict(zip(names, sizes, strict=True)) if isinstance(sizes, list) else sizes
@@ -103,8 +103,8 @@ class _Draws:
             yield {"group": entry.group, "use": use, "setting": key, "drawn": size}
 
     def _plugin(self, entry: PlantEntry) -> Any:
-        make = self.loaded.plugin_class(entry.kind, entry.spec)
-        fields, drawn = setting_fields(make), dict[str, Any]()
+        make = self.loaded.plugin_of(entry.kind, entry.spec)
+        fields, drawn = plugin_fields(make), dict[str, Any]()
         for key, sizes in self._sizes(entry, make).items():
             # A plug-in reads a bare number in the unit of the setting, which may be "%".
             scale = quantity(1.0, (fields[key].unit if key in fields else None) or "1")
@@ -112,12 +112,12 @@ class _Draws:
         return self.loaded.build_plugin(entry.kind, {**entry.spec, **drawn})
 
     def _sizes(self, entry: PlantEntry, make: Any) -> Mapping[str, list[float] | float]:
-        fields, sizes = setting_fields(make), dict[str, list[float] | float]()
+        fields, sizes = plugin_fields(make), dict[str, list[float] | float]()
         for key, limits in checked_limits(entry, make).items():
             rng = np.random.default_rng(plant_seed(self.spec, *entry.channel, key))
             listed = key in fields and fields[key].is_per_joint
             count = len(_joint_names(entry, make, self.robot)) if listed else 1
-            values = drawn_sizes(limits, count, rng).tolist()
+            values = random_sizes(limits, count, rng).tolist()
             sizes[key] = values if listed else values[0]
         return sizes
 

@@ -21,10 +21,10 @@ import numpy as np
 from sysid_bench.canonical_json import canonical
 from sysid_bench.excitation.design_problem import DesignProblem
 from sysid_bench.excitation.limit_margins import Margins, check_limits, limit_margins
-from sysid_bench.excitation.limit_rule import marks_limits, own_settings
+from sysid_bench.excitation.limit_settings import checks_limits, without_limits
 from sysid_bench.excitation.motion_check import check_motion
 from sysid_bench.experiments.loaded_robot import LoadedRobot
-from sysid_bench.input_files import read_bytes
+from sysid_bench.input_files import read_data
 from sysid_bench.types import Array, Trajectory
 from sysid_bench.versions import package_hash
 
@@ -51,10 +51,10 @@ def commanded_motion(
     excitation has `limits = "mark"`.
     """
     origin = f"excitation {excitation['use']!r}"
-    motion = design_motion(own_settings(excitation), loaded, problem, seed)
+    motion = design_motion(without_limits(excitation), loaded, problem, seed)
     check_motion(motion, loaded.robot.joints, problem.rate, origin)
     margins = limit_margins(motion, loaded.robot)
-    if not marks_limits(excitation):
+    if checks_limits(excitation):
         check_limits(margins, origin)
     return CommandedMotion(motion, margins)
 
@@ -143,7 +143,7 @@ def _folder() -> Path:
 def _read_design(key: str) -> Array | None:
     """Return stored coefficients, None where they are absent or damaged."""
     try:
-        content = read_bytes(_folder() / f"{key}.design")
+        content = read_data(_folder() / f"{key}.design")
         checksum, array = content[:_CHECKSUM], content[_CHECKSUM:]
         if hashlib.sha256(array).digest() != checksum:
             return None

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.plugin_settings import setting_fields
-from sysid_bench.simulation.sizes import is_range, range_limits
+from sysid_bench.plugin_settings import plugin_fields
+from sysid_bench.simulation.sizes import is_random, random_limits
 from sysid_bench.units import parse_quantity
 
 COMPOSED: Final = "composed"
@@ -38,9 +38,9 @@ class PlantEntry:
         return self.group, str(self.spec["use"]), self.before
 
     @property
-    def ranges(self) -> dict[str, Mapping[str, Any]]:
+    def random_settings(self) -> dict[str, Mapping[str, Any]]:
         """The settings that are drawn, { from = ..., to = ... }."""
-        return {key: value for key, value in self.spec.items() if is_range(value)}
+        return {key: value for key, value in self.spec.items() if is_random(value)}
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def _entries(plant: Mapping[str, Any], group: str) -> Iterator[PlantEntry]:
         names.append(spec["use"])
 
 
-def plant_plugins(plant: Mapping[str, Any]) -> tuple[tuple[str, Mapping[str, Any]], ...]:
+def plant_entries(plant: Mapping[str, Any]) -> tuple[tuple[str, Mapping[str, Any]], ...]:
     """(kind, {use, settings}) of every plug-in of a plant."""
     return tuple((entry.kind, entry.spec) for entry in composed_plant(plant).entries)
 
@@ -96,7 +96,7 @@ def plant_name(plant: Mapping[str, Any]) -> str:
     """Short text of a plant: its label or name, else the names of its parts."""
     if plant.get("use") != COMPOSED:
         return str(plant.get("label") or plant["use"])
-    parts = [str(spec["use"]).rpartition(":")[2] for _, spec in plant_plugins(plant)]
+    parts = [str(spec["use"]).rpartition(":")[2] for _, spec in plant_entries(plant)]
     return str(plant.get("label") or plant.get("name") or " + ".join(parts) or "matched")
 
 
@@ -104,7 +104,7 @@ def limits_of_sizes(spec: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
     """The settings of an entry with every range replaced by its lower limit, and by its upper one:
     where both can be built, so can all between. Raises UsageError for an incomplete range, and for
     one that ends below its beginning."""
-    ranges = {key: value for key, value in spec.items() if is_range(value)}
+    ranges = {key: value for key, value in spec.items() if is_random(value)}
     for key, value in ranges.items():
         if set(value) != {"from", "to"}:
             raise UsageError(
@@ -131,12 +131,12 @@ def checked_limits(entry: PlantEntry, make: Any) -> dict[str, tuple[float, float
 
     Raises UsageError for a range that ends below its beginning.
     """
-    fields = setting_fields(make)
+    fields = plugin_fields(make)
     limits = {}
-    for key, written in entry.ranges.items():
+    for key, written in entry.random_settings.items():
         unit = fields[key].unit if key in fields else None
         try:
-            limits[key] = range_limits(written, unit)
+            limits[key] = random_limits(written, unit)
         except UsageError as error:
             raise UsageError(f"{entry.kind} {entry.spec['use']!r}, {key}: {error}") from error
     return limits

@@ -22,7 +22,7 @@ from sysid_bench.identifiability.subspaces import Excitation, excitation_of, str
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.models.sensor import SensorCut, last_body
 from sysid_bench.regressors.kernel_numpy import newton_euler
-from sysid_bench.regressors.wrench import subtree_regressors
+from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.wrench_sensors import (
     Contact,
@@ -76,7 +76,7 @@ def subtree_parameters(theta: Array, problem: Problem, columns: Sequence[str]) -
 def sensor_excitation(robot: RobotModel, cut: SensorCut, motion: Trajectory) -> Excitation:
     """The part of a sub-tree's identifiable subspace that a motion excites."""
     return excitation_of(
-        subtree_regressors(robot, cut, motion),
+        subtree_regressor(robot, cut, motion),
         structural_subspaces(robot, cut, (robot.body_names[cut.body],)),
     )
 

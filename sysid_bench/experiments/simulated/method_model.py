@@ -33,7 +33,7 @@ class KnownTorque:
 
 
 @dataclass(frozen=True, eq=False)
-class SimulateModel:
+class SimulatedModel:
     """The method's own model along the commanded motion, under the declared controller.
 
     Raises UnsupportedError without a controller, EstimationError for `theta` (p,) that cannot be
@@ -81,7 +81,7 @@ def known_model(robot: RobotModel, task: Task) -> KnownModel:
     )  # fmt: skip
 
 
-def refuse_simulation(_: Any) -> Any:
+def check_simulation(_: Any) -> Any:
     """Raise UnsupportedError: a closed loop needs more of the robot than the sensors see."""
     raise UnsupportedError(
         "A task with force/torque sensors declares no whole robot: nothing to simulate with."

@@ -26,7 +26,7 @@ def recorded_motions(
 
     Raises UnsupportedError for tasks, runs and excitations that allow one motion alone.
     """
-    trainings = noise_free.trainings
+    trainings = noise_free.simulated_motions
     if MOTIONS in spec.redrawn:
         # The noise-free part is shared by all repeats, whose motions differ.
         trainings = tuple(replace(training, spec=spec) for training in trainings)
@@ -63,7 +63,7 @@ def _check_different(
         )
 
 
-def common_bound(bounds: Sequence[Array | None]) -> Array | None:
+def pooled_bound(bounds: Sequence[Array | None]) -> Array | None:
     """Standard deviations (r,) of the Cramer-Rao bound of all motions together, from the bounds
     (r, r) of each: information adds up. None where a motion has none."""
     known = [bound for bound in bounds if bound is not None]

@@ -46,7 +46,7 @@ class NoiseFreePart:
     prior: Prior | None
 
     @cached_property
-    def trainings(self) -> tuple[SimulatedRobot, ...]:
+    def simulated_motions(self) -> tuple[SimulatedRobot, ...]:
         """The plant on each of the training motions."""
         further = (replace(self.simulated, motion=i) for i in range(1, self.spec.motions))
         return (self.simulated, *further)

@@ -17,7 +17,7 @@ from sysid_bench.identification.linear.online_estimation import (
     RecursiveEstimator,
     rows_of,
 )
-from sysid_bench.regressors.wrench import subtree_regressors
+from sysid_bench.regressors.wrench import subtree_regressor
 from sysid_bench.types import Array, Curve, Problem, Trajectory
 
 HISTORY: Final = 400
@@ -65,7 +65,7 @@ def _noise(problem: Problem) -> Array:
 def _torques(
     prepared: Prepared[SimulatedSource], track: ParameterTrack, motion: Trajectory
 ) -> list[Curve]:
-    tree = subtree_regressors(prepared.robot, prepared.source.task.cuts[0], motion)
+    tree = subtree_regressor(prepared.robot, prepared.source.task.cuts[0], motion)
     problem = prepared.problem
     assert problem.prior is not None
     sets = {

@@ -15,12 +15,12 @@ from sysid_bench.experiments.simulated.built_plant import built_plant
 from sysid_bench.experiments.simulated.ft_sensors import MeasuredSensors
 from sysid_bench.experiments.simulated.method_model import (
     KnownTorque,
-    SimulateModel,
-    refuse_simulation,
+    SimulatedModel,
+    check_simulation,
 )
 from sysid_bench.experiments.simulated.motions import (
-    common_bound,
     mean_share,
+    pooled_bound,
     recorded_motions,
 )
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart, noise_free_part
@@ -61,7 +61,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
         noise_free=noise_free,
         motion=motion,
         known=builder.known(motion)[:, builder.row_indices],
-        bound=common_bound([one.cramer_rao_bound(builder) for one in sampled]),
+        bound=pooled_bound([one.cramer_rao_bound(builder) for one in sampled]),
         left_out=mean_share([(one.left_out, len(one.recording)) for one in processed]),
         standstill=_standstill(builder, processed),
         rows=processed[0].rows,
@@ -89,11 +89,11 @@ def _experiment(
     """The problem of a recording, and the functions that methods may call."""
     builder, recording = noise_free.builder, processed.recording
     rows, measured = builder.row_indices, measured_signals(recording)
-    simulate: Callable[[Any], Recording] = refuse_simulation
-    known: Callable[[Any], Array] = refuse_simulation
+    simulate: Callable[[Any], Recording] = check_simulation
+    known: Callable[[Any], Array] = check_simulation
     if not noise_free.task.cuts:
         candidate = Candidate(**(noise_free.spec.candidate or {}))
-        simulate = SimulateModel(noise_free.known_model, processed.raw, candidate)
+        simulate = SimulatedModel(noise_free.known_model, processed.raw, candidate)
         known = KnownTorque(noise_free.known_model, rows)
     along = builder.rows_along(recording.motion, processed.rows)
     return Experiment(
@@ -104,7 +104,7 @@ def _experiment(
         simulate=simulate,
         known=known,
         runs=runs,
-        filter_rows=along.filtered,
+        filter_rows=along.processed,
     )
 
 

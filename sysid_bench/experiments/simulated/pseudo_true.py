@@ -4,7 +4,7 @@ from functools import lru_cache
 from typing import Final
 
 from sysid_bench.experiments.pooled_problem import pooled
-from sysid_bench.experiments.seed import further_motion_seed
+from sysid_bench.experiments.seed import other_motion_seed
 from sysid_bench.experiments.simulated.noise_free import NoiseFreePart
 from sysid_bench.identification.linear.weights import weighted_fit
 from sysid_bench.signals.row_processing import RowProcessing
@@ -31,7 +31,7 @@ def pseudo_true(noise_free: NoiseFreePart, rows: RowProcessing) -> Array | None:
 
 def _exact_problem(noise_free: NoiseFreePart, rows: RowProcessing, index: int) -> Problem:
     spec, builder = noise_free.spec, noise_free.builder
-    seed = further_motion_seed(spec, index)
+    seed = other_motion_seed(spec, index)
     motion, measured = noise_free.exact(noise_free.simulated.along(spec.excitation, seed))
     slow = RowProcessing(standstill=rows.standstill, weight=rows.weight)
     return builder.build(motion, measured, rows=builder.rows_along(motion, slow))

@@ -27,13 +27,17 @@ from sysid_bench.experiments.simulated.problem import (
     ProblemBuilder,
     regressor_blocks,
 )
-from sysid_bench.experiments.simulated.readings import Encoders, run_with_encoders
+from sysid_bench.experiments.simulated.sampled_signals import (
+    EncoderModel,
+    SampledSignals,
+    run_with_encoder_errors,
+)
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.pipeline_choice import pipeline_of
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.simulation.inverse import Inverse
-from sysid_bench.simulation.sensors import Noise, draw_noise, measure
+from sysid_bench.simulation.sensors import Noise, measure, noise_samples
 from sysid_bench.simulation.wrench_sensors import WRENCH_NOISE
 from sysid_bench.tasks.task import Task
 from sysid_bench.types import Array, Controller, Oracle, Recording, Trajectory
@@ -55,13 +59,13 @@ class SimulatedRobot:
         return self.loaded.build_plugin("simulation", self.spec.simulation)
 
     @property
-    def sample_step(self) -> int:
+    def step_ratio(self) -> int:
         """Steps of the simulation per sample of the recording."""
         rate: float = self.simulation.design_rate(self.spec.rate)
         return round(rate / self.spec.rate)
 
     @cached_property
-    def training(self) -> CommandedMotion:
+    def _training(self) -> CommandedMotion:
         """The training motion at the rate of the simulation, with its margins to the limits."""
         rate = self.simulation.design_rate(self.spec.rate)
         return self._checked(self.spec.excitation, rate, motion_seed(self.spec, self.motion))
@@ -69,10 +73,10 @@ class SimulatedRobot:
     @property
     def commanded(self) -> Trajectory:
         """The commanded training motion, at the rate of the simulation."""
-        return self.training.motion
+        return self._training.motion
 
     @cached_property
-    def other_motions(self) -> tuple[CommandedMotion, ...]:
+    def motions_held_out(self) -> tuple[CommandedMotion, ...]:
         """The held-out motions, at the rate of the recording; with elastic joints at that of the
         simulation."""
         return tuple(
@@ -83,8 +87,8 @@ class SimulatedRobot:
     @property
     def margins(self) -> Margins:
         """Margins to the limits along all motions, held-out ones included."""
-        margins = self.training.margins
-        for other in self.other_motions:
+        margins = self._training.margins
+        for other in self.motions_held_out:
             margins = margins.with_motion(other.margins)
         return margins
 
@@ -114,7 +118,7 @@ class SimulatedRobot:
         if self.built.plant.transmission is None:
             return self._moved(Inverse(), motion, self._no_error(motion))[0]
         oracle = self._moved(self.simulation, motion, self._no_error(motion))[0]
-        each = self.sample_step
+        each = self.step_ratio
         return Oracle(sampled_motion(oracle.motion, each), oracle.tau[::each])
 
     @cached_property
@@ -224,28 +228,19 @@ def record(
 ) -> SampledRecording:
     """The recording of one repeat, and of one of its runs where there are several."""
     repetition = repetition or Repetition(0, True, noise_seed(spec))
-    seed, built, decimation = repetition.seed, simulated.built, simulated.sample_step
+    seed, built, decimation = repetition.seed, simulated.built, simulated.step_ratio
     noise = Noise(**{key: x for key, x in spec.noise.items() if key not in WRENCH_NOISE})
     pipeline = pipeline_of(spec.pipeline, spec.signals, simulated.loaded.folder)
     rng, count = np.random.default_rng(seed), len(simulated.commanded)
     samples = len(range(0, count, decimation))
     # All draws before the run, in units of their deviation: levels of noise share the same draws.
-    draws = draw_noise(count, samples, len(built.model.torque_dofs), rng)
-    run = run_with_encoders(Encoders(built, noise, draws), simulated.run)
+    draws = noise_samples(count, samples, len(built.model.torque_dofs), rng)
+    run = run_with_encoder_errors(EncoderModel(built, noise, draws), simulated.run)
     # A relative level refers to the exact torque, so that the noise is independent of itself.
     torque_std = noise.torque_std(run.seen.tau[::decimation])
     readings = run.read(built.rng_of(seed), decimation)
-    raw = measure(
-        built.model,
-        readings.signals,
-        readings.error,
-        torque_std * noise.torque_noise(draws.torque),
-        readings.stride,
-        # Without a controller the robot moves exactly as commanded, which is the ground truth.
-        commanded=None if run.controller is None else simulated.commanded,
-        controller=run.controller,
-        ideal_rates=pipeline.ideal_rates,
-    )
+    torque_noise = torque_std * noise.torque_noise(draws.torque)
+    raw = _raw_recording(simulated, readings, torque_noise, run.controller, pipeline.ideal_rates)
     drifting = _with_drift(spec, raw, repetition.index, noise.tau_drift)
     raw = sensors.measure(drifting, run.oracle, decimation)
     raw = built.chain.stored(raw, built.rng_of(seed))
@@ -259,6 +254,27 @@ def record(
         torque_std=torque_std,
         correlation=noise.tau_correlation,
         rows=processed.rows,
+    )
+
+
+def _raw_recording(
+    simulated: SimulatedRobot,
+    sampled: SampledSignals,
+    torque_noise: Array,
+    controller: Controller | None,
+    ideal_rates: bool,
+) -> Recording:
+    """The recording of sampled signals before wrenches and the errors of its storage."""
+    return measure(
+        simulated.built.model,
+        sampled.signals,
+        sampled.error,
+        torque_noise,
+        sampled.stride,
+        # Without a controller the robot moves exactly as commanded, which is the ground truth.
+        commanded=None if controller is None else simulated.commanded,
+        controller=controller,
+        ideal_rates=ideal_rates,
     )
 
 
@@ -292,6 +308,6 @@ def held_out_motions(spec: ExperimentSpec, simulated: SimulatedRobot) -> dict[st
     motions: dict[str, Oracle] = {}
     for index, excitation in enumerate(spec.held_out):
         name = excitation["use"]
-        oracle = simulated.held_out(simulated.other_motions[index].motion)
+        oracle = simulated.held_out(simulated.motions_held_out[index].motion)
         motions[name if name not in motions else f"{name}-{index}"] = oracle
     return motions

@@ -6,10 +6,10 @@ from functools import cached_property
 from typing import Any
 
 from sysid_bench.evaluation.covariance import standard_errors
-from sysid_bench.evaluation.interval_figures import targets_of
+from sysid_bench.evaluation.interval_figures import true_values
 from sysid_bench.evaluation.score import base_parameters, data_figures, score
 from sysid_bench.evaluation.standard_error import StandardError
-from sysid_bench.excitation.limit_margins import margin_fields
+from sysid_bench.excitation.limit_margins import limit_fields
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.built_plant import BuiltPlant
 from sysid_bench.experiments.simulated.ft_score import (
@@ -19,8 +19,8 @@ from sysid_bench.experiments.simulated.ft_score import (
     rank_fields,
     sensor_excitation,
 )
-from sysid_bench.experiments.simulated.intervals import (
-    JudgedIntervals,
+from sysid_bench.experiments.simulated.interval_score import (
+    JudgedInterval,
     interval_rows,
     with_joints,
 )
@@ -95,7 +95,7 @@ class SimulatedSource:
         """Margins to the limits, ranks behind a sensor, and sizes that were drawn for the plant."""
         ranks = {} if self.excitation is None else rank_fields(self.excitation)
         drawn = [dict(values) for values in self.built.values]
-        margins = margin_fields(self.noise_free.simulated.margins)
+        margins = limit_fields(self.noise_free.simulated.margins)
         return margins | ranks | self._simulators() | ({"plant_values": drawn} if drawn else {})
 
     def _simulators(self) -> Row:
@@ -107,7 +107,7 @@ class SimulatedSource:
         return {
             "plant_step": self.step,
             "candidate_step": candidate.step or 1.0 / simulation.rate,
-            "same_simulator": candidate.equals_plant(simulation, self.step),
+            "same_simulator": candidate.has_steps_of(simulation, self.step),
         }
 
     @property
@@ -147,15 +147,15 @@ class SimulatedSource:
         prepared: Prepared["SimulatedSource"],
         estimate: Estimate,
         deviations: Mapping[str, StandardError],
-    ) -> "JudgedIntervals | None":
+    ) -> "JudgedInterval | None":
         """The confidence intervals and what they should hold; None without noise, where an
         interval has no width, or without an estimate."""
         beta, problem = base_parameters(estimate), prepared.problem
         if beta is None or not self.spec.noise or not deviations:
             return None
         limit = pseudo_true(self.noise_free, self.rows)
-        targets = targets_of(problem, problem.base.K @ self.truth.theta, limit, HOW)
-        return JudgedIntervals(beta, deviations, targets)
+        targets = true_values(problem, problem.base.K @ self.truth.theta, limit, HOW)
+        return JudgedInterval(beta, deviations, targets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +166,7 @@ class _Compared:
     truth: Truth
     bound: Array | None
     deviations: Mapping[str, StandardError]
-    intervals: JudgedIntervals | None
+    intervals: JudgedInterval | None
 
 
 def _parameter_table(estimate: Estimate, problem: Problem, compared: _Compared) -> list[Row]:

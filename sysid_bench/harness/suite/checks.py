@@ -66,7 +66,7 @@ def quantity_of(unit: str, positive: bool = False, below: float = math.inf) -> P
     return PlainValidator(check)
 
 
-def one_of(kind: str, words: tuple[str, ...]) -> BeforeValidator:
+def choice_of(kind: str, words: tuple[str, ...]) -> BeforeValidator:
     def check(value: Any) -> Any:
         if value not in words:
             raise ValueError(str(unknown_name(kind, str(value), words)))
@@ -101,7 +101,7 @@ def optional_items(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else (value,)
 
 
-def nonempty(value: Any) -> Any:
+def required_items(value: Any) -> Any:
     # Not min_length of pydantic: it reports a second error where all elements are wrong.
     if isinstance(value, (list, tuple)) and not value:
         raise ValueError("a suite needs at least one.")

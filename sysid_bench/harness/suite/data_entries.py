@@ -15,7 +15,7 @@ from pydantic import (
 from sysid_bench.harness.suite.checks import (
     check_context,
     checked,
-    one_of,
+    choice_of,
     plugin_kind,
     quantity_of,
 )
@@ -56,8 +56,8 @@ class Candidate(SuiteTable):
     and Coulomb friction that sticks, or the smooth tanh(v / v0)."""
 
     step: Annotated[Any, quantity_of("s", positive=True)] = None
-    integrator: Annotated[str, one_of("integrator", INTEGRATORS)] = "auto"
-    friction: Annotated[str, one_of("friction of a candidate", FRICTION)] = "sticking"
+    integrator: Annotated[str, choice_of("integrator", INTEGRATORS)] = "auto"
+    friction: Annotated[str, choice_of("friction of a candidate", FRICTION)] = "sticking"
 
 
 class Prior(SuiteTable):
@@ -70,6 +70,16 @@ class Prior(SuiteTable):
     terms: Share = "30 %"
     known: Share = None
     redrawn: StrictBool | None = None  # true: another draw with each repeat
+
+
+class ModelSpread(SuiteTable):
+    """Standard deviations of a model file's inertial parameters as the prior of a recording; of the
+    centre of mass a share of the body's size, and of joint terms a wide one, unless stated."""
+
+    mass: Share = "20 %"
+    com: Length = None
+    inertia: Share = "30 %"
+    terms: Share = None
 
 
 def _filter(value: Any) -> str:
@@ -113,8 +123,8 @@ def _contacts(value: Any) -> Any:
 
 class Signals(SuiteTable):
     filter: Annotated[str, PlainValidator(_filter)] = "none"
-    derivatives: Annotated[str, one_of("way to differentiate", ("from q", "exact"))] = "exact"
-    torque: Annotated[str, one_of("way to take torque", ("filtered", "raw"))] = "filtered"
+    derivatives: Annotated[str, choice_of("way to differentiate", ("from q", "exact"))] = "exact"
+    torque: Annotated[str, choice_of("way to take torque", ("filtered", "raw"))] = "filtered"
     runs: Annotated[str, BeforeValidator(_runs)] = "B"  # A without, B with the payload
     contacts: Annotated[Any, PlainValidator(_contacts)] = None
     """Periods that are left out: "10 s to 25 s", a list of them, or "detect"."""
@@ -123,6 +133,12 @@ class Signals(SuiteTable):
 
 PriorChoice = Annotated[
     Annotated[Prior, Tag("table")]
-    | Annotated[str, one_of("prior", ("truth", "none")), Tag("word")],
+    | Annotated[str, choice_of("prior", ("truth", "none")), Tag("word")],
+    Discriminator(plugin_kind),
+]
+
+LogPrior = Annotated[
+    Annotated[ModelSpread, Tag("table")]
+    | Annotated[str, choice_of("prior of a recording", ("model", "none")), Tag("word")],
     Discriminator(plugin_kind),
 ]

@@ -15,7 +15,7 @@ from sysid_bench.harness.suite.toml_lines import Key, key_lines, toml_line
 from sysid_bench.harness.suite.toml_text import toml_text
 from sysid_bench.input_files import parse_toml, read_text
 
-__all__ = ["Suite", "load_suite", "override", "parse_stored", "parse_suite", "suite_text"]
+__all__ = ["Suite", "load_suite", "parse_stored", "parse_suite", "set_values", "suite_text"]
 
 
 def load_suite(
@@ -44,7 +44,7 @@ def parse_suite(
     data = _read(text, file)
     known_lines = key_lines(text)
     if overrides:
-        data = override(data, overrides)
+        data = set_values(data, overrides)
     if folder is not None and "origin" not in data:
         data["origin"] = {"folder": str(folder)}
     return _validate(data, file, known_lines, names or installed_names())
@@ -55,7 +55,7 @@ def parse_stored(text: str, file: str) -> Suite:
     return _validate(_read(text, file), file, key_lines(text), no_names())
 
 
-def override(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> dict[str, Any]:
+def set_values(suite: str | Mapping[str, Any], settings: Mapping[str, str]) -> dict[str, Any]:
     """Return the data of a suite with `--set` pairs: {"defaults.rate": '"100 Hz"'}.
 
     Values are TOML, or else strings. List elements go by number: "robot.0.use".

@@ -22,24 +22,25 @@ from sysid_bench.experiments.spec import MOTIONS, PLANT
 from sysid_bench.harness.suite.checks import (
     check_context,
     checked,
+    choice_of,
     condition,
     items,
     key_list,
-    nonempty,
-    one_of,
     optional_items,
     quantity_of,
+    required_items,
 )
 from sysid_bench.harness.suite.data_entries import (
     Candidate,
     Filters,
     Load,
+    LogPrior,
     Noise,
     Prior,
     PriorChoice,
     Signals,
 )
-from sysid_bench.harness.suite.names import TaskInfo
+from sysid_bench.harness.suite.names import PlannedTask
 from sysid_bench.harness.suite.plugin_entries import (
     Estimator,
     Excitation,
@@ -61,7 +62,7 @@ from sysid_bench.harness.suite.report_entries import (
 )
 from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, metric_record
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
-from sysid_bench.naming import resolve_files
+from sysid_bench.naming import known, resolve_files
 from sysid_bench.signals.log_description import log_description, name_of
 from sysid_bench.signals.pipeline_choice import PLAIN
 from sysid_bench.types import Metric
@@ -88,6 +89,14 @@ def _term(value: Any) -> Any:
 Terms = tuple[Annotated[str, BeforeValidator(_term)], ...] | None
 
 
+def _recorded_term(value: Any) -> Any:
+    return value if value in known("term") else _term(value)
+
+
+RecordedTerms = tuple[Annotated[str, BeforeValidator(_recorded_term)], ...] | None
+"""Joint terms, and the features that recordings may have in their place."""
+
+
 def _motions(value: Any) -> Any:
     values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
     if not values:
@@ -95,7 +104,7 @@ def _motions(value: Any) -> Any:
     return values
 
 
-def _definition(value: Any, info: ValidationInfo) -> TaskInfo:
+def _definition(value: Any, info: ValidationInfo) -> PlannedTask:
     if not isinstance(value, str):
         raise ValueError(
             f"a task is a name, 'module:Class' or 'file:mine.py:Class'; got {value!r}."
@@ -132,7 +141,7 @@ class DefaultSettings(SuiteTable):
     motions: Annotated[tuple[Annotated[StrictInt, Field(ge=1, le=MOST_MOTIONS)], ...], Sweep] = (1,)
     """Different training motions, recorded one after the other."""
     redrawn: Annotated[
-        tuple[Annotated[str, one_of("part that repeats draw anew", (MOTIONS, PLANT))], ...],
+        tuple[Annotated[str, choice_of("part that repeats draw anew", (MOTIONS, PLANT))], ...],
         BeforeValidator(optional_items),
     ] = ()
     held_out: Annotated[
@@ -208,21 +217,25 @@ Choices = tuple[Annotated[str, PlainValidator(_candidate)], ...]
 
 
 class LogEntry(SuiteTable):
-    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `terms` and `choose` may be
-    sweeps."""
+    """Recordings of a real robot; `filter`, `moving`, `pipeline`, `prior`, `terms` and `choose` may
+    be sweeps."""
 
     robot: Annotated[Any, PlainValidator(_robot_name)]
     name: StrictStr | None = None
     train: Annotated[Logs, Sweep]
     test: Annotated[Logs, BeforeValidator(optional_items)] = ()
     task: Annotated[str, PlainValidator(_task_of_recordings)] = "robot"
-    terms: Annotated[tuple[Terms, ...], ListSweep] = (None,)  # None: the robot's own
+    terms: Annotated[tuple[RecordedTerms, ...], ListSweep] = (None,)  # None: the robot's own
     choose: Annotated[tuple[Choices, ...], ListSweep] = ((),)
     filter: Annotated[Filters, Sweep] = ("default",)  # as `identify --log` chooses
-    derivatives: Annotated[str, one_of("way to differentiate", ("from q", "from v"))] | None = None
+    derivatives: Annotated[str, choice_of("way to differentiate", ("from q", "from v"))] | None = (
+        None
+    )
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
     pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
-    accept: tuple[Annotated[str, one_of("finding", FINDINGS)], ...] = ()
+    prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
+    feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"
+    accept: tuple[Annotated[str, choice_of("finding", FINDINGS)], ...] = ()
     position_given: StrictBool = False
     true_mass: Annotated[Any, quantity_of("kg", positive=True)] = None
 
@@ -232,7 +245,7 @@ class LogEntry(SuiteTable):
         return self.name or " + ".join(name_of(log) for log in self.train)
 
 
-class Exclude(SuiteTable):
+class _Exclude(SuiteTable):
     when: PlanCondition
     reason: StrictStr
 
@@ -240,7 +253,7 @@ class Exclude(SuiteTable):
 class Crosscheck(SuiteTable):
     tolerance: Annotated[Any, quantity_of("1", positive=True)] = 1e-12
     on_fail: Annotated[
-        str, one_of("answer to a failed cross-check", ("skip-robot", "continue"))
+        str, choice_of("answer to a failed cross-check", ("skip-robot", "continue"))
     ] = "skip-robot"
 
 
@@ -282,7 +295,7 @@ class MetricEntry(Plugin):
         return metric_from_record(self.record or {})
 
 
-class Worst(SuiteTable):
+class _Worst(SuiteTable):
     metric: CellMetric
     count: StrictInt = Field(default=1, ge=1)
     per: Label | None = None
@@ -290,7 +303,7 @@ class Worst(SuiteTable):
 
 class Record(SuiteTable):
     when: RowCondition | None = None
-    worst: Worst | None = None
+    worst: _Worst | None = None
     max_hz: Annotated[Any, quantity_of("Hz", positive=True)] = 50.0
 
 
@@ -321,9 +334,9 @@ class Suite(SuiteTable):
     defaults: DefaultSettings = Field(default={}, validate_default=True)
     robot: tuple[RobotEntry, ...] = ()
     log: tuple[LogEntry, ...] = ()
-    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(nonempty)]
+    estimator: Annotated[tuple[Estimator, ...], BeforeValidator(required_items)]
     metric: tuple[MetricEntry, ...] = ()
-    exclude: tuple[Exclude, ...] = ()
+    exclude: tuple[_Exclude, ...] = ()
     crosscheck: Crosscheck = Crosscheck()
     table: tuple[TableEntry, ...] = ()
     paper: tuple[Paper, ...] = ()

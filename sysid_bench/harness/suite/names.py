@@ -30,14 +30,14 @@ class Load(Protocol):
     def mass(self) -> float: ...
 
 
-class TaskInfo(Protocol):
+class PlannedTask(Protocol):
     """The part of a task that planning reads."""
 
     @property
     def supports_recordings(self) -> bool: ...
 
 
-def _task(name: str, folder: Path | None) -> TaskInfo:
+def _task(name: str, folder: Path | None) -> PlannedTask:
     from sysid_bench.tasks.task import find_task
 
     return find_task(name, folder)
@@ -56,7 +56,7 @@ class Names:
     payload: Callable[[str | Mapping[str, Any]], Load]
     plugin: Callable[[str, Mapping[str, Any]], object]
     sensor: Callable[[str, Path | None, str], object] = lambda source, folder, text: None
-    task: Callable[[str, Path | None], TaskInfo] = _task
+    task: Callable[[str, Path | None], PlannedTask] = _task
     frozen: bool = False  # nothing is looked up: the suite was checked before
 
 
@@ -93,7 +93,7 @@ def _unseen_payload(spec: str | Mapping[str, Any]) -> Load:
     return _Unseen(str(spec))
 
 
-def _unseen_task(name: str, folder: Path | None) -> TaskInfo:
+def _unseen_task(name: str, folder: Path | None) -> PlannedTask:
     return _Unseen(name)
 
 

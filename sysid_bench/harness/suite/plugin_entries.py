@@ -7,8 +7,8 @@ from typing import Annotated, Any, ClassVar
 from pydantic import BeforeValidator, ConfigDict, StrictStr, ValidationInfo, model_validator
 
 from sysid_bench.canonical_json import canonical
-from sysid_bench.excitation.limit_rule import marks_limits, own_settings
-from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_plugins
+from sysid_bench.excitation.limit_settings import checks_limits, without_limits
+from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_entries
 from sysid_bench.harness.suite.checks import check_context, checked, to_plugin
 from sysid_bench.harness.suite.data_entries import Noise
 from sysid_bench.harness.suite.plant_file import with_plant_file
@@ -19,7 +19,7 @@ from sysid_bench.naming import resolve_files
 class Plugin(SuiteTable):
     """A plug-in: its name and its settings."""
 
-    model_config = ConfigDict(extra="allow", frozen=True)
+    model_config = ConfigDict(extra="allow", frozen=True, defer_build=True)
     kind: ClassVar[str] = ""
     use: StrictStr
 
@@ -28,7 +28,7 @@ class Plugin(SuiteTable):
         """Return {use, settings...}, without a label."""
         return {"use": self.use, **(self.model_extra or {})}
 
-    def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
+    def _looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
         """Return (kind, {use, settings}) of each plug-in that this entry needs."""
         return [(self.kind, self.plugin_spec)]
 
@@ -36,7 +36,7 @@ class Plugin(SuiteTable):
     def known(self, info: ValidationInfo) -> "Plugin":
         checked(lambda: canonical(self.spec))  # ids are made of JSON: TOML dates are refused
         context = check_context(info)
-        for kind, spec in checked(self.looked_up):
+        for kind, spec in checked(self._looked_up):
             checked(partial(context.names.plugin, kind, resolve_files(spec, context.folder)))
         return self
 
@@ -63,11 +63,11 @@ class Excitation(Plugin):
     @property
     def plugin_spec(self) -> dict[str, Any]:
         """Return the specification without the rule for limits, which is not the plug-in's."""
-        return own_settings(self.spec)
+        return without_limits(self.spec)
 
     @model_validator(mode="after")
     def _rule_for_limits(self) -> "Excitation":
-        checked(lambda: marks_limits(self.spec))
+        checked(lambda: checks_limits(self.spec))
         return self
 
 
@@ -100,10 +100,10 @@ class Plant(Plugin):
             return value
         return checked(lambda: with_plant_file(value, context.folder))
 
-    def looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
+    def _looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
         """Return (kind, {use, settings}) of each effect and error, ranges at either limit."""
         return [
             (kind, settings)
-            for kind, spec in plant_plugins(self.spec)
+            for kind, spec in plant_entries(self.spec)
             for settings in limits_of_sizes(spec)
         ]

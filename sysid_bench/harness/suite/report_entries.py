@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from sysid_bench.harness.suite.checks import check_context, condition, metric_name, one_of
+from sysid_bench.harness.suite.checks import check_context, choice_of, condition, metric_name
 from sysid_bench.metrics import METRICS, names_of
 from sysid_bench.vocabulary import (
     BESTS,
@@ -34,7 +34,7 @@ RowCondition = Annotated[str, PlainValidator(partial(condition, True))]
 class SuiteTable(BaseModel):
     """A table of the suite file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 AnyMetric = Annotated[str, metric_name("metric", lambda metric: True)]
@@ -44,15 +44,15 @@ RankedMetric = Annotated[str, metric_name("metric to rank by", lambda metric: me
 
 class TableCells(SuiteTable):
     metric: AnyMetric | None = None
-    stat: Annotated[str, one_of("statistic", STATISTICS)] = "median"
-    interval: Annotated[str, one_of("interval", INTERVALS)] = "none"
+    stat: Annotated[str, choice_of("statistic", STATISTICS)] = "median"
+    interval: Annotated[str, choice_of("interval", INTERVALS)] = "none"
 
 
-Label = Annotated[str, one_of("label of a cell", (*LABELS, "repeat"))]
+Label = Annotated[str, choice_of("label of a cell", (*LABELS, "repeat"))]
 Folder = Annotated[str, StringConstraints(strict=True, pattern=r"^[A-Za-z0-9_][A-Za-z0-9._-]*$")]
 
 
-Axis = Annotated[str, one_of("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM, JOINT))]
+Axis = Annotated[str, choice_of("label of a cell", (*LABELS, "repeat", PARAMETER, STD_FROM, JOINT))]
 
 
 class TableEntry(SuiteTable):
@@ -63,7 +63,7 @@ class TableEntry(SuiteTable):
     metrics: tuple[AnyMetric, ...] = ()
     """Several, each a column; `cells` then has stat and interval alone."""
     cells: TableCells = TableCells()
-    best: Annotated[str, one_of("way to mark the best", BESTS)] = "none"
+    best: Annotated[str, choice_of("way to mark the best", BESTS)] = "none"
     select: RowCondition | None = None
     effects: StrictBool = False
     """Main effects of rows and columns as ratios: what a pipeline and what a method contributes."""
@@ -108,7 +108,7 @@ class Paper(SuiteTable):
     values of a cell, `torques` measured and predicted along a test log."""
 
     name: Folder
-    show: Annotated[str, one_of("thing to show", ("model", "base-parameters", "torques"))]
+    show: Annotated[str, choice_of("thing to show", ("model", "base-parameters", "torques"))]
     title: StrictStr = ""
     select: RowCondition | None = None  # the first cell that meets it
     test: StrictStr | None = None

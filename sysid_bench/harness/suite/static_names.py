@@ -10,8 +10,8 @@ from typing import Any
 
 from sysid_bench import naming
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.harness.suite.names import Names, TaskInfo, installed_names
-from sysid_bench.input_files import read_bytes
+from sysid_bench.harness.suite.names import Names, PlannedTask, installed_names
+from sysid_bench.input_files import read_data
 
 Block = list[ast.stmt]
 
@@ -36,7 +36,7 @@ def _plugin(own: Names, kind: str, spec: Mapping[str, Any]) -> object:
     return _metric_record(use, definition) if kind == "metric" else None
 
 
-def _task(own: Names, name: str, folder: Path | None) -> TaskInfo:
+def _task(own: Names, name: str, folder: Path | None) -> PlannedTask:
     use = str(naming.resolve_files({"use": name}, folder)["use"])
     if not naming.is_third_party("task", use):
         return own.task(name, folder)
@@ -64,7 +64,7 @@ def _definition(kind: str, use: str) -> ast.stmt | None:
 
 def _syntax(file: Path) -> ast.Module:
     try:
-        return ast.parse(read_bytes(file), str(file))
+        return ast.parse(read_data(file), str(file))
     except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
         raise UsageError(f"{str(file)!r} is not valid Python: {error}.") from error
 

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Iterator
 
 from sysid_bench.errors import UsageError
-from sysid_bench.experiments.simulated.composed_plant import plant_plugins
-from sysid_bench.experiments.third_party import log_readers
+from sysid_bench.experiments.simulated.composed_plant import plant_entries
+from sysid_bench.experiments.third_party import log_reader_names
 from sysid_bench.harness.suite.model import LogEntry, Suite
 from sysid_bench.harness.suite.plugin_entries import Plugin
 from sysid_bench.naming import is_third_party, known
@@ -32,7 +32,7 @@ def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
     )  # fmt: skip
     yield from ((entry.kind, entry.use) for entry in entries)
     for plant in axes.plant:
-        yield from ((kind, str(spec["use"])) for kind, spec in plant_plugins(plant.spec))
+        yield from ((kind, str(spec["use"])) for kind, spec in plant_entries(plant.spec))
     yield from (("task", task) for task in axes.task)
     for log in suite.log:
         yield from _log_plugins(suite, log)
@@ -45,6 +45,6 @@ def _log_plugins(suite: Suite, log: LogEntry) -> Iterator[tuple[str, str]]:
     yield from (("term", word.removeprefix("motor.")) for word in words)
     for written in (*log.train, *log.test):
         try:
-            yield from log_readers(log_description(written, suite.folder))
+            yield from log_reader_names(log_description(written, suite.folder))
         except UsageError:  # a frozen suite whose files are gone: reported by its cells
             continue

@@ -9,7 +9,7 @@ from types import FrameType
 from typing import Any
 
 
-def raise_interrupt() -> None:
+def default_interrupt() -> None:
     """Do what Ctrl-C does in Python."""
     raise KeyboardInterrupt
 
@@ -19,7 +19,7 @@ def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
     """Call `act` for SIGINT, SIGTERM and SIGHUP; Python lets the main thread alone set handlers.
 
     Signals that this process ignores, as SIGHUP under nohup, stay ignored, and so do those that it
-    ignores by the end (`ignore_interrupt`).
+    ignores by the end (`without_interrupt`).
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -40,7 +40,7 @@ def on_interrupt(act: Callable[[], None]) -> Iterator[None]:
                 _restore(number, before[number])
 
 
-def ignore_interrupt() -> None:
+def without_interrupt() -> None:
     """Ignore further signals: an interrupted process is on its way out, with its own exit code."""
     if threading.current_thread() is threading.main_thread():
         for number in _numbers():

@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from sysid_bench.errors import reason_of, status_of
-from sysid_bench.experiments.job_channel import Death
-from sysid_bench.harness.work.processes import kill_children, with_parent
+from sysid_bench.experiments.job_channel import ProcessEnd
+from sysid_bench.harness.work.processes import kill_children, kill_with
 from sysid_bench.vocabulary import STATUSES
 
 Message = dict[str, Any]
@@ -31,7 +31,9 @@ _POLL_MILLISECONDS = 200
 """Interval of the check for a dead process whose pipe one of its children keeps open."""
 
 
-def isolate(function: Callable[[Send], Any], receive: Callable[[Message], None]) -> Death | None:
+def isolate(
+    function: Callable[[Send], Any], receive: Callable[[Message], None]
+) -> ProcessEnd | None:
     """Fork, run `function(send)` in the child and hand its messages to `receive` in the parent.
 
     Return None where the function has returned, else its end: an exception is `failed` (or
@@ -40,7 +42,7 @@ def isolate(function: Callable[[Send], Any], receive: Callable[[Message], None])
     try:
         child, pipe = _start_child(function)
     except OSError as error:  # no process or descriptor is left on this machine
-        return Death("lost", f"its process could not be started ({reason_of(error)})")
+        return ProcessEnd("lost", f"its process could not be started ({reason_of(error)})")
     last: Message | None = None
     killed = True
     try:
@@ -56,19 +58,19 @@ def isolate(function: Callable[[Send], Any], receive: Callable[[Message], None])
     if last is not None:
         return _death(last["end"])
     if killed:
-        return Death("crash", "its process closed the pipe of its result")
-    return Death(*end_of_process(os.waitstatus_to_exitcode(state)))
+        return ProcessEnd("crash", "its process closed the pipe of its result")
+    return ProcessEnd(*end_of_process(os.waitstatus_to_exitcode(state)))
 
 
-def _death(end: Any) -> Death | None:
+def _death(end: Any) -> ProcessEnd | None:
     """The end that a child has sent; a plug-in may have written anything into its pipe."""
     if end is None:
         return None
     match end:
         case [str(status), str(reason), str(text)] if status in STATUSES:
-            return Death(status, reason, text)
+            return ProcessEnd(status, reason, text)
         case _:
-            return Death("crash", "its process wrote into the pipe of its result")
+            return ProcessEnd("crash", "its process wrote into the pipe of its result")
 
 
 def end_of_process(code: int) -> tuple[str, str]:
@@ -111,7 +113,7 @@ def _run_child(function: Callable[[Send], Any], pipe: int, parent: int) -> None:
     """Run the function, send its end and leave; the process never returns from here."""
     process = os.getpid()
     os.setsid()  # it may end its process group, and not the worker with it
-    with_parent(parent)
+    kill_with(parent)
     _close_others(pipe)
 
     def send(message: Message) -> None:

@@ -27,7 +27,7 @@ _KILL_SECONDS = 10.0
 """Time of killing: processes that fork faster than they are killed, or that the kernel holds."""
 
 
-def with_parent(parent: int, at_its_end: int = signal.SIGKILL) -> None:
+def kill_with(parent: int, at_its_end: int = signal.SIGKILL) -> None:
     """Let Linux kill this process with its parent, also while compiled code runs; its orphaned
     descendants become its children."""
     if sys.platform != "linux":
@@ -38,7 +38,7 @@ def with_parent(parent: int, at_its_end: int = signal.SIGKILL) -> None:
         os._exit(1)
 
 
-def start_guarded(parent: int, close: Callable[[], None]) -> None:
+def start_process(parent: int, close: Callable[[], None]) -> None:
     """Go on in a fork of this process, on Linux; this process stays, as the guard of the fork.
 
     When the fork or `parent` ends, however it does, the guard ends all that the fork has started,
@@ -49,12 +49,12 @@ def start_guarded(parent: int, close: Callable[[], None]) -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     ends = {signal.SIGCHLD, signal.SIGTERM}
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ends | {signal.SIGINT, signal.SIGHUP})
-    with_parent(parent, signal.SIGTERM)
+    kill_with(parent, signal.SIGTERM)
     guard = os.getpid()
     fork = os.fork()
     if fork == 0:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        with_parent(guard)
+        kill_with(guard)
         return
     close()
     codes = dict[int, int]()
@@ -146,9 +146,10 @@ def processes_with(path: Path) -> list[str]:
     found = list[str]()
     for entry in _PROC.iterdir() if _PROC.is_dir() else ():
         if entry.name.isdigit() and _has_open(entry, os.path.realpath(path)):
-            words = (entry / "cmdline").read_bytes().rstrip(b"\0").split(b"\0")
-            command = " ".join(word.decode(errors="replace") for word in words)
-            found.append(f"process {entry.name} ({command[:100]})")
+            with contextlib.suppress(OSError):  # it has ended since
+                words = (entry / "cmdline").read_bytes().rstrip(b"\0").split(b"\0")
+                command = " ".join(word.decode(errors="replace") for word in words)
+                found.append(f"process {entry.name} ({command[:100]})")
     return found
 
 

@@ -1,14 +1,15 @@
 """Row files: append-only JSON lines, one writer per file; of rows with one id the last holds.
 
 A table of a row, a list of entries with the same keys, is written by column: {"columns": {key:
-values}}. Readers return lists of entries; files with lists of entries are read, too.
+values}}. Readers return lists of entries; files with lists of entries are read, too. Each line ends
+with the hash of its row (see row_hash.py): a row that was changed afterwards is not a row.
 """
 
 import contextlib
 import json
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -17,6 +18,7 @@ from typing import IO, Any, Final, NamedTuple
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError
 from sysid_bench.harness.work.row_check import TABLES, is_row, other_files
+from sysid_bench.harness.work.row_hash import HASH, with_hash, without_hash
 from sysid_bench.types import Row
 
 LARGEST_ROW: Final = 2**26
@@ -46,14 +48,15 @@ class Line(NamedTuple):
 
 
 class RowStart(NamedTuple):
-    """Row file and offset of a row."""
+    """Row file, offset and line of a row."""
 
     path: Path
     start: int
+    line: int
 
     def read(self) -> Row:
         """Return the row."""
-        return with_entries(json.loads(next(lines(self.path, 0, self.start)).text))
+        return with_entries(_json(without_hash(next(lines(self.path, 0, self.start)).text)))
 
 
 class RowWriter:
@@ -67,7 +70,7 @@ class RowWriter:
     def write(self, row: Row) -> None:
         """Append one line. Raises before writing: TypeError for values that are not JSON,
         UsageError for a row that no reader takes."""
-        line = json.dumps(_by_column(plain(row))).encode() + b"\n"
+        line = with_hash(json.dumps(_by_column(plain(row))).encode()) + b"\n"
         if len(line) > LARGEST_ROW:
             raise UsageError(
                 f"The row has {len(line) / 1e6:.0f} MB; {LARGEST_ROW / 1e6:.0f} MB are stored at "
@@ -126,12 +129,16 @@ def new_row_file(folder: Path, writer: str) -> Path:
 
 
 def read_rows(
-    folder: Path, *, start: Mapping[str, tuple[int, int]] | None = None, tables: bool = True
+    folder: Path,
+    *,
+    start: Mapping[str, tuple[int, int]] | None = None,
+    fields: Collection[str] | None = None,
+    cells: Collection[str] | None = None,
 ) -> StoredRows:
     """Return all rows of a folder of row files; no content of a file raises.
 
-    `start` gives the (line, offset) behind which a file, by its name, is read; `tables`: with the
-    tables of the rows.
+    `start` gives the (line, offset) behind which a file, by its name, is read; `fields` and `cells`
+    those that are kept in memory, where these are not all.
     """
     rows: dict[str, Row] = {}
     torn, garbled = 0, other_files(folder, "*.jsonl")
@@ -139,8 +146,9 @@ def read_rows(
         for line in lines(path, *(start or {}).get(path.name, (0, 0))):
             row = parse_row(line.text)
             if row is not None:
-                rows.pop(row["id"], None)
-                rows[row["id"]] = with_entries(row) if tables else _without_tables(row)
+                if cells is None or row["id"] in cells:
+                    rows.pop(row["id"], None)
+                    rows[row["id"]] = _kept(row, fields)
             elif line.unfinished:
                 torn += 1
             else:
@@ -148,13 +156,20 @@ def read_rows(
     return StoredRows(rows, torn, tuple(garbled))
 
 
-def rows_with_places(folder: Path) -> Iterator[tuple[Row, RowStart]]:
-    """Yield each row of a folder of row files and its place, one in memory at a time."""
+def _kept(row: Row, fields: Collection[str] | None) -> Row:
+    if fields is None:
+        return with_entries(row)
+    return {key: value for key, value in row.items() if key in fields}
+
+
+def rows_with_origin(folder: Path) -> Iterator[tuple[Row | bytes, RowStart]]:
+    """Yield each row of a folder of row files and its place, one in memory at a time; of a line
+    that is not a row its text."""
     for path in row_files(folder):
         for line in lines(path):
             row = parse_row(line.text)
-            if row is not None:
-                yield with_entries(row), RowStart(path, line.end - len(line.text))
+            place = RowStart(path, line.end - len(line.text), line.number)
+            yield line.text if row is None else with_entries(row), place
 
 
 def find_row(folder: Path, cell: str) -> Row | None:
@@ -210,12 +225,23 @@ def _skip_line(file: IO[bytes]) -> bool:
 
 
 def parse_row(line: bytes) -> Row | None:
-    """Return the row of a line, tables as they were written; None for all that is not a row."""
+    """Return the row of a line, tables as they were written; None for all that is not a row, or
+    another one than was written."""
     try:
-        row = json.loads(line)
+        row = _json(without_hash(line))
     except (ValueError, RecursionError):
         return None
-    return row if is_row(row) else None
+    return row if is_row(row) and HASH not in row else None
+
+
+def _json(text: bytes) -> Any:
+    """Return the value of a JSON text as json.loads does, which takes four times as long."""
+    from pydantic_core import from_json  # workers, which write alone, do without it
+
+    try:
+        return from_json(text)
+    except ValueError:  # also half a surrogate pair, and deeper nesting
+        return json.loads(text)
 
 
 def columns_of(table: Any) -> Mapping[str, list[Any]] | None:
@@ -250,7 +276,3 @@ def _is_alike(table: Any) -> bool:
         return False
     keys = list(table[0])
     return bool(keys) and all(list(entry) == keys for entry in table)
-
-
-def _without_tables(row: Row) -> Row:
-    return {key: value for key, value in row.items() if key not in TABLES}

@@ -31,7 +31,7 @@ _POLL_SECONDS = 0.5
 """A dead worker whose pipe a grandchild keeps open is seen after this time, and so is memory."""
 
 
-class StorageError(UsageError):
+class _StorageError(UsageError):
     """A row that the file system does not take."""
 
 
@@ -85,7 +85,7 @@ class _Supervisor:
             if self.fail_fast and self.failures:
                 return "stopped"
         for worker in self.workers:
-            worker.stop()
+            worker.close()
         self.workers.clear()
         return "finished"
 
@@ -103,7 +103,7 @@ class _Supervisor:
 
     def _assign_jobs(self) -> None:
         while self.waiting:
-            worker = next((idle for idle in self.workers if idle.is_idle), None)
+            worker = next((idle for idle in self.workers if idle.is_free), None)
             if worker is None:
                 if len(self.workers) >= max(1, self.max_workers):
                     return
@@ -144,7 +144,7 @@ class _Supervisor:
         elif "begin" in notice:
             worker.start_time_limit()
         elif "cell" in notice:
-            worker.begin_cell(notice["cell"])
+            worker.start_cell(notice["cell"])
         elif "row" in notice:
             worker.close_cell(notice["row"])
             self._count(notice["row"], notice["status"], notice["reason"])
@@ -185,10 +185,10 @@ class _Supervisor:
                 self._kill(worker, "memory", limit)
 
     def _check_row_files(self) -> None:
-        """Raise StorageError where a row file is gone: its further rows would be lost."""
+        """Raise _StorageError where a row file is gone: its further rows would be lost."""
         for worker in self.workers:
             if not worker.rows_file.exists():
-                raise StorageError(
+                raise _StorageError(
                     f"{str(worker.rows_file)!r} was removed or moved while its run went on; rows "
                     "may be gone. Run again: only cells without a row run."
                 )
@@ -201,8 +201,8 @@ class _Supervisor:
         except OSError as error:
             raise self._storage_error(reason_of(error)) from error
 
-    def _storage_error(self, reason: str) -> StorageError:
-        return StorageError(
+    def _storage_error(self, reason: str) -> _StorageError:
+        return _StorageError(
             f"A row cannot be stored in {str(self.settings.folder)!r} ({reason}). Make room and "
             "run again: stored rows stay, and only open cells run."
         )

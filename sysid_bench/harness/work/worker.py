@@ -26,9 +26,9 @@ from typing import Any, BinaryIO
 
 from sysid_bench.canonical_json import plain
 from sysid_bench.errors import UsageError, reason_of, status_of
-from sysid_bench.experiments.job_channel import Death, JobChannel, JobDeath
+from sysid_bench.experiments.job_channel import JobChannel, JobEnd, ProcessEnd
 from sysid_bench.harness.work.isolate import CAN_FORK, Message, Send, isolate
-from sysid_bench.harness.work.processes import start_guarded
+from sysid_bench.harness.work.processes import start_process
 from sysid_bench.harness.work.row_files import RowWriter
 from sysid_bench.types import Row
 from sysid_bench.vocabulary import LABELS
@@ -49,7 +49,7 @@ class _Left(BaseException):
     """End of a job in a process that third-party code may have changed; `death`: its end before a
     row."""
 
-    def __init__(self, death: Death | None) -> None:
+    def __init__(self, death: ProcessEnd | None) -> None:
         super().__init__()
         self.death = death
 
@@ -62,7 +62,7 @@ def main() -> None:
     settings = json.loads(jobs_in.readline() or b"null")
     if settings is None:
         return
-    start_guarded(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
+    start_process(settings["parent"], partial(_close_pipes, jobs_in, notices_out))
     _limit_memory(settings["memory"])
     threading.Thread(target=_listen, args=(jobs_in, inbox), daemon=True).start()
     sys.path[:] = list(dict.fromkeys([*settings["path"], *sys.path]))
@@ -137,7 +137,7 @@ def _run(job: Mapping[str, Any], writer: RowWriter, notify: Send) -> bool:
         value = function(job["argument"], channel)
     except _StorageError as error:
         notify({"full": reason_of(error.__cause__ or error)})
-    except JobDeath as ended:
+    except JobEnd as ended:
         notify({"dead": ended.death.reason, "status": ended.death.status})
     except _Left as left:
         death = left.death
@@ -169,7 +169,7 @@ class _Channel:
     def cells(self) -> frozenset[str]:
         return frozenset(self.open_cells)
 
-    def emit(self, row: Row) -> None:
+    def write(self, row: Row) -> None:
         """Store and announce a row. Raises UsageError for a cell that is not open, TypeError for
         values that are not JSON."""
         if row.get("id") not in self.open_cells:
@@ -180,24 +180,24 @@ class _Channel:
         self._store(row)
         self.open_cells.discard(row["id"])
 
-    def isolate(self, function: Callable[[JobChannel], Any]) -> Death | None:
+    def isolate(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
         if not CAN_FORK:
             raise _Left(self._end_here(function))
         return isolate(
             lambda send: function(_ForkedChannel(self.call, self.open_cells, send)), self._receive
         )
 
-    def _end_here(self, function: Callable[[JobChannel], Any]) -> Death | None:
+    def _end_here(self, function: Callable[[JobChannel], Any]) -> ProcessEnd | None:
         """Run a function in this process, which goes on with nothing else then."""
         try:
             function(self)
         except (_Left, _StorageError):
             raise
         except BaseException as error:
-            return Death(status_of(error), reason_of(error), traceback.format_exc())
+            return ProcessEnd(status_of(error), reason_of(error), traceback.format_exc())
         return None
 
-    def begin(self, cell: str) -> None:
+    def start_cell(self, cell: str) -> None:
         raise NotImplementedError
 
     def progress(self, value: Any) -> None:
@@ -213,9 +213,9 @@ class _Channel:
         if not isinstance(cell, str) or cell not in self.open_cells:
             return  # forged: the child refuses it too
         if isinstance(row, dict):
-            self.emit(row)
+            self.write(row)
         else:
-            self.begin(cell)
+            self.start_cell(cell)
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class _StoringChannel(_Channel):
     writer: RowWriter
     notify: Send
 
-    def begin(self, cell: str) -> None:
+    def start_cell(self, cell: str) -> None:
         self.notify({"cell": cell})
 
     def progress(self, value: Any) -> None:
@@ -259,7 +259,7 @@ class _ForkedChannel(_Channel):
 
     send: Send
 
-    def begin(self, cell: str) -> None:
+    def start_cell(self, cell: str) -> None:
         self.send({"cell": cell})
 
     def _store(self, row: Row) -> None:

@@ -113,7 +113,7 @@ class Worker:
         )
 
     @property
-    def is_idle(self) -> bool:
+    def is_free(self) -> bool:
         """True where a job can be started."""
         return self.job is None and not self.has_left
 
@@ -136,7 +136,7 @@ class Worker:
             }
         )
 
-    def begin_cell(self, cell: str) -> None:
+    def start_cell(self, cell: str) -> None:
         """Start the time limit of a cell."""
         self.current, self.has_begun = cell, True
         self._log_start = self._log.total
@@ -206,7 +206,7 @@ class Worker:
         stored = stored_rows(self.rows_file) if self.open_cells else {}
         return [row for cell, row in stored.items() if cell in self.open_cells]
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """Let an idle worker store its rows and end; kill one that does not within 5 s."""
         self._outbox.put(None)
         with contextlib.suppress(subprocess.TimeoutExpired):

@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.identification.feasibility.required_prior import required_prior
 from sysid_bench.identification.linear.normal_qr import stacked_factor
-from sysid_bench.identification.linear.weights import row_sigmas
+from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
 
 
@@ -30,7 +30,7 @@ class APriori:
         Raises EstimationError without a prior."""
         prior = required_prior(problem)
         K, std = problem.base.K, prior.std / np.sqrt(self.weight)
-        R = stacked_factor(problem, (1.0 / row_sigmas(problem)).tolist())
+        R = stacked_factor(problem, (1.0 / row_noise(problem)).tolist())
         # In x = (theta - theta0) / std the prior is the unit ball, and the data a rank-r map of it.
         U, values, Vt = np.linalg.svd(R[:, :-1] @ (K * std), full_matrices=False)
         projected = U.T @ (R[:, -1] - R[:, :-1] @ (K @ prior.theta))

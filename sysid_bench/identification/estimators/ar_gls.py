@@ -9,9 +9,9 @@ from scipy.linalg import solve_toeplitz
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import stacked_factor
 from sysid_bench.identification.linear.residuals import (
+    blocks_of_samples,
     has_converged,
     residuals,
-    sample_blocks,
     step,
 )
 from sysid_bench.identification.linear.weights import weighted_fit, with_floor
@@ -78,7 +78,7 @@ def _whitened(problem: Problem, residual: Array, taps: Array) -> Iterator[tuple[
     """Rows and residuals filtered in time, block by block, without the first `order` samples."""
     order = taps.shape[1] - 1
     past = np.zeros((0, *(len(problem.rows), problem.base.rank))), residual[:0]
-    for Y, rest in sample_blocks(problem, residual):
+    for Y, rest in blocks_of_samples(problem, residual):
         Y, rest = np.concatenate([past[0], Y]), np.concatenate([past[1], rest])
         if len(Y) > order:
             yield _filtered(Y, taps[..., None]), _filtered(rest, taps)

@@ -8,11 +8,11 @@ from sysid_bench.errors import UnsupportedError
 from sysid_bench.identification.linear.normal_qr import solve
 from sysid_bench.identification.simulation_based.gauss_newton import (
     covariance,
+    error_noise,
     floor_of,
     regressor_of,
     residual_factor,
     rows_of,
-    sigmas,
 )
 from sysid_bench.types import Array, Estimate, Experiment, Recording
 
@@ -43,7 +43,7 @@ class Difference:
         for _ in range(2):
             R = residual_factor(W / sigma[:, None], b / sigma)
             beta = solve(R)
-            sigma = sigmas(b - W @ beta, floor_of(b))
+            sigma = error_noise(b - W @ beta, floor_of(b))
         return Estimate(beta, covariance=covariance(R))
 
 

@@ -9,9 +9,9 @@ from scipy.special import chdtr, chdtri
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.m_estimation import row_scale
 from sysid_bench.identification.linear.residuals import (
+    blocks_of_samples,
     has_converged,
     residuals,
-    sample_blocks,
     step,
 )
 from sysid_bench.identification.linear.weights import weighted_fit, with_floor
@@ -51,7 +51,7 @@ class IRLS:
             whiten = _whitening(problem, felt, residual * counted[:, None] / np.sqrt(share))
             blocks = (
                 ((whiten @ Y[:, felt]) * kept[:, None, None], rest * kept[:, None])
-                for Y, rest, kept in sample_blocks(problem, residual @ whiten.T, counted)
+                for Y, rest, kept in blocks_of_samples(problem, residual @ whiten.T, counted)
             )
             change, spread = step(R, blocks)
             beta = beta + change

@@ -10,12 +10,12 @@ from sysid_bench.identification.simulation_based.gauss_newton import (
     CONVERGED,
     FLAT,
     HALVINGS,
+    error_noise,
     floor_of,
     has_converged,
     indices_of,
     regressor_of,
     samples_of,
-    sigmas,
     simulatable_start,
     step_rms,
 )
@@ -49,7 +49,7 @@ class IV:
         simulatable, theta = simulatable_start(experiment)
         W, b = _measured(experiment)
         floor = floor_of(b)
-        sigma = sigmas(b, floor)
+        sigma = error_noise(b, floor)
         simulated = experiment.simulate(theta)
         share, before = 1.0, np.inf
         for count in range(1, self.iterations + 1):
@@ -57,7 +57,7 @@ class IV:
             Z = experiment.filter_rows(Z)
             for _ in range(2):  # the second with the residual variance of the first
                 beta, R, Q_W = _solution(Z, W, b, sigma)
-                sigma = sigmas(b - W @ beta, floor)
+                sigma = error_noise(b - W @ beta, floor)
             goal = _goal(simulatable, theta, beta, R)
             moved = simulatable.problem.base.K @ (goal - theta)
             if has_converged(R, moved, beta, CONVERGED if count < 0.5 * self.iterations else FLAT):

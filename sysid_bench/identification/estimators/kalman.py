@@ -13,7 +13,7 @@ from sysid_bench.identification.linear.normal_qr import (
     stacked_factor,
 )
 from sysid_bench.identification.linear.recursive_qr import rank_update
-from sysid_bench.identification.linear.weights import row_sigmas
+from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.qr_factor import upper_factor
 from sysid_bench.types import Array, Estimate, Problem
 
@@ -39,7 +39,7 @@ class Kalman:
         if self.drift < 0 or self.hold < 1:
             raise UsageError(f"{self} is invalid: drift must be 0 or more, hold at least 1.")
         check_excited(stacked_factor(problem))
-        sigma, r = row_sigmas(problem), problem.base.rank
+        sigma, r = row_noise(problem), problem.base.rank
         walk = self._walk(problem) if self.drift > 0 else None
         R = np.zeros((r + 1, r + 1))
         for Y, b in problem.blocks():

@@ -14,12 +14,12 @@ from sysid_bench.types import Estimate, Problem
 class LMI:
     """min |S^-1/2 (W K theta - b)|^2 with pseudo-inertias J_i >= margin tr(J_i) 1, S as in `wls`.
 
-    Dissipative and elastic joint terms are non-negative; masses (kg) and centres of mass (m from
-    the body frame) lie within limits. A semidefinite program, solved by Clarabel; `duality_gap` and
-    `roundness` (smallest eigenvalue of any J over its trace) are the certificate. Unobservable
-    parameters come from the prior, else from spheres of 1 kg, and mean nothing by themselves.
-    margin = 1e-7 exceeds Clarabel's tolerance. Sousa and Cortesao (2014, 2019); Wensing, Kim,
-    Slotine (2018).
+    Friction and rotor inertia are non-negative (`Problem.signed`); masses (kg) and centres of mass
+    (m from the body frame) lie within limits. A semidefinite program, solved by Clarabel;
+    `duality_gap` and `roundness` (smallest eigenvalue of any J over its trace) are the certificate.
+    Unobservable parameters come from the prior, else from spheres of 1 kg, and mean nothing by
+    themselves. margin = 1e-7 exceeds Clarabel's tolerance. Sousa and Cortesao (2014, 2019);
+    Wensing, Kim, Slotine (2018).
     """
 
     margin: float = 1e-7

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from sysid_bench.identification.estimators.wls import WLS
-from sysid_bench.identification.feasibility.completion import complete
+from sysid_bench.identification.feasibility.completion import completed_parameters
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.required_prior import required_prior
 from sysid_bench.types import Estimate, Problem
@@ -29,6 +29,6 @@ class Reconstruction:
         prior, fit = required_prior(problem), WLS().solve(problem)
         assert fit.beta is not None
         feasible = feasible_set_of(problem)
-        theta = complete(feasible, problem.base, fit.beta, prior, self.distance)
+        theta = completed_parameters(feasible, problem.base, fit.beta, prior, self.distance)
         roundness = float(feasible.relative_eigenvalues(theta / feasible.scale).min(initial=0.25))
         return replace(fit, theta=theta, stats={"roundness": roundness})

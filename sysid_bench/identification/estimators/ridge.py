@@ -7,7 +7,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.linear.normal_qr import check_excited, stacked_factor
-from sysid_bench.identification.linear.weights import row_sigmas
+from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
 
 
@@ -31,7 +31,7 @@ class Ridge:
         direction, without one EstimationError is raised there."""
         if self.weight is not None and not self.weight > 0:
             raise UsageError(f"The ridge's weight is {self.weight}; it must be positive, or None.")
-        R = stacked_factor(problem, (1.0 / row_sigmas(problem)).tolist())
+        R = stacked_factor(problem, (1.0 / row_noise(problem)).tolist())
         norms = np.linalg.norm(R[:, :-1], axis=0)
         norms = np.where(norms > 0, norms, 1.0)
         U, values, Vt = np.linalg.svd(R[:, :-1] / norms, full_matrices=False)

@@ -7,7 +7,7 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.identification.linear.normal_qr import check_excited, inverse_of, solve_upper
 from sysid_bench.identification.linear.recursive_qr import update
-from sysid_bench.identification.linear.weights import row_sigmas
+from sysid_bench.identification.linear.weights import row_noise
 from sysid_bench.types import Estimate, Problem
 
 
@@ -29,7 +29,7 @@ class RLS:
         factor."""
         if not 0 < self.forgetting <= 1:
             raise UsageError(f"forgetting is {self.forgetting}; it must be above 0 and at most 1.")
-        sigma = row_sigmas(problem)
+        sigma = row_noise(problem)
         R = update(problem, sigma, self.forgetting)
         check_excited(R * np.append(np.ones(problem.base.rank), 0.0))
         inverse = inverse_of(R)

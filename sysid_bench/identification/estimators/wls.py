@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from sysid_bench.identification.linear.normal_qr import inverse_of
-from sysid_bench.identification.linear.weights import fit_sigmas, weighted_fit
+from sysid_bench.identification.linear.weights import fit_noise, weighted_fit
 from sysid_bench.types import Estimate, Problem
 
 
@@ -25,7 +25,7 @@ class WLS:
         every direction."""
         beta, R, sigma = weighted_fit(problem)
         for _ in range(self.iterations - 1):
-            beta, R, sigma = weighted_fit(problem, fit_sigmas(problem, beta, R, sigma))
+            beta, R, sigma = weighted_fit(problem, fit_noise(problem, beta, R, sigma))
         inverse = inverse_of(R)
         return Estimate(
             beta,

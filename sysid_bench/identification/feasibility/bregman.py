@@ -54,7 +54,7 @@ class Divergence:
         if terms.min(initial=1.0) <= 0:
             return np.inf
         try:
-            roots = np.linalg.cholesky(self.feasible.pseudo_inertias(x))
+            roots = np.linalg.cholesky(self.feasible.pseudo_inertia(x))
         except np.linalg.LinAlgError:
             return np.inf
         # log det J = 2 sum log diag of the Cholesky factor: no overflow of the determinant.
@@ -66,7 +66,7 @@ class Divergence:
     def metric(self) -> Array:
         """Hessian (p, p) at x0: the affine-invariant metric."""
         feasible, out = self.feasible, np.zeros((len(self.x0), len(self.x0)))
-        inverse = np.linalg.inv(feasible.pseudo_inertias(self.x0))
+        inverse = np.linalg.inv(feasible.pseudo_inertia(self.x0))
         out[feasible.indices[:, :, None], feasible.indices[:, None, :]] = _metric_blocks(inverse)
         out[feasible.nonnegative, feasible.nonnegative] = 1 / self.x0[feasible.nonnegative] ** 2
         out[self.free, self.free] = self.pull
@@ -84,7 +84,7 @@ def divergence(feasible: FeasibleSet, x0: Array, std: Array) -> Divergence:
     signed = np.ones(len(x0), dtype=bool)
     signed[feasible.indices] = signed[feasible.nonnegative] = False
     free, linear = np.flatnonzero(signed), np.zeros(len(x0))
-    inverse = np.linalg.inv(feasible.pseudo_inertias(x0))
+    inverse = np.linalg.inv(feasible.pseudo_inertia(x0))
     linear[feasible.indices] = np.einsum("bij,kji->bk", inverse, BASIS)
     # d log det J0 at J0 is tr(J0^-1 dJ): the divergence has a zero gradient at the prior.
     linear[feasible.nonnegative] = 1 / x0[feasible.nonnegative]
@@ -159,7 +159,7 @@ class _Iterate:
     @cached_property
     def J(self) -> Array:
         """Pseudo-inertias (nb, 4, 4)."""
-        return self.d.feasible.pseudo_inertias(self.x)
+        return self.d.feasible.pseudo_inertia(self.x)
 
     @cached_property
     def roots(self) -> Array:
@@ -217,7 +217,7 @@ class _Iterate:
         gradient[: coordinates.rank] += self.y[: coordinates.rank]
         y = self.solve(gradient)
         x = coordinates.T @ y
-        J, terms = feasible.pseudo_inertias(x), x[feasible.nonnegative]
+        J, terms = feasible.pseudo_inertia(x), x[feasible.nonnegative]
         Z = target * self.inverse - self.Z - self.scaling @ J @ self.scaling
         z = (target - self.z * terms) / self.terms - self.z
         dual_roots = np.linalg.inv(np.linalg.cholesky(self.Z))
@@ -235,7 +235,7 @@ class _Iterate:
             return step
         x = self.x + share * (self.coordinates.T @ step.y)
         left = self.mu_of(
-            self.d.feasible.pseudo_inertias(x), self.Z + share * step.Z,
+            self.d.feasible.pseudo_inertia(x), self.Z + share * step.Z,
             x[self.d.feasible.nonnegative], self.z + share * step.z,
         ) / self.mu  # fmt: skip
         # The more of the gap the trial step closes, the smaller the next target.
@@ -255,7 +255,7 @@ def _start(
     d: Divergence, coordinates: BaseCoordinates, weight: float, y: Array, mu: float
 ) -> _Iterate:
     x = coordinates.x(y)
-    Z = mu * np.linalg.inv(d.feasible.pseudo_inertias(x))
+    Z = mu * np.linalg.inv(d.feasible.pseudo_inertia(x))
     return _Iterate(d, coordinates, weight, y, Z, mu / x[d.feasible.nonnegative])
 
 

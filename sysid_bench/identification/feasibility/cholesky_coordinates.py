@@ -76,7 +76,7 @@ def coordinates(feasible: FeasibleSet, x0: Array) -> Coordinates:
     eta = x0.copy()
     eta[feasible.nonnegative] = np.log(x0[feasible.nonnegative])
     # J = U U' with upper U: the lower Cholesky factor with rows and columns in reverse.
-    products = feasible.pseudo_inertias(x0)[:, ::-1, ::-1]
+    products = feasible.pseudo_inertia(x0)[:, ::-1, ::-1]
     U = np.linalg.cholesky(products)[:, ::-1, ::-1]
     last = U[:, 3, 3]
     diagonal = np.einsum("bii->bi", U)[:, :3]

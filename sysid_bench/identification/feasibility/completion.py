@@ -24,7 +24,7 @@ TINY: Final = 1e-12
 """Least joint term (SI) whose logarithm is taken."""
 
 
-def complete(
+def completed_parameters(
     feasible: FeasibleSet, base: BaseMap, beta: Array, prior: Prior, distance: str = "entropic"
 ) -> Array:
     """Return the physically consistent theta (p,) with K theta = beta nearest to the prior.
@@ -57,7 +57,7 @@ def completed_estimate(estimate: Estimate, problem: Problem, distance: str) -> E
         raise EstimationError("The method returned no base parameters to complete.")
     feasible, prior = feasible_set_of(problem), required_prior(problem)
     try:
-        theta = complete(feasible, problem.base, estimate.beta, prior, distance)
+        theta = completed_parameters(feasible, problem.base, estimate.beta, prior, distance)
     except EstimationError:
         return _moved(estimate, problem)
     return replace(estimate, theta=theta)

@@ -2,8 +2,8 @@
 
 A body is physically consistent iff its pseudo-inertia J(phi) (4, 4) is positive definite (Wensing,
 Kim, Slotine 2018). With lengths in units of LENGTH, the margin J >= margin tr(J) 1 is linear in
-phi, scales with the body's mass and holds for a massless body. Friction, rotor inertia and
-stiffness are non-negative.
+phi, scales with the body's mass and holds for a massless body. Friction and rotor inertia are not
+negative; a stiffness may be, since counterbalances and cables act like one.
 """
 
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ from sysid_bench.types import Array, Body, Problem
 LENGTH: Final = 0.1
 """m; a typical link size: moments of inertia of 1 kg are then of the order of one."""
 
-NOT_NEGATIVE: Final = (".fv", ".fc", ".Ia", ".k")
-"""Suffixes of dissipative and elastic joint terms."""
+NOT_NEGATIVE: Final = (".fv", ".fc", ".Ia")
+"""Suffixes of viscous and Coulomb friction and of the inertia of rotors."""
 
 SCALE: Final = np.array([1.0] + [LENGTH] * 3 + [LENGTH**2] * 6)
 """phi (10,) of a body of 1 kg and LENGTH."""
@@ -31,10 +31,12 @@ BASIS: Final = _UNITS @ pseudo_inertia(np.diag(SCALE)) @ _UNITS
 
 @dataclass(frozen=True, eq=False)
 class FeasibleSet:
-    """Indices of bodies and joint terms in the scaled parameters x (p,), theta = scale x."""
+    """Indices of bodies and joint terms in the scaled parameters x (p,), theta = scale x. `signed`:
+    joint terms that must not be negative; None: those of NOT_NEGATIVE."""
 
     parameters: tuple[str, ...]
     bodies: tuple[Body, ...]
+    signed: tuple[str, ...] | None = None
 
     @cached_property
     def indices(self) -> Array:
@@ -47,14 +49,11 @@ class FeasibleSet:
     def nonnegative(self) -> Array:
         """Indices (k,) of non-negative joint terms; coupled viscous friction has either sign."""
         inertial = set(self.indices.ravel().tolist())
-        return np.array(
-            [
-                i
-                for i, name in enumerate(self.parameters)
-                if i not in inertial and name.endswith(NOT_NEGATIVE)
-            ],
-            dtype=int,
-        )
+        found = [i for i, name in enumerate(self.parameters) if self._is_signed(name)]
+        return np.array([i for i in found if i not in inertial], dtype=int)
+
+    def _is_signed(self, name: str) -> bool:
+        return name.endswith(NOT_NEGATIVE) if self.signed is None else name in self.signed
 
     @cached_property
     def scale(self) -> Array:
@@ -63,13 +62,13 @@ class FeasibleSet:
         scale[self.indices] = SCALE
         return scale
 
-    def pseudo_inertias(self, x: Array) -> Array:
+    def pseudo_inertia(self, x: Array) -> Array:
         """Pseudo-inertias J (nb, 4, 4), lengths in LENGTH, kg."""
         return np.asarray(np.einsum("bk,kij->bij", x[self.indices], BASIS))
 
     def relative_eigenvalues(self, x: Array) -> Array:
         """Smallest eigenvalue of each J over its trace (nb,), at most 1/4; 0 if massless."""
-        J = self.pseudo_inertias(x)
+        J = self.pseudo_inertia(x)
         trace = np.trace(J, axis1=1, axis2=2)
         smallest = np.linalg.eigvalsh(J)[:, 0]
         return np.where(
@@ -78,11 +77,13 @@ class FeasibleSet:
 
 
 @lru_cache(maxsize=64)
-def feasible_set(parameters: tuple[str, ...], bodies: tuple[Body, ...]) -> FeasibleSet:
+def feasible_set(
+    parameters: tuple[str, ...], bodies: tuple[Body, ...], signed: tuple[str, ...] | None = None
+) -> FeasibleSet:
     """Feasible set of a robot, cached."""
-    return FeasibleSet(parameters, bodies)
+    return FeasibleSet(parameters, bodies, signed)
 
 
 def feasible_set_of(problem: Problem) -> FeasibleSet:
     """Feasible set of a problem's parameters."""
-    return feasible_set(problem.parameters, problem.bodies)
+    return feasible_set(problem.parameters, problem.bodies, problem.signed)

@@ -16,26 +16,29 @@ from sysid_bench.identification.feasibility.feasible_set import (
     BASIS,
     LENGTH,
     FeasibleSet,
-    feasible_set,
 )
 from sysid_bench.identification.linear.base_coordinates import (
     WEAK,
     nullspace,
     weighted_coordinates,
 )
-from sysid_bench.types import Array, BaseMap, Body, Estimate, Problem
+from sysid_bench.types import Array, BaseMap, Estimate, Problem
 
 TOLERANCE: Final = 1e-7
 """Clarabel's tolerance of the duality gap, a sum of squares with unit noise variance."""
 
-STEPS: Final = (0.99, 0.95, 0.9)
-"""Largest step fractions: Clarabel's default, and smaller ones where rounding stops it."""
+ATTEMPTS: Final = ((0.99, 1.0), (0.95, 1.0), (0.9, 1.0), (0.99, 1e-3), (0.99, 1e-6))
+"""Largest step fraction and scale of the objective: Clarabel's defaults, smaller steps where
+rounding stops it, smaller objectives where data far outside of the feasible set exhaust it."""
 
 FEASIBLE: Final = (1e-9, 1e-8)
 """Tolerance of the constraints, and the one accepted where rounding allows no less."""
 
 LEAST: Final = 3e-8
 """Least eigenvalue of J (kg, lengths in LENGTH), above the tolerance of the constraints."""
+
+SOLVED: Final = ("Solved", "AlmostSolved")
+"""Statuses of Clarabel with an answer."""
 
 ACCEPTED: Final = 1e-4
 """Duality gap, absolute or relative, accepted where rounding allows no less."""
@@ -77,10 +80,9 @@ class Fit:
 
 
 @lru_cache(maxsize=64)
-def _cones_of(parameters: tuple[str, ...], bodies: tuple[Body, ...], limits: Limits) -> _Cones:
+def _cones_of(feasible: FeasibleSet, limits: Limits) -> _Cones:
     """Constraints of a robot, cached."""
-    feasible = feasible_set(parameters, bodies)
-    p, nb = len(parameters), len(bodies)
+    p, nb = len(feasible.parameters), len(feasible.bodies)
     rows: list[_Bound] = [(np.array([i]), np.array([-1.0]), 0.0) for i in feasible.nonnegative]
     for at in feasible.indices:
         rows += _body_rows(at, limits)
@@ -204,15 +206,15 @@ def _solved(
     objective is then the cost of the constraints alone, and so is its accuracy.
     """
     # The cone h - G (origin + T y): the constraints of a robot in the coordinates of its data.
-    cones = _cones_of(feasible.parameters, feasible.bodies, limits)
+    cones = _cones_of(feasible, limits)
     size = 1 / np.sqrt(np.maximum(np.diag(P), 1.0))
     # Unit diagonal: coordinates of very different weight would exhaust the solver's accuracy.
     P = P * size * size[:, None]
     free = -size * cho_solve(cho_factor(P), size * q) if q.any() else np.zeros(len(q))
     origin, T = origin + T @ free, T * size
-    for step in STEPS:
+    for step, scale in ATTEMPTS:
         answer = clarabel.DefaultSolver(
-            scipy.sparse.csc_matrix(np.triu(P)),
+            scipy.sparse.csc_matrix(scale * np.triu(P)),
             np.zeros(len(q)),
             scipy.sparse.csc_matrix(cones.G @ T),
             cones.h - cones.G @ origin,
@@ -220,19 +222,19 @@ def _solved(
             _settings(step),
         ).solve()
         status = str(answer.status)
-        if status not in ("NumericalError", "InsufficientProgress"):
+        if status in SOLVED:
             break
     if "PrimalInfeasible" in status:
         raise EstimationError(
             "No physically consistent bodies have these parameters: Clarabel finds the constraints "
             "infeasible. Use a feasible fit instead, or wider limits."
         )
-    if status not in ("Solved", "AlmostSolved"):
+    if status not in SOLVED:
         raise EstimationError(
             f"Clarabel returned {status} after {answer.iterations} iterations: no feasible fit was "
             "found to full accuracy; a prior or limits on mass would bound it."
         )
-    gap = abs(answer.obj_val - answer.obj_val_dual)
+    gap = abs(answer.obj_val - answer.obj_val_dual) / scale
     return free + size * np.array(answer.x), gap, int(answer.iterations)
 
 
@@ -242,7 +244,7 @@ def _existing(feasible: FeasibleSet, limits: Limits, x: Array) -> Array:
     out = x.copy()
     out[feasible.nonnegative] = np.maximum(x[feasible.nonnegative], 0.0)
     if limits.margin is not None and feasible.bodies:
-        smallest = float(np.linalg.eigvalsh(feasible.pseudo_inertias(out))[:, 0].min())
+        smallest = float(np.linalg.eigvalsh(feasible.pseudo_inertia(out))[:, 0].min())
         if not smallest >= 0:
             raise EstimationError(
                 f"Clarabel's solution has a pseudo-inertia with the eigenvalue {smallest:.1e}: it "

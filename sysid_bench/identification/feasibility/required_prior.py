@@ -39,7 +39,7 @@ def start_of(feasible: FeasibleSet, prior: Prior | None) -> Array:
 def feasible_point(feasible: FeasibleSet, x: Array, std: Array) -> Array:
     """Nearest strictly feasible x (p,); joint terms that are not positive become their standard
     deviation `std` (p,)."""
-    out, J = x.copy(), feasible.pseudo_inertias(x)
+    out, J = x.copy(), feasible.pseudo_inertia(x)
     smallest = np.linalg.eigvalsh(J)[:, 0]
     trace = np.maximum(np.trace(J, axis1=1, axis2=2), LIGHTEST)
     # Adding a multiple of 1 to J shifts its eigenvalues and keeps its axes.

@@ -13,9 +13,9 @@ import numpy as np
 from sysid_bench.errors import EstimationError
 from sysid_bench.identification.linear.normal_qr import inverse_of, stacked_factor
 from sysid_bench.identification.linear.residuals import (
+    blocks_of_samples,
     has_converged,
     residuals,
-    sample_blocks,
     step,
 )
 from sysid_bench.identification.linear.weights import with_floor
@@ -70,7 +70,7 @@ def m_estimate(
 
 def _scaled_blocks(problem: Problem, residual: Array, roots: Array) -> Iterator[RowBlock]:
     """Blocks of the regressor and the residuals, samples and rows times `roots` (N, rows)."""
-    for Y, rest, root in sample_blocks(problem, residual, roots):
+    for Y, rest, root in blocks_of_samples(problem, residual, roots):
         yield Y * root[..., None], rest * root
 
 

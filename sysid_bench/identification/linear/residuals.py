@@ -13,7 +13,7 @@ def residuals(problem: Problem, beta: Array) -> Array:
     return np.concatenate([b - Y @ beta for Y, b in problem.blocks()])
 
 
-def sample_blocks(problem: Problem, *values: Array) -> Iterator[tuple[Array, ...]]:
+def blocks_of_samples(problem: Problem, *values: Array) -> Iterator[tuple[Array, ...]]:
     """Blocks of the regressor (n, rows, r), each with its samples of the `values` (N, ...)."""
     start = 0
     for Y, b in problem.blocks():

@@ -22,18 +22,18 @@ must not weigh exact data by chance."""
 
 def weighted_fit(problem: Problem, sigma: Array | None = None) -> tuple[Array, Array, Array]:
     """Return (beta (r,), R (r + 1, r + 1), sigma (rows,)) of least squares with rows divided by
-    `sigma`; None: `row_sigmas`. Raises EstimationError where the motion does not excite every
+    `sigma`; None: `row_noise`. Raises EstimationError where the motion does not excite every
     direction.
 
     Excitation is checked on the unweighted rows: weights of very different size would hide it.
     """
     check_excited(stacked_factor(problem))
-    sigma = row_sigmas(problem) if sigma is None else sigma
+    sigma = row_noise(problem) if sigma is None else sigma
     R = stacked_factor(problem, (1.0 / sigma).tolist())
     return solve_upper(R), R, sigma
 
 
-def row_sigmas(problem: Problem) -> Array:
+def row_noise(problem: Problem) -> Array:
     """Noise (rows,) of each row, from a fit of that row alone with N_j - b_j degrees of freedom,
     b_j the base parameters that row j depends on.
 
@@ -58,7 +58,7 @@ def _own_sigma(factor: Factor) -> float:
     return float(np.linalg.norm(rest) / np.sqrt(max(factor.samples - rank, 1)))
 
 
-def fit_sigmas(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
+def fit_noise(problem: Problem, beta: Array, R: Array, sigma: Array) -> Array:
     """Noise (rows,) of each row from the residual of the fit beta weighted by `sigma`, R (r + 1, r
     + 1) its factor: N_j - tr(H_jj) degrees of freedom, H the hat matrix.
 

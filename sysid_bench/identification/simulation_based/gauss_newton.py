@@ -72,7 +72,7 @@ class GaussNewton:
         correction: Array | None = None
         steps = halvings = 0
         for _ in range(self.iterations):
-            sigma = sigmas(trial.error, model.floor)
+            sigma = error_noise(trial.error, model.floor)
             jacobian = _plus(model.jacobian(trial), correction)
             R = residual_factor(jacobian / sigma[:, None], trial.error / sigma)
             goal, inside = _goal(simulatable, trial, R)
@@ -156,10 +156,10 @@ def _better(
 def _log_likelihood(error: Array, floor: Array) -> float:
     """Log-likelihood of white noise of unknown variance per channel, up to a constant."""
     # The variance is profiled out: its estimate makes the quadratic term a constant.
-    return -float(len(error) * np.log(sigmas(error, floor)).sum())
+    return -float(len(error) * np.log(error_noise(error, floor)).sum())
 
 
-def sigmas(error: Array, floor: Array) -> Array:
+def error_noise(error: Array, floor: Array) -> Array:
     """RMS (channels,) of the errors, at least the floor; 1 for a constant channel."""
     size = np.maximum(np.sqrt((error**2).mean(axis=0)), floor)
     return np.where(size > 0, size, 1.0)
@@ -213,7 +213,7 @@ def start_of(experiment: Experiment, simulatable: SimulatableSet) -> Array:
     for _ in range(2):
         R = residual_factor(W / sigma[:, None], tau / sigma)
         beta = solve(R)
-        sigma = sigmas(tau - W @ beta, floor_of(tau))
+        sigma = error_noise(tau - W @ beta, floor_of(tau))
     return simulatable.nearest(beta, R[:-1, :-1])
 
 

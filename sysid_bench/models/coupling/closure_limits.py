@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.models.coupling.group import SINGULAR, ClosureBounds, Group
+from sysid_bench.models.coupling.group import SINGULAR, ClosureLimits, Group
 from sysid_bench.types import Array
 
 REGULAR: Final = 0.2
@@ -34,7 +34,7 @@ def closure_limits(group: Group, low: Array, high: Array) -> tuple[Array, Array]
     keep_low[follow] = np.minimum(low[follow] - _ROUNDING, group.reference[follow])
     keep_high[follow] = np.maximum(high[follow] + _ROUNDING, group.reference[follow])
     margin = max(SINGULAR, REGULAR * float(group.condition(group.reference[None])[0]))
-    keep = ClosureBounds(margin, keep_low, keep_high)
+    keep = ClosureLimits(margin, keep_low, keep_high)
     # Each joint alone first, the others at the reference: one target per joint and side.
     sides = np.tile(start, (2, len(moving), 1))
     sides[:, np.arange(len(moving)), np.arange(len(moving))] = bounds
@@ -56,7 +56,7 @@ def largest_jacobian(group: Group, low: Array, high: Array) -> Array:
     return largest
 
 
-def _shares(group: Group, targets: Array, keep: ClosureBounds) -> Array:
+def _shares(group: Group, targets: Array, keep: ClosureLimits) -> Array:
     """Share (M,) of the way from the reference to each target along which all bounds hold."""
     if group.linear:
         return _linear_shares(group, targets, keep)
@@ -64,7 +64,7 @@ def _shares(group: Group, targets: Array, keep: ClosureBounds) -> Array:
     return np.where(shares < 1.0, INSIDE * shares, 1.0)
 
 
-def _linear_shares(group: Group, targets: Array, keep: ClosureBounds) -> Array:
+def _linear_shares(group: Group, targets: Array, keep: ClosureLimits) -> Array:
     """The same in closed form: linear followers meet their limits on straight lines."""
     follow, start = group.dependent, group.reference
     # Displacement of each follower over the whole way, and how much of it its limits allow.

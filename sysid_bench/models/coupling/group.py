@@ -35,7 +35,7 @@ PATIENT: Final = 30
 
 
 @dataclass(frozen=True, eq=False)
-class ClosureBounds:
+class ClosureLimits:
     """Bounds that postures must keep: a smallest singular value, and limits (k,)."""
 
     regularity: float
@@ -152,7 +152,7 @@ class Group:
     def track_closure(
         self,
         targets: Array,
-        keep: ClosureBounds | None = None,
+        keep: ClosureLimits | None = None,
         least: int = 1,
         start: Array | None = None,
     ) -> tuple[Array, Array]:

@@ -43,20 +43,20 @@ class LinearExpression:
         )
 
     def __sub__(self, other: "LinearExpression") -> "LinearExpression":
-        return self + other.times(-1.0)
+        return self + other.scaled(-1.0)
 
     def __mul__(self, other: "LinearExpression") -> "LinearExpression":
         if not other.coefficients:
-            return self.times(other.constant)
-        return other.times(self._number())
+            return self.scaled(other.constant)
+        return other.scaled(self._number())
 
     def __truediv__(self, other: "LinearExpression") -> "LinearExpression":
-        return self.times(1.0 / other._number())
+        return self.scaled(1.0 / other._number())
 
     def __pow__(self, other: "LinearExpression") -> "LinearExpression":
         return LinearExpression(float(self._number() ** other._number()))
 
-    def times(self, factor: float) -> "LinearExpression":
+    def scaled(self, factor: float) -> "LinearExpression":
         """Return the expression multiplied by a number."""
         scaled = {name: factor * value for name, value in self.coefficients.items()}
         return LinearExpression(factor * self.constant, scaled)
@@ -109,7 +109,7 @@ def _value(
         case ast.Name(id=name):
             return _named(name, symbols, variables)
         case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=inner):
-            return _value(inner, symbols, variables).times(_SIGNS[type(sign)])
+            return _value(inner, symbols, variables).scaled(_SIGNS[type(sign)])
         case ast.BinOp(left=left, op=op, right=right):
             return _combined(
                 _value(left, symbols, variables), op, _value(right, symbols, variables)

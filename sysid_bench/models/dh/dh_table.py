@@ -150,7 +150,7 @@ def _cells(path: Path, lines: list[tuple[int, str]]) -> list[tuple[int, dict[str
     return [(n, dict(zip(header, row, strict=False))) for n, row in numbered[1:]]
 
 
-def printed_table(
+def paper_table(
     path: Path,
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], dict[str, float]]:
     """Return head and rows of a table's kinematic columns as written, and its named lengths (m)."""

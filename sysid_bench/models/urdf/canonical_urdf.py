@@ -11,7 +11,7 @@ from typing import Final
 
 from sysid_bench.errors import ModelError
 from sysid_bench.models.checks.unit_checks import urdf_warnings
-from sysid_bench.models.urdf.inertia_repair import repair_inertias
+from sysid_bench.models.urdf.inertia_repair import repair_inertia
 from sysid_bench.models.urdf.link_tree import LinkTree, link_at, link_tree
 from sysid_bench.models.urdf.urdf_joints import canonical_joints
 from sysid_bench.models.urdf.xml_values import check_origin, finite_value
@@ -59,7 +59,7 @@ def canonical_urdf(text: str | bytes, name: str, free_base: bool = False) -> Urd
     robot.attrib.setdefault("name", "robot")  # Pinocchio insists
     _check_origins(robot, name)
     limits = canonical_joints(robot, tree.root, name)
-    repairs = repair_inertias(robot, tree, name, free_base)
+    repairs = repair_inertia(robot, tree, name, free_base)
     compiler = ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler")
     compiler.set("fusestatic", "false")
     return Urdf(

@@ -13,7 +13,7 @@ import numpy as np
 from sysid_bench.errors import ModelError
 from sysid_bench.models.urdf.link_tree import LinkTree
 from sysid_bench.models.urdf.xml_values import finite_value
-from sysid_bench.spatial.inertia import matrix_of_six, six_of_matrix
+from sysid_bench.spatial.inertia import inertia_matrix, inertia_values
 from sysid_bench.types import Array
 
 MASSLESS: Final = 1e-9
@@ -33,7 +33,7 @@ _LAMINA: Final = 1e-13  # of the largest moment; thickness given to a body witho
 _MARGIN: Final = 1e-6  # of the largest moment; thickness given to an impossible body
 
 
-def repair_inertias(robot: ET.Element, tree: LinkTree, name: str, free_base: bool) -> list[str]:
+def repair_inertia(robot: ET.Element, tree: LinkTree, name: str, free_base: bool) -> list[str]:
     """Repair the inertias of all links in place; return what was changed, in words.
 
     Raises ModelError, with the file's `name`, for absent, negative and non-finite values.
@@ -79,7 +79,7 @@ def _complete_inertia(inertial: ET.Element, label: str) -> ET.Element:
 
 def _is_possible(six: Array, inertial: ET.Element) -> bool:
     """True where the principal moments are positive and keep the triangle inequality."""
-    moments = np.linalg.eigvalsh(matrix_of_six(six))
+    moments = np.linalg.eigvalsh(inertia_matrix(six))
     # MuJoCo diagonalises a tilted lamina again and may round its moments beyond the border.
     slack = _ROUNDING * moments[2] if _is_tilted(six, inertial) else 0.0
     return bool(moments[0] >= _SMALLEST and moments[0] + moments[1] >= moments[2] + slack)
@@ -91,9 +91,9 @@ def _is_tilted(six: Array, inertial: ET.Element) -> bool:
 
 
 def _repair_inertia(element: ET.Element, six: Array, link: ET.Element) -> list[str]:
-    nearest = _nearest_possible(matrix_of_six(six))
-    change = np.abs(nearest - matrix_of_six(six)).max() / np.abs(six).max()
-    _write_inertia(element, six_of_matrix(nearest))
+    nearest = _nearest_possible(inertia_matrix(six))
+    change = np.abs(nearest - inertia_matrix(six)).max() / np.abs(six).max()
+    _write_inertia(element, inertia_values(nearest))
     if change <= _UNREPORTED:
         return []
     return [
@@ -152,7 +152,7 @@ def _give_mass(link: ET.Element, name: str) -> str:
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", {"xyz": "0 0 0"})
     ET.SubElement(inertial, "mass", {"value": repr(TINY_MASS)})
-    _write_inertia(ET.SubElement(inertial, "inertia"), six_of_matrix(TINY_MOMENT * np.eye(3)))
+    _write_inertia(ET.SubElement(inertial, "inertia"), inertia_values(TINY_MOMENT * np.eye(3)))
     lost = "; its inertia left out: without mass there is none" if weightless else ""
     return f"massless moving link {name!r} given {TINY_MASS:.0e} kg{lost}"
 

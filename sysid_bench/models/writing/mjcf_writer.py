@@ -17,8 +17,8 @@ from sysid_bench.models.writing.updated_text import updated_text
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
+    edit_values,
     element_edit,
-    value_edits,
     values_text,
 )
 from sysid_bench.spatial.inertia import mass_com_inertia
@@ -137,7 +137,7 @@ def _body_edits(data: bytes, body: Element, phi: Array) -> Iterator[Edit]:
     values: dict[str, str | None] = {"pos": values_text(*com), "mass": values_text(mass)}
     values |= _inertia(inertia)
     if inertial is not None:
-        yield from value_edits(data, inertial, {**dict.fromkeys(_POSE), **values})
+        yield from edit_values(data, inertial, {**dict.fromkeys(_POSE), **values})
     # Without an <inertial> MuJoCo would take the inertia of the shapes.
     elif phi.any() or body.find("geom") is not None:
         yield element_edit(data, body, _inertial(values))
@@ -178,7 +178,7 @@ def _joint_edits(
         if key == "springref" and in_degrees:
             value = np.rad2deg(value)
         values[key] = values_text(value, *_higher_coefficients(source, key))
-    yield from value_edits(data, joint, values)
+    yield from edit_values(data, joint, values)
 
 
 def _higher_coefficients(joint: mujoco.MjsJoint, key: str) -> Array:

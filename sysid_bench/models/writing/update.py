@@ -14,7 +14,7 @@ from sysid_bench.errors import ModelError, UsageError, first_names, unknown_name
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.spatial.inertia import matrix_of_six, min_eigenvalues, phi_of
+from sysid_bench.spatial.inertia import inertia_matrix, min_eigenvalues, phi_of
 from sysid_bench.types import Array
 
 JOINT_KEYS: Final = ("damping", "frictionloss", "armature", "stiffness", "springref")
@@ -116,7 +116,7 @@ def _phi_of_three(mass: float, com: Sequence[float], inertia: Any) -> Array:
     moments, centre = np.asarray(inertia, dtype=float), np.asarray(com, dtype=float)
     if centre.shape != (3,) or moments.shape not in ((6,), (3, 3)):
         raise ValueError("other shapes")
-    return phi_of(float(mass), centre, matrix_of_six(moments) if moments.ndim == 1 else moments)
+    return phi_of(float(mass), centre, inertia_matrix(moments) if moments.ndim == 1 else moments)
 
 
 def _terms(name: str, values: Mapping[str, float]) -> dict[str, float]:

@@ -7,7 +7,7 @@ from typing import Final
 from sysid_bench.errors import ModelError
 from sysid_bench.models.writing.round_trip import check_round_trip
 from sysid_bench.models.writing.update import Bodies, Joints, Update, update_of
-from sysid_bench.models.writing.xml_text import Edit, Element, apply_edits, element_tree
+from sysid_bench.models.writing.xml_text import Edit, Element, edit_text, element_tree
 from sysid_bench.models.xml_file import read_file
 
 FORMATS: Final = {"mujoco": "an MJCF", "robot": "a URDF"}
@@ -35,6 +35,6 @@ def updated_text(
         raise ModelError(
             f"{path.name} is not {FORMATS[tag]}: its root element is <{root.tag}>, not <{tag}>."
         )
-    text = apply_edits(data, edits(data, root, update))
+    text = edit_text(data, edits(data, root, update))
     check_round_trip(path, text, update)
     return text

@@ -10,11 +10,11 @@ from sysid_bench.models.writing.updated_text import updated_text
 from sysid_bench.models.writing.xml_text import (
     Edit,
     Element,
+    edit_values,
     element_edit,
-    value_edits,
     values_text,
 )
-from sysid_bench.spatial.inertia import mass_com_inertia, six_of_matrix
+from sysid_bench.spatial.inertia import inertia_values, mass_com_inertia
 from sysid_bench.types import Array
 
 _SIX: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -56,7 +56,7 @@ def _called(root: Element, tag: str, name: str, file: str) -> Element:
 
 def _link_edits(data: bytes, link: Element, phi: Array) -> Iterator[Edit]:
     mass, com, inertia = mass_com_inertia(phi)
-    moments = zip(_SIX, map(values_text, six_of_matrix(inertia)), strict=True)
+    moments = zip(_SIX, map(values_text, inertia_values(inertia)), strict=True)
     # The moments are about axes parallel to those of the link: a rotation in the text goes.
     parts: dict[str, dict[str, str]] = {
         "origin": {"xyz": values_text(*com), "rpy": "0 0 0"},
@@ -97,7 +97,7 @@ def _child_edits(
     if present is None:
         yield element_edit(data, parent, _element((tag, values)))
     else:
-        yield from value_edits(data, present, values)
+        yield from edit_values(data, present, values)
 
 
 def _inertial(parts: Mapping[str, Mapping[str, str]]) -> str:

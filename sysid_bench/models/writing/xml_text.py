@@ -85,7 +85,7 @@ def element_tree(data: bytes, name: str) -> Element:
     return roots[0]
 
 
-def apply_edits(data: bytes, edits: Iterable[Edit]) -> str:
+def edit_text(data: bytes, edits: Iterable[Edit]) -> str:
     """Return the text with its edits, which must not overlap; every other byte stays."""
     out, position = [], 0
     # An insertion comes before a replacement that starts at the same byte.
@@ -95,7 +95,7 @@ def apply_edits(data: bytes, edits: Iterable[Edit]) -> str:
     return b"".join([*out, data[position:]]).decode("utf-8")
 
 
-def value_edits(data: bytes, element: Element, values: Mapping[str, str | None]) -> Iterator[Edit]:
+def edit_values(data: bytes, element: Element, values: Mapping[str, str | None]) -> Iterator[Edit]:
     """Yield edits that set attributes of an element; None removes one. New attributes come last."""
     spans, last = _attribute_spans(data, element)
     new = ""

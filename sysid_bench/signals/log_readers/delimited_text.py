@@ -8,7 +8,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError
-from sysid_bench.input_files import read_bytes
+from sysid_bench.input_files import read_data
 from sysid_bench.signals.log_table import LogTable, column_names
 from sysid_bench.types import Array
 
@@ -35,7 +35,7 @@ class DelimitedText:
         Raises UsageError naming line and column.
         """
         # Loggers write units and degree signs in any encoding; only the numbers matter.
-        text = read_bytes(path, _LARGEST).decode("utf-8-sig", errors="replace")
+        text = read_data(path, _LARGEST).decode("utf-8-sig", errors="replace")
         numbered = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]
         header, rows = _split_header(numbered)
         if not rows:

@@ -64,7 +64,7 @@ class Parallel:
 
     def process(self, recording: Recording, joints: tuple[Joint, ...]) -> ProcessedSignals:
         """Return the motion at its own rate with the measured torque, and the row filter."""
-        rate, cutoff = recording.rate, self.cutoff_of(recording)
+        rate, cutoff = recording.rate, self._cutoff_of(recording)
         light = processing_of({"derivatives": self.derivatives, "torque": "raw"})
         light = replace(light, filter=_low_pass(self.order, MOTION_CUTOFF * cutoff, rate))
         processed, filter = light.apply(recording, joints), _low_pass(self.order, cutoff, rate)
@@ -73,7 +73,7 @@ class Parallel:
             processed, RowProcessing(filter, step, self.standstill, self.weight)
         )
 
-    def cutoff_of(self, recording: Recording) -> float:
+    def _cutoff_of(self, recording: Recording) -> float:
         """Return the cut-off (Hz) for a recording."""
         if self.cutoff is not None:
             return self.cutoff

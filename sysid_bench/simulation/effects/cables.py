@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.friction import played
-from sysid_bench.simulation.motor_load import typical_load
-from sysid_bench.simulation.sizes import Size, check_not_negative, per_joint
+from sysid_bench.simulation.friction import play_position
+from sysid_bench.simulation.motor_load import rigid_load
+from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
 from sysid_bench.types import Array
 
 
@@ -30,17 +30,17 @@ class Cables:
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative sizes."""
-        check_not_negative("Size of the effect 'cables'", self.bending, self.hysteresis)
-        check_not_negative("width of the effect 'cables'", self.width, above=True)
+        check_sizes("Size of the effect 'cables'", self.bending, self.hysteresis)
+        check_sizes("width of the effect 'cables'", self.width, above=True)
 
     def prepare(self, robot: RobotModel) -> "_CableLaw | None":
         """Return the force law for this robot; None for sizes of zero."""
         names = ("bending", "hysteresis", "width")
-        sizes = (per_joint(getattr(self, name), robot.rows, name) for name in names)
+        sizes = (joint_sizes(getattr(self, name), robot.rows, name) for name in names)
         bending, hysteresis, width = sizes
         if not (bending.any() or hysteresis.any()):
             return None
-        load = np.where(np.isin(np.arange(robot.nv), robot.scalar_dofs), typical_load(robot), 0.0)
+        load = np.where(np.isin(np.arange(robot.nv), robot.scalar_dofs), rigid_load(robot), 0.0)
         low, high = robot.limits.q_low, robot.limits.q_high
         limited = np.isfinite(low) & np.isfinite(high) & (high > low)
         low, high = np.where(limited, low, -np.pi), np.where(limited, high, np.pi)
@@ -71,5 +71,5 @@ class _CableLaw:
     ) -> tuple[Array, Array]:
         """Return the torque (nv,) and the play's position after a step."""
         K, centre, H, width = self.numbers.reshape(4, -1)
-        p = played(state, q, width)
+        p = play_position(state, q, width)
         return K * (q - centre) + H * ((q - p) / width), p

@@ -12,9 +12,9 @@ from sysid_bench.simulation.friction import (
     FrictionTerms,
     friction_law,
     friction_scale,
-    velocity_limit,
+    rate_limit,
 )
-from sysid_bench.simulation.sizes import Size, per_joint
+from sysid_bench.simulation.sizes import Size, joint_sizes
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ class CurvedFriction:
     def prepare(self, robot: RobotModel) -> FrictionLaw | None:
         """Return the force law for this robot; None without curvature."""
         scale = friction_scale(robot)
-        curvature = per_joint(self.curvature, robot.rows, "curvature")
+        curvature = joint_sizes(self.curvature, robot.rows, "curvature")
         terms = FrictionTerms(
             viscous=scale.missing_viscous * (curvature != 0),
-            curvature=curvature * scale.viscous / velocity_limit(robot),
+            curvature=curvature * scale.viscous / rate_limit(robot),
         )
         return friction_law(robot, np.ones(robot.nv), terms)

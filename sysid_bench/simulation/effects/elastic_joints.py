@@ -7,8 +7,8 @@ import numpy as np
 
 from sysid_bench.errors import UnsupportedError, unknown_name
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.motor_load import typical_load
-from sysid_bench.simulation.sizes import Size, all_or_none, check_not_negative, per_joint
+from sysid_bench.simulation.motor_load import rigid_load
+from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes, optional_sizes
 from sysid_bench.simulation.transmission import Transmission
 
 
@@ -34,9 +34,9 @@ class ElasticJoints:
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative sizes, and encoders on neither side."""
-        check_not_negative("Size of 'elastic-joints'", self.windup, self.damping, self.gap)
+        check_sizes("Size of 'elastic-joints'", self.windup, self.damping, self.gap)
         if self.stiffness is not None:
-            check_not_negative("stiffness of 'elastic-joints'", self.stiffness, above=True)
+            check_sizes("stiffness of 'elastic-joints'", self.stiffness, above=True)
         if self.encoders not in ("motor", "link"):
             raise unknown_name("side of encoders", self.encoders, ("motor", "link"))
 
@@ -52,9 +52,9 @@ class ElasticJoints:
         """
         names = robot.torque_rows
         windup, damping, gap = (
-            per_joint(getattr(self, name), names, name) for name in ("windup", "damping", "gap")
+            joint_sizes(getattr(self, name), names, name) for name in ("windup", "damping", "gap")
         )
-        soft = all_or_none(windup, "windup")
+        soft = optional_sizes(windup, "windup")
         if self.stiffness is None and soft is None:
             return None
         if robot.coupling is not None:
@@ -63,9 +63,9 @@ class ElasticJoints:
             )
         dofs = np.asarray(robot.torque_dofs)
         if self.stiffness is None:
-            load = typical_load(robot)[dofs]
+            load = rigid_load(robot)[dofs]
             K = np.maximum(load, 0.01 * load.max()) / soft
         else:
-            K = per_joint(self.stiffness, names, "stiffness")
+            K = joint_sizes(self.stiffness, names, "stiffness")
         inertia = robot.joint_terms.armature[dofs]
         return Transmission(K, damping * K, gap, inertia, self.encoders == "motor")

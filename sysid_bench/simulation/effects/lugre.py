@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.sizes import Size, all_or_none, check_not_negative, per_joint
+from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes, optional_sizes
 from sysid_bench.types import Array
 
 
@@ -32,8 +32,8 @@ class LuGre:
 
     def __post_init__(self) -> None:
         """Raise UsageError for negative sizes, and for a Stribeck velocity of zero."""
-        check_not_negative("Size of the effect 'lugre'", self.presliding, self.peak, self.damping)
-        check_not_negative("vs of the effect 'lugre'", self.vs, above=True)
+        check_sizes("Size of the effect 'lugre'", self.presliding, self.peak, self.damping)
+        check_sizes("vs of the effect 'lugre'", self.vs, above=True)
 
     def prepare(self, robot: RobotModel) -> "_LuGreLaw | None":
         """Return the force law for this robot; None without presliding.
@@ -41,9 +41,9 @@ class LuGre:
         Raises UsageError where some joints have a presliding distance and others do not.
         """
         names = ("presliding", "peak", "vs", "damping")
-        sizes = (per_joint(getattr(self, name), robot.rows, name) for name in names)
+        sizes = (joint_sizes(getattr(self, name), robot.rows, name) for name in names)
         distance, peak, vs, damping = sizes
-        presliding = all_or_none(distance, "presliding")
+        presliding = optional_sizes(distance, "presliding")
         if presliding is None:
             return None
         Fc = robot.joint_terms.coulomb

@@ -9,8 +9,8 @@ from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.friction import PEAK_LOAD
 from sysid_bench.simulation.harmonics import PeriodicLaw, periodic_law
-from sysid_bench.simulation.motor_load import typical_load
-from sysid_bench.simulation.sizes import Size, check_not_negative, per_joint
+from sysid_bench.simulation.motor_load import rigid_load
+from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class TorqueRipple:
 
     def __post_init__(self) -> None:
         """Raise UsageError for ripple of 25 % or more and for a negative ratio."""
-        check_not_negative("ratio of the effect 'torque-ripple'", self.ratio, above=True)
+        check_sizes("ratio of the effect 'torque-ripple'", self.ratio, above=True)
         for size in (self.first, self.second, self.fourth):
             if not (np.abs(np.asarray(size, dtype=float)) < 0.25).all():
                 raise UsageError(
@@ -42,11 +42,11 @@ class TorqueRipple:
     def prepare(self, robot: RobotModel) -> PeriodicLaw | None:
         """Return the force law for this robot; None without ripple."""
         rows = robot.rows
-        sizes = [per_joint(getattr(self, name), rows, name) for name in self.sizes]
+        sizes = [joint_sizes(getattr(self, name), rows, name) for name in self.sizes]
         return periodic_law(
             robot,
             np.array([1.0, 2.0, 4.0]),
             np.array(sizes),
-            (per_joint(self.ratio, rows, "ratio"), per_joint(self.phase, rows, "phase")),
-            transmitted=PEAK_LOAD * typical_load(robot),
+            (joint_sizes(self.ratio, rows, "ratio"), joint_sizes(self.phase, rows, "phase")),
+            transmitted=PEAK_LOAD * rigid_load(robot),
         )

@@ -7,9 +7,9 @@ import numpy as np
 
 from sysid_bench.models.coupling.constraints import PolynomialCoupling
 from sysid_bench.models.coupling.equalities import equalities_of
-from sysid_bench.models.displaced_robot import with_coupling_slopes
+from sysid_bench.models.displaced_robot import with_scaled_coupling
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.sizes import Size, per_joint
+from sysid_bench.simulation.sizes import Size, joint_sizes
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class CouplingError:
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with these slopes; nothing is drawn."""
         couplings = _couplings(robot)
-        error = per_joint(self.error, list(couplings), "error")
+        error = joint_sizes(self.error, list(couplings), "error")
         if not error.any():
             return robot
         factors = dict(zip(couplings.values(), 1.0 + error, strict=True))
-        return with_coupling_slopes(robot, factors)
+        return with_scaled_coupling(robot, factors)
 
 
 def _couplings(robot: RobotModel) -> dict[str, int]:

@@ -9,7 +9,7 @@ from sysid_bench.models.coupling.constraints import Loop
 from sysid_bench.models.displaced_robot import with_displaced_bodies
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.directions import random_directions
-from sysid_bench.simulation.sizes import Size, check_not_negative, per_joint
+from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
 from sysid_bench.types import Array
 
 
@@ -31,14 +31,14 @@ class Kinematics:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative size."""
-        check_not_negative("position of the model error 'kinematics'", self.position)
-        check_not_negative("rotation of the model error 'kinematics'", self.rotation)
+        check_sizes("position of the model error 'kinematics'", self.position)
+        check_sizes("rotation of the model error 'kinematics'", self.rotation)
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with displaced joint frames."""
         names = [joint.name for joint in robot.joints]
-        position = per_joint(self.position, names, "position")
-        rotation = per_joint(self.rotation, names, "rotation")
+        position = joint_sizes(self.position, names, "position")
+        rotation = joint_sizes(self.rotation, names, "rotation")
         shift, turn = random_directions(len(names), rng), random_directions(len(names), rng)
         chosen = {}
         for b, j, closed in _displaced_joints(robot):

@@ -8,7 +8,7 @@ import numpy as np
 from sysid_bench.models.displaced_robot import with_displaced_bodies
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation.directions import random_directions
-from sysid_bench.simulation.sizes import check_not_negative
+from sysid_bench.simulation.sizes import check_sizes
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class PayloadMount:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative size."""
-        check_not_negative("position of the model error 'payload-mount'", self.position)
-        check_not_negative("rotation of the model error 'payload-mount'", self.rotation)
+        check_sizes("position of the model error 'payload-mount'", self.position)
+        check_sizes("rotation of the model error 'payload-mount'", self.rotation)
 
     def apply(self, robot: RobotModel, rng: np.random.Generator) -> RobotModel:
         """Return the robot with the payload displaced."""

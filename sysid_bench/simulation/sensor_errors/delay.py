@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.sizes import Size, check_not_negative, per_joint
+from sysid_bench.simulation.sizes import Size, check_sizes, joint_sizes
 from sysid_bench.types import Array
 
 
@@ -25,13 +25,13 @@ class Delay:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative delay."""
-        check_not_negative("q of the sensor error 'delay'", self.q)
-        check_not_negative("tau of the sensor error 'delay'", self.tau)
+        check_sizes("q of the sensor error 'delay'", self.q)
+        check_sizes("tau of the sensor error 'delay'", self.tau)
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Late | None":
         """Return the stage; None where all delays are zero."""
-        q = per_joint(self.q, robot.torque_rows, "q")
-        tau = per_joint(self.tau, robot.torque_rows, "tau")
+        q = joint_sizes(self.q, robot.torque_rows, "q")
+        tau = joint_sizes(self.tau, robot.torque_rows, "tau")
         return _Late(q, tau) if q.any() or tau.any() else None
 
 
@@ -40,6 +40,6 @@ class _Late:
     q: Array
     tau: Array
 
-    def lateness(self, t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    def sampling_delay(self, t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return the delays (K, n) of positions and torques, s."""
         return np.tile(self.q, (len(t), 1)), np.tile(self.tau, (len(t), 1))

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.sizes import check_not_negative
+from sysid_bench.simulation.sizes import check_sizes
 from sysid_bench.types import Array
 
 
@@ -23,7 +23,7 @@ class Jitter:
 
     def __post_init__(self) -> None:
         """Raise UsageError for a negative deviation."""
-        check_not_negative("std of the sensor error 'jitter'", self.std)
+        check_sizes("std of the sensor error 'jitter'", self.std)
 
     def prepare(self, robot: RobotModel, rng: np.random.Generator) -> "_Jitter | None":
         """Return the stage; None without jitter."""
@@ -35,7 +35,7 @@ class _Jitter:
     std: float
     joints: int
 
-    def lateness(self, t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    def sampling_delay(self, t: Array, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return the age (K, n) of positions and torques, s: -e in each."""
         early = np.repeat(self.std * rng.normal(size=(len(t), 1)), self.joints, axis=1)
         return -early, -early

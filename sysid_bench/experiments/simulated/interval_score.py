@@ -6,20 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.evaluation.interval_figures import Targets, held, interval_fields, torque_inside
-from sysid_bench.evaluation.motion_spread import motion_fits
+from sysid_bench.evaluation.interval_figures import (
+    TrueValues,
+    held,
+    interval_fields,
+    torque_coverage,
+)
+from sysid_bench.evaluation.motion_spread import motion_fit
 from sysid_bench.evaluation.standard_error import StandardError
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.types import Array, Estimate, Row
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedIntervals:
+class JudgedInterval:
     """Confidence intervals of `beta` (r,) by kind, and the values that they should hold."""
 
     beta: Array
     errors: Mapping[str, StandardError]
-    targets: Targets
+    targets: TrueValues
 
     def of_parameter(self, index: int) -> Row:
         """Class of one parameter, and for each kind 1 where its interval holds the value."""
@@ -31,7 +36,7 @@ class JudgedIntervals:
 
 
 def interval_rows(
-    intervals: JudgedIntervals | None, prepared: Prepared[Any], estimate: Estimate
+    intervals: JudgedInterval | None, prepared: Prepared[Any], estimate: Estimate
 ) -> Row:
     """Coverage, width and score of the intervals by class of parameters, the share of held-out
     torque inside of prediction intervals (`torque_inside`, and by row `inside`), and the reason
@@ -40,11 +45,11 @@ def interval_rows(
         return {}
     problem = prepared.problem
     row: Row = interval_fields(problem, intervals.beta, intervals.errors, intervals.targets)
-    fits = motion_fits(problem, estimate)
+    fits = motion_fit(problem, estimate)
     if isinstance(fits, str):
         return row | ({"no_motions_interval": fits} if problem.motions else {})
     if prepared.held_out:
-        inside = torque_inside(fits, prepared.held_out)
+        inside = torque_coverage(fits, prepared.held_out)
         row |= {"torque_inside": float(np.mean(inside)), "inside": inside}
     return row
 

@@ -49,7 +49,7 @@ def check_bound(terms: Mapping[str, float], value: float, bodies: Sequence[Body]
     return f"cannot be {text}" if bound_of(turned, bodies) == 0.0 else None
 
 
-def distance_to_feasible(
+def feasible_error(
     K: Array, values: Array, parameters: Sequence[str], bodies: Sequence[Body]
 ) -> float:
     """Return the smallest t such that a feasible theta has |K theta - values| <= t (r,).

@@ -13,15 +13,15 @@ KEY: Final = "limits"
 RULES: Final = ("refuse", "mark")
 
 
-def marks_limits(excitation: Mapping[str, Any]) -> bool:
-    """Return True where rows of a motion beyond a limit are marked; raises UsageError for another
-    word than those of RULES."""
+def checks_limits(excitation: Mapping[str, Any]) -> bool:
+    """Return True where a motion beyond a limit fails, False where its rows are marked; raises
+    UsageError for another word than those of RULES."""
     written = excitation.get(KEY, RULES[0])
     if written not in RULES:
         raise unknown_name("rule for limits of motions", str(written), RULES)
-    return bool(written == "mark")
+    return bool(written == "refuse")
 
 
-def own_settings(excitation: Mapping[str, Any]) -> dict[str, Any]:
+def without_limits(excitation: Mapping[str, Any]) -> dict[str, Any]:
     """Return {use, settings} as the plug-in is given them."""
     return {key: value for key, value in excitation.items() if key != KEY}

@@ -63,7 +63,7 @@ class LawStates:
         return total, LawStates(self.laws, tuple(states))
 
 
-def initial_states(laws: Sequence[Any], q: Array, v: Array) -> LawStates:
+def start_states(laws: Sequence[Any], q: Array, v: Array) -> LawStates:
     """Return laws with their states at the start, at q (nv,) and v (nv,)."""
     states = [
         np.array(law.start(q, v), dtype=float) if isinstance(law, StateLaw) else np.zeros(0)
@@ -77,7 +77,7 @@ def has_states(laws: Sequence[Any]) -> bool:
     return any(isinstance(law, StateLaw) for law in laws)
 
 
-def total(laws: Sequence[Any], name: str, nv: int) -> Array:
+def law_values(laws: Sequence[Any], name: str, nv: int) -> Array:
     """Return the sum of the laws' internal springs ("stiffness", N m/rad or N/m) or dampers
     ("viscosity", N m s/rad or N s/m) of each degree of freedom (nv,)."""
     values = [np.asarray(getattr(law, name, np.zeros(nv))) for law in laws]

@@ -1,0 +1,194 @@
+"""Prior of recorded experiments: the inertial parameters of the model file, where they may be true.
+
+A simulated experiment draws its prior around the truth (tasks/prior.py). A real robot has no known
+truth: its model file is all that a method can be told.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import unknown_name
+from sysid_bench.experiments.recorded.preprocess import ProcessedLog
+from sysid_bench.experiments.recorded.unknowns import Unknowns
+from sysid_bench.experiments.spec import normal_prior
+from sysid_bench.models.checks.placeholder_inertias import placeholder_reason
+from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
+from sysid_bench.tasks.prior import PriorSpread, declared_std, floored_std
+from sysid_bench.types import Array, Prior, Problem
+
+_KEYS: Final = tuple(field.name for field in fields(PriorSpread))
+MODEL, NONE = "model", "none"
+"""Priors by name: the model file's parameters, where they are plausible, and none at all."""
+
+GYRATION_SHARE: Final = 0.15
+"""Standard deviation of a centre of mass over the body's radius of gyration, where none is stated:
+15 mm for the links of an arm of 1 m reach, the spread of simulated priors."""
+
+PAYLOAD_SHARE, PAYLOAD_RADIUS = 0.05, 0.1
+"""Prior of an unknown payload: a solid sphere of this share of the robot's mass and this radius (m)
+at its frame, known to its own size only. What the log states of it is not used."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelPrior:
+    """The prior of a recorded experiment, or the reason why there is none; `spread` (com None:
+    GYRATION_SHARE) in words of a suite."""
+
+    prior: Prior | None = None
+    reason: str = ""
+    text: str = NONE
+
+    def given_to(self, problem: Problem) -> Problem:
+        """Return the problem with this prior, in its single motions as well."""
+        motions = tuple(replace(motion, prior=self.prior) for motion in problem.motions)
+        return replace(problem, prior=self.prior, motions=motions)
+
+
+def model_prior(
+    choice: str | Mapping[str, Any],
+    unknowns: Unknowns,
+    problem: Problem,
+    training: Sequence[ProcessedLog],
+) -> ModelPrior:
+    """Return the prior that `choice` names: "model", "none", or the spreads of the model's values
+    ({mass, com, inertia, terms} as in a suite), which are believed as they stand.
+
+    Joint terms that the file does not have, and all of them with "model", are weakly known: about
+    as large as would explain the whole torque of their joint.
+    """
+    stated = _stated_spreads(choice)
+    if choice == NONE:
+        return ModelPrior(reason="none was asked for")
+    believed = not isinstance(choice, str)
+    reason = "" if believed else placeholder_reason(unknowns.robot)
+    if reason:
+        return ModelPrior(reason=f"the inertias of the model file are placeholders: {reason}")
+    theta, std = _links(unknowns, problem, stated)
+    _joint_terms(unknowns, problem, training, stated.get("terms"), theta, std)
+    prior = Prior(theta, floored_std(std, problem.parameters))
+    return ModelPrior(prior, text=_text(stated))
+
+
+def _stated_spreads(choice: str | Mapping[str, Any]) -> dict[str, float]:
+    """SI numbers of the stated spreads; raises UsageError for other words and keys."""
+    if isinstance(choice, str):
+        if choice not in (MODEL, NONE):
+            raise unknown_name("prior of a recording", choice, (MODEL, NONE))
+        return {}
+    for key in choice:
+        if key not in _KEYS:
+            raise unknown_name("key of a prior", str(key), _KEYS)
+    stated = normal_prior(choice)
+    assert isinstance(stated, dict)
+    return stated
+
+
+def _text(stated: Mapping[str, float]) -> str:
+    """The spreads in words."""
+    spread = PriorSpread()
+    com = stated.get("com")
+    parts = [
+        f"mass {_percent(stated.get('mass', spread.mass))}",
+        "centre of mass "
+        + (f"{1e3 * com:g} mm" if com else f"{_percent(GYRATION_SHARE)} of the radius of gyration"),
+        f"inertia {_percent(stated.get('inertia', spread.inertia))}",
+        "joint terms "
+        + (_percent(stated["terms"]) if "terms" in stated else "as large as their torque allows"),
+    ]
+    return ", ".join(parts)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:g} %"
+
+
+def _links(
+    unknowns: Unknowns, problem: Problem, stated: Mapping[str, float]
+) -> tuple[Array, Array]:
+    """Mean and deviations (p,) of the bodies' parameters, zero for all others."""
+    theta, std = np.zeros(len(problem.parameters)), np.zeros(len(problem.parameters))
+    index = {name: i for i, name in enumerate(problem.parameters)}
+    values = dict(zip(unknowns.robot.body_names, unknowns.robot.phi, strict=True))
+    spread = PriorSpread(**{k: x for k, x in stated.items() if k != "com"})
+    for body in problem.bodies:
+        at = [index[column] for column in body.columns]
+        known = body.columns[0] not in unknowns.payload_parameters
+        phi = values[body.name] if known else _payload_sphere(unknowns.robot.phi)
+        theta[at] = phi
+        com = stated.get("com", GYRATION_SHARE * _gyration(phi))
+        std[at] = declared_std(phi, replace(spread, com=com)) if known else _payload_std(phi)
+    return theta, std
+
+
+def _gyration(phi: Array) -> float:
+    """Radius of gyration (m), sqrt(tr(I) / (2 m)) about the centre of mass; 0 without a mass."""
+    mass, _, inertia = mass_com_inertia(phi)
+    return float(np.sqrt(max(np.trace(inertia), 0.0) / (2 * mass))) if mass > 0 else 0.0
+
+
+def _payload_sphere(links: Array) -> Array:
+    mass = PAYLOAD_SHARE * float(links[:, 0].sum())
+    return phi_of(mass, np.zeros(3), 0.4 * mass * PAYLOAD_RADIUS**2 * np.eye(3))
+
+
+def _payload_std(phi: Array) -> Array:
+    """Deviations (10,) of the order of the sphere itself, at twice its radius."""
+    far = 2 * PAYLOAD_RADIUS
+    return np.asarray(2 * phi[0] * np.array([1.0] + [far] * 3 + [far**2] * 6))
+
+
+def _joint_terms(
+    unknowns: Unknowns,
+    problem: Problem,
+    training: Sequence[ProcessedLog],
+    share: float | None,
+    theta: Array,
+    std: Array,
+) -> None:
+    """Fill in mean and deviations of the joint terms and further columns: RMS torque of the row
+    over the RMS of the column."""
+    inertial = {column for body in problem.bodies for column in body.columns}
+    columns = _column_sizes(problem)
+    in_file = dict(zip(unknowns.terms, unknowns.robot.term_values(unknowns.terms), strict=True))
+    for i, name in enumerate(problem.parameters):
+        if name in inertial:
+            continue
+        theta[i] = in_file.get(name, 0.0)
+        weak = columns.get(name) or _term_size(unknowns, problem, training, name)
+        std[i] = share * abs(theta[i]) if share is not None and theta[i] else weak
+
+
+def _column_sizes(problem: Problem) -> dict[str, float]:
+    """{base parameter: RMS torque over RMS column} of the row in which the column alone is largest;
+    of joint terms and features, which act in a row of their own."""
+    assert problem.torque is not None
+    sizes: dict[str, float] = {}
+    for i, factor in enumerate(problem.factors):
+        norms = np.linalg.norm(factor.R[:, :-1], axis=0) / max(factor.samples, 1) ** 0.5
+        for column, norm in zip(factor.columns, norms, strict=True):
+            name = problem.base.names[column]
+            if norm > 0:
+                sizes[name] = min(sizes.get(name, np.inf), float(problem.torque[i] / norm))
+    return sizes
+
+
+def _term_size(
+    unknowns: Unknowns, problem: Problem, training: Sequence[ProcessedLog], name: str
+) -> float:
+    """The same for a joint term that is not a base parameter, such as a rotor's inertia."""
+    assert problem.torque is not None
+    joint, _, suffix = name.partition(".")
+    if joint not in unknowns.rows:
+        return 1.0
+    tau = float(problem.torque[unknowns.rows.index(joint)])
+    (at,) = (one for one in unknowns.robot.joints if one.dofs == (joint,))
+    column = {"Ia": ("a", at.vadr), "k": ("q", at.qadr), "fv": ("v", at.vadr)}
+    if suffix not in column:
+        return tau or 1.0
+    signal, i = column[suffix]
+    values = np.concatenate([getattr(log.recording.motion, signal)[:, i] for log in training])
+    rms = float(np.sqrt(np.mean(values**2)))
+    return tau / rms if tau and rms else 1.0

@@ -1,0 +1,35 @@
+"""Costs of the constraints that bind in a feasible fit: its error with and without each."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from sysid_bench.evaluation.recorded_score import torque_error
+from sysid_bench.identification.estimators.lmi import LMI
+from sysid_bench.identification.feasibility.binding import binding_constraints, relaxed
+from sysid_bench.identification.identify import identify
+from sysid_bench.types import Problem
+
+TRIED: Final = 24
+"""Most constraints that are left out one by one."""
+
+
+def constraint_costs(problem: Problem, tests: Mapping[str, Problem]) -> list[dict[str, Any]] | None:
+    """Return [{constraint, cost}] of the constraints that bind in the `lmi` fit of a problem, the
+    most costly first; None where there is no such fit.
+
+    `cost`: error with all constraints minus that without this one, on the tests (share of the RMS
+    torque; without tests that of training). A negative cost means that the constraint improves
+    the prediction.
+    """
+    theta = identify(LMI(), problem).theta
+    if theta is None:
+        return None
+    judged = tests or {"training": problem}
+    with_all = torque_error(judged, problem.base.K @ theta)
+    costs = []
+    for name in binding_constraints(problem, theta)[:TRIED]:
+        free = identify(LMI(), relaxed(problem, name)).theta
+        error = None if free is None else torque_error(judged, problem.base.K @ free)
+        if error is not None and with_all is not None:
+            costs.append({"constraint": name, "cost": with_all - error})
+    return sorted(costs, key=lambda cost: -cost["cost"])
