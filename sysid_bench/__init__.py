@@ -72,11 +72,11 @@ _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in 
 __all__ = [
     "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult", "DiagnoseRequest",
     "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult", "IdentifyResult",
-    "InitRobotResult", "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult",
-    "SimulatedRequest", "SimulatedResult", "StatusResult",
-    "basis", "cell", "check_plugin", "crosscheck", "diagnose", "doctor", "excite", "identify", "init_robot",
-    "list_", "load_robot", "merge", "open_run", "paper_table", "plan", "record", "report",
-    "run", "show", "status", "table", "view",
+    "InitRobotResult", "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult", "Result",
+    "RunResult", "ShowResult", "SimulatedRequest", "SimulatedResult", "StatusResult",
+    "basis", "cell", "check_plugin", "crosscheck", "diagnose", "doctor", "excite", "identify",
+    "init_robot", "list_", "load_robot", "merge", "open_run", "paper_table", "plan", "record",
+    "report", "run", "show", "status", "table", "view",
 ]  # fmt: skip
 
 

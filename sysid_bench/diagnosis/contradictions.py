@@ -30,9 +30,12 @@ OF_MOTION: Final = (joint_columns, joint_direction)
 ROUGH: Final = 0.06
 """Cost below which no joint moves the wrong way or in the place of another."""
 
-GATE: Final = 0.008
-"""Cost below which nothing is left to explain: three per cent of the torque on each of six joints,
-with the penalty."""
+GATE: Final = 0.002
+"""Cost below which nothing is left to explain: two per cent of the torque on each of six joints."""
+
+LITTLE: Final = 0.03
+CLEAR: Final = 0.6
+"""Cost below which a cure has to remove this share of it, or noise would be explained."""
 
 SURE: Final = 0.35
 DOUBTFUL: Final = 0.2
@@ -62,7 +65,8 @@ def contradictions(evidence: Evidence) -> list[Finding]:
         if current.fit.cost < GATE:
             break
         cures = _ranked_cures(current)
-        if not cures or cures[0].explains(current) < DOUBTFUL:
+        least = DOUBTFUL if current.fit.cost > LITTLE else CLEAR
+        if not cures or cures[0].explains(current) < least:
             break
         found.append(_finding(cures, current))
         if found[-1].severity != ERROR:

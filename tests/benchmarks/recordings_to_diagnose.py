@@ -11,14 +11,14 @@ import numpy as np
 from sysid_bench.experiments.loaded_robot import loaded_robot
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
-from sysid_bench.harness.plan import expand
+from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_description import LogDescription, log_description
 from sysid_bench.signals.log_samples import read_samples
-from sysid_bench.signals.time_base import read_times
+from sysid_bench.signals.time_base import read_time
 from sysid_bench.types import Array
 
 UR: Final = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint",
@@ -157,7 +157,7 @@ def subject(name: str) -> Subject:
 
 def _signals(log: LogDescription, robot: RobotModel) -> Signals:
     raw = read_samples(log, robot)
-    stamps = read_times(log, len(raw))
+    stamps = read_time(log, len(raw))
     keep = [k for k, joint in enumerate(log.joints) if joint != "-"]
     samples = raw.columns(keep)
     t = np.arange(len(raw)) / (log.rate or 1.0) if stamps is None else stamps
@@ -190,7 +190,7 @@ def _simulated(name: str) -> Subject:
     parts = []
     for period in (8, 9):  # other lengths draw other motions of the same plant
         suite = parse_suite(SUITE.format(plant=SIMULATED[name], period=period, robot=name))
-        (spec,) = expand(suite).specs
+        (spec,) = cells_of_suite(suite).specs
         raw = prepare_simulated(spec, loaded).experiment.raw
         parts.append(_of_robot(loaded.robot, raw))
     return Subject(f"sim:{name}", _told(loaded.robot), *parts)

@@ -26,8 +26,7 @@ def missing_terms(evidence: Evidence) -> list[Finding]:
     summed: terms overlap."""
     own = OwnRows(evidence)
     best = [_best_term(own, j) for j in range(evidence.count) if evidence.rms[j] > 0]
-    found = sorted((one for one in best if one is not None), key=lambda one: -(one.explains or 0))
-    return found
+    return sorted((one for one in best if one is not None), key=lambda one: -(one.explains or 0))
 
 
 def unexplained_joints(evidence: Evidence) -> list[Finding]:
