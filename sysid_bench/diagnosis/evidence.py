@@ -182,7 +182,7 @@ class Evidence:
     @cached_property
     def rms(self) -> Array:
         """RMS (n,) of the filtered torque."""
-        return np.sqrt((self.torque**2).mean(axis=0))
+        return np.asarray(np.sqrt((self.torque**2).mean(axis=0)))
 
     @cached_property
     def sparse(self) -> tuple[JointMotion, Array]:

@@ -1,4 +1,4 @@
-"""Hypotheses: a recording with a mistake undone, and how well a robot near the model explains it."""
+"""Hypotheses: recordings with a mistake undone, and how well a robot near the model fits them."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

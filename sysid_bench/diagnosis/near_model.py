@@ -37,7 +37,7 @@ def spreads(theta: Array) -> Array:
     """Standard deviations (10 n,) of link parameters theta (n, 10)."""
     sizes = [_spread(phi) for phi in theta]
     floor = 1e-3 * np.max(sizes, axis=0, initial=0.0)
-    return np.maximum(sizes, np.maximum(floor, 1e-9)).ravel()
+    return np.asarray(np.maximum(sizes, np.maximum(floor, 1e-9))).ravel()
 
 
 def _spread(phi: Array) -> Array:
@@ -78,7 +78,7 @@ class NearModel:
     @property
     def rank(self) -> int:
         """Number r of directions of the links."""
-        return self.basis.shape[1]
+        return int(self.basis.shape[1])
 
     def fit(self, mixing: Array) -> NearModelFit:
         """Fit of the torques T @ mixing, T the recorded ones (N, k) and mixing (k, n)."""

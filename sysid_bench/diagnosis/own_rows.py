@@ -1,4 +1,4 @@
-"""Fits of one joint's torque by its own columns: no model parameters, and no other torque, enter."""
+"""Fits of one joint's torque by its own columns, without model parameters or other torques."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -34,7 +34,7 @@ class OwnRows:
     @cached_property
     def torque(self) -> Array:
         """Torque (N, n) at these samples."""
-        return self.evidence.torque[self.rows]
+        return np.asarray(self.evidence.torque[self.rows])
 
     @cached_property
     def _links(self) -> Array:

@@ -31,9 +31,9 @@ def log_of(name: str, seed: int = 0) -> Recorded:
     return replace(log, tau=log.tau + friction + noise)
 
 
-def evidence(folder: Path, log: Recorded, robot: RobotModel, **changed: object) -> Evidence:
+def evidence(folder: Path, log: Recorded, robot: RobotModel) -> Evidence:
     """The recording as it is read from its file."""
-    return Evidence(read_log(read_description(write(folder, log, **changed)), robot), robot)
+    return Evidence(read_log(read_description(write(folder, log)), robot), robot)
 
 
 def doubts(findings: list[Finding]) -> list[Finding]:

@@ -1,4 +1,4 @@
-"""Findings of the reader: units, rate, velocities, held, lost and invalid samples, stamps, limits."""
+"""Findings of the reader: units, rate, velocities, held, lost and invalid samples, limits."""
 
 from typing import Final
 

@@ -38,8 +38,16 @@ def spike_rows(x: Array) -> Array:
     distance = np.abs(valid - np.median(windows, axis=1))
     scale = SCALES * 1.4826 * float(np.median(distance))
     low, high = np.quantile(valid, [0.05, 0.95])
-    rows = np.flatnonzero(distance > max(scale, RANGE * float(high - low)))
+    height = max(scale, RANGE * float(high - low))
+    rows = np.flatnonzero((distance > height) & (_peaks(valid) > height))
     return rows if high > low and len(rows) <= MOST * len(x) else rows[:0]
+
+
+def _peaks(x: Array) -> Array:
+    """Height (N,) of each sample above both neighbours, or depth below both; 0 on slopes."""
+    steps = np.diff(x, prepend=x[:1], append=x[-1:])
+    up, down = steps[:-1], -steps[1:]
+    return np.where(up * down > 0, np.minimum(np.abs(up), np.abs(down)), 0.0)
 
 
 def _finding(evidence: Evidence, word: str, joints: list[int], rows: list[Array]) -> Finding:

@@ -30,6 +30,6 @@ def standstill(evidence: Evidence) -> list[Finding]:
             severity=WARNING if float(np.median(shares)) > MANY else NOTE,
             message=f"joints at rest: {listed} of the samples",
             joints=tuple(evidence.joints[j] for j in many),
-            edit="--pipeline parallel leaves these rows out of the fit; compare torque_error_moving",
+            edit="--pipeline parallel leaves these rows out; compare torque_error_moving",
         )
     ]

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
-from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
+from sysid_bench.diagnosis.finding import ERROR, NOTE, WARNING, Finding
 from sysid_bench.diagnosis.own_rows import OwnRows
 from sysid_bench.regressors.joint_features import Play
 from sysid_bench.types import Array
@@ -79,7 +79,7 @@ def _finding(evidence: Evidence, j: int, delay: float, explains: float) -> Findi
     word = "late" if delay > 0 else "early"
     return Finding(
         name="delay",
-        severity=ERROR if explains >= SURE and abs(delay) >= LONG else WARNING,
+        severity=_severity(delay, explains),
         message=(
             f"the torque of {evidence.joints[j]} is {1e3 * abs(delay):.0f} ms {word}: a shift "
             f"explains {100 * explains:.0f} % of its residual"
@@ -90,3 +90,10 @@ def _finding(evidence: Evidence, j: int, delay: float, explains: float) -> Findi
         blind=BLIND,
         edit=f"shift the torque of {evidence.joints[j]} by {-1e3 * delay:.0f} ms in the file",
     )
+
+
+def _severity(delay: float, explains: float) -> str:
+    """Grade of a shift: torques come late from buses and filters, and early from friction alone."""
+    if delay < 0:
+        return NOTE
+    return ERROR if explains >= SURE and delay >= LONG else WARNING
