@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from sysid_bench.models.load import load_robot
+    from sysid_bench.signals.log_data import log_of
     from sysid_bench.verbs.base_table import paper_table
     from sysid_bench.verbs.basis import BasisResult, basis
     from sysid_bench.verbs.catalogue import ShowResult, list_, show
@@ -32,7 +33,10 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.identify_recorded import RecordedRequest
     from sysid_bench.verbs.identify_result import IdentifyResult
     from sysid_bench.verbs.identify_simulated import SimulatedRequest, SimulatedResult
+    from sysid_bench.verbs.init_log import InitLogResult, init_log
+    from sysid_bench.verbs.init_model import init_model
     from sysid_bench.verbs.init_robot import InitRobotResult, init_robot
+    from sysid_bench.verbs.init_templates import InitFileResult, init_estimator, init_suite
     from sysid_bench.verbs.merge import MergeResult, merge
     from sysid_bench.verbs.recorded_result import RecordedResult
     from sysid_bench.verbs.recordings import record, view
@@ -43,6 +47,7 @@ if TYPE_CHECKING:
 
 _PUBLIC: Final = {
     "models.load": ("load_robot",),
+    "signals.log_data": ("log_of",),
     "verbs.base_table": ("paper_table",),
     "verbs.basis": ("BasisResult", "basis"),
     "verbs.catalogue": ("ShowResult", "list_", "show"),
@@ -57,7 +62,10 @@ _PUBLIC: Final = {
     "verbs.recorded_result": ("RecordedResult",),
     "verbs.identify_result": ("IdentifyResult",),
     "verbs.identify_simulated": ("SimulatedRequest", "SimulatedResult"),
+    "verbs.init_log": ("InitLogResult", "init_log"),
+    "verbs.init_model": ("init_model",),
     "verbs.init_robot": ("InitRobotResult", "init_robot"),
+    "verbs.init_templates": ("InitFileResult", "init_estimator", "init_suite"),
     "verbs.merge": ("MergeResult", "merge"),
     "verbs.recordings": ("record", "view"),
     "verbs.report": ("report", "table"),
@@ -72,11 +80,13 @@ _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in 
 __all__ = [
     "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult", "DiagnoseRequest",
     "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult", "IdentifyResult",
-    "InitRobotResult", "MergeResult", "PlanResult", "RecordedRequest", "RecordedResult", "Result",
-    "RunResult", "ShowResult", "SimulatedRequest", "SimulatedResult", "StatusResult",
+    "InitFileResult", "InitLogResult", "InitRobotResult", "MergeResult", "PlanResult",
+    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
+    "SimulatedResult", "StatusResult",
     "basis", "cell", "check_plugin", "crosscheck", "diagnose", "doctor", "excite", "identify",
-    "init_robot", "list_", "load_robot", "merge", "open_run", "paper_table", "plan", "record",
-    "report", "run", "show", "status", "table", "view",
+    "init_estimator", "init_log", "init_model", "init_robot", "init_suite", "list_", "load_robot",
+    "log_of", "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show",
+    "status", "table", "view",
 ]  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.input_files import check_file, is_file
-from sysid_bench.plugin_settings import plugin_settings
+from sysid_bench.plugin_settings import plugin_fields, plugin_settings
 
 BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
@@ -82,9 +82,13 @@ BUILTIN: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         },
         "log_reader": {
             "delimited-text": "sysid_bench.signals.log_readers.delimited_text:DelimitedText",
+            "hdf5": "sysid_bench.signals.log_readers.hdf5:HDF5",
+            "lerobot": "sysid_bench.signals.log_readers.lerobot:LeRobot",
             "matlab": "sysid_bench.signals.log_readers.matlab:Matlab",
             "numpy": "sysid_bench.signals.log_readers.numpy_arrays:NumpyArrays",
             "parquet": "sysid_bench.signals.log_readers.parquet:Parquet",
+            "rerun": "sysid_bench.signals.log_readers.rerun_recording:RerunRecording",
+            "rosbag2": "sysid_bench.signals.log_readers.rosbag2:Rosbag2",
         },
         "term": {
             "play": "sysid_bench.regressors.joint_features:Play",
@@ -145,6 +149,10 @@ def known(kind: str) -> dict[str, str]:
     built_in = BUILTIN.get(key, {})
     points = {point.name: _target(point) for point in _points(key) if point.name not in built_in}
     return {**built_in, **points}
+
+
+RESERVED: Final[Mapping[str, tuple[str, ...]]] = {"plant": ("simulation", "noise", "pipeline")}
+"""Keys of an entry of a suite that are not settings of its plug-in."""
 
 
 def is_builtin(kind: str, name: str) -> bool:
@@ -216,12 +224,23 @@ def build(kind: str, spec: str | Mapping[str, Any]) -> Any:
     if "use" not in spec:
         raise UsageError(f"A {shown} needs a name: {{ use = ... }}; got the keys {sorted(spec)}.")
     make = resolve(kind, spec["use"])
+    _check_reserved(kind, f"{shown} {spec['use']!r}", make)
     settings = {key: value for key, value in spec.items() if key not in ("use", "label")}
     if callable(make):
         return make(**plugin_settings(f"{shown} {spec['use']!r}", make, settings))
     if settings:
         raise UsageError(f"{shown} {spec['use']!r} takes no settings; got {sorted(settings)}.")
     return make
+
+
+def _check_reserved(kind: str, plugin: str, make: Any) -> None:
+    """Raise UsageError for a plug-in that calls a setting as its entry calls something else."""
+    for key in RESERVED.get(kind, ()):
+        if key in plugin_fields(make):
+            raise UsageError(
+                f"{plugin}: its setting {key!r} is a key of plants, which gives them a {key} of "
+                "their own; call the setting otherwise."
+            )
 
 
 def resolve_files(spec: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:

@@ -21,9 +21,10 @@ from sysid_bench.input_files import parse_json, parse_toml, read_data
 from sysid_bench.models.dh import dh_table
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import read_manifest
+from sysid_bench.signals import arrow_columns
 from sysid_bench.signals.log_description import read_description
 from sysid_bench.signals.log_reader import read_table
-from sysid_bench.signals.log_readers import matlab, parquet
+from sysid_bench.signals.log_readers import matlab
 from sysid_bench.verbs.base_table import paper_table
 from sysid_bench.verbs.motion_export import read_motion
 from tests.robots import named_robot
@@ -185,7 +186,7 @@ def test_any_damage_to_the_header_of_an_array_is_refused(tmp_path: Path) -> None
             read_table(path)
 
 
-@pytest.mark.parametrize(("suffix", "reader"), [("parquet", parquet), ("mat", matlab)])
+@pytest.mark.parametrize(("suffix", "reader"), [("parquet", arrow_columns), ("mat", matlab)])
 def test_a_log_that_unpacks_to_too_much_is_refused(
     suffix: str, reader: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -41,9 +41,9 @@ def diagnose(
 
     Exit code 1 where a recording contradicts its model or physics.
     """
-    from sysid_bench.experiments.third_party import readers_of_logs
+    from sysid_bench.experiments.third_party import reader_names
 
-    code = supervised(readers_of_logs(logs))
+    code = supervised(reader_names(logs))
     if code is not None:
         return code
     result = sysid_bench.diagnose(

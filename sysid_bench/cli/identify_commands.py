@@ -20,6 +20,7 @@ from sysid_bench.cli.options import (
     task_option,
     terms_option,
 )
+from sysid_bench.cli.progress import read_progress
 from sysid_bench.cli.supervise import supervised
 from sysid_bench.cli.values import (
     parse_contact,
@@ -125,7 +126,12 @@ _log_options = group_options(
         click.option(
             "--accept", metavar="rate,units", help="Contradictions in logs that may pass."
         ),
-        click.option("--filter", "filter_text", metavar="TEXT", help="Logs: 'butter 4 10 Hz', ..."),
+        click.option(
+            "--filter",
+            "filter_text",
+            metavar="TEXT",
+            help="Logs: 'butter 4 10 Hz', ...; of tests, and of the pipeline plain.",
+        ),
         click.option(
             "--derivatives",
             type=click.Choice(["from q", "from v"]),
@@ -197,7 +203,8 @@ _method_options = group_options(
             "--pipeline",
             metavar="NAME",
             help="Signals and rows of the fit: plain, raw, parallel, or a table "
-            '\'{ use = "parallel", cutoff = "6 Hz" }\'.',
+            '\'{ use = "parallel", cutoff = "6 Hz" }\'. Default: parallel; plain with --filter and '
+            "where positions are exact.",
         ),
         click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0)),
     ],
@@ -227,6 +234,7 @@ _output_options = group_options(
 @_output_options
 @robots_option
 @report_errors
+@read_progress()
 def identify(
     model: str | None,
     source: _Source,

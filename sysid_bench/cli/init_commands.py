@@ -12,8 +12,11 @@ from sysid_bench.cli.options import (
     json_option,
     print_result,
     report_errors,
+    robots_option,
 )
+from sysid_bench.cli.progress import read_progress
 from sysid_bench.cli.values import parse_names
+from sysid_bench.errors import UsageError
 
 
 class _Conventions(OptionsRecord):
@@ -26,14 +29,66 @@ class _Conventions(OptionsRecord):
 
 @click.group()
 def init() -> None:
-    """Write a first file of your own: init robot."""
+    """Write a first file of your own, with guesses and doubts as comments."""
+
+
+_force_option = click.option("--force", is_flag=True, help="Write over an existing file.")
 
 
 @init.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--model", required=True, help="Robot: a name, a URDF or an MJCF file.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Default: FILE.toml beside it.")
+@robots_option
+@_force_option
+@json_option
+@report_errors
+def log(
+    files: tuple[Path, ...],
+    model: str,
+    out: Path | None,
+    robots_dir: Path | None,
+    force: bool,
+    as_json: bool,
+) -> int:
+    """Write the description of a recording: its columns, units and time are guessed."""
+    with read_progress():
+        result = sysid_bench.init_log(files, model, out, force=force, robots_dir=robots_dir)
+    print_result(result, as_json)
+    return OK
+
+
+@init.command()
+@click.option("--robot", "of", default="ur5", show_default=True, help="A name or a model file.")
+@click.option(
+    "-o", "--out", default="suite.toml", show_default=True, type=click.Path(path_type=Path)
+)
+@_force_option
+@json_option
+@report_errors
+def suite(of: str, out: Path, force: bool, as_json: bool) -> int:
+    """Write a suite of one robot and two methods."""
+    print_result(sysid_bench.init_suite(of, out, force=force), as_json)
+    return OK
+
+
+@init.command()
+@click.argument("name", default="Mine")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Default: name.py.")
+@_force_option
+@json_option
+@report_errors
+def estimator(name: str, out: Path | None, force: bool, as_json: bool) -> int:
+    """Write an estimator of one's own, with the class NAME."""
+    print_result(sysid_bench.init_estimator(name, out, force=force), as_json)
+    return OK
+
+
+@init.command()
+@click.argument("model", required=False, metavar="MODEL")
 @click.option(
     "--dh",
     "table",
-    required=True,
     type=click.Path(path_type=Path),
     metavar="TABLE.csv",
     help="Denavit-Hartenberg table: link, joint, prev, a, alpha, d, theta, ...",
@@ -63,12 +118,27 @@ def init() -> None:
         click.option("--massless", default="", metavar="4,5,6", help="Links without mass."),
     ],
 )
+@_force_option
 @json_option
 @report_errors
 def robot(
-    table: Path, out: Path | None, name: str | None, conventions: _Conventions, as_json: bool
+    model: str | None,
+    table: Path | None,
+    out: Path | None,
+    name: str | None,
+    conventions: _Conventions,
+    force: bool,
+    as_json: bool,
 ) -> int:
-    """Write a robot folder from a Denavit-Hartenberg table."""
+    """Write a robot folder from a URDF or MJCF file, or from a Denavit-Hartenberg table."""
+    if model is not None and table is None:
+        print_result(sysid_bench.init_model(model, out, name, force=force), as_json)
+        return OK
+    if table is None or model is not None:
+        raise UsageError(
+            "Which robot? Name its model file, sysid-bench init robot my.urdf, or its table of "
+            "Denavit-Hartenberg parameters: sysid-bench init robot --dh my.csv."
+        )
     result = sysid_bench.init_robot(
         table,
         out,

@@ -9,6 +9,8 @@ from sysid_bench.cli.supervise import worker_progress
 from sysid_bench.errors import FAILURES
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from sysid_bench.harness.work.supervise import OnEvent
 
 
@@ -67,6 +69,23 @@ def search_progress() -> Iterator[Callable[[int, float], None]]:
 
     yield show
     # Carriage return, then erase to the end of the line.
+    sys.stderr.write("\r\x1b[K")
+
+
+@contextmanager
+def read_progress() -> Iterator[None]:
+    """Show on one line how far the reading of a long recording has come, on a terminal."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from sysid_bench.signals.read_progress import listening
+
+    def show(path: "Path", share: float) -> None:
+        sys.stderr.write(f"\rreading {path.name}: {100 * share:3.0f} % \x1b[K")
+        sys.stderr.flush()
+
+    with listening(show):
+        yield
     sys.stderr.write("\r\x1b[K")
 
 

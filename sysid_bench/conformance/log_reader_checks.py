@@ -4,8 +4,10 @@
 another format, or another dialect of one, it takes a recorded file.
 """
 
+import json
+import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -14,9 +16,11 @@ import numpy as np
 
 from sysid_bench.conformance.findings import Finding, finding_of_error, findings_of
 from sysid_bench.errors import UsageError, reason_of
+from sysid_bench.signals.log_libraries import log_library
 from sysid_bench.signals.log_table import LogTable
 from sysid_bench.types import Array
 
+JOINT_STATE: Final = "sensor_msgs/msg/JointState"
 READS: Final = "reads a recorded file"
 
 
@@ -48,7 +52,8 @@ def check_log_reader(reader: Any, file: Path | None = None) -> list[Finding]:
 
 def _findings_on_written(reader: Any) -> list[Finding]:
     """Findings on a file of the kit for each common suffix of the reader."""
-    formats = [suffix for suffix in reader.suffixes if suffix in WRITERS]
+    folders = getattr(reader, "folder_files", ())[:1]
+    formats = [suffix for suffix in (*reader.suffixes, *folders) if suffix in WRITERS]
     if not formats:
         raise UsageError(
             f"A log reader for {', '.join(reader.suffixes) or 'no suffix'} is checked on a "
@@ -58,7 +63,7 @@ def _findings_on_written(reader: Any) -> list[Finding]:
     findings = []
     with tempfile.TemporaryDirectory() as folder:
         for suffix in formats:
-            written = Path(folder, f"written{suffix}")
+            written = Path(folder, f"written{suffix}" if suffix.startswith(".") else "written")
             WRITERS[suffix](written)
             findings += _findings_on(reader, LogCase(f"a {suffix} file of the kit", written))
     return findings
@@ -122,23 +127,23 @@ def _is_deterministic(reader: Any, case: LogCase, table: LogTable) -> str | None
 
 
 def _refuses_an_empty_file(reader: Any, case: LogCase, table: LogTable) -> str | None:
-    return _accepts_damage("an empty file", reader, case, table, 0)
+    return _accepts_damage("an empty file", reader, case, table, 0.0)
 
 
 def _refuses_a_truncated_file(reader: Any, case: LogCase, table: LogTable) -> str | None:
     """A format of lines may yield fewer samples: a logger that was stopped leaves such files."""
-    half = case.file.stat().st_size // 2
-    return _accepts_damage("a truncated file", reader, case, table, half)
+    return _accepts_damage("a truncated file", reader, case, table, 0.5)
 
 
 def _accepts_damage(
-    damage: str, reader: Any, case: LogCase, table: LogTable, size: int
+    damage: str, reader: Any, case: LogCase, table: LogTable, share: float
 ) -> str | None:
-    """Violation where the first `size` bytes of the file give neither a UsageError nor fewer
-    samples than all of it."""
+    """Violation where this share of the bytes of the file, or of the largest one in a folder, gives
+    neither a UsageError nor fewer samples than all of it."""
     with tempfile.TemporaryDirectory() as folder:
-        damaged = Path(folder, case.file.name)
-        damaged.write_bytes(case.file.read_bytes()[:size])
+        damaged = _copied(case.file, Path(folder))
+        largest = max(_files(damaged), key=lambda file: file.stat().st_size)
+        largest.write_bytes(largest.read_bytes()[: int(share * largest.stat().st_size)])
         try:
             left = len(reader.read(damaged).values)
         except UsageError:
@@ -148,6 +153,22 @@ def _accepts_damage(
     if 0 < left < len(table.values):
         return None
     return f"{damage} gives {left} samples; raise UsageError"
+
+
+def _copied(recording: Path, folder: Path) -> Path:
+    """Copy of a recorded file or folder."""
+    copy = folder / recording.name
+    if recording.is_dir():
+        shutil.copytree(recording, copy)
+    else:
+        shutil.copyfile(recording, copy)
+    return copy
+
+
+def _files(recording: Path) -> list[Path]:
+    if not recording.is_dir():
+        return [recording]
+    return [file for file in sorted(recording.rglob("*")) if file.is_file()]
 
 
 DECLARED: Final[dict[str, Callable[[Any], str | None]]] = {
@@ -203,6 +224,77 @@ def _write_parquet(file: Path) -> None:
     parquet.write_table(table(dict(zip(_NAMES, _matrix().T, strict=True))), file)
 
 
+def _write_hdf5(file: Path) -> None:
+    h5py = log_library("h5py", file)
+    with h5py.File(file, "w") as written:
+        for name, values in _signals().items():
+            written[f"observations/{name}"] = values
+
+
+def _write_rerun(file: Path) -> None:
+    import rerun as rr  # 0.6 s, spent only where such a reader is checked
+
+    stream = rr.RecordingStream("sysid_bench", recording_id="kit")
+    stream.save(file)
+    times = rr.TimeColumn("time", duration=_matrix()[:, 0])
+    for name, values in zip(_NAMES[1:], _matrix().T[1:], strict=True):
+        stream.send_columns(name, indexes=[times], columns=rr.Scalars.columns(scalars=values))
+    stream.flush()
+    stream.disconnect()
+
+
+def _write_bag(file: Path) -> None:
+    """A bag of joint states; what is written as a folder is left as its only file."""
+    bags = log_library("rosbags.rosbag2", file)
+    types = log_library("rosbags.typesys", file)
+    plugin = getattr(bags.StoragePlugin, "MCAP" if file.suffix == ".mcap" else "SQLITE3")
+    store = types.get_typestore(types.Stores.LATEST)
+    with tempfile.TemporaryDirectory() as folder:
+        with bags.Writer(Path(folder, "bag"), version=9, storage_plugin=plugin) as bag:
+            topic = bag.add_connection("/joint_states", JOINT_STATE, typestore=store)
+            for stamp, raw in _joint_states(store):
+                bag.write(topic, stamp, raw)
+        shutil.copyfile(next(Path(folder, "bag").glob(f"*{file.suffix}")), file)
+
+
+def _joint_states(store: Any) -> Iterator[tuple[int, bytes]]:
+    """Stamp (ns) and bytes of the signals as messages, the joints in changing order."""
+    state, header = store.types[JOINT_STATE], store.types["std_msgs/msg/Header"]
+    time = store.types["builtin_interfaces/msg/Time"]
+    signals = _signals()
+    for i, t in enumerate(signals["t"]):
+        order, stamp = [[0, 1], [1, 0]][i % 2], round(t * 1e9)
+        message = state(
+            header=header(stamp=time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id=""),
+            name=[("j1", "j2")[k] for k in order],
+            position=signals["q"][i, order],
+            velocity=np.zeros(0),
+            effort=signals["tau"][i, order],
+        )
+        yield stamp, bytes(store.serialize_cdr(message, JOINT_STATE))
+
+
+def _write_lerobot(folder: Path) -> None:
+    from pyarrow import array, parquet, table  # 0.2 s, spent only where such a reader is checked
+
+    signals = _signals()
+    columns = {
+        "observation.state": array(signals["q"].tolist()),
+        "timestamp": signals["t"],
+        "episode_index": np.zeros(len(signals["t"]), dtype=int),
+    }
+    info = {
+        "codebase_version": "v2.1",
+        "fps": 100,
+        "total_episodes": 1,
+        "features": {"observation.state": {"names": ["j1", "j2"]}},
+    }
+    (folder / "meta").mkdir(parents=True)
+    (folder / "data").mkdir()
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    parquet.write_table(table(columns), folder / "data" / "episode_000000.parquet")
+
+
 WRITERS: Final[Mapping[str, Callable[[Path], None]]] = {
     ".csv": _write_text,
     ".txt": _write_text,
@@ -210,5 +302,12 @@ WRITERS: Final[Mapping[str, Callable[[Path], None]]] = {
     ".npy": _write_npy,
     ".mat": _write_mat,
     ".parquet": _write_parquet,
+    ".h5": _write_hdf5,
+    ".hdf5": _write_hdf5,
+    ".rrd": _write_rerun,
+    ".db3": _write_bag,
+    ".mcap": _write_bag,
+    "meta/info.json": _write_lerobot,
 }
-"""Common formats by suffix, with a function that writes a small recording."""
+"""Common formats by suffix, or by the file that marks a folder, with a function that writes a small
+recording."""

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
-from sysid_bench.signals.log_description import NO_JOINT, Signal
+from sysid_bench.signals.log_description import NO_JOINT
+from sysid_bench.signals.log_keys import Signal
 from sysid_bench.types import Array
 
 
@@ -34,7 +35,7 @@ def columns_edit(evidence: Evidence, signals: Sequence[str], order: Sequence[int
     """Return the edit that gives joint j the columns of joint order[j]."""
     log = evidence.log.description
     parts = [(name, log.signals[name]) for name in signals if name in log.signals]
-    if any(len(part.columns) != len(log.joints) for _, part in parts):
+    if any(len(part.columns or ()) != len(log.joints) for _, part in parts):
         names = ", ".join(evidence.joints[i] for i in order)
         return f"write the columns of {' and '.join(signals)} in the order of {names}"
     places = [log.joints.index(joint) for joint in evidence.joints]
@@ -44,9 +45,10 @@ def columns_edit(evidence: Evidence, signals: Sequence[str], order: Sequence[int
 
 
 def _reordered(part: Signal, places: Sequence[int], order: Sequence[int]) -> list[int | str]:
-    columns = list(part.columns)
+    given = part.columns or ()
+    columns = list(given)
     for j, i in enumerate(order):
-        columns[places[j]] = part.columns[places[i]]
+        columns[places[j]] = given[places[i]]
     return columns
 
 

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from sysid_bench.evaluation.score import RowErrors
+from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.identifiability.base_map import dropped_torque
 from sysid_bench.identification.linear.normal_qr import spread, stacked_factor
 from sysid_bench.types import Array, Problem

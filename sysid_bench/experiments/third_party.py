@@ -76,12 +76,11 @@ def log_reader_names(log: LogDescription) -> Iterator[tuple[str, str]]:
     Where none is named and the suffix is not ours, these are all installed ones: each is asked for
     its suffixes.
     """
-    for part in (log.q, log.v, log.tau, log.time):
-        if part is not None:
-            reader = log.reader_of(part)
-            if reader is None:
-                built_in = builtin_reader(log.file_of(part))
-                names = known(LOG_READER) if built_in is None else [built_in]
-                yield from ((LOG_READER, name) for name in names)
-            else:
-                yield LOG_READER, reader if isinstance(reader, str) else reader["use"]
+    for part in log.parts:
+        reader = log.reader_of(part)
+        if reader is None:
+            built_in = builtin_reader(log.file_of(part))
+            names = known(LOG_READER) if built_in is None else [built_in]
+            yield from ((LOG_READER, name) for name in names)
+        else:
+            yield LOG_READER, reader if isinstance(reader, str) else reader["use"]

@@ -1,7 +1,7 @@
 """Labels of the values of a sweep: short texts, unique within the suite."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any, Final
 
@@ -16,9 +16,14 @@ from sysid_bench.harness.suite.data_entries import Noise, Prior
 from sysid_bench.harness.suite.model import RobotEntry, Suite
 from sysid_bench.harness.suite.names import Names
 from sysid_bench.harness.suite.plugin_entries import Plugin
+from sysid_bench.signals.pipeline_choice import DEFAULT, PLAIN
 
 BASES: Final = {None: "", True: " (free base)", False: " (fixed base)"}
 """Suffix of a robot's name where the suite sets its base."""
+
+
+DEFAULTS: Final = ({"use": PLAIN}, {"use": DEFAULT})
+"""Pipelines of experiments that name none."""
 
 
 def _unique_labels(choices: Iterable[tuple[Any, str, str]]) -> dict[str, str]:
@@ -67,12 +72,12 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     axes = suite.defaults
     simulations, noises, pipelines = zip(*map(axes.of, axes.plant), strict=True)
     plugins = {
-        "excitation": axes.excitation,
-        "simulation": chain(*simulations),
-        "pipeline": chain(*pipelines),
+        "excitation": [entry.spec for entry in axes.excitation],
+        "simulation": [entry.spec for entry in chain(*simulations)],
+        "pipeline": list(_pipelines(chain(*pipelines))),
     }
     labels = {
-        axis: _unique_labels((p.spec, *plugin_label(p.spec, p.spec.get("label"))) for p in specs)
+        axis: _unique_labels((spec, *plugin_label(spec, spec.get("label"))) for spec in specs)
         for axis, specs in plugins.items()
     }
     labels["plant"] = _unique_labels((p.spec, *_plant_texts(p.spec)) for p in axes.plant)
@@ -95,6 +100,12 @@ def labels_of(suite: Suite, names: Names) -> dict[str, dict[str, str]]:
     labels["prior"] = _unique_labels(_prior_texts(prior) for prior in axes.prior)
     labels["held_out"] = _unique_labels(_motion_texts(motions) for motions in axes.held_out)
     return labels
+
+
+def _pipelines(named: Iterable[Plugin | None]) -> Iterator[Mapping[str, Any]]:
+    """Yield the pipelines that are named; where none is, those that may be chosen."""
+    for entry in named:
+        yield from DEFAULTS if entry is None else (entry.spec,)
 
 
 def robot_key(source: str, free_base: bool | None, sensor: str | None = None) -> Any:

@@ -9,7 +9,7 @@ from sysid_bench.harness.labels import plugin_label
 from sysid_bench.harness.plan_size import prior_table
 from sysid_bench.harness.suite.model import LogEntry
 from sysid_bench.signals.log_description import name_of
-from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_spec
+from sysid_bench.signals.pipeline_choice import PLAIN, default_of_logs, pipeline_spec
 from sysid_bench.vocabulary import LABELS
 
 RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
@@ -19,10 +19,16 @@ RECORDED: Final[Mapping[str, Any]] = {"use": "recorded"}
 def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
     """Yield one specification for each combination of the sweeps of a log."""
     sweeps = itertools.product(
-        entry.terms, entry.choose, entry.filter, entry.moving, entry.pipeline, entry.prior
+        entry.terms,
+        entry.choose,
+        entry.filter,
+        entry.moving,
+        entry.pipeline or (None,),
+        entry.prior,
     )
     for terms, choose, filter, moving, pipeline, prior in sweeps:
         signals = {"filter": filter, "derivatives": entry.derivatives}
+        written = {k: x for k, x in signals.items() if x not in (None, "default")}
         yield ExperimentSpec(
             seed=0,  # nothing is drawn
             robot=entry.robot,
@@ -36,9 +42,9 @@ def log_specs(entry: LogEntry) -> Iterator[ExperimentSpec]:
             simulation=RECORDED,
             rate=0.0,
             noise={},
-            signals={k: x for k, x in signals.items() if x not in (None, "default")},
+            signals=written,
             repeat=0,
-            pipeline=pipeline_spec(pipeline.spec),
+            pipeline=default_of_logs(written) if pipeline is None else pipeline_spec(pipeline.spec),
             log={
                 "train": list(entry.train),
                 "test": list(entry.test),

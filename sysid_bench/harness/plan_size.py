@@ -54,7 +54,7 @@ def _simulated(suite: Suite) -> tuple[int, str]:
     kinds = [_kinds(suite, plant) for plant in axes.plant]
     drawn, fixed = (sum(counts) for counts in zip(*kinds, strict=True))
     count = prod(sizes.values()) * (drawn * repeats + fixed)
-    noisy = {axis: len(getattr(axes, axis)) for axis in _NOISY_AXES}
+    noisy = {axis: len(getattr(axes, axis) or (None,)) for axis in _NOISY_AXES}
     if prod(noisy.values()) != drawn + fixed:  # plants with a simulation or noise of their own
         noisy = {f"kinds of {', '.join(_NOISY_AXES)}": drawn + fixed}
     text = _product({**sizes, **noisy, "repeats": repeats})
@@ -88,7 +88,7 @@ def _kinds(suite: Suite, plant: Plant) -> tuple[int, int]:
 def _recorded(suite: Suite, log: LogEntry) -> tuple[int, str]:
     sweeps: Mapping[str, Sequence[Any]] = {
         "terms": log.terms, "choose": log.choose, "filter": log.filter, "moving": log.moving,
-        "pipeline": log.pipeline, "prior": log.prior, "estimators": suite.estimator,
+        "pipeline": log.pipeline or (None,), "prior": log.prior, "estimators": suite.estimator,
     }  # fmt: skip
     sizes = {name: len(values) for name, values in sweeps.items()}
     return prod(sizes.values()), _product(sizes)

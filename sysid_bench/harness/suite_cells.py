@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from sysid_bench.canonical_json import canonical
 from sysid_bench.errors import SysidBenchError
+from sysid_bench.experiments.played_back import has_exact_positions, is_played_back
 from sysid_bench.experiments.spec import (
     ExperimentSpec,
     normal_candidate,
@@ -21,8 +22,15 @@ from sysid_bench.harness.plan_size import has_random_sensors, is_random_prior, p
 from sysid_bench.harness.suite.data_entries import Signals
 from sysid_bench.harness.suite.model import Suite
 from sysid_bench.harness.suite.names import Names
+from sysid_bench.harness.suite.plugin_entries import Pipeline
 from sysid_bench.models.payload import parse_payload
-from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_spec, signals_of_pipeline
+from sysid_bench.signals.pipeline_choice import (
+    PLAIN,
+    default_pipeline,
+    pipeline_spec,
+    reads_signals,
+    signals_of_pipeline,
+)
 from sysid_bench.units import quantity
 from sysid_bench.vocabulary import LABELS
 
@@ -33,14 +41,16 @@ _SAMPLE_SECONDS = 1e-4
 _ESTIMATOR_SECONDS = 0.05
 OWN: Final = "of the pipeline"
 """Label of signals where the pipeline has settings of its own."""
+OF_PLAIN: Final = {"filter": "none", "derivatives": "exact", "torque": "filtered"}
+"""Settings of `signals` that are not written; ids hold them."""
 _LOG_SECONDS = 2.0  # of half a minute of a recording, with a choice of terms
 
 
 def is_random(spec: ExperimentSpec) -> bool:
     """True where the repeats of an experiment differ from each other."""
-    simulated = spec.log is None and spec.simulation["use"] == "inverse"
+    played = spec.log is None and is_played_back(spec)
     drawn = bool(spec.redrawn) or has_random_sensors(spec.plant)
-    return not simulated or drawn or bool(spec.noise) or is_random_prior(spec.prior)
+    return not played or drawn or bool(spec.noise) or is_random_prior(spec.prior)
 
 
 def suite_cells(suite: Suite, names: Names) -> list[Cell]:
@@ -92,7 +102,7 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
                 noises, axes.signals, pipelines,
             )
         ):  # fmt: skip
-            pipeline = pipeline_spec(line.spec)
+            written = _signals(signals)
             spec = ExperimentSpec(
                 seed=suite.seed,
                 robot=robot,
@@ -106,15 +116,29 @@ def _specs(suite: Suite, robot: str, payload: str | dict[str, Any]) -> Iterator[
                 simulation=simulation.spec,
                 rate=quantity(rate, "Hz"),
                 noise=normal_noise(noise.model_dump(exclude_none=True)),
-                signals=signals_of_pipeline(_signals(signals), pipeline),
+                signals={},
                 repeat=0,
-                pipeline=pipeline,
                 motions=motions,
                 redrawn=tuple(sorted(set(axes.redrawn))),
                 candidate=normal_candidate(axes.candidate.model_dump(exclude_none=True)),
             )
+            spec = _with_pipeline(spec, line, written)
             repeats = suite.run.repeats if is_random(spec) else 1
             yield from (replace(spec, repeat=repeat) for repeat in range(repeats))
+
+
+def _with_pipeline(
+    spec: ExperimentSpec, named: Pipeline | None, signals: Mapping[str, Any]
+) -> ExperimentSpec:
+    """Return the specification with its pipeline, named or the default one, and the settings of
+    the written `signals` that it uses."""
+    if named is None:
+        pipeline = default_pipeline(signals, has_exact_positions(spec))
+    else:
+        pipeline = pipeline_spec(named.spec)
+    if reads_signals(pipeline):
+        signals = {**OF_PLAIN, **signals}
+    return replace(spec, pipeline=pipeline, signals=signals_of_pipeline(signals, pipeline))
 
 
 def _signals(signals: Signals) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Notes below a table: what its numbers pool, and why values are missing."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from sysid_bench.evaluation.repeat_statistic import ENOUGH_REPEATS
 from sysid_bench.metrics import REASONS
@@ -12,6 +12,10 @@ from sysid_bench.reporting.table_entries import Entries
 from sysid_bench.reporting.table_layout import TableLayout
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import INTERVAL_LIMITS, OF_REPEATS, STD_FROM
+
+PLANT: Final = "plant"
+OF_PLANTS: Final = ("simulation", "noise", "pipeline")
+"""Settings that a plant may bring along, as realism levels do."""
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,11 +41,25 @@ def _limits(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
 
 
 def _pooling(cells: "pd.DataFrame", layout: TableLayout) -> Iterator[str]:
-    """Fields that differ between the cells of an entry: its statistic compares unlike settings."""
-    hidden = cells[[field for field in _swept(cells) if field not in layout.fields]]
-    pooled = [f"{count} of {field}" for field, count in hidden.nunique().items() if count > 1]
+    """Fields that differ between the cells of an entry: its statistic compares unlike settings.
+    Settings that plants bring along are not counted beside the plants."""
+    shown = [field for field in layout.fields if field in cells.columns]
+    counts = {
+        field: _most_values(cells, field, [*shown, *([PLANT] if field in OF_PLANTS else ())])
+        for field in _swept(cells)
+        if field not in layout.fields
+    }
+    pooled = [f"{count} of {field}" for field, count in counts.items() if count > 1]
     if pooled:
         yield f"Each number pools different settings: {', '.join(pooled)}."
+
+
+def _most_values(cells: "pd.DataFrame", field: str, groups: list[str]) -> int:
+    """Largest number of values of a field among the cells that agree in other fields."""
+    keys = [key for key in dict.fromkeys(groups) if key in cells.columns]
+    if not keys:
+        return int(cells[field].nunique())
+    return int(cells.groupby(keys, dropna=False)[field].nunique().max())
 
 
 def _one_simulator(cells: "pd.DataFrame") -> Iterator[str]:

@@ -2,6 +2,7 @@
 "fourier 2 Hz" for periodic motions."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -36,21 +37,27 @@ class Butterworth:
     def smooth(self, x: Array, rate: float) -> Array:
         """Return x (N, k) filtered along time; raises UsageError for a cut-off above half the rate
         (Hz)."""
-        from scipy.signal import butter, sosfiltfilt  # 0.3 s, which `plan` need not spend
+        from scipy.signal import sosfiltfilt  # 0.3 s, which `plan` need not spend
 
         if not 0 < self.cutoff < rate / 2:
             raise UsageError(
                 f"A cut-off of {self.cutoff} Hz needs a rate above twice that; it is {rate} Hz."
             )
-        # Sections of second order: one transfer function of order 8 loses its digits.
-        sections = butter(self.order, self.cutoff, fs=rate, output="sos")
         pad = min(len(x) - 1, 3 * self.edge(rate))
-        return np.asarray(sosfiltfilt(sections, x, axis=0, padlen=pad))
+        return np.asarray(sosfiltfilt(_sections(self, rate), x, axis=0, padlen=pad))
 
     def edge(self, rate: float) -> int:
         """Return the samples of one period of the cut-off, after which the impulse response has
         decayed."""
         return int(np.ceil(rate / self.cutoff))
+
+
+@lru_cache(maxsize=64)
+def _sections(low_pass: Butterworth, rate: float) -> Array:
+    """Sections of second order: one transfer function of order 8 loses its digits."""
+    from scipy.signal import butter
+
+    return np.asarray(butter(low_pass.order, low_pass.cutoff, fs=rate, output="sos"))
 
 
 @dataclass(frozen=True)

@@ -6,90 +6,28 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import UsageError
 from sysid_bench.input_files import parse_toml, read_text
 from sysid_bench.naming import resolve_files
-from sysid_bench.signals.log_reader import ReaderSpec, reader_files
+from sysid_bench.signals.log_keys import SIGNALS, LogKeys, Signal, Source, Time, valid_keys
+from sysid_bench.signals.log_presets import preset_advice, with_preset
+from sysid_bench.signals.log_reader import (
+    ReaderSpec,
+    builtin_reader,
+    read_table,
+    reader_files,
+    recorded_files,
+)
+from sysid_bench.signals.log_table import LogTable
 from sysid_bench.types import Array
 from sysid_bench.units import quantity
 
 NO_JOINT: Final = "-"
 """Stands in `joints` for a recorded coordinate that is not a joint of the model (a gripper's)."""
-
-
-def _one_or_more(value: Any) -> Any:
-    return tuple(value) if isinstance(value, (list, tuple)) else (value,)
-
-
-_Several = BeforeValidator(_one_or_more)
-_Column = Annotated[int | str, Field(union_mode="left_to_right")]
-
-
-def _is_list_of_lists(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(row, list) for row in value)
-
-
-def _matrix(value: Any) -> Any:
-    if not _is_list_of_lists(value):
-        raise ValueError("must be a list of rows, [[1, 0], [1, 1]]")
-    return tuple(tuple(row) for row in value)
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True, strict=True)
-
-
-class Signal(_Table):
-    """Columns of one signal, in the order of `joints`; one number of a setting serves all joints.
-
-    q, v = raw unit gain / ratio + offset; tau = raw unit gain ratio + offset, with `offset` in SI
-    and in the joint's coordinate.
-    """
-
-    columns: Annotated[tuple[_Column, ...], _Several]
-    unit: Annotated[tuple[str, ...], _Several] | None = None
-    gain: Annotated[tuple[float, ...], _Several] = (1.0,)
-    ratio: Annotated[tuple[float, ...], _Several] = (1.0,)
-    offset: Annotated[tuple[float, ...], _Several] = (0.0,)
-    file: str | None = None  # where this signal has a file of its own
-    reader: str | dict[str, Any] | None = None  # of that file
-    per_row: Annotated[int, Field(gt=0)] | None = None  # of a file with one number a line
-
-
-class Time(_Table):
-    """Column of time stamps."""
-
-    column: _Column
-    unit: str = "s"
-    file: str | None = None
-    reader: str | dict[str, Any] | None = None
-
-
-def _time(value: Any) -> Any:
-    return {"column": value} if isinstance(value, (int, str)) else value
-
-
-class _Text(_Table):
-    """Keys of the file as written."""
-
-    file: str | None = None
-    reader: str | dict[str, Any] | None = None
-    rate: str | float | None = None
-    time: Annotated[Time | None, BeforeValidator(_time)] = None
-    period: str | float | None = None
-    joints: Annotated[tuple[str, ...], _Several]
-    q: Signal
-    v: Signal | None = None
-    tau: Signal
-    transmission: Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix)] | None = None
-    payload: str | dict[str, Any] | None = None
-    rows: tuple[int, int] | None = Field(default=None, strict=False)
-    locked: dict[str, float] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +38,8 @@ class LogDescription:
     motion repeats after `period` (s). `transmission` G (k, k): q = G q_motor, tau_motor = G' tau.
     `rows`: first and last sample used, from 1. `locked`: positions (rad, m) of joints that are not
     recorded; joints in neither stand at the model's reference. `reader` replaces the choice by
-    suffix.
+    suffix. `sources`: several files whose columns are joined by name and time. `data`: numbers in
+    memory, instead of any file.
     """
 
     source: Path
@@ -117,6 +56,8 @@ class LogDescription:
     locked: Mapping[str, float] | None = None
     period: float | None = None
     reader: str | Mapping[str, Any] | None = None
+    sources: tuple[Source, ...] = ()
+    data: LogTable | None = None
 
     @property
     def signals(self) -> dict[str, Signal]:
@@ -124,7 +65,7 @@ class LogDescription:
         parts = {"q": self.q, "v": self.v, "tau": self.tau}
         return {name: part for name, part in parts.items() if part is not None}
 
-    def file_of(self, part: Signal | Time) -> Path:
+    def file_of(self, part: Signal | Time | Source) -> Path:
         """Return the absolute path of a signal's file; raises UsageError where none is named."""
         written = self.file if part.file is None else part.file
         if written is None:
@@ -134,7 +75,7 @@ class LogDescription:
             )
         return self.source.parent / _expanded(written, self.source)
 
-    def reader_of(self, part: Signal | Time) -> ReaderSpec | None:
+    def reader_of(self, part: Signal | Time | Source) -> ReaderSpec | None:
         """Return the reader named for a signal's file, None for the one of its suffix."""
         written = part.reader or self.reader
         if written is None:
@@ -143,11 +84,21 @@ class LogDescription:
         return resolve_files(spec, self.source.parent)
 
     @property
+    def parts(self) -> list[Signal | Time | Source]:
+        """Parts that name files: the sources, and signals or time with a file of their own."""
+        if self.data is not None:
+            return []
+        parts: list[Signal | Time | Source] = [*self.signals.values()]
+        parts += [] if self.time is None else [self.time]
+        own = [part for part in parts if part.file is not None]
+        return [*self.sources, *own] if self.sources else parts
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """Files that the signals depend on, once each: recordings, and code of plug-in readers."""
-        parts: list[Signal | Time] = [*self.signals.values(), *filter(None, [self.time])]
-        recorded = {self.file_of(part): self.reader_of(part) for part in parts}
-        code = (file for item in recorded.items() for file in reader_files(*item))
+        specs = [(self.file_of(part), self.reader_of(part)) for part in self.parts]
+        recorded = [file for path, reader in specs for file in _present(path, reader)]
+        code = (file for item in specs for file in reader_files(*item))
         return tuple(dict.fromkeys([*recorded, *code]))
 
     def joint_values(self, name: str, numbers: Sequence[float]) -> Array:
@@ -166,7 +117,7 @@ class LogDescription:
 
 def read_description(source: Path) -> LogDescription:
     """Return the description in a TOML file; raises UsageError with all its mistakes."""
-    return _parse_description(_read_keys(source), source)
+    return description_of(_read_keys(source), source)
 
 
 def log_description(written: str | Mapping[str, Any], folder: Path) -> LogDescription:
@@ -180,18 +131,18 @@ def log_description(written: str | Mapping[str, Any], folder: Path) -> LogDescri
     given = dict(written)
     given.pop("name", None)
     if "use" not in given:
-        return _parse_description(given, folder / "[[log]]")
+        return description_of(given, folder / "[[log]]")
     source = folder / str(given.pop("use"))
     text = _read_keys(source)
     replaced = {key: _replaced(key, text.get(key), value) for key, value in given.items()}
-    return _parse_description({**text, **replaced}, source)
+    return description_of({**text, **replaced}, source)
 
 
 def _replaced(key: str, before: Any, value: Any) -> Any:
     """Return the value of a key given instead of that of a file: for a signal its keys one by
     one, so that a suite may correct a gain alone."""
     tables = isinstance(before, Mapping) and isinstance(value, Mapping)
-    return {**before, **value} if tables and key in ("q", "v", "tau") else value
+    return {**before, **value} if tables and key in SIGNALS else value
 
 
 def name_of(written: str | Mapping[str, Any]) -> str:
@@ -200,7 +151,10 @@ def name_of(written: str | Mapping[str, Any]) -> str:
         return PurePath(written).stem
     if "name" in written:
         return str(written["name"])
-    return PurePath(str(written.get("file") or written.get("use") or "log")).stem
+    file = written.get("file")
+    first = file[0] if isinstance(file, list) and file else file
+    named = first.get("file") if isinstance(first, Mapping) else first
+    return PurePath(str(named or written.get("use") or "log")).stem
 
 
 def _read_keys(source: Path) -> dict[str, Any]:
@@ -218,10 +172,24 @@ def _read_keys(source: Path) -> dict[str, Any]:
         raise UsageError(f"{source} is not valid TOML: {error}.") from error
 
 
-def _parse_description(text: Mapping[str, Any], source: Path) -> LogDescription:
-    """Return the description of these keys, with files relative to `source`."""
-    written = _validated(text, source)
-    if written.rate is None and written.time is None:
+def _present(path: Path, reader: ReaderSpec | None) -> tuple[Path, ...]:
+    """Return the files of a recording, itself where it is absent."""
+    try:
+        return recorded_files(path, reader)
+    except UsageError:
+        return (path,)
+
+
+def description_of(
+    text: Mapping[str, Any], source: Path, data: LogTable | None = None
+) -> LogDescription:
+    """Return the description of these keys, with files relative to `source`, or of `data`.
+
+    Raises UsageError with all mistakes.
+    """
+    keys = with_preset(text, source)
+    written = valid_keys(keys, source, _advice(keys, source))
+    if written.rate is None and written.time is None and isinstance(written.file, str | None):
         raise UsageError(
             f"{source}: neither rate nor time is given; write rate = '200 Hz', or time = the "
             "column of time stamps."
@@ -232,7 +200,7 @@ def _parse_description(text: Mapping[str, Any], source: Path) -> LogDescription:
         q=written.q,
         v=written.v,
         tau=written.tau,
-        file=written.file,
+        file=written.file if isinstance(written.file, str) else None,
         rate=_positive("rate", written.rate, "Hz", source),
         time=written.time,
         transmission=_transmission(written, source),
@@ -241,18 +209,23 @@ def _parse_description(text: Mapping[str, Any], source: Path) -> LogDescription:
         locked=written.locked,
         period=_positive("period", written.period, "s", source),
         reader=written.reader,
+        sources=written.file if isinstance(written.file, tuple) else (),
+        data=data,
     )
     _check_joints(description)
     return description
 
 
-def _validated(text: Mapping[str, Any], source: Path) -> _Text:
-    """Return the keys once their names and types fit; raises UsageError with all mistakes."""
+def _advice(keys: Mapping[str, Any], source: Path) -> str:
+    """Return the preset that fits the file where signals are missing, "" without one."""
+    if {"q", "tau"} <= keys.keys() or "reader" in keys or not isinstance(keys.get("file"), str):
+        return ""
     try:
-        return _Text.model_validate(text)
-    except ValidationError as error:
-        lines = "; ".join(_line(problem) for problem in error.errors())
-        raise UsageError(f"{source}: {lines}.") from error
+        path = source.parent / _expanded(keys["file"], source)
+        # A reader that is not ours is foreign code, which a description alone must not run.
+        return preset_advice(read_table(path).names) if builtin_reader(path) else ""
+    except UsageError:
+        return ""
 
 
 def _expanded(written: str, source: Path) -> str:
@@ -289,7 +262,7 @@ def _rows(rows: tuple[int, int] | None, source: Path) -> tuple[int, int] | None:
     return rows
 
 
-def _transmission(written: _Text, source: Path) -> Array | None:
+def _transmission(written: LogKeys, source: Path) -> Array | None:
     if written.transmission is None:
         return None
     k = len(written.joints)
@@ -347,21 +320,3 @@ def _check_setting(log: LogDescription, key: str, numbers: Sequence[float], zero
             f"{log.source}: {key} must be finite{'' if zero else ' and not zero'}; got "
             f"{values.tolist()}."
         )
-
-
-def _line(problem: Any) -> str:
-    """Return one sentence for one error of pydantic."""
-    key = ".".join(str(part) for part in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        error = unknown_name("key of a log description", key, _keys(problem["loc"]))
-        return str(error).rstrip(".")
-    if problem["type"] == "missing":
-        return f"{key} is missing"
-    return f"{key}: {problem['msg'].removeprefix('Value error, ')}"
-
-
-def _keys(path: tuple[Any, ...]) -> set[str]:
-    if len(path) == 1:
-        return set(_Text.model_fields)
-    table = {"time": Time}.get(path[0], Signal)
-    return {f"{path[0]}.{key}" for key in table.model_fields}

@@ -1,18 +1,27 @@
-"""Choice of a log reader, by the suffix of a file or by name, and the reading of one file."""
+"""Choice of a log reader, by suffix, by what a folder holds or by name; reading one recording."""
 
 import json
 from collections.abc import Mapping
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar, Final, Protocol
 
 from sysid_bench import naming
 from sysid_bench.errors import UsageError, reason_of
-from sysid_bench.input_files import is_file
+from sysid_bench.input_files import is_file, is_folder
 from sysid_bench.signals.log_table import LogTable
 
 KIND: Final = "log_reader"
 """Kind of plug-in; entry points join in the group `sysid_bench.log_readers`."""
+
+_MOST_FILES: Final = 10_000
+"""Files of a folder that are looked at."""
+
+_NOT_A_FILE: Final = (
+    "{!r} is not a file; name the recorded file itself, or the folder of a ROS 2 bag (with "
+    "metadata.yaml) or of a LeRobot data set (with meta/info.json)."
+)
 
 ReaderSpec = str | Mapping[str, Any]
 """Name of a reader ("parquet", "module:object", "file:mine.py:Reader"), or {use = name, ...} with
@@ -20,7 +29,11 @@ its settings."""
 
 
 class LogReader(Protocol):
-    """Reader of one file format; a frozen dataclass whose fields are its settings."""
+    """Reader of one file format; a frozen dataclass whose fields are its settings.
+
+    One of folders also has `folder_files`: the path of the file that marks its folders, then
+    patterns of the others that it reads.
+    """
 
     suffixes: ClassVar[tuple[str, ...]]
     """Suffixes of the files it reads, in lower case with their dot; () where it is only named."""
@@ -34,21 +47,51 @@ def read_table(path: Path, reader: ReaderSpec | None = None) -> LogTable:
 
     Raises UsageError with what is wrong in the file, or with the suffixes that can be read.
     """
+    _state(path)
+    if not is_file(path) and not is_folder(path):
+        raise UsageError(f"{str(path)!r} is a device or a pipe; name the recorded file itself.")
+    spec = _reader_spec(path, reader)
+    make = naming.resolve(KIND, spec["use"])
+    settings = json.dumps(spec, sort_keys=True, default=str)
+    state = tuple(_state(file) for file in recorded_files(path, spec))
+    return _table(path, state, make, settings)
+
+
+def recorded_files(path: Path, reader: ReaderSpec | None = None) -> tuple[Path, ...]:
+    """Return the files of a recording: itself, or what the reader of a folder reads in it.
+
+    Raises UsageError for one that does not exist, or that is not a recording.
+    """
+    _state(path)
+    if is_file(path):
+        return (path,)
+    use = _reader_spec(path, reader)["use"]
+    # What a plug-in reads in a folder is not asked: that would run its code.
+    patterns = _folder_files(use) if naming.is_builtin(KIND, use) else ("**/*",)
+    if not patterns:
+        raise UsageError(_NOT_A_FILE.format(str(path)))
+    found = [file for pattern in patterns for file in islice(path.glob(pattern), _MOST_FILES)]
+    return tuple(sorted(file for file in found if is_file(file)))
+
+
+def _state(path: Path) -> tuple[int, int]:
+    """Return time of the last change (ns) and size of a file; raises UsageError for none."""
     try:
         state = path.stat()
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         reason = error.strerror if isinstance(error, OSError) else error
         raise UsageError(f"There is no recorded file {str(path)!r} ({reason}).") from error
-    if not is_file(path):
-        raise UsageError(f"{str(path)!r} is not a file; name the recorded file itself.")
-    spec = _reader_spec(path, reader)
-    make = naming.resolve(KIND, spec["use"])
-    settings = json.dumps(spec, sort_keys=True, default=str)
-    return _table(path, (state.st_mtime_ns, state.st_size), make, settings)
+    return state.st_mtime_ns, state.st_size
+
+
+def _folder_files(name: str) -> tuple[str, ...]:
+    """Return the patterns of the files of a folder that a reader reads, the first marks it."""
+    found: tuple[str, ...] = getattr(naming.resolve(KIND, name), "folder_files", ())
+    return found
 
 
 @lru_cache(maxsize=4)
-def _table(path: Path, state: tuple[int, int], make: Any, settings: str) -> LogTable:
+def _table(path: Path, state: tuple[tuple[int, int], ...], make: Any, settings: str) -> LogTable:
     # q, v, tau and time often share one file. A file or a plug-in written again is read again.
     del state, make
     spec = json.loads(settings)
@@ -89,9 +132,18 @@ def _reader_spec(path: Path, reader: ReaderSpec | None = None) -> Mapping[str, A
 
 
 def builtin_reader(path: Path) -> str | None:
-    """Return the reader of this package for the suffix of a file, None without one."""
+    """Return the reader of this package for the suffix of a file, or for the files in a folder;
+    None without one."""
     names = naming.BUILTIN[KIND]
+    if is_folder(path):
+        return next((name for name in names if _marks(name, path)), None)
     return next((name for name in names if path.suffix.lower() in _suffixes(name)), None)
+
+
+def _marks(name: str, folder: Path) -> bool:
+    """Test whether a folder holds the file that marks those of a reader."""
+    patterns = _folder_files(name)
+    return bool(patterns) and is_file(folder / patterns[0])
 
 
 def _suffixes(name: str) -> tuple[str, ...]:
@@ -102,6 +154,8 @@ def _suffixes(name: str) -> tuple[str, ...]:
 def _reader_by_suffix(path: Path) -> str:
     if (found := builtin_reader(path)) is not None:
         return found
+    if is_folder(path):
+        raise UsageError(_NOT_A_FILE.format(str(path)))
     known = {name: _suffixes(name) for name in naming.known(KIND)}
     for name, suffixes in known.items():
         if path.suffix.lower() in suffixes:

@@ -8,8 +8,9 @@ import numpy as np
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.signals.log_checks import held_rows
-from sysid_bench.signals.log_description import NO_JOINT, LogDescription, Signal
-from sysid_bench.signals.log_reader import read_table
+from sysid_bench.signals.log_description import NO_JOINT, LogDescription
+from sysid_bench.signals.log_keys import Signal
+from sysid_bench.signals.log_source import chosen_columns, table_of
 from sysid_bench.signals.log_table import table_of_rows
 from sysid_bench.signals.log_units import unit_scale
 from sysid_bench.types import Array
@@ -121,10 +122,12 @@ def _cut_to_shortest(log: LogDescription, samples: Samples) -> Samples:
 def _columns(
     log: LogDescription, name: str, part: Signal, kinds: Sequence[str]
 ) -> tuple[Array, int]:
-    table = read_table(log.file_of(part), log.reader_of(part))
+    table = table_of(log, part)
     if part.per_row is not None:
         table = table_of_rows(table, part.per_row)
-    values = table.columns(part.columns)
+    if name == "q" and table.unit_doubt and part.unit is None and part.gain == (1.0,):
+        raise UsageError(f"{log.source}: unit of q: {table.unit_doubt}.")
+    values = table.columns(chosen_columns(log, part, table))
     if values.shape[1] != len(log.joints):
         raise UsageError(
             f"{log.source}: {name} has {values.shape[1]} columns for {len(log.joints)} joints; "

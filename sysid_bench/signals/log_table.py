@@ -8,6 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.signals.log_presets import preset_advice
+from sysid_bench.signals.read_progress import report
 from sysid_bench.types import Array
 
 LARGEST_LOG: Final = 2**30
@@ -18,12 +20,14 @@ LARGEST_LOG: Final = 2**30
 class LogTable:
     """Numbers (N, c) of a file, NaN for empty cells; `names` maps a name to the indices (from 0) of
     its columns, several for an array; `truncated`: number of incomplete samples dropped at its
-    end."""
+    end; `rate` (Hz) that the file states; `unit_doubt`: why its positions need a stated unit."""
 
     path: Path
     values: Array
     names: Mapping[str, tuple[int, ...]]
     truncated: int = 0
+    rate: float | None = None
+    unit_doubt: str = ""
 
     def columns(self, chosen: Sequence[int | str]) -> Array:
         """Return (N, k) of columns by index from 1 or by name.
@@ -47,7 +51,9 @@ class LogTable:
 
     def _named(self, name: str) -> tuple[int, ...]:
         if name not in self.names:
-            advice = "" if self.names else "Give columns by their index, from 1."
+            advice = preset_advice(self.names).strip()
+            if not self.names:
+                advice = "Give columns by their index, from 1."
             raise UsageError(f"{self.path}: {unknown_name('column', name, self.names, advice)}")
         return self.names[name]
 
@@ -91,23 +97,66 @@ def table_of_arrays(path: Path, arrays: Mapping[str, Any]) -> LogTable:
 
     Column i of an array "q" is also named "q:i", from 1. Raises UsageError without numbers.
     """
-    numeric = _numeric_arrays(path, arrays)
-    N = max(max(x.shape) for x in numeric.values())
-    parts = {name: _time_by_rows(x, N) for name, x in numeric.items() if N in x.shape}
-    values = np.concatenate(list(parts.values()), axis=1)
-    return LogTable(path, values, _names_of_columns(parts))
-
-
-def _numeric_arrays(path: Path, arrays: Mapping[str, Any]) -> dict[str, Array]:
-    numeric = {name: np.asarray(x, dtype=float) for name, x in arrays.items() if _is_numeric(x)}
-    if not numeric:
+    numeric = {name: x for name, x in arrays.items() if _is_numeric(x)}
+    N = max((max(x.shape) for x in numeric.values()), default=0)
+    if N == 0:
         raise UsageError(f"{path} holds no array of numbers.")
-    return numeric
+    kept = {name: x for name, x in numeric.items() if N in x.shape}
+    widths = {name: 1 if x.ndim == 1 else x.size // N for name, x in kept.items()}
+    if len(kept) == 1:
+        (x,) = kept.values()
+        return LogTable(
+            path, _time_by_rows(np.asarray(x, dtype=float), N), _names_of_widths(widths)
+        )
+    # Arrays that lie in a file are read one by one, so that memory holds the table and one of them.
+    values, first = np.empty((N, sum(widths.values()))), 0
+    for name, x in kept.items():
+        values[:, first : first + widths[name]] = _time_by_rows(np.asarray(x), N)
+        first += widths[name]
+        report(path, first, values.shape[1])
+    return LogTable(path, values, _names_of_widths(widths))
 
 
 def _is_numeric(x: Any) -> bool:
     """Return true for an array of one or two dimensions of floats, integers or booleans."""
-    return np.ndim(x) in (1, 2) and np.asarray(x).dtype.kind in "fiub"
+    return getattr(x, "ndim", 0) in (1, 2) and x.dtype.kind in "fiub"
+
+
+def named_columns(
+    path: Path, arrays: Mapping[str, tuple[Array, Sequence[str]]]
+) -> tuple[Array, dict[str, tuple[int, ...]]]:
+    """Return values (N, c) and names of arrays (N, k), each with the names of its columns.
+
+    An array of several columns has a name of its own besides those of its columns, () for numbers
+    from 1. Raises UsageError for a name that two of them have.
+    """
+    parts = [array for array, _ in arrays.values()]
+    names: dict[str, tuple[int, ...]] = {}
+    for name, (array, words) in arrays.items():
+        first = sum(part.shape[1] for part in parts[: list(arrays).index(name)])
+        found = _array_names(name, range(first, first + array.shape[1]), words)
+        twice = names.keys() & found.keys()
+        if twice:
+            raise UsageError(f"{path}: two columns are named {min(twice)!r}; rename one.")
+        names |= found
+    return _side_by_side(parts), names
+
+
+def _side_by_side(parts: Sequence[Array]) -> Array:
+    """Return arrays (N, k) as one: without a copy where they are the parts of one already."""
+    whole = parts[0].base
+    if whole is not None and whole.shape == (len(parts[0]), sum(x.shape[1] for x in parts)):
+        starts = np.cumsum([0, *(x.shape[1] for x in parts[:-1])])
+        places = zip(parts, starts.tolist(), strict=True)
+        if all(x.base is whole and _offset(x) - _offset(whole) == 8 * at for x, at in places):
+            return np.asarray(whole)
+    return np.concatenate(parts, axis=1)
+
+
+def _offset(x: Array) -> int:
+    """Return the place of an array in memory (bytes)."""
+    address: int = x.__array_interface__["data"][0]
+    return address
 
 
 def _time_by_rows(x: Array, N: int) -> Array:
@@ -117,22 +166,26 @@ def _time_by_rows(x: Array, N: int) -> Array:
     return x if len(x) == N else x.T
 
 
-def _names_of_columns(parts: Mapping[str, Array]) -> dict[str, tuple[int, ...]]:
-    """Return the indices that each name stands for, the arrays side by side."""
+def _names_of_widths(widths: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+    """Return the indices that each name stands for, arrays of these widths side by side."""
     names: dict[str, tuple[int, ...]] = {}
     first = 0
-    for name, part in parts.items():
-        names |= _array_names(name, range(first, first + part.shape[1]))
-        first += part.shape[1]
+    for name, width in widths.items():
+        names |= _array_names(name, range(first, first + width))
+        first += width
     return names
 
 
-def _array_names(name: str, indices: range) -> dict[str, tuple[int, ...]]:
-    """Return the names of an array's columns: its own for all of them, and, of several, one each.
+def _array_names(
+    name: str, indices: range, words: Sequence[str] = ()
+) -> dict[str, tuple[int, ...]]:
+    """Return the names of an array's columns: its own for all of them, and, of several, one each:
+    `words`, or numbers from 1.
 
     An array without a name has none.
     """
     if not name:
         return {}
-    each = {f"{name}:{c}": (index,) for c, index in enumerate(indices, start=1)}
+    chosen = words or [f"{name}:{c}" for c in range(1, len(indices) + 1)]
+    each = {word: (index,) for word, index in zip(chosen, indices, strict=True)}
     return {name: tuple(indices), **(each if len(each) > 1 else {})}

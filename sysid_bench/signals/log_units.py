@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
-from sysid_bench.signals.log_description import LogDescription, Signal
+from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_keys import Signal
 from sysid_bench.types import Array
 
 _ANGLE: Final = {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3}

@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 
 KIND: Final = "pipeline"
 PLAIN: Final = "plain"
-"""The pipeline of a suite or a log that names none: the table `signals` alone."""
+"""The pipeline of a specification without one: the table `signals` alone."""
+
+DEFAULT: Final = "parallel"
+"""The pipeline of suites, logs and `identify` where none is written; specifications state it."""
 
 OF_SIGNALS: Final = ("filter", "derivatives", "torque")
 """Keys of the table `signals` that are settings of a pipeline; the others are applied elsewhere."""
@@ -39,15 +42,32 @@ def pipeline_spec(written: Mapping[str, Any]) -> dict[str, Any] | None:
     return None if written == {"use": PLAIN} else dict(written)
 
 
+def default_pipeline(signals: Mapping[str, Any], exact: bool) -> dict[str, Any] | None:
+    """Return the pipeline {use} where none is named, for `signals` as written.
+
+    Settings of `plain` choose it. So do exact positions, of motions that are played back and read
+    without errors: v and a are then exact, and there is nothing to filter. Anything else, simulated
+    or recorded, is `parallel`.
+    """
+    is_plain = exact or any(key in signals for key in OF_SIGNALS)
+    return pipeline_spec({"use": PLAIN if is_plain else DEFAULT})
+
+
+def default_of_logs(signals: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the pipeline {use} of logs that name none: `plain` with a written filter, which is its
+    own; rates "from v" suit every pipeline."""
+    return default_pipeline({k: x for k, x in signals.items() if k == "filter"}, exact=False)
+
+
 def signals_of_pipeline(
     signals: Mapping[str, Any], pipeline: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Return a table `signals` without the keys that a pipeline other than `plain` ignores."""
-    if _reads_signals(pipeline):
+    if reads_signals(pipeline):
         return dict(signals)
     return {key: value for key, value in signals.items() if key not in OF_SIGNALS}
 
 
-def _reads_signals(written: Mapping[str, Any] | None) -> bool:
+def reads_signals(written: Mapping[str, Any] | None) -> bool:
     """Return True for the pipeline whose settings are the table `signals`."""
     return written is None or written["use"] == PLAIN

@@ -36,7 +36,7 @@ class Processing:
 
         Raises UsageError where it is too short, or where needed v or a are absent.
         """
-        rate, edge = recording.rate, self._edge(recording)
+        rate, edge = recording.rate, self.edge(recording)
         if len(recording) <= 2 * edge + 10:
             raise UsageError(
                 f"{len(recording)} samples are too few for {self.filter}, which spoils {edge} at "
@@ -52,7 +52,7 @@ class Processing:
             wrench=None if wrench is None else wrench[keep],
         )  # fmt: skip
 
-    def _edge(self, recording: Recording) -> int:
+    def edge(self, recording: Recording) -> int:
         """Return the samples to cut at each end: those spoilt by the filter, and by differences."""
         spoilt = self.filter.edge(recording.rate)
         if isinstance(self.filter, FourierSeries):

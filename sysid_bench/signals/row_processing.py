@@ -64,10 +64,12 @@ MOVING: Final = RowProcessing(standstill=STANDSTILL)
 
 @dataclass(frozen=True, eq=False)
 class ProcessedSignals:
-    """A recording with v and a at its own rate, and what is to be done with its rows."""
+    """A recording with v and a at its own rate, and what is to be done with its rows; `margin`
+    samples on either side of a disturbed one have its position in their v and a."""
 
     recording: Recording
     rows: RowProcessing = field(default_factory=RowProcessing)
+    margin: int = 0
 
 
 class Pipeline(Protocol):

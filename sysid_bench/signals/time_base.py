@@ -4,23 +4,26 @@ from typing import Final
 
 import numpy as np
 
-from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.errors import UsageError
 from sysid_bench.signals.log_checks import Finding
-from sysid_bench.signals.log_description import LogDescription, Time
-from sysid_bench.signals.log_reader import read_table
+from sysid_bench.signals.log_description import LogDescription
+from sysid_bench.signals.log_keys import Time
+from sysid_bench.signals.log_source import joined, table_of
+from sysid_bench.signals.time_stamps import regular_stamps, seconds
 from sysid_bench.types import Array
 
 LONGEST_GAP: Final = 0.2
-"""Share of samples without numbers, or with stamps that run backwards, that is reported and
-bridged; beyond it the file is not what its description says."""
+"""Share of samples without numbers that is reported and bridged; beyond it the file is not what
+its description says."""
+
+SLOWEST: Final = 0.5
+"""s between samples; of slower ones no acceleration can be found."""
 
 SHORTEST: Final = 20
 """Samples; fewer cannot be filtered, differentiated or identified."""
 
 _WIDEST: Final = 3.0
 """Ratio of a recording's length to its samples beyond which it is more gap than recording."""
-
-_SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def read_time(log: LogDescription, samples: int) -> Array | None:
@@ -29,9 +32,9 @@ def read_time(log: LogDescription, samples: int) -> Array | None:
 
     Raises UsageError for a wrong unit, column or length.
     """
-    if log.time is None:
-        return None
     stamps = _all_times(log, log.time)
+    if stamps is None:
+        return None
     # The line that broke off may hold a stamp already; chosen rows end before the file does.
     first, spare = (0, 1) if log.rows is None else (log.rows[0] - 1, len(stamps))
     if not samples <= len(stamps) - first <= samples + spare:
@@ -41,14 +44,11 @@ def read_time(log: LogDescription, samples: int) -> Array | None:
     return stamps[first : first + samples]
 
 
-def _all_times(log: LogDescription, time: Time) -> Array:
+def _all_times(log: LogDescription, time: Time | None) -> Array | None:
     """Return the stamps of the whole file in s."""
-    if time.unit not in _SECONDS:
-        raise UsageError(f"{log.source}: time: {unknown_name('unit', time.unit, _SECONDS)}")
-    values = read_table(log.file_of(time), log.reader_of(time)).columns([time.column])
-    if values.shape[1] != 1:
-        raise UsageError(f"{log.source}: time must be one column; got {values.shape[1]}.")
-    return np.asarray(values[:, 0] * _SECONDS[time.unit])
+    if log.sources and (time is None or time.file is None):
+        return joined(log).t
+    return None if time is None else seconds(log, time, table_of(log, time))
 
 
 def time_base(
@@ -62,7 +62,7 @@ def time_base(
     if stamps is None:
         assert log.rate is not None
         return np.arange(len(invalid)) / log.rate, log.rate, []
-    t, found = _rising(np.where(invalid, np.nan, stamps))
+    t, found = regular_stamps(np.where(invalid, np.nan, stamps))
     steps = np.diff(t[np.isfinite(t)])
     if len(steps) < SHORTEST:
         raise UsageError(
@@ -71,7 +71,18 @@ def time_base(
     step = float(np.median(steps))  # the median ignores gaps and jitter
     rate, wrong_rate = _grid_rate(log.rate, step, len(t))
     _check_gaps(log, steps, rate, len(t))
-    return t, rate, [*found, *_missing(steps, step), *wrong_rate]
+    return t, rate, [*found, *_missing(steps, step), *wrong_rate, *_wrong_unit(log, step, len(t))]
+
+
+def _wrong_unit(log: LogDescription, step: float, samples: int) -> list[Finding]:
+    """Return a finding of stamps too far apart for a motion, where no rate contradicts them."""
+    if log.rate is not None or step < SLOWEST:
+        return []
+    text = (
+        f"the time stamps step by {step:.4g} s: write the unit of time, as time = {{ column = ..., "
+        "unit = 'ms' }"
+    )
+    return [Finding("time", samples, text, contradiction=True)]
 
 
 def _missing(steps: Array, step: float) -> list[Finding]:
@@ -103,20 +114,3 @@ def _check_gaps(log: LogDescription, steps: Array, rate: float, samples: int) ->
             f"samples {np.median(steps):.4g} s apart; choose the part that was recorded without "
             "a break (rows = [first, last])."
         )
-
-
-def _rising(t: Array) -> tuple[Array, list[Finding]]:
-    """Return stamps (N,) with those not later than all before them as NaN, and findings."""
-    # Some loggers write a sample again under its old stamp; others set their clock back. fmax skips
-    # NaN, so that a sample without numbers does not end the comparison.
-    latest = np.fmax.accumulate(np.concatenate([[-np.inf], t[:-1]]))
-    stale = ~(t > latest) & np.isfinite(t)
-    repeated = int((stale & (t == latest)).sum())
-    backwards = int(stale.sum()) - repeated
-    found = []
-    if repeated:
-        found.append(Finding("time", repeated, f"{repeated} time stamps are repeated"))
-    if backwards:
-        text = f"{backwards} time stamps run backwards"
-        found.append(Finding("time", backwards, text, backwards > LONGEST_GAP * len(t)))
-    return np.where(stale, np.nan, t), found

@@ -35,7 +35,8 @@ SOURCE: Final = Path(__file__).with_name("steps.c")
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """State before each sample's step: q (N, nq), v, a and motor torque tau (N, nv); positions,
+    """State before each sample's step: q (N, nq), v, a and motor torque tau (N, nv), of implicit
+    integrators those that the step applies (`end_of_step`); positions,
     velocities and accelerations of elastic motors (N, n), referred to their joints."""
 
     q: Array
@@ -156,11 +157,11 @@ class _Drive(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int64) for name in ("nu", "input", "elastic")),
         *((name, ctypes.c_void_p) for name in
-          ("dof", "kp", "kd", "limit", "stiffness", "damping", "gap", "inertia")),
+          ("dof", "kp", "kd", "limit", "stiffness", "damping", "gap", "inertia", "implicit")),
     )  # fmt: skip
 
     @classmethod
-    def of(cls, drive: Drive) -> "_Drive":
+    def of(cls, drive: Drive, implicit: Array | None) -> "_Drive":
         """Addresses of a drive's arrays, which live as long as the result."""
         own, n = drive.transmission, len(drive.dofs)
         elastic = [np.zeros(n)] * 4 if own is None else [
@@ -169,7 +170,11 @@ class _Drive(ctypes.Structure):
         parts = [np.ascontiguousarray(drive.dofs, np.int64)] + [
             np.ascontiguousarray(x, float) for x in (drive.kp, drive.kd, drive.limit, *elastic)
         ]
-        made = cls(n, INPUTS[drive.input], int(own is not None), *(x.ctypes.data for x in parts))
+        addresses = [x.ctypes.data for x in parts]
+        if implicit is not None:
+            parts.append(np.ascontiguousarray(implicit, float))
+        addresses.append(0 if implicit is None else parts[-1].ctypes.data)
+        made = cls(n, INPUTS[drive.input], int(own is not None), *addresses)
         made.parts = parts
         return made
 
@@ -204,7 +209,7 @@ def _in_c(library: Any, loop: Loop, out: Signals) -> None:
     inputs = np.ascontiguousarray(loop.control, float)
     constant = -np.asarray(plant.terms.offset, float)
     laws = _Laws.of(plant.laws, data.qpos[: mj.nv], data.qvel, mj.dof_armature)
-    drive = _Drive.of(loop.drive)
+    drive = _Drive.of(loop.drive, implicit_damping(mj, loop.drive))
     rotors = np.concatenate([loop.rotors.theta, loop.rotors.rate])
     work = np.empty(mj.nv + 4 * mj.nu)
     count, number, reference = ctypes.c_int64, ctypes.c_double, ctypes.byref
@@ -219,6 +224,7 @@ def _in_c(library: Any, loop: Loop, out: Signals) -> None:
 
 def _in_python(loop: Loop, out: Signals) -> None:
     mj, data, drive = loop.mj, loop.data, loop.drive
+    implicit = implicit_damping(mj, drive)
     h, load, rotors = mj.opt.timestep, np.zeros(mj.nv), loop.rotors
     laws = start_states(loop.plant.laws, data.qpos[: mj.nv], data.qvel)
     for k, now in enumerate(loop.t):
@@ -240,9 +246,37 @@ def _in_python(loop: Loop, out: Signals) -> None:
             # Accelerations and torques belong to the sampled state, before it is advanced.
             if i == 0:
                 out.a[k], out.tau[k] = data.qacc, data.qfrc_actuator
+                if implicit is not None:
+                    change = data.qvel - out.v[k]
+                    out.a[k] = change / h
+                    out.tau[k] = end_of_step(out.tau[k], change, drive, implicit)
                 if given is not None:
                     out.tau[k, drive.dofs] = given
                     out.motor_a[k] = (rotors.rate - before.rate) / h
+
+
+def implicit_damping(mj: mujoco.MjModel, drive: Drive) -> Array | None:
+    """Return the damping (nv,) of the joints that an integrator takes at the end of its step, and
+    with it that of the feedback; None for explicit integrators, and for elastic joints."""
+    kinds = mujoco.mjtIntegrator
+    if drive.transmission is not None:
+        return None
+    if mj.opt.integrator in (kinds.mjINT_IMPLICIT, kinds.mjINT_IMPLICITFAST):
+        return np.array(mj.dof_damping)
+    return None
+
+
+def end_of_step(tau: Array, change: Array, drive: Drive, implicit: Array) -> Array:
+    """Return the torque (..., nv) that an implicit step applies, from that at its start and the
+    `change` (..., nv) of the rates over it.
+
+    M a + h(q, v) = tau then holds for the acceleration of the step. With the torque of the start a
+    robot would seem heavier by a step times its damping: 3 % on the base of a UR3 (measured).
+    """
+    tau, free = tau.copy(), np.abs(tau[..., drive.dofs]) < drive.limit
+    if drive.input != "held":
+        tau[..., drive.dofs] -= np.where(free, drive.kd * change[..., drive.dofs], 0.0)
+    return np.asarray(tau - implicit * change)
 
 
 def _held_torque(loop: Loop, k: int, rotors: Rotors) -> Array | None:

@@ -1,16 +1,27 @@
 """Sizes of effects and errors: one number for all joints, one per joint, or drawn from a range."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeGuard
+from typing import Any, Final, TypeGuard
 
 import numpy as np
 
 from sysid_bench.errors import UsageError
 from sysid_bench.types import Array
-from sysid_bench.units import quantity
+from sysid_bench.units import parse_quantity, quantity
 
 Size = float | Sequence[float]
 """A number for all joints, or one per joint."""
+
+ANGLE: Final = "rad|m"
+"""Unit of sizes that are angles on hinges and lengths on slides."""
+
+ANGLES: Final = ("", "rad", "mrad", "deg", ANGLE)
+"""Units as written that leave open what a slide does, the bare number among them."""
+
+SLIDE: Final = 0.02
+"""m: a slide moves by this length where its motor turns a pinion by 1 rad. Angles of gears on
+hinges are lengths of the same gear behind a pinion on slides: presliding of 0.2 to 2 mrad becomes
+4 to 40 um, as of linear guideways (10 to 50 um, assumed)."""
 
 Range = Mapping[str, Any]
 """{ from = ..., to = ... }: limits of a uniform distribution, as written."""
@@ -63,6 +74,15 @@ def random_sizes(limits: tuple[float, float], count: int, rng: np.random.Generat
     """Return `count` sizes, uniform between `limits`; ranges of other widths share their draws."""
     low, high = limits
     return np.asarray(low + (high - low) * rng.random(count))
+
+
+def is_angle(written: Any) -> bool:
+    """Return True for a number or a range that stands for all joints and states no length."""
+    if is_random(written):
+        return all(is_angle(end) for end in written.values())
+    if not isinstance(written, (int, float, str)):
+        return False
+    return parse_quantity(str(written))[1] in ANGLES
 
 
 def optional_sizes(values: Array, what: str) -> Array | None:

@@ -39,6 +39,7 @@ typedef struct {
     int64_t nu, input, elastic;
     const int64_t *dof;
     const double *kp, *kd, *limit, *stiffness, *damping, *gap, *inertia;
+    const double *implicit; /* damping (nv) of an implicit integrator, NULL of an explicit one */
 } Drive;
 
 /* Force laws: kinds, numbers and states of each, and the armature (nv) of the links' joints. */
@@ -243,6 +244,22 @@ static void drive_links(const Drive *d, const double *u, double h, const State *
     }
 }
 
+/* Acceleration and torque (nv) of an implicit step, from those of its start: rates of dampers and
+ * feedbacks are those at its end, but for motors at their limit. */
+static void use_end_of_step(const Drive *d, double h, const State *s, const double *v, double *a,
+                            double *tau)
+{
+    for (int64_t j = 0; j < d->nu; j++) {
+        int64_t i = d->dof[j];
+        if (d->input != HELD && fabs(tau[i]) < d->limit[j])
+            tau[i] -= d->kd[j] * (s->qvel[i] - v[i]);
+    }
+    for (int64_t i = 0; i < s->nv; i++) {
+        a[i] = (s->qvel[i] - v[i]) / h;
+        tau[i] -= d->implicit[i] * (s->qvel[i] - v[i]);
+    }
+}
+
 /* `samples` of the record from the time t on, `each` steps of `h` per sample; inputs u
  * (samples, nu), constant forces (nv); `m` (2 nu) are positions and velocities of elastic motors,
  * `work` has room for nv + 4 nu. */
@@ -284,6 +301,8 @@ EXPORT void simulation_steps(Step step, const void *model, void *data, const Sta
                 continue;
             memcpy(out->a + k * nv, s->qacc, 8 * nv);
             memcpy(out->tau + k * nv, s->actuator, 8 * nv);
+            if (drive->implicit)
+                use_end_of_step(drive, h, s, out->v + k * nv, out->a + k * nv, out->tau + k * nv);
             for (int64_t j = 0; j < nu && drive->elastic; j++) {
                 out->tau[k * nv + drive->dof[j]] = rotors.torque[j];
                 out->motor_a[k * nu + j] = (m[nu + j] - out->motor_v[k * nu + j]) / h;

@@ -13,7 +13,13 @@ from mujoco.batch import Batch
 
 from sysid_bench.errors import SimulationError, UnsupportedError, UsageError, unknown_name
 from sysid_bench.models.robot import RobotModel
-from sysid_bench.simulation.compiled_steps import Loop, Signals, run_steps
+from sysid_bench.simulation.compiled_steps import (
+    Loop,
+    Signals,
+    end_of_step,
+    implicit_damping,
+    run_steps,
+)
 from sysid_bench.simulation.motor_load import motor_inertia, motor_load, motor_values
 from sysid_bench.simulation.plant import Plant, check_finite
 from sysid_bench.simulation.plant_robot import plant_controller
@@ -25,6 +31,7 @@ from sysid_bench.simulation.tracking_model import (
     motor_joints,
     tracking_model,
 )
+from sysid_bench.simulation.transmission import Drive
 from sysid_bench.types import Array, Controller, Oracle, Trajectory
 from sysid_bench.vocabulary import INTEGRATORS
 
@@ -142,7 +149,8 @@ class TrackingControl:
         each: int = round((commanded.t[1] - commanded.t[0]) / mj.opt.timestep)
         drive = drive_of(plant, controller, self.step_choice, each)
         if not (plant.laws or plant.transmission or drive.held):
-            return _rollout(plant, mj, commanded, _interpolated(control, each), each)
+            inputs = _interpolated(control, each)
+            return _rollout(plant, mj, drive, commanded, inputs)
         data = mujoco.MjData(mj)
         data.qpos[:], data.qvel[:] = commanded.q[0], commanded.v[0]
         loop = Loop(plant, mj, data, drive, t=commanded.t, control=control, each=each)
@@ -272,9 +280,10 @@ def _interpolated(control: Array, each: int) -> Array:
 
 
 def _rollout(
-    plant: Plant, mj: mujoco.MjModel, commanded: Trajectory, control: Array, each: int
+    plant: Plant, mj: mujoco.MjModel, drive: Drive, commanded: Trajectory, control: Array
 ) -> Signals:
-    """Signals of every sample, in one call of MuJoCo's batch rollout."""
+    """Signals of every sample with inputs (each N, nu), in one call of MuJoCo's batch rollout."""
+    each = len(control) // len(commanded)
     batch = Batch(mj, 1, nthread=1)
     batch.bind("qpos")[0], batch.bind("qvel")[0] = commanded.q[0], commanded.v[0]
     applied = np.broadcast_to(-plant.terms.offset, (len(control), mj.nv))
@@ -289,11 +298,12 @@ def _rollout(
     # Records are taken after a step; accelerations and torques belong to the state before it.
     q_before = np.concatenate([commanded.q[:1], q[:-1]])
     v_before = np.concatenate([commanded.v[:1], v[:-1]])
-    none = np.empty((len(commanded), 0))
-    return Signals(
-        q_before[::each], v_before[::each], a[::each], tau[::each],
-        motor_q=none, motor_v=none, motor_a=none,
-    )  # fmt: skip
+    none, v_start = np.empty((len(commanded), 0)), v_before[::each]
+    a, tau, implicit = a[::each], tau[::each], implicit_damping(mj, drive)
+    if implicit is not None:
+        change = v[::each] - v_start
+        a, tau = change / mj.opt.timestep, end_of_step(tau, change, drive, implicit)
+    return Signals(q_before[::each], v_start, a, tau, motor_q=none, motor_v=none, motor_a=none)
 
 
 def _motion(commanded: Trajectory, q: Array, v: Array, a: Array) -> Trajectory:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from sysid_bench.evaluation.recorded_score import torque_error
+from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.identification.estimators.lmi import LMI
 from sysid_bench.identification.feasibility.binding import binding_constraints, relaxed
 from sysid_bench.identification.identify import identify
@@ -24,12 +24,12 @@ def constraint_costs(problem: Problem, tests: Mapping[str, Problem]) -> list[dic
     theta = identify(LMI(), problem).theta
     if theta is None:
         return None
-    judged = tests or {"training": problem}
-    with_all = torque_error(judged, problem.base.K @ theta)
+    judged = list(tests.values()) or [problem]
+    with_all = RowErrors(judged, problem.base.K @ theta).torque_error
     costs = []
     for name in binding_constraints(problem, theta)[:TRIED]:
         free = identify(LMI(), relaxed(problem, name)).theta
-        error = None if free is None else torque_error(judged, problem.base.K @ free)
+        error = None if free is None else RowErrors(judged, problem.base.K @ free).torque_error
         if error is not None and with_all is not None:
             costs.append({"constraint": name, "cost": with_all - error})
     return sorted(costs, key=lambda cost: -cost["cost"])

@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Any, Final
 
 from sysid_bench.errors import NotWrittenError, UsageError
+from sysid_bench.signals.log_data import is_data, log_of
+from sysid_bench.signals.log_description import LogDescription
 from sysid_bench.verbs.identify_recorded import RecordedRequest, identify_recorded
 from sysid_bench.verbs.identify_result import IdentifyResult
 from sysid_bench.verbs.identify_simulated import SimulatedRequest, identify_simulated
 from sysid_bench.verbs.task_terms import check_term_names
 
 PathLike = str | Path
+LogLike = Any
+"""Description of a recording, `sysid_bench.log_of(...)`, a data frame or a mapping of arrays."""
 
 OF_SIMULATION: Final = (
     "for simulated data only (--simulate). A log states its payload, and holds positions and "
@@ -25,8 +29,8 @@ OF_LOGS: Final = "for recordings only (--log)."
 def identify(
     model: PathLike, task: str = "robot", payload: str | Mapping[str, Any] = "none",
     terms: Sequence[str] | None = None, estimator: str | None = None,
-    noise: Mapping[str, Any] | None = None, *, log: PathLike | Sequence[PathLike] = (),
-    test: PathLike | Sequence[PathLike] = (), simulate: bool | None = None,
+    noise: Mapping[str, Any] | None = None, *, log: LogLike | Sequence[LogLike] = (),
+    test: LogLike | Sequence[LogLike] = (), simulate: bool | None = None,
     model_out: PathLike | None = None, json_out: PathLike | None = None,
     robots_dir: Path | None = None, seed: int = 0, sensor: str | None = None,
     free_base: bool | None = None, contacts: Sequence[str] | str | None = None,
@@ -38,11 +42,12 @@ def identify(
 ) -> IdentifyResult:  # fmt: skip
     """Identify a robot: from the recordings `log`, judged on `test`, or from its own simulation.
 
+    A recording is the path of its description, or numbers in memory: see `sysid_bench.log_of`.
     The arguments are fields of `IdentifyRequest`, `SimulatedRequest` and `RecordedRequest`. Raises
     UsageError for unknown names or contradictory data, ModelError for a model that cannot be used
     or values that must not be written, EstimationError where the method fails.
     """
-    logs, tests = _paths(log), _paths(test)
+    logs, tests = _logs(log, "log"), _logs(test, "test")
     _check_source(simulate, logs)
     shared: dict[str, Any] = {
         "model": str(model), "task": task, "terms": _terms(terms), "estimator": estimator,
@@ -67,7 +72,7 @@ def identify(
     return _stored(partial(identify_simulated, simulated), json_out)
 
 
-def _check_source(simulate: bool | None, logs: tuple[Path, ...]) -> None:
+def _check_source(simulate: bool | None, logs: tuple[Any, ...]) -> None:
     """Raise UsageError without one source of data."""
     if (simulate is False and not logs) or (simulate and logs):
         raise UsageError(
@@ -101,8 +106,18 @@ def _write_json(result: IdentifyResult, file: PathLike | None) -> None:
         Path(file).write_text(text, encoding="utf-8")
 
 
-def _paths(files: PathLike | Sequence[PathLike]) -> tuple[Path, ...]:
-    return (Path(files),) if isinstance(files, (str, Path)) else tuple(map(Path, files))
+def _logs(given: LogLike | Sequence[LogLike], name: str) -> tuple[Path | LogDescription, ...]:
+    """Paths of descriptions, and logs of numbers in memory."""
+    is_one = isinstance(given, (str, Path, LogDescription)) or is_data(given)
+    several = [given] if is_one else list(given)
+    names = [name] if len(several) == 1 else [f"{name}{n}" for n in range(1, len(several) + 1)]
+    return tuple(_log(one, label) for one, label in zip(several, names, strict=True))
+
+
+def _log(given: LogLike, name: str) -> Path | LogDescription:
+    if isinstance(given, LogDescription):
+        return given
+    return log_of(given, name=name) if is_data(given) else Path(given)
 
 
 def _terms(names: Sequence[str] | None) -> tuple[str, ...] | None:

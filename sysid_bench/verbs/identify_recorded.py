@@ -5,17 +5,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from sysid_bench.errors import EstimationError, ModelError, NotWrittenError, UsageError
 from sysid_bench.evaluation.covariance import standard_errors
-from sysid_bench.evaluation.recorded_score import (
-    joint_errors,
-    rms_error,
-    torque_error,
-    weighted_error,
-)
+from sysid_bench.evaluation.recorded_score import joint_errors
 from sysid_bench.evaluation.score import data_figures, feasible_figures
+from sysid_bench.evaluation.torque_errors import RowErrors, torque_figures
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.model_prior import MODEL, ModelPrior
 from sysid_bench.experiments.recorded.payload_mass import payload_intervals, payload_mass
@@ -31,6 +25,7 @@ from sysid_bench.models.manifest import Manifest, find_manifest
 from sysid_bench.naming import build
 from sysid_bench.reporting.torque_figure import torque_figure
 from sysid_bench.signals.log_description import LogDescription, read_description
+from sysid_bench.signals.pipeline_choice import default_of_logs
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.constraint_costs import constraint_costs
@@ -61,11 +56,13 @@ _FIGURES: Final = (
     *("condition", "condition_unit"),
 )
 """Figures of the data; the two conditions are absent where the data excite nothing."""
+_ON_TESTS: Final = ("rmse_test", "torque_error", "torque_error_moving", "torque_error_weighted")
+"""Errors on all test recordings together; None without one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedRequest(IdentifyRequest):
-    """Identification from recordings described by TOML files.
+    """Identification from recordings described by TOML files, or in memory.
 
     `derivatives`: "from q", or "from v" (the default where every log has v). `moving`: samples of
     a joint slower than this (rad/s, m/s) are left out. `choose`: joint terms and features ("play",
@@ -75,8 +72,8 @@ class RecordedRequest(IdentifyRequest):
     mass is the only unknown. `accept`: contradictions in the data that may pass.
     """
 
-    logs: tuple[Path, ...]
-    tests: tuple[Path, ...] = ()
+    logs: tuple[Path | LogDescription, ...]
+    tests: tuple[Path | LogDescription, ...] = ()
     filter: str | None = None
     derivatives: str | None = None
     moving: float = 0.0
@@ -141,16 +138,19 @@ def _descriptions(
     return training, {label: _description(log) for label, log in tests}
 
 
-def _description(file: Path) -> LogDescription:
+def _description(file: Path | LogDescription) -> LogDescription:
     """Description of a recording; for a file that is not TOML, an error with an example."""
+    if isinstance(file, LogDescription):
+        return file
     try:
         return read_description(file)
     except UsageError as error:
         if file.suffix.lower() == ".toml" or not is_file(file):
             raise
         raise UsageError(
-            f"{str(file)!r} is not the description of a recording. Write a TOML file that names "
-            f"its data and its columns, and give that: {DESCRIPTION.format(file.name)}"
+            f"{str(file)!r} is not the description of a recording. Let sysid-bench init log "
+            f"{file.name} --model MODEL write one, or write a TOML file that names its data and "
+            f"its columns, and give that: {DESCRIPTION.format(file.name)}"
         ) from error
 
 
@@ -159,6 +159,7 @@ def _estimator(request: RecordedRequest) -> str:
 
 
 def _options(request: RecordedRequest) -> LogOptions:
+    own_filter = {} if request.filter is None else {"filter": request.filter}
     return LogOptions(
         task=request.task,
         terms=request.terms,
@@ -168,7 +169,7 @@ def _options(request: RecordedRequest) -> LogOptions:
         candidates=request.choose,
         position_given=request.position_given,
         accept=request.accept,
-        pipeline=request.pipeline_spec,
+        pipeline=request.pipeline_or(default_of_logs(own_filter)),
         prior=request.prior,
         feasible=request.feasible,
     )
@@ -232,12 +233,10 @@ def _prior(prior: ModelPrior) -> dict[str, str]:
 def _errors(posed: Prepared[RecordedSource], beta: Array) -> dict[str, Any]:
     """Errors of the predicted torques: pooled, by joint, and of the training torque itself."""
     problem, source, tests = posed.problem, posed.source, posed.held_out
+    figures = torque_figures(tests, posed.held_out_moving, beta)
     return {
-        "rmse_train": rms_error(problem, beta),
-        "rmse_test": _mean([rms_error(test, beta) for test in tests.values()]),
-        "torque_error": torque_error(tests, beta),
-        "torque_error_moving": torque_error(posed.held_out_moving, beta),
-        "torque_error_weighted": weighted_error(tests, beta),
+        "rmse_train": RowErrors([problem], beta).rms_error,
+        **{name: figures.get(name) for name in _ON_TESTS},
         "standstill": posed.figures["standstill"],
         "training": joint_errors(problem, beta),
         "tests": {label: joint_errors(test, beta) for label, test in tests.items()},
@@ -309,17 +308,14 @@ def _signals(preprocessing: LogProcessing) -> dict[str, Any]:
     }
 
 
-def _labels(tests: Sequence[Path]) -> list[str]:
+def _labels(tests: Sequence[Path | LogDescription]) -> list[str]:
     """Stems of the test files; whole paths where two stems are the same."""
-    stems = [test.stem for test in tests]
+    paths = [test.source if isinstance(test, LogDescription) else test for test in tests]
+    stems = [path.stem for path in paths]
     return [
-        stem if stems.count(stem) == 1 else str(test)
-        for stem, test in zip(stems, tests, strict=True)
+        stem if stems.count(stem) == 1 else str(path)
+        for stem, path in zip(stems, paths, strict=True)
     ]
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
 
 def _segments(source: RecordedSource) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid_bench.errors import UsageError
-from sysid_bench.signals.pipeline_choice import PLAIN, pipeline_spec
+from sysid_bench.signals.pipeline_choice import pipeline_spec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,7 +15,7 @@ class IdentifyRequest:
 
     `model`: a robot's name, a URDF or an MJCF file; `terms`: joint terms that are also unknown
     (None: those of the task); `estimator`: a plug-in (None: the usual one for the data).
-    `pipeline`: signal pipeline of the fit, a name or {use, settings} (None: plain filtering).
+    `pipeline`: signal pipeline of the fit, a name or {use, settings} (None: `default_pipeline`).
     `complete`: distance ("entropic", "euclidean", "pullback") in which whole, feasible bodies lie
     nearest to the prior. `model_out`: the model file again, with the identified values; `json_out`:
     the result as a file.
@@ -31,10 +31,11 @@ class IdentifyRequest:
     json_out: Path | None = None
     robots_dir: Path | None = None
 
-    @property
-    def pipeline_spec(self) -> dict[str, Any] | None:
-        """The pipeline as an experiment names it."""
-        written = PLAIN if self.pipeline is None else self.pipeline
+    def pipeline_or(self, default: dict[str, Any] | None) -> dict[str, Any] | None:
+        """The pipeline as an experiment names it; the default one where none is given."""
+        if self.pipeline is None:
+            return default
+        written = self.pipeline
         return pipeline_spec({"use": written} if isinstance(written, str) else written)
 
 

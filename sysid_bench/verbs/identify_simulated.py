@@ -8,6 +8,7 @@ from sysid_bench.errors import EstimationError, ModelError, NotWrittenError
 from sysid_bench.evaluation.covariance import standard_errors
 from sysid_bench.evaluation.score import score
 from sysid_bench.experiments.loaded_robot import LoadedRobot, loaded_robot
+from sysid_bench.experiments.played_back import ENCODERS, has_exact_positions
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.noise_free import unknown_terms
 from sysid_bench.experiments.simulated.prepare import prepare_simulated
@@ -16,7 +17,7 @@ from sysid_bench.experiments.spec import ExperimentSpec, normal_noise, normal_pa
 from sysid_bench.identification.feasibility.completion import completed_estimate
 from sysid_bench.identification.identify import identify as estimate_parameters
 from sysid_bench.naming import build
-from sysid_bench.signals.pipeline_choice import signals_of_pipeline
+from sysid_bench.signals.pipeline_choice import default_pipeline, signals_of_pipeline
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Estimate
 from sysid_bench.verbs.estimate_fields import (
@@ -38,9 +39,9 @@ from sysid_bench.verbs.task_terms import check_terms
 from sysid_bench.verbs.write_model import check_files, write_model
 
 HELD_OUT: Final = ({"use": "fourier-other"}, {"use": "ptp"})
-ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
+FROM_ENCODERS: Final = {"filter": "butter 4 20 Hz zero-phase", "derivatives": "from q"}
 IDEAL: Final = {"filter": "none", "derivatives": "exact"}
-"""Signals: rates are differentiated from the encoders once these are noisy."""
+"""Signals of `plain`: rates are differentiated from the encoders once these are noisy."""
 _SCORES: Final = (
     *("rank", "data_rank", "parameters", "condition", "condition_unit", "rmse_train", "rmse_test"),
     *("torque_error", "torque_error_moving", "torque_error_weighted", "feasible", "plausible"),
@@ -223,15 +224,15 @@ def _estimator(request: SimulatedRequest) -> str:
 
 
 def _signals(noise: Mapping[str, float], contacts: Sequence[str] | str | None) -> dict[str, Any]:
-    """Signal processing that suits the noise, with the samples left out for contacts."""
-    signals: dict[str, Any] = dict(ENCODERS if {"q", "quantum"} & set(noise) else IDEAL)
+    """Signal processing of `plain` that suits the noise, with the samples left out for contacts."""
+    signals: dict[str, Any] = dict(FROM_ENCODERS if {*ENCODERS} & set(noise) else IDEAL)
     return signals if contacts is None else signals | {"contacts": contacts}
 
 
 def _spec(request: SimulatedRequest) -> ExperimentSpec:
     """Experiment as a suite with nothing but defaults would have it."""
     noise = normal_noise(request.noise or {})
-    return ExperimentSpec(
+    spec = ExperimentSpec(
         seed=request.seed,
         robot=request.model,
         payload=normal_payload(request.payload),
@@ -244,9 +245,11 @@ def _spec(request: SimulatedRequest) -> ExperimentSpec:
         simulation={"use": "inverse"},
         rate=200.0,
         noise=noise,
-        signals=signals_of_pipeline(_signals(noise, request.contacts), request.pipeline_spec),
-        pipeline=request.pipeline_spec,
+        signals={},
         repeat=0,
         sensor=request.sensor,
         free_base=request.free_base,
     )
+    pipeline = request.pipeline_or(default_pipeline({}, has_exact_positions(spec)))
+    signals = signals_of_pipeline(_signals(noise, request.contacts), pipeline)
+    return replace(spec, signals=signals, pipeline=pipeline)

@@ -9,11 +9,13 @@ import numpy as np
 
 from sysid_bench.errors import EstimationError, ModelError, first_names
 from sysid_bench.evaluation.crosscheck import crosscheck
-from sysid_bench.evaluation.recorded_score import joint_errors, torque_error
+from sysid_bench.evaluation.recorded_score import joint_errors
 from sysid_bench.evaluation.score import feasible_figures
+from sysid_bench.evaluation.torque_errors import RowErrors
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.source import RecordedSource
 from sysid_bench.identification.estimators.entropic import Entropic
+from sysid_bench.identification.estimators.lmi import LMI
 from sysid_bench.identification.feasibility.completion import completed_parameters
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.models.load import load_robot
@@ -101,8 +103,16 @@ def _whole(
         theta = completed_parameters(feasible, problem.base, estimate.beta, prior.prior, distance)
     except EstimationError:
         # Noise has carried beta out of the feasible set: fit again within it.
-        return Entropic().solve(problem), distance, True
+        return _feasible_fit(problem), distance, True
     return replace(estimate, theta=theta), distance, False
+
+
+def _feasible_fit(problem: Problem) -> Estimate:
+    """The feasible fit with bodies near to the prior; those of `lmi` where it does not converge."""
+    try:
+        return Entropic().solve(problem)
+    except EstimationError:
+        return LMI().solve(problem)
 
 
 def _is_feasible(theta: Array | None, problem: Problem) -> bool:
@@ -158,7 +168,8 @@ def _in_file(robot: RobotModel, terms: Mapping[str, JointTerms]) -> dict[str, di
     """Terms in the words of the model file, those that its format has a place for."""
     held = ("viscous", "coulomb") if robot.format == "urdf" else IN_MJCF
     return {
-        joint: {KEYS.get(term, term): float(getattr(values, term)) for term in held}
+        # A negative stiffness, as of a counterbalance, stands in the manifest alone.
+        joint: {KEYS.get(term, term): max(float(getattr(values, term)), 0.0) for term in held}
         for joint, values in terms.items()
     }
 
@@ -186,6 +197,7 @@ def _judged(
         raise ModelError(f"{file}: the engines disagree on the written model: {check.reason()}.")
     beta = posed.problem.base.K @ _theta_of(robot, posed.problem)
     completed, refitted = choice
+    tests = list(posed.held_out.values())
     return WrittenModel(
         file=str(written.path),
         manifest=str(file),
@@ -195,7 +207,7 @@ def _judged(
         left_out=left_out,
         gap=check.gap,
         closure=check.closure,
-        torque_error=torque_error(posed.held_out, beta),
+        torque_error=RowErrors(tests, beta).torque_error if tests else None,
         tests={label: _relative(test, beta) for label, test in posed.held_out.items()},
         training=_relative(posed.problem, beta),
     )

@@ -18,19 +18,22 @@ from scipy.linalg import lapack, qr, solve_triangular
 from sysid_bench.evaluation.score import data_figures
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.excitation.fourier import Fourier
+from sysid_bench.experiments.simulated.composed_plant import composed_plant, limits_of_sizes
 from sysid_bench.experiments.simulated.problem import ProblemBuilder
+from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
 from sysid_bench.identifiability.structural import structural_base
 from sysid_bench.identification.estimators.ols import OLS
 from sysid_bench.identification.estimators.wls import WLS
 from sysid_bench.models.load import load_robot
 from sysid_bench.naming import BUILTIN, build
 from sysid_bench.regressors.regression import regression
+from sysid_bench.signals.pipelines.parallel import Parallel
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.plant import plant_of
 from sysid_bench.simulation.tracking_control import TrackingControl, commands
 from sysid_bench.simulation.tracking_model import tracking_model
 from sysid_bench.tasks.task import task_of
-from sysid_bench.types import Array, Trajectory
+from sysid_bench.types import Array, Oracle, Recording, Trajectory
 
 Compare = Callable[..., dict[str, float]]
 Line = Callable[..., None]
@@ -179,6 +182,34 @@ def test_an_experiment_against_a_bare_rollout(bench: Bench, compare: Compare, li
     must, aim = (2.2, 1.8) if bench.terms else (1.8, 1.5)
     what = "with friction" if bench.terms else "rigid"
     line(f"experiment / bare rollout, {what}", seconds["whole"] / seconds["bare"], must, aim)
+
+
+def test_an_experiment_of_level_2_against_its_own_rollout(
+    bench: Bench, compare: Compare, line: Line
+) -> None:
+    """The plant of L2, its sizes at the upper end of their ranges, and the filtered problem."""
+    written = with_plant_file({"use": "L2"}, None)
+    level = composed_plant({key: x for key, x in written.items() if key not in SIGNALS})
+    effects = [build("plant", limits_of_sizes(entry.spec)[-1]) for entry in level.of("effects")]
+    plant, joints = plant_of(bench.robot, effects), bench.robot.joints
+
+    def rollout() -> Oracle:
+        return bench.loop.run(plant, bench.motion, bench.silence)[0]
+
+    def experiment() -> None:
+        oracle = rollout()
+        motion = oracle.motion
+        recording = Recording(motion.t, motion.q, oracle.tau, 1000.0, bench.robot.torque_rows)
+        processed = Parallel().process(recording, joints)
+        along_motion = processed.recording.motion
+        along = bench.posing.rows_along(along_motion, processed.rows)
+        problem = bench.posing.build(along_motion, processed.recording.tau, rows=along)
+        assert WLS().solve(problem).beta is not None
+        assert data_figures(problem, {})["condition"] > 1
+
+    seconds = compare({"whole": experiment, "rollout": rollout}, 5)
+    what = "with friction" if bench.terms else "rigid"
+    line(f"experiment at L2 / its own rollout, {what}", seconds["whole"] / seconds["rollout"], 1.8)
 
 
 def test_all_effects_together_against_a_bare_rollout(

@@ -6,7 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sysid_bench.evaluation.score import SMALL_JOINT, data_figures, score
+from sysid_bench.evaluation.score import data_figures, score
+from sysid_bench.evaluation.torque_errors import SMALL_JOINT
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.simulated.source import SimulatedSource
 from sysid_bench.identification.estimators.ols import OLS

@@ -12,6 +12,7 @@ from sysid_bench.harness.plan import cells_of_suite
 from sysid_bench.harness.suite.load_suite import parse_suite
 from sysid_bench.harness.suite.static_names import static_names
 from sysid_bench.naming import BUILTIN, resolve
+from sysid_bench.simulation.sizes import SLIDE
 from sysid_bench.types import Row
 from tests.experiments.experiment_world import (
     CLOSED_LOOP,
@@ -19,6 +20,7 @@ from tests.experiments.experiment_world import (
     ready,
     spec,
 )
+from tests.robots import named_robot
 
 NOISE = {"q": 1e-5, "quantum": 2e-5, "tau_relative": 0.01}
 MEASURED = {"filter": "butter 4 10 Hz zero-phase", "derivatives": "from q"}
@@ -199,3 +201,21 @@ def test_the_name_of_a_plain_plant_is_its_own_and_it_is_its_only_effect() -> Non
     assert plant_name(plain) == "stribeck"
     assert [entry.spec for entry in composed_plant(plain).entries] == [plain]
     assert plant_name(composed()) == "matched"
+
+
+@pytest.mark.parametrize("robot", ["scara", "panda", "ur5"])
+def test_angles_are_lengths_on_slides_unless_a_length_is_written(robot: str) -> None:
+    angle, length = {"from": 2e-4, "to": 2e-3}, {"from": "0.2 mm", "to": "2 mm"}
+    slides = {joint.dofs[0] for joint in named_robot(robot).joints if joint.kind == "slide"}
+    for written, scale in ((angle, SLIDE), (length, 1.0)):
+        plant = composed(effects=[{"use": "lugre", "presliding": written}])
+        prepared = ready(robot=robot, plant=plant, held_out=()).source.built
+        (law,) = prepared.plant.laws
+        Fc, _, sigma0, _, vs = law.numbers.reshape(5, -1)
+        (row,) = prepared.values
+        for name, distance, speed in zip(row["drawn"], Fc / sigma0, vs, strict=True):
+            factor = scale if name in slides else 1.0
+            assert row["drawn"][name] == pytest.approx(distance, rel=1e-12)
+            assert 2e-4 * factor <= distance <= 2e-3 * factor
+            # A number that holds for all joints, here a default, states no length.
+            assert speed == pytest.approx(0.05 * (SLIDE if name in slides else 1.0))

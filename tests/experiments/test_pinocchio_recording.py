@@ -44,14 +44,14 @@ def test_parameters_lie_within_their_intervals(tmp_path: Path) -> None:
     exact = torque(log, np.gradient(log.v, log.t, axis=0))
     clean = base_parameters(write(tmp_path, replace(log, tau=exact), name="clean"))
     truth = np.array([entry["value"] for entry in clean])
-    for term, value in zip(SUFFIXES, FRICTION[:2], strict=True):
+    for term, friction in zip(SUFFIXES, FRICTION[:2], strict=True):
         same = [entry["value"] for entry in clean if entry["expression"].endswith(f".{term}")]
-        assert same == pytest.approx([value] * 6, rel=1e-8)
+        assert same == pytest.approx([friction] * 6, rel=1e-8)
     rng = np.random.default_rng(0)
-    scale = NOISE * np.sqrt(np.mean(exact**2, axis=0))
+    sizes = np.asarray(NOISE * np.sqrt(np.mean(exact**2, axis=0)))
     inside = []
     for _ in range(DRAWS):
-        noisy = replace(log, tau=exact + scale * rng.normal(size=exact.shape))
+        noisy = replace(log, tau=exact + sizes * rng.normal(size=exact.shape))
         base = base_parameters(write(tmp_path, noisy))
         value, std = (np.array([entry[key] for entry in base]) for key in ("value", "std"))
         inside.append(np.abs(value - truth) <= 1.96 * std)

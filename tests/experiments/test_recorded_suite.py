@@ -107,6 +107,10 @@ def test_a_cell_is_what_the_command_line_gives(ran: RunFolder, folder: Path) -> 
     for figure in ("rank", "rmse_train", "rmse_test", "torque_error", "condition"):
         assert row[figure] == pytest.approx(answer[figure], rel=1e-9), figure
     assert row["held_out"] == "another motion, again"
+    assert row["pipeline"] == answer["signals"]["pipeline"] == "plain"  # with a filter of its own
+    robot = named_robot("ur5")
+    used = np.max([np.abs(recorded(robot, seed).v).max(axis=0) for seed in (0, 1)], axis=0)
+    assert row["v_margin"] == pytest.approx(1 - (used / robot.limits.v).max(), abs=1e-3)
     for joint in row["joints"]:
         assert joint["relative_train"] == answer["training"][joint["name"]]["relative"]
     motions = row["torque_error_by_motion"]

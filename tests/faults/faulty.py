@@ -236,7 +236,7 @@ class PatchesScores(_Fault):
     """Replaces functions of the harness that the cells after it need."""
 
     def act(self, problem: Any) -> None:
-        from sysid_bench.evaluation.score import RowErrors
+        from sysid_bench.evaluation.torque_errors import RowErrors
         from sysid_bench.experiments import execute
 
         RowErrors.relative = property(lambda self: 1e-9)  # type: ignore[assignment, method-assign]

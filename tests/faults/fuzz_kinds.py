@@ -31,6 +31,7 @@ from sysid_bench.units import interval, quantity
 from sysid_bench.verbs.motion_export import read_motion
 from tests.faults import fuzz_seeds as seeds
 from tests.faults.fuzz_kind import Kind, every, make_log, text_files
+from tests.faults.fuzz_logs import LOG_KINDS
 from tests.faults.fuzz_options import OPTIONS, word
 from tests.faults.fuzz_runs import RUN_KINDS
 
@@ -230,6 +231,7 @@ KINDS: Final = (
     Kind("log-description", make_log, ("log.toml",), _log),
     Kind("log-numbers", make_log, ("log.csv",), _log),
     *(_table_kind(suffix) for suffix in (".csv", ".txt", ".npz", ".npy", ".parquet", ".mat")),
+    *LOG_KINDS,
     Kind("npz-members", _make_members, ("*.npy",), _members, places=False),
     Kind("motion", _make_motion, ("motion.csv",), _motion),
     Kind("recorded-motion", _make_recorded_motion, ("motion.csv",), _recorded_motion),

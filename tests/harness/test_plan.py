@@ -23,6 +23,7 @@ from sysid_bench.experiments.seed import (
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.harness.cell import fields
 from sysid_bench.harness.plan import Plan, cells_of_suite
+from sysid_bench.harness.suite.load_suite import parse_suite, suite_text
 from sysid_bench.vocabulary import LABELS
 
 
@@ -290,6 +291,44 @@ def test_the_pipeline_plain_is_no_part_of_an_id() -> None:
     assert {cell.labels["pipeline"] for cell in silent.cells} == {"plain"}
     other = plan_of(small('[defaults]\npipeline = { use = "plain", standstill = "10 %" }'))
     assert not {cell.id for cell in silent.cells} & {cell.id for cell in other.cells}
+
+
+NOISY = 'noise = { q = "1e-5 rad" }'
+LOOP = 'simulation = "closed-loop"'
+WRITTEN = 'signals = { filter = "average 5", derivatives = "from q" }'
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ("", None),  # exact playback
+        ('noise = { tau = "1 %", force = "1 N" }', None),  # positions are exact
+        (NOISY, {"use": "parallel"}),
+        ('noise = { quantum = "1e-5 rad" }', {"use": "parallel"}),
+        (LOOP, {"use": "parallel"}),
+        ('signals = { runs = "AB" }\n' + NOISY, {"use": "parallel"}),
+        ('plant = "L0"', {"use": "parallel"}),
+        ('plant = "L2"', {"use": "parallel"}),
+        (
+            'plant = { use = "composed", sensors = [{ use = "delay", tau = "1 ms" }] }',
+            {"use": "parallel"},
+        ),
+        (f"{WRITTEN}\n{NOISY}\n{LOOP}", None),
+        ('signals = { derivatives = "exact" }\n' + LOOP, None),
+        (f'pipeline = "plain"\n{NOISY}', None),
+        (f'pipeline = "raw"\n{WRITTEN}', {"use": "raw"}),
+    ],
+)
+def test_specifications_state_the_pipeline_that_a_suite_leaves_open(
+    keys: str, expected: dict[str, Any] | None
+) -> None:
+    """Positions that are exact need no filter; who writes one has it; all else is `parallel`."""
+    suite = parse_suite(small(f"[defaults]\n{keys}"))
+    cells = cells_of_suite(suite).cells
+    assert [cell.spec.pipeline for cell in cells] == [expected] * len(cells)
+    assert {cell.labels["pipeline"] for cell in cells} == {(expected or {"use": "plain"})["use"]}
+    again = parse_suite(suite_text(suite))  # a frozen suite means the same
+    assert [cell.id for cell in cells_of_suite(again).cells] == [cell.id for cell in cells]
 
 
 def test_only_plain_reads_the_filters_of_signals() -> None:

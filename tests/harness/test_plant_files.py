@@ -107,6 +107,26 @@ def test_a_mistake_in_a_plant_file_is_one_error(tmp_path: Path, text: str, messa
         suite_of('"file:mine.toml"', folder=tmp_path)
 
 
+OWN_WORDS = """
+from dataclasses import dataclass
+
+@dataclass
+class Loud:
+    noise: float = 0.1
+    def __call__(self, robot):
+        return None
+"""
+
+
+@pytest.mark.parametrize(
+    "plant", ['"file:mine.py:Loud"', '{ use = "file:mine.py:Loud", noise = 0.2 }']
+)
+def test_an_effect_cannot_use_the_words_of_plants(tmp_path: Path, plant: str) -> None:
+    (tmp_path / "mine.py").write_text(OWN_WORDS)
+    with pytest.raises(UsageError, match=r"'noise' is a key of plants.*call the setting otherwise"):
+        suite_of(plant, folder=tmp_path)
+
+
 def test_an_absent_plant_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"absent\.toml"):
         suite_of('"file:absent.toml"', folder=tmp_path)

@@ -195,6 +195,20 @@ def test_a_table_says_over_what_it_pools(cells: pd.DataFrame) -> None:
     assert table_of(cells, ["robot", "payload"], ["noise", "estimator"]).notes == ()
 
 
+def test_what_plants_bring_along_is_not_pooled_beside_them(cells: pd.DataFrame) -> None:
+    level = {"ols": "L0", "wls": "L1"}
+    levels = cells.assign(plant=cells["estimator"].map(level))
+    levels["simulation"] = levels["plant"].map({"L0": "inverse", "L1": "closed-loop"})
+    (by_level,) = table_of(levels, ["robot", "payload"], ["plant", "noise"]).notes or ("",)
+    assert "simulation" not in by_level
+    (over_levels,) = table_of(levels, ["robot", "payload"], ["noise"]).notes
+    assert "2 of plant" in over_levels
+    assert "simulation" not in over_levels
+    crossed = pd.concat([levels, levels.assign(simulation="other")])
+    (note,) = table_of(crossed, ["robot", "payload"], ["plant", "noise"]).notes
+    assert "2 of simulation" in note
+
+
 def test_a_selection_is_a_table_of_the_chosen_cells(
     cells: pd.DataFrame, spec: Mapping[str, Any]
 ) -> None:

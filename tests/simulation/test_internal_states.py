@@ -190,3 +190,11 @@ def test_impossible_steps_are_refused(setting: dict[str, Any]) -> None:
 def test_elastic_joints_need_a_closed_loop() -> None:
     with pytest.raises(UnsupportedError, match="closed-loop"):
         _played(named_robot("ur5"), [ElasticJoints()])
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)
+def test_motors_without_inertia_have_no_gap(robot: RobotModel) -> None:
+    transmission = ElasticJoints(windup=1e-3, gap=1e-4).prepare(robot)
+    assert transmission is not None
+    has_rotor = robot.joint_terms.armature[robot.torque_dofs] > 0
+    np.testing.assert_array_equal(transmission.gap, np.where(has_rotor, 1e-4, 0.0))

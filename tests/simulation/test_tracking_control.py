@@ -255,6 +255,25 @@ def test_a_held_torque_moves_the_positions_as_the_equation_of_motion_says(name: 
     np.testing.assert_allclose(second, a[1:-1], atol=1e-6 * np.abs(a).max())
 
 
+@pytest.mark.parametrize(
+    ("name", "gains"), [(SMOOTH, {"bandwidth": 20.0}), (RICH, {"kp": 5e3, "kd": 500.0})]
+)
+@pytest.mark.parametrize("effects", [(), (Law(zero),)], ids=["batched", "stepping"])
+def test_an_implicit_step_reports_the_torque_that_it_applies(
+    name: str, gains: dict[str, Any], effects: tuple[Law, ...]
+) -> None:
+    """Where the torque cannot be held, rates of dampers and feedback are those at the end of a
+    step. The torque at its start would belong to a robot that is heavier by a step times kd."""
+    robot, loop = robot_of(name), TrackingControl(rate=150.0, substeps=1, **gains)
+    oracle, controller = run(robot, effects, loop=loop)
+    assert not controller.held
+    q, a = oracle.motion.q, oracle.motion.a
+    second = np.diff(q, 2, axis=0) * loop.rate**2
+    np.testing.assert_allclose(second, a[1:-1], atol=1e-6 * np.abs(a).max())
+    gap = np.abs(modelled(robot, oracle) - oracle.tau).max()
+    assert gap <= 1e-9 * np.abs(oracle.tau).max()
+
+
 def test_a_loop_too_slow_for_its_damping_is_not_held() -> None:
     robot = robot_of("kinova")  # wrists without rotors, and much viscous friction
     assert not TrackingControl(rate=500.0).controller(plant_of(robot)).held

@@ -42,8 +42,9 @@ SLOW: Final = 30.0
 TERMS_TOO, BODIES_ALONE = "terms", "bodies"
 """Constraints of feasible fits: friction and rotor inertia as well, or bodies alone."""
 
-TERMS: Final = ("viscous", "coulomb", "offset")
-"""Terms of real joints, where the robot's manifest names none."""
+TERMS: Final = ("viscous", "coulomb", "offset", "armature")
+"""Terms of real joints, where the robot's manifest names none. Without the inertia of the rotors
+links become too heavy: the upper arm of a UR10e by a factor of ten (measured)."""
 
 
 @dataclass(frozen=True)

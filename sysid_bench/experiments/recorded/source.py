@@ -9,6 +9,7 @@ import numpy as np
 from sysid_bench.errors import UsageError
 from sysid_bench.evaluation.recorded_score import score_recorded
 from sysid_bench.evaluation.score import base_parameters, data_figures
+from sysid_bench.excitation.limit_margins import Margins, limit_fields, limit_margins
 from sysid_bench.experiments.prepared import Prepared
 from sysid_bench.experiments.recorded.model_prior import ModelPrior
 from sysid_bench.experiments.recorded.payload_mass import payload_mass
@@ -48,9 +49,10 @@ class RecordedSource:
         return data_figures(problem, {}) | {"standstill": self.builder.left_out(self.training)}
 
     def fields(self) -> Row:
-        """Preprocessing, findings and selected terms, as the field `log`."""
+        """Margins to the limits along all logs; preprocessing, findings and selected terms as the
+        field `log`."""
         preprocessing = self.builder.preprocessing
-        return {
+        return limit_fields(self._margins()) | {
             "log": {
                 "filter": preprocessing.filter,
                 "derivatives": preprocessing.derivatives,
@@ -61,6 +63,13 @@ class RecordedSource:
                 **_selection_fields(self.selection),
             }
         }
+
+    def _margins(self) -> Margins:
+        """Margins of the measured motions to the limits of the robot."""
+        margins = Margins()
+        for log in (*self.training, *self.tests.values()):
+            margins = margins.with_motion(limit_margins(log.recording.motion, log.robot))
+        return margins
 
     def _findings(self) -> Iterator[str]:
         """Contradictions in the data that were accepted, with the file of each."""

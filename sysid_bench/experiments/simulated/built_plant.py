@@ -1,5 +1,6 @@
 """The plant of an experiment, the identified model beside it, and the sensors between them."""
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.seed import plant_seed, seed_of
 from sysid_bench.experiments.simulated.composed_plant import (
+    COMPOSED,
     PlantEntry,
     checked_limits,
     composed_plant,
@@ -19,8 +21,8 @@ from sysid_bench.plugin_settings import plugin_fields
 from sysid_bench.simulation.plant import Plant, plant_of, viscous_coupling
 from sysid_bench.simulation.plant_robot import PlantCoordinates, with_model_errors
 from sysid_bench.simulation.sensor_chain import RngOf, SensorChain, sensor_chain
-from sysid_bench.simulation.sizes import random_sizes
-from sysid_bench.types import Row
+from sysid_bench.simulation.sizes import ANGLE, SLIDE, is_angle, is_random, random_sizes
+from sysid_bench.types import Array, Row
 from sysid_bench.units import quantity
 
 
@@ -105,7 +107,8 @@ class _Draws:
     def _plugin(self, entry: PlantEntry) -> Any:
         make = self.loaded.plugin_of(entry.kind, entry.spec)
         fields, drawn = plugin_fields(make), dict[str, Any]()
-        for key, sizes in self._sizes(entry, make).items():
+        sizes_of_all = {**self._numbers(entry, make), **self._sizes(entry, make)}
+        for key, sizes in sizes_of_all.items():
             # A plug-in reads a bare number in the unit of the setting, which may be "%".
             scale = quantity(1.0, (fields[key].unit if key in fields else None) or "1")
             drawn[key] = (np.array(sizes) / scale).tolist()
@@ -116,10 +119,35 @@ class _Draws:
         for key, limits in checked_limits(entry, make).items():
             rng = np.random.default_rng(plant_seed(self.spec, *entry.channel, key))
             listed = key in fields and fields[key].is_per_joint
-            count = len(_joint_names(entry, make, self.robot)) if listed else 1
-            values = random_sizes(limits, count, rng).tolist()
+            lengths = self._lengths(entry, make, key) if listed else np.ones(1)
+            values = (random_sizes(limits, len(lengths), rng) * lengths).tolist()
             sizes[key] = values if listed else values[0]
         return sizes
+
+    def _numbers(self, entry: PlantEntry, make: Any) -> dict[str, list[float]]:
+        """Angles that hold for all joints, and defaults of this kind, with their lengths on
+        slides."""
+        default = {field.name: field.default for field in dataclasses.fields(make)}
+        numbers = {}
+        for key, field in plugin_fields(make).items():
+            written = entry.spec.get(key, default[key])
+            if field.unit != ANGLE or not field.is_per_joint or is_random(written):
+                continue
+            lengths = self._lengths(entry, make, key, written)
+            if (lengths != 1.0).any():
+                numbers[key] = (quantity(written, ANGLE) * lengths).tolist()
+        return numbers
+
+    def _lengths(self, entry: PlantEntry, make: Any, key: str, written: Any = None) -> Array:
+        """SLIDE (m/rad) for each slide of a composed plant whose size is written as an angle, and
+        1 for every other joint."""
+        names = _joint_names(entry, make, self.robot)
+        composed = self.spec.plant.get("use") == COMPOSED
+        if not (composed and plugin_fields(make)[key].unit == ANGLE):
+            return np.ones(len(names))
+        angle = is_angle(entry.spec[key] if written is None else written)
+        slides = {joint.dofs[0] for joint in self.robot.joints if joint.kind == "slide"}
+        return np.array([SLIDE if angle and name in slides else 1.0 for name in names])
 
 
 def _joint_names(entry: PlantEntry, make: Any, robot: RobotModel) -> tuple[str, ...]:

@@ -59,7 +59,7 @@ def prepare_simulated(spec: ExperimentSpec, loaded: LoadedRobot) -> Prepared[Sim
     source = SimulatedSource(
         spec=spec,
         noise_free=noise_free,
-        motion=motion,
+        motion=processed[0].undisturbed,
         known=builder.known(motion)[:, builder.row_indices],
         bound=pooled_bound([one.cramer_rao_bound(builder) for one in sampled]),
         left_out=mean_share([(one.left_out, len(one.recording)) for one in processed]),
@@ -95,7 +95,7 @@ def _experiment(
         candidate = Candidate(**(noise_free.spec.candidate or {}))
         simulate = SimulatedModel(noise_free.known_model, processed.raw, candidate)
         known = KnownTorque(noise_free.known_model, rows)
-    along = builder.rows_along(recording.motion, processed.rows)
+    along = builder.rows_along(recording.motion, processed.rows, processed.free)
     return Experiment(
         problem=builder.build(recording.motion, measured, noise_free.prior, along),
         recording=recording,

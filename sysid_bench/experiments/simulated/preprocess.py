@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid_bench.errors import UnsupportedError, UsageError
+from sysid_bench.errors import UsageError
 from sysid_bench.excitation.design_problem import design_problem
 from sysid_bench.experiments.loaded_robot import LoadedRobot
 from sysid_bench.experiments.simulated.built_plant import built_plant
@@ -24,20 +24,28 @@ from sysid_bench.regressors.kernel_numpy import newton_euler
 from sysid_bench.signals.filters import NoFilter
 from sysid_bench.signals.row_processing import RowProcessing
 from sysid_bench.tasks.task import Task
-from sysid_bench.types import Array, Recording
+from sysid_bench.types import Array, Recording, Trajectory
 from sysid_bench.units import interval
 
 
 @dataclass(frozen=True, eq=False)
 class ProcessedRecording:
-    """A recording with its sensors calibrated: `raw` unfiltered, `recording` filtered and without
-    contact periods, which were the share `left_out` of its samples; `rows` of W beta = b are still
-    to be processed."""
+    """A recording with its sensors calibrated: `raw` unfiltered, `recording` filtered. Contact
+    periods were the share `left_out` of its samples. `rows` of W beta = b are still to be
+    processed; a filter of rows cannot cross gaps, and contacts then stay in the recording: samples
+    that are not `free` (N,) are without weight before the filter. None: all are free."""
 
     raw: Recording
     recording: Recording
     left_out: float
     rows: RowProcessing = field(default_factory=RowProcessing)
+    free: Array | None = None
+
+    @property
+    def undisturbed(self) -> Trajectory:
+        """The motion without contact periods."""
+        motion = self.recording.motion
+        return motion if self.free is None else _part(self.recording, self.free).motion
 
 
 def preprocess(
@@ -51,13 +59,16 @@ def preprocess(
     if "calibration" in spec.signals and builder.task.cuts:
         calibration = _estimate_calibration(spec, loaded, builder.task)
         raw, recording = (_calibrated(one, calibration) for one in (raw, recording))
-    if spec.signals.get("contacts") and not isinstance(sampled.rows.filter, NoFilter):
-        raise UnsupportedError(
-            "Contact periods leave gaps, which a filter of rows cannot cross: use the pipeline "
-            "'plain' with signals.contacts."
-        )
-    recording, left_out = _without_contact(spec.signals.get("contacts"), recording, builder)
-    return ProcessedRecording(raw, recording, left_out, sampled.rows)
+    contacts = spec.signals.get("contacts")
+    if not contacts:
+        return ProcessedRecording(raw, recording, 0.0, sampled.rows)
+    free = _free_samples(contacts, recording, builder)
+    if isinstance(sampled.rows.filter, NoFilter):
+        kept = _part(recording, free)
+        return ProcessedRecording(raw, kept, 1.0 - float(free.mean()), sampled.rows)
+    free = _with_margin(free, sampled.margin)
+    recording = replace(recording, period=None)
+    return ProcessedRecording(raw, recording, 1.0 - float(free.mean()), sampled.rows, free)
 
 
 def _estimate_calibration(spec: ExperimentSpec, loaded: LoadedRobot, task: Task) -> Calibration:
@@ -90,25 +101,37 @@ def _calibrated(recording: Recording, calibration: Calibration) -> Recording:
     return replace(recording, wrench=wrench)
 
 
-def _without_contact(
-    contacts: Any, recording: Recording, builder: ProblemBuilder
-) -> tuple[Recording, float]:
-    """The recording without contact periods, declared or detected, and the share left out."""
-    if not contacts:
-        return recording, 0.0
+def _free_samples(contacts: Any, recording: Recording, builder: ProblemBuilder) -> Array:
+    """Mask (N,) of the samples without contact, declared or detected."""
     if contacts == "detect":
         measured = measured_signals(recording)
-        free = free_samples(*rows_of(builder.build(recording.motion, measured)))
-    else:
-        free = _outside(contacts, recording.t)
+        return free_samples(*rows_of(builder.build(recording.motion, measured)))
+    return _outside(contacts, recording.t)
+
+
+def _with_margin(free: Array, margin: int) -> Array:
+    """Mask (N,) without the `margin` samples beside those that are not free.
+
+    Raises UsageError where that leaves nothing.
+    """
+    touched = np.convolve(~free, np.ones(2 * margin + 1), "same") > 0.5
+    if touched.all():
+        raise UsageError(
+            f"Contact periods and the {margin} samples beside each, which the filter of positions "
+            "mixes with them, leave nothing of the recording."
+        )
+    return ~touched
+
+
+def _part(recording: Recording, free: Array) -> Recording:
+    """The samples of a recording that are `free` (N,); samples of different periods no longer
+    correspond."""
     motion = recording.motion
-    # Without the contact periods samples of different periods no longer correspond.
-    kept = replace(
+    return replace(
         recording, t=motion.t[free], q=motion.q[free], v=motion.v[free], a=motion.a[free],
         tau=recording.tau[free], period=None,
         wrench=None if recording.wrench is None else recording.wrench[free],
     )  # fmt: skip
-    return kept, 1.0 - float(free.mean())
 
 
 def _outside(periods: Any, t: Array) -> Array:

@@ -55,9 +55,13 @@ class ProblemBuilder:
         """Names of the task's rows."""
         return tuple(self.instruments.measured[i] for i in self.row_indices)
 
-    def rows_along(self, motion: Trajectory, processing: RowProcessing) -> MotionRows:
-        """The processing of the task's rows along a motion."""
-        return motion_rows(processing, self.robot, self.row_names, motion)
+    def rows_along(
+        self, motion: Trajectory, processing: RowProcessing, free: Array | None = None
+    ) -> MotionRows:
+        """The processing of the task's rows along a motion; samples that are not `free` (N,) have
+        no weight."""
+        along = motion_rows(processing, self.robot, self.row_names, motion)
+        return along if free is None else replace(along, weights=along.weights * free[:, None])
 
     def build(
         self,

@@ -188,6 +188,7 @@ class SampledRecording:
     torque_std: Array  # (n,) of the torque noise
     correlation: float  # of that noise from sample to sample
     rows: RowProcessing = field(default_factory=RowProcessing)  # of W beta = b
+    margin: int = 0  # samples beside a disturbed one that a filter of positions mixes with it
 
     def cramer_rao_bound(self, builder: ProblemBuilder) -> Array | None:
         """The Cramer-Rao bound (r, r) of the covariance where torque alone is noisy; None where
@@ -254,6 +255,7 @@ def record(
         torque_std=torque_std,
         correlation=noise.tau_correlation,
         rows=processed.rows,
+        margin=processed.margin,
     )
 
 

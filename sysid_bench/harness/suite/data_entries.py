@@ -122,9 +122,16 @@ def _contacts(value: Any) -> Any:
 
 
 class Signals(SuiteTable):
-    filter: Annotated[str, PlainValidator(_filter)] = "none"
-    derivatives: Annotated[str, choice_of("way to differentiate", ("from q", "exact"))] = "exact"
-    torque: Annotated[str, choice_of("way to take torque", ("filtered", "raw"))] = "filtered"
+    """Settings of the pipeline `plain` (`filter`, `derivatives`, `torque`), and what is done to
+    signals besides. A frozen suite keeps None: written settings choose `plain`."""
+
+    filter: Annotated[str | None, PlainValidator(_filter)] = None  # "none"
+    derivatives: Annotated[str, choice_of("way to differentiate", ("from q", "exact"))] | None = (
+        None  # "exact"
+    )
+    torque: Annotated[str, choice_of("way to take torque", ("filtered", "raw"))] | None = (
+        None  # "filtered"
+    )
     runs: Annotated[str, BeforeValidator(_runs)] = "B"  # A without, B with the payload
     contacts: Annotated[Any, PlainValidator(_contacts)] = None
     """Periods that are left out: "10 s to 25 s", a list of them, or "detect"."""

@@ -64,7 +64,6 @@ from sysid_bench.metrics import METRICS, checked_metric, metric_from_record, met
 from sysid_bench.models.manifest import TERM_ADVICE, TERMS, is_term
 from sysid_bench.naming import known, resolve_files
 from sysid_bench.signals.log_description import log_description, name_of
-from sysid_bench.signals.pipeline_choice import PLAIN
 from sysid_bench.types import Metric
 from sysid_bench.vocabulary import FINDINGS
 
@@ -156,17 +155,18 @@ class DefaultSettings(SuiteTable):
     )
     noise: Annotated[tuple[Noise, ...], Sweep] = (Noise(),)
     signals: Annotated[tuple[Signals, ...], Sweep] = (Signals(),)
-    pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
+    pipeline: Pipelines | None = None  # None: by `default_pipeline`
     candidate: Candidate = Candidate()
 
     def of(self, plant: Plant) -> tuple[
-        tuple[Simulation, ...], tuple[Noise, ...], tuple[Pipeline, ...]
+        tuple[Simulation, ...], tuple[Noise, ...], tuple[Pipeline | None, ...]
     ]:  # fmt: skip
-        """Return the simulations, kinds of noise and pipelines of a plant: its own, else these."""
+        """Return the simulations, kinds of noise and pipelines of a plant: its own, else these; a
+        pipeline is None where none is named."""
         return (
             self.simulation if plant.simulation is None else (plant.simulation,),
             self.noise if plant.noise is None else (plant.noise,),
-            self.pipeline if plant.pipeline is None else (plant.pipeline,),
+            self.pipeline or (None,) if plant.pipeline is None else (plant.pipeline,),
         )
 
 
@@ -232,7 +232,7 @@ class LogEntry(SuiteTable):
         None
     )
     moving: Annotated[tuple[float, ...], Sweep] = (0.0,)
-    pipeline: Pipelines = Field(default=(PLAIN,), validate_default=True)
+    pipeline: Pipelines | None = None  # None: by `default_pipeline`
     prior: Annotated[tuple[LogPrior, ...], Sweep] = ("model",)
     feasible: Annotated[str, choice_of("choice of feasibility", ("terms", "bodies"))] = "terms"
     accept: tuple[Annotated[str, choice_of("finding", FINDINGS)], ...] = ()

@@ -12,7 +12,7 @@ from sysid_bench.input_files import parse_toml, read_text
 SCHEMA: Final = 1
 """Version of the format of plant files."""
 
-SIGNALS: Final = ("simulation", "noise", "pipeline")
+SIGNALS: Final = naming.RESERVED["plant"]
 """Keys of a plant that hold in place of those of the suite."""
 
 _KEYS: Final = ("schema", "name", "title", *KIND_OF, *SIGNALS)

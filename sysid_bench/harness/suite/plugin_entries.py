@@ -11,7 +11,7 @@ from sysid_bench.excitation.limit_settings import checks_limits, without_limits
 from sysid_bench.experiments.simulated.composed_plant import limits_of_sizes, plant_entries
 from sysid_bench.harness.suite.checks import check_context, checked, to_plugin
 from sysid_bench.harness.suite.data_entries import Noise
-from sysid_bench.harness.suite.plant_file import with_plant_file
+from sysid_bench.harness.suite.plant_file import SIGNALS, with_plant_file
 from sysid_bench.harness.suite.report_entries import SuiteTable
 from sysid_bench.naming import resolve_files
 
@@ -98,7 +98,15 @@ class Plant(Plugin):
         context = check_context(info)
         if context.names.frozen:  # plant files were read when the suite was planned
             return value
-        return checked(lambda: with_plant_file(value, context.folder))
+        read = checked(lambda: with_plant_file(value, context.folder))
+        if isinstance(read, Mapping) and any(key in read for key in SIGNALS):
+            # Before these keys are read as the plant's own: an effect may mean something else.
+            own = {key: x for key, x in read.items() if key not in (*SIGNALS, "label")}
+            for kind, spec in checked(partial(plant_entries, own)):
+                for settings in checked(partial(limits_of_sizes, spec)):
+                    found = resolve_files(settings, context.folder)
+                    checked(partial(context.names.plugin, kind, found))
+        return read
 
     def _looked_up(self) -> Iterable[tuple[str, Mapping[str, Any]]]:
         """Return (kind, {use, settings}) of each effect and error, ranges at either limit."""

@@ -28,7 +28,7 @@ def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
     held_out = (motion for motions in axes.held_out for motion in motions)
     entries: Iterable[Plugin] = (
         *suite.estimator, *suite.metric, *axes.excitation, *held_out, *axes.simulation,
-        *axes.pipeline,
+        *(axes.pipeline or ()),
     )  # fmt: skip
     yield from ((entry.kind, entry.use) for entry in entries)
     for plant in axes.plant:
@@ -40,7 +40,7 @@ def _plugins(suite: Suite) -> Iterator[tuple[str, str]]:
 
 def _log_plugins(suite: Suite, log: LogEntry) -> Iterator[tuple[str, str]]:
     yield "task", log.task
-    yield from ((entry.kind, entry.use) for entry in log.pipeline)
+    yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
     words = (word for sweep in (log.terms, log.choose) for words in sweep for word in words or ())
     yield from (("term", word.removeprefix("motor.")) for word in words)
     for written in (*log.train, *log.test):

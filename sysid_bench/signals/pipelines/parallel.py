@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+import numpy as np
+
 from sysid_bench.errors import UsageError
 from sysid_bench.models.robot import Joint
 from sysid_bench.signals.bandwidth import bandwidth
@@ -35,13 +37,14 @@ class Parallel:
     Filtering tau alone rounds the steps of Coulomb friction that sign(v) keeps; filtering both
     leaves W beta = tau as it is. Rows of a joint slower than `standstill` times its RMS rate are
     left out before the filter, or count with `weight`. `derivatives` "from v" takes the rates of
-    the drives; in logs it is the default where every log has them.
+    the drives; in logs it is the default where every log has them. A torque that a declared
+    controller holds over its period belongs to the middle of the period, and is shifted there.
 
     Where no `cutoff` (Hz) is given it is 10 times the bandwidth of the recorded motion: the
-    frequency below which a coordinate has 99 % of the power of its rate, in the median; the
-    highest harmonic of a Fourier motion. Positions are filtered at twice the cut-off. Above 0.4
-    times the rate there is no filter. Every `step`-th row is kept, step the integer nearest below
-    0.4 rate / cutoff that divides the period of a periodic motion.
+    frequency below which a coordinate has 99 % of the power of its rate, measured where the log has
+    it, in the median; the highest harmonic of a Fourier motion. Positions are filtered at twice the
+    cut-off. Above 0.4 times the rate there is no filter. Every `step`-th row is kept, step the
+    integer nearest below 0.4 rate / cutoff that divides the period of a periodic motion.
     """
 
     cutoff: float | None = field(default=None, metadata={"unit": "Hz"})
@@ -65,20 +68,31 @@ class Parallel:
     def process(self, recording: Recording, joints: tuple[Joint, ...]) -> ProcessedSignals:
         """Return the motion at its own rate with the measured torque, and the row filter."""
         rate, cutoff = recording.rate, self._cutoff_of(recording)
+        recording = _centred(recording)
         light = processing_of({"derivatives": self.derivatives, "torque": "raw"})
         light = replace(light, filter=_low_pass(self.order, MOTION_CUTOFF * cutoff, rate))
         processed, filter = light.apply(recording, joints), _low_pass(self.order, cutoff, rate)
         step = 1 if isinstance(filter, NoFilter) else _step(processed, cutoff)
-        return ProcessedSignals(
-            processed, RowProcessing(filter, step, self.standstill, self.weight)
-        )
+        rows = RowProcessing(filter, step, self.standstill, self.weight)
+        return ProcessedSignals(processed, rows, light.edge(recording))
 
     def _cutoff_of(self, recording: Recording) -> float:
         """Return the cut-off (Hz) for a recording."""
         if self.cutoff is not None:
             return self.cutoff
-        found = CUTOFF * bandwidth(recording.q, recording.rate)
+        found = CUTOFF * bandwidth(recording.q, recording.rate, recording.v)
         return found if found > 0 else recording.rate
+
+
+def _centred(recording: Recording) -> Recording:
+    """A recording whose torque, held from each sample on for a control period, is that of half a
+    period before: the mean torque around each sample, to first order."""
+    controller = recording.controller
+    if controller is None or not controller.held:
+        return recording
+    share = 0.5 * recording.rate / controller.rate
+    before = np.concatenate([recording.tau[:1], recording.tau[:-1]])
+    return replace(recording, tau=recording.tau + share * (before - recording.tau))
 
 
 def _low_pass(order: int, cutoff: float, rate: float) -> Filter:

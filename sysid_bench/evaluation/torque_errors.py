@@ -1,0 +1,173 @@
+"""Torque errors of an estimate on held-out motions or test recordings: one code for both.
+
+Samples of all motions are pooled. Relative errors are divided by the RMS of the whole torque of the
+same row over the same samples.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.identification.linear.normal_qr import residual_norm
+from sysid_bench.types import Array, Problem
+
+SMALL_JOINT: Final = 0.01
+"""A row whose RMS torque is below this fraction of the largest of its kind is left out of the
+means. Forces and torques, of joints and of a floating base, are kinds of their own
+(`Problem.kinds`)."""
+
+ROUNDING: Final = 1e-12
+"""A row whose RMS torque is below this fraction of the largest of all rows is a rounding error."""
+
+UNTESTED: Final = {"rmse_test": None, "rms": None, "relative": None, "small": True}
+"""Fields of a joint without held-out motions."""
+
+
+def row_rms(problems: list[Problem]) -> Array:
+    """RMS torque of each row (rows,) over all samples, known contributions included; zero where it
+    is a rounding error."""
+    squares = np.array([row_counts(problem) * _torque(problem) ** 2 for problem in problems])
+    rms = np.sqrt(squares.sum(axis=0) / _all_counts(problems))
+    return np.where(rms > ROUNDING * rms.max(initial=0.0), rms, 0.0)
+
+
+def row_counts(problem: Problem) -> Array:
+    """Return the samples of each row (rows,), at least 1: rows at standstill may be left out."""
+    return np.array([max(factor.samples, 1) for factor in problem.factors])
+
+
+def _all_counts(problems: list[Problem]) -> Array:
+    return np.asarray(sum(row_counts(problem) for problem in problems))
+
+
+def _torque(problem: Problem) -> Array:
+    """RMS torque of each row (rows,) of one problem."""
+    if problem.torque is not None:
+        return problem.torque
+    # The last column of R is Q'b, which has the norm of b: Q is orthogonal.
+    norms = np.array([np.linalg.norm(factor.R[:, -1]) for factor in problem.factors])
+    return np.asarray(norms / np.sqrt(row_counts(problem)))
+
+
+@dataclass(frozen=True, eq=False)
+class RowErrors:
+    """Torque errors of `beta` on each row (rows,), over the samples of all `problems`."""
+
+    problems: list[Problem]
+    beta: Array
+
+    @cached_property
+    def errors(self) -> Array:
+        """RMS error."""
+        squares = np.array([residual_norm(p, self.beta) ** 2 for p in self.problems])
+        return np.asarray(np.sqrt(squares.sum(axis=0) / _all_counts(self.problems)))
+
+    @cached_property
+    def rms(self) -> Array:
+        """RMS torque."""
+        return row_rms(self.problems)
+
+    @cached_property
+    def judged_rows(self) -> Array:
+        """Mask of the rows with enough torque to count in means."""
+        # The relative error of a joint that carries hardly any torque is that of its noise.
+        large = np.zeros(len(self.rms), dtype=bool)
+        for of_kind in self._kinds:
+            large[of_kind] = self.rms[of_kind] >= SMALL_JOINT * self.rms[of_kind].max()
+        return np.asarray(large & (self.rms > 0))
+
+    @cached_property
+    def _kinds(self) -> list[Array]:
+        """Mask of the rows of each kind: only their torques have a common unit."""
+        names = np.array(self.problems[0].kinds or ("",) * len(self.rms))
+        return [names == kind for kind in dict.fromkeys(names)]
+
+    @cached_property
+    def relative(self) -> Array:
+        """RMS error over RMS torque; NaN where no unknown or no torque acts."""
+        defined = np.array([len(factor.columns) > 0 for factor in self.problems[0].factors])
+        defined &= self.rms > 0
+        return np.where(defined, self.errors / np.where(defined, self.rms, 1.0), np.nan)
+
+    def relative_of(self, i: int) -> float | None:
+        """Return the relative error of row i; None where it has none."""
+        return float(self.relative[i]) if np.isfinite(self.relative[i]) else None
+
+    @cached_property
+    def judged(self) -> Array:
+        """Relative errors of the rows in `judged_rows`."""
+        return np.asarray(self.relative[self.judged_rows & np.isfinite(self.relative)])
+
+    @property
+    def rms_error(self) -> float:
+        """RMS of all rows' errors."""
+        return float(np.sqrt((self.errors**2).mean()))
+
+    @property
+    def torque_error(self) -> float | None:
+        """RMS of the judged relative errors."""
+        return float(np.sqrt((self.judged**2).mean())) if len(self.judged) else None
+
+    @property
+    def weighted(self) -> float | None:
+        """RMS of the relative errors with each joint weighted by its RMS torque; kinds of rows,
+        whose torques have no common unit, count equally."""
+        rows = [kind & np.isfinite(self.relative) for kind in self._kinds]
+        squares = [
+            np.average(self.relative[part] ** 2, weights=self.rms[part])
+            for part in rows
+            if part.any()
+        ]
+        return float(np.sqrt(np.mean(squares))) if squares else None
+
+    @property
+    def worst(self) -> float | None:
+        """Largest judged relative error."""
+        return float(self.judged.max()) if len(self.judged) else None
+
+
+def torque_figures(
+    tests: Mapping[str, Problem], moving: Mapping[str, Problem], beta: Array
+) -> dict[str, Any]:
+    """Return the errors on test problems and on the same without rows at standstill, as fields of
+    Score; {} without tests."""
+    figures: dict[str, Any] = {}
+    if tests:
+        test = RowErrors(list(tests.values()), beta)
+        figures = {
+            "rmse_test": test.rms_error,
+            "torque_error": test.torque_error,
+            "torque_error_weighted": test.weighted,
+            "torque_error_worst": test.worst,
+            "torque_error_by_motion": {
+                name: RowErrors([problem], beta).torque_error for name, problem in tests.items()
+            },
+        }
+    if moving:
+        errors = RowErrors(list(moving.values()), beta)
+        figures["torque_error_moving"] = errors.torque_error
+    return figures
+
+
+def joint_figures(
+    problem: Problem, tests: Mapping[str, Problem], beta: Array
+) -> Iterator[dict[str, Any]]:
+    """Yield the errors of each row in training and on the tests."""
+    train = RowErrors([problem], beta)
+    test = RowErrors(list(tests.values()), beta) if tests else None
+    for i, name in enumerate(problem.rows):
+        held_out = UNTESTED if test is None else _joint_on_tests(test, i)
+        yield {"name": name, "rmse_train": float(train.errors[i]), **held_out}
+
+
+def _joint_on_tests(test: RowErrors, i: int) -> dict[str, Any]:
+    """Fields of row i on the held-out motions."""
+    return {
+        "rmse_test": float(test.errors[i]),
+        "rms": float(test.rms[i]),
+        "relative": test.relative_of(i),
+        "small": not bool(test.judged_rows[i]),
+    }

@@ -1,0 +1,90 @@
+"""Signals of a recording by the names of its columns: what loggers usually write."""
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+from sysid_bench.signals.log_data import signal_columns
+
+WORDS: Final[Mapping[str, frozenset[str]]] = {
+    "q": frozenset({"q", "pos", "position", "positions", "qpos", "angle", "angles", "state"}),
+    "v": frozenset({"v", "dq", "qd", "vel", "velocity", "velocities", "qvel", "speed"}),
+    "tau": frozenset(
+        {"tau", "torque", "torques", "effort", "efforts", "current", "currents", "curr", "trq"}
+    ),
+    "time": frozenset({"t", "time", "timestamp", "stamp", "times", "seconds"}),
+}
+"""Words in the names of columns, arrays and files by what they hold."""
+
+_OTHER: Final = frozenset(
+    {"ref", "des", "desired", "cmd", "command", "target", "error", "ext", "action", "se", "d"}
+)
+"""Words of columns that are not measured at the joint."""
+
+_SPLIT: Final = re.compile(r"[^A-Za-z]+")
+_CAMEL: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_NUMBER: Final = re.compile(r"(.*?)(\d+)\D*$")
+
+
+def words_of(name: str) -> frozenset[str]:
+    """Return the words of a name in lower case: "data/jointPos_deg_3" has data, joint, pos, deg."""
+    return frozenset(_CAMEL.sub(" ", _SPLIT.sub(" ", name)).lower().split())
+
+
+def holds(name: str, signal: str) -> bool:
+    """Test whether a name says that it holds a measured signal."""
+    words = words_of(name)
+    return bool(words & WORDS[signal]) and not words & _OTHER
+
+
+def time_column(names: Iterable[str]) -> str | None:
+    """Return the column of time stamps: the shortest name with a word for time."""
+    found = [name for name in names if holds(name, "time")]
+    return min(found, key=len, default=None)
+
+
+def columns_of_signal(
+    names: Mapping[str, tuple[int, ...]], signal: str, joints: Sequence[str]
+) -> list[str]:
+    """Return the columns of a signal: by the names of joints, numbered ones, or one array; [] where
+    the names tell none."""
+    fitting = [name for name in names if holds(name, signal)]
+    single = [name for name in fitting if len(names[name]) == 1]
+    usual = signal_columns(names, signal, joints)
+    return (
+        usual
+        or _by_joint(single, joints)
+        or _numbered(single)
+        or [name for name in fitting if len(names[name]) > 1][:1]
+        or single[:1]
+    )
+
+
+def _by_joint(names: Sequence[str], joints: Sequence[str]) -> list[str]:
+    """Return the first column for each joint that some column names, in the order of joints."""
+    longest_first = sorted(joints, key=len, reverse=True)
+    found: dict[str, str] = {}
+    for name in names:
+        joint = next((joint for joint in longest_first if joint in name), None)
+        if joint is not None:
+            found.setdefault(joint, name)
+    return [found[joint] for joint in joints if joint in found]
+
+
+def joints_of_columns(columns: Sequence[str], joints: Sequence[str]) -> list[str] | None:
+    """Return the joint that each column names, None unless each names another one."""
+    longest_first = sorted(joints, key=len, reverse=True)
+    found = [next((joint for joint in longest_first if joint in name), "") for name in columns]
+    return found if all(found) and len(set(found)) == len(found) else None
+
+
+def _numbered(names: Sequence[str]) -> list[str]:
+    """Return the columns of the first stem with several numbers, by number: pos1, pos2, ..."""
+    stems: dict[str, dict[int, str]] = defaultdict(dict)
+    for name in names:
+        found = _NUMBER.match(name)
+        if found is not None and len(found[2]) < 9:
+            stems[found[1]].setdefault(int(found[2]), name)
+    longest = max(stems.values(), key=len, default={})
+    return [longest[number] for number in sorted(longest)] if len(longest) > 1 else []

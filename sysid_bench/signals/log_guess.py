@@ -1,0 +1,298 @@
+"""First description of a recording, guessed from names, numbers and the limits of the robot."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sysid_bench.errors import UsageError, first_names
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.signals import unit_guess
+from sysid_bench.signals.column_names import (
+    columns_of_signal,
+    holds,
+    joints_of_columns,
+    time_column,
+    words_of,
+)
+from sysid_bench.signals.log_description import NO_JOINT
+from sysid_bench.signals.log_keys import SIGNALS
+from sysid_bench.signals.log_presets import fitting_preset, presets
+from sysid_bench.signals.log_table import LogTable, table_of_rows
+from sysid_bench.types import Array
+
+_TORQUES: Final = frozenset({"tau", "torque", "torques", "effort", "efforts", "trq", "nm"})
+"""Words that tell torques from currents."""
+
+
+@dataclass
+class LogGuess:
+    """Keys of a description, a reason for each, and doubts that the user has to settle."""
+
+    keys: dict[str, Any] = field(default_factory=dict)
+    reasons: dict[str, str] = field(default_factory=dict)
+    doubts: list[str] = field(default_factory=list)
+
+    def add(self, key: str, value: Any, reason: str = "") -> None:
+        """Add a key and why it has this value; a reason that is a doubt is listed as one."""
+        self.keys[key] = value
+        self.reasons[key] = reason
+        if reason.startswith("a doubt: "):
+            self.doubts.append(f"{key}: {reason.removeprefix('a doubt: ')}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """Where a signal stands: its file (None: the common one), columns, and numbers (N, k)."""
+
+    columns: list[str] | list[int]
+    values: Array
+    file: str | None = None
+    per_row: int | None = None
+
+
+def guess_log(tables: Sequence[tuple[str, LogTable]], robot: RobotModel) -> LogGuess:
+    """Return the guessed description of files (as written, their tables) of one recording.
+
+    Raises UsageError where no position or no torque can be found.
+    """
+    guess = LogGuess()
+    names = Counter(name for _, table in tables for name in table.names)
+    preset = fitting_preset(names) if len(tables) == 1 else None
+    if preset is not None:
+        _guess_preset(guess, tables[0], robot, preset)
+        return guess
+    joints = scalar_joints(robot)
+    shared = [name for name, count in names.items() if count > 1 and not holds(name, "time")]
+    apart = len(tables) > 1 and bool(shared or _no_time(tables))
+    found = _by_files(tables, joints) if apart else _by_columns(tables, joints)
+    _check_found(found, tables)
+    if not apart:
+        files = [name for name, _ in tables]
+        guess.add("file", files[0] if len(files) == 1 else files)
+    _add_joints(guess, found["q"], joints)
+    rate = _add_time(guess, found, tables)
+    _add_signals(guess, found, robot, rate)
+    return guess
+
+
+def scalar_joints(robot: RobotModel) -> list[str]:
+    """Return the hinges and slides that move independently, in the order of the model."""
+    kinds = {joint.dofs[0]: joint.kind for joint in robot.joints if len(joint.dofs) == 1}
+    return [row for row in robot.torque_rows if kinds.get(row) in ("hinge", "slide")]
+
+
+def _no_time(tables: Sequence[tuple[str, LogTable]]) -> bool:
+    return any(time_column(table.names) is None for _, table in tables)
+
+
+def _guess_preset(
+    guess: LogGuess, file: tuple[str, LogTable], robot: RobotModel, name: str
+) -> None:
+    """Add the keys that a preset leaves open."""
+    joints = scalar_joints(robot)
+    guess.add("file", file[0])
+    guess.add("preset", name, f"the columns are those of {presets()[name]['title']}")
+    numbers = _numbered_columns(presets()[name]["q"]["match"], file[1])
+    guess.add("joints", _sized(joints, numbers), "in the order of the model: check it")
+    if presets()[name]["tau"].get("unit") == "A":
+        reason = "a doubt: currents in A need gains in N m/A (with the gear); 1 is a placeholder"
+        guess.add("tau", {"gain": [1.0] * numbers}, reason)
+
+
+def _numbered_columns(pattern: str, table: LogTable) -> int:
+    return sum(re.fullmatch(pattern, name) is not None for name in table.names)
+
+
+def _sized(joints: Sequence[str], count: int) -> list[str]:
+    """Return the first joints of a robot, "-" for columns beyond them."""
+    return [*joints[:count], *[NO_JOINT] * (count - len(joints))]
+
+
+def _by_columns(
+    tables: Sequence[tuple[str, LogTable]], joints: Sequence[str]
+) -> dict[str, _Columns]:
+    """Return where signals stand in the columns of one file, or of several joined by time."""
+    names: dict[str, tuple[int, ...]] = {}
+    owner: dict[str, LogTable] = {}
+    for _, table in tables:
+        names |= table.names
+        owner |= dict.fromkeys(table.names, table)
+    if not names:
+        return _by_place(tables[0][1], joints)
+    found = {}
+    for signal in (*SIGNALS, "time"):
+        time = time_column(name for name, indices in names.items() if len(indices) == 1)
+        columns = columns_of_signal(names, signal, joints)
+        chosen = ([time] if time else []) if signal == "time" else columns
+        if chosen:
+            same = [name for name in chosen if owner[name] is owner[chosen[0]]]
+            found[signal] = _Columns(same, owner[same[0]].columns(same))
+    return found
+
+
+def _by_place(table: LogTable, joints: Sequence[str]) -> dict[str, _Columns]:
+    """Return where signals stand in columns without names: time where the first one rises, then
+    groups of one column a joint."""
+    values = table.values
+    steps = np.diff(values[:, 0])
+    start = int(len(steps) > 0 and (steps >= 0).mean() > 0.95 and (steps > 0).mean() > 0.5)
+    k = next((k for k in (len(joints), *range(9, 0, -1)) if k and _groups(values, start, k)), 0)
+    if not k:
+        return {}
+    order = SIGNALS if _groups(values, start, k) >= 3 else ("q", "tau")
+    found = {"time": _Columns([1], values[:, :1])} if start else {}
+    for group, signal in enumerate(order):
+        first = start + group * k
+        found[signal] = _Columns(
+            list(range(first + 1, first + k + 1)), values[:, first : first + k]
+        )
+    return found
+
+
+def _groups(values: Array, start: int, k: int) -> int:
+    """Return the number of groups of k columns behind `start`, 0 unless at least two fill them."""
+    groups, rest = divmod(values.shape[1] - start, k)
+    return groups if groups >= 2 and rest == 0 else 0
+
+
+def _by_files(tables: Sequence[tuple[str, LogTable]], joints: Sequence[str]) -> dict[str, _Columns]:
+    """Return where signals stand, one file each, by the names of the files."""
+    found = {}
+    for signal in (*SIGNALS, "time"):
+        for file, table in tables:
+            if holds(Path(file).stem, signal) and signal not in found:
+                found[signal] = _whole_file(file, table, signal, joints)
+    return found
+
+
+def _whole_file(file: str, table: LogTable, signal: str, joints: Sequence[str]) -> _Columns:
+    """Return the columns of a file of one signal; one column is a list of samples."""
+    if table.values.shape[1] == 1 and signal != "time":
+        k = len(joints)
+        values = table_of_rows(table, k).values
+        return _Columns(list(range(1, k + 1)), values, file, k)
+    time = time_column(table.names) if signal != "time" else None
+    left = table.names.get(time or "", ())
+    indices = [i for i in range(table.values.shape[1]) if i not in left]
+    return _Columns([i + 1 for i in indices], table.values[:, indices], file)
+
+
+def _check_found(found: dict[str, _Columns], tables: Sequence[tuple[str, LogTable]]) -> None:
+    """Raise UsageError where positions or torques were not found."""
+    missing = {"q": "positions", "tau": "torques or currents"}
+    absent = [text for signal, text in missing.items() if signal not in found]
+    if absent:
+        names = [name for _, table in tables for name in table.names]
+        listed = (
+            f"its columns are {first_names(names, 8)}" if names else "its columns have no names"
+        )
+        raise UsageError(
+            f"{', '.join(file for file, _ in tables)}: no {' and no '.join(absent)} can be told: "
+            f"{listed}. A log needs positions and torques (or motor currents); name all its "
+            "files, or write the description by hand: joints, q = { columns = [...] }, tau."
+        )
+
+
+def _add_joints(guess: LogGuess, q: _Columns, joints: Sequence[str]) -> None:
+    count = q.values.shape[1]
+    named = joints_of_columns([str(column) for column in q.columns], joints)
+    if named is not None and len(named) == count:
+        guess.add("joints", named, "their names are in those of the columns")
+        return
+    reason = "in the order of the model: check it"
+    if count != len(joints):
+        reason = f"a doubt: {count} columns for the {len(joints)} joints of the model: check them"
+    guess.add("joints", _sized(joints, count), reason)
+
+
+def _add_time(
+    guess: LogGuess, found: dict[str, _Columns], tables: Sequence[tuple[str, LogTable]]
+) -> float:
+    """Add time stamps or the rate; return the rate (Hz)."""
+    if "time" in found:
+        time = found["time"]
+        unit, reason = unit_guess.time_unit(time.values[:, 0])
+        file = {} if time.file is None else {"file": time.file}
+        guess.add("time", {"column": time.columns[0], "unit": unit, **file}, reason)
+        steps = np.diff(time.values[:, 0]) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+        return 1.0 / float(np.median(steps[steps > 0])) if (steps > 0).any() else 200.0
+    stated = next((table.rate for _, table in tables if table.rate), None)
+    measured = None
+    if "v" in found and found["q"].values.shape == found["v"].values.shape:
+        measured = unit_guess.measured_rate(found["q"].values, found["v"].values)
+    if stated:
+        guess.add("rate", f"{stated:g} Hz", "the file states it")
+    elif measured:
+        reason = "a doubt: no time stamps; v and the differences of q agree at this rate"
+        guess.add("rate", f"{measured:.4g} Hz", reason)
+    else:
+        guess.add("rate", "200 Hz", "a doubt: nothing tells the rate: write that of the recorder")
+    return stated or measured or 200.0
+
+
+def _add_signals(
+    guess: LogGuess, found: dict[str, _Columns], robot: RobotModel, rate: float
+) -> None:
+    """Add q, v and tau with their units."""
+    q = found["q"]
+    kinds = _kinds(guess.keys["joints"], robot)
+    unit, reason = _position_unit(q, guess.keys["joints"], robot)
+    units = [unit if kind == "hinge" else "m" for kind in kinds]
+    guess.add("q", _signal(q, units), reason)
+    scale = np.where(
+        [kind == "hinge" for kind in kinds], np.pi / 180 if unit == "deg" else 1.0, 1.0
+    )
+    v = found.get("v")
+    if v is not None and v.values.shape == q.values.shape:
+        unit_v, reason = unit_guess.velocity_unit(q.values * scale, v.values, rate, unit)
+        guess.add("v", _signal(v, [unit_v if kind == "hinge" else "m/s" for kind in kinds]), reason)
+    _add_torque(guess, found["tau"], q, kinds)
+
+
+def _add_torque(guess: LogGuess, tau: _Columns, q: _Columns, kinds: Sequence[str]) -> None:
+    k = q.values.shape[1]
+    if tau.values.shape[1] != k:
+        raise UsageError(
+            f"{k} columns of positions, but {tau.values.shape[1]} of torques: "
+            f"{first_names(map(str, tau.columns), 8)}; write the description by hand."
+        )
+    name = " ".join([tau.file or "", *map(str, tau.columns)])
+    if holds(name, "tau") and "curr" in name.lower():
+        reason = (
+            "a doubt: currents need gains in N m/A, and ratio for a motor's; 1 is a placeholder"
+        )
+        guess.add("tau", {**_signal(tau, ["A"]), "gain": [1.0] * k}, reason)
+        return
+    units = ["N m" if kind == "hinge" else "N" for kind in kinds]
+    reason = "torques, by their names: of motors, give ratio; of currents, unit A and gain"
+    if not words_of(name) & _TORQUES:
+        reason = "a doubt: taken for torques of joints; for currents write unit A and gain, ratio"
+    guess.add("tau", _signal(tau, units), reason)
+
+
+def _signal(found: _Columns, units: Sequence[str]) -> dict[str, Any]:
+    """Return the keys of a signal; one unit where all joints have the same."""
+    unit = units[0] if len(set(units)) == 1 else list(units)
+    own = {"file": found.file, "per_row": found.per_row}
+    kept = {key: value for key, value in own.items() if value is not None}
+    return {**kept, "columns": list(found.columns), "unit": unit}
+
+
+def _kinds(joints: Sequence[str], robot: RobotModel) -> list[str]:
+    kinds = {joint.dofs[0]: joint.kind for joint in robot.joints if len(joint.dofs) == 1}
+    return [kinds.get(joint, "hinge") for joint in joints]
+
+
+def _position_unit(q: _Columns, joints: Sequence[str], robot: RobotModel) -> tuple[str, str]:
+    """Return the unit of the hinges, and the reason."""
+    kinds = _kinds(joints, robot)
+    hinges = [i for i, kind in enumerate(kinds) if kind == "hinge"]
+    known = [robot.rows.index(joints[i]) for i in hinges if joints[i] != NO_JOINT]
+    low, high = robot.limits.q_low[known], robot.limits.q_high[known]
+    name = " ".join(map(str, q.columns))
+    return unit_guess.position_unit(q.values[:, hinges], low, high, name)

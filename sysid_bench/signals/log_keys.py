@@ -1,0 +1,140 @@
+"""Keys of a log description as written, with their types; pydantic checks them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from sysid_bench.errors import UsageError, unknown_name
+
+SIGNALS: Final = ("q", "v", "tau")
+
+
+def _one_or_more(value: Any) -> Any:
+    return tuple(value) if isinstance(value, (list, tuple)) else (value,)
+
+
+_Several = BeforeValidator(_one_or_more)
+_Column = Annotated[int | str, Field(union_mode="left_to_right")]
+
+
+def _is_list_of_lists(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(row, list) for row in value)
+
+
+def _matrix(value: Any) -> Any:
+    if not _is_list_of_lists(value):
+        raise ValueError("must be a list of rows, [[1, 0], [1, 1]]")
+    return tuple(tuple(row) for row in value)
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True, strict=True)
+
+
+class Signal(_Table):
+    """Columns of one signal, in the order of `joints`; one number of a setting serves all joints.
+
+    q, v = raw unit gain / ratio + offset; tau = raw unit gain ratio + offset, with `offset` in SI
+    and in the joint's coordinate. Instead of `columns`, `match`: a regular expression of their
+    names, in the order of the number that its group finds. `resample`: at stamps of another file
+    the signal is interpolated ("linear"), or holds its last value ("previous": commands).
+    """
+
+    columns: Annotated[tuple[_Column, ...], _Several] = ()
+    match: str | None = None
+    unit: Annotated[tuple[str, ...], _Several] | None = None
+    gain: Annotated[tuple[float, ...], _Several] = (1.0,)
+    ratio: Annotated[tuple[float, ...], _Several] = (1.0,)
+    offset: Annotated[tuple[float, ...], _Several] = (0.0,)
+    file: str | None = None  # where this signal has a file of its own
+    reader: str | dict[str, Any] | None = None  # of that file
+    per_row: Annotated[int, Field(gt=0)] | None = None  # of a file with one number a line
+    resample: Literal["linear", "previous"] = "linear"
+
+    @model_validator(mode="after")
+    def _names_columns_once(self) -> "Signal":
+        if bool(self.columns) == bool(self.match):
+            raise ValueError("needs columns = [...], or match = '...' instead")
+        return self
+
+
+class Time(_Table):
+    """Column of time stamps, or several that are added up, such as seconds and nanoseconds."""
+
+    column: Annotated[tuple[_Column, ...], _Several]
+    unit: Annotated[tuple[str, ...], _Several] = ("s",)
+    file: str | None = None
+    reader: str | dict[str, Any] | None = None
+
+
+def _time(value: Any) -> Any:
+    return value if isinstance(value, (Mapping, Time)) else {"column": value}
+
+
+_TimeKey = Annotated[Time | None, BeforeValidator(_time)]
+
+
+class Source(_Table):
+    """One of several files of a recording, with its own clock: `offset` is added to its stamps."""
+
+    file: str
+    reader: str | dict[str, Any] | None = None
+    time: _TimeKey = None
+    offset: str | float = 0.0
+
+
+def _files(value: Any) -> Any:
+    if not isinstance(value, list):
+        return value
+    return tuple({"file": one} if isinstance(one, str) else one for one in value)
+
+
+class LogKeys(_Table):
+    """Keys of the file as written."""
+
+    file: Annotated[
+        str | Annotated[tuple[Source, ...], Field(min_length=1)] | None, BeforeValidator(_files)
+    ] = None
+    reader: str | dict[str, Any] | None = None
+    rate: str | float | None = None
+    time: _TimeKey = None
+    period: str | float | None = None
+    joints: Annotated[tuple[str, ...], _Several]
+    q: Signal
+    v: Signal | None = None
+    tau: Signal
+    transmission: Annotated[tuple[tuple[float, ...], ...], BeforeValidator(_matrix)] | None = None
+    payload: str | dict[str, Any] | None = None
+    rows: tuple[int, int] | None = Field(default=None, strict=False)
+    locked: dict[str, float] = Field(default_factory=dict)
+
+
+def valid_keys(text: Mapping[str, Any], source: Path, advice: str = "") -> LogKeys:
+    """Return the keys once their names and types fit; raises UsageError with all mistakes, and
+    `advice` where a signal is missing."""
+    try:
+        return LogKeys.model_validate(text)
+    except ValidationError as error:
+        lines = "; ".join(dict.fromkeys(_line(problem) for problem in error.errors()))
+        raise UsageError(f"{source}: {lines}.{advice}") from error
+
+
+def _line(problem: Any) -> str:
+    """Return one sentence for one error of pydantic."""
+    key = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        error = unknown_name("key of a log description", key, _known_keys(problem["loc"]))
+        return str(error).rstrip(".")
+    if problem["type"] == "missing":
+        return f"{key} is missing"
+    return f"{key}: {problem['msg'].removeprefix('Value error, ')}"
+
+
+def _known_keys(path: tuple[Any, ...]) -> set[str]:
+    if len(path) == 1:
+        return {*LogKeys.model_fields, "preset"}
+    tables: dict[Any, type[BaseModel]] = {"time": Time, "file": Source}
+    place = ".".join(str(part) for part in path[:-1])
+    return {f"{place}.{key}" for key in tables.get(path[0], Signal).model_fields}

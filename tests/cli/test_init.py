@@ -1,0 +1,198 @@
+"""Law of init: what it writes is accepted by the next command, and nothing is written over."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from sysid_bench import init_estimator, init_log, init_model, init_suite, plan
+from sysid_bench.cli import main
+from sysid_bench.errors import SysidBenchError, UsageError
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.package_file import package_file
+from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_description import read_description
+from sysid_bench.verbs.check_plugin import check_plugin
+from tests.robots import named_robot
+from tests.signals.logs import recorded
+
+TWO = """<robot name="two"><link name="base"/><link name="a"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j1" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="0" velocity="1"/></joint></robot>"""
+
+FORMATS = ("csv", "csv deg", "csv ms", "bare", "npz", "parquet")
+
+
+def written(folder: Path, kind: str) -> Path:
+    """A recording of ur5 in a usual layout."""
+    log = recorded(named_robot("ur5"), period=2.0)
+    scale, unit = (180 / np.pi, 1e3 if kind == "csv ms" else 1.0)
+    q, v = (log.q, log.v) if kind != "csv deg" else (log.q * scale, log.v * scale)
+    table = np.column_stack([log.t * unit, q, v, log.tau])
+    words = {"csv": ("q_{}", "v_{}", "tau_{}"), "csv deg": ("pos{}", "vel{}", "torque{}")}
+    signals = words.get(kind, ("{}_position", "{}_velocity", "{}_effort"))
+    joints = range(1, 7) if kind == "csv deg" else log.joints
+    names = ["time", *(signal.format(joint) for signal in signals for joint in joints)]
+    if kind == "npz":
+        np.savez(folder / "run.npz", t=log.t, qpos=q, qvel=v, torque=log.tau)
+        return folder / "run.npz"
+    if kind == "parquet":
+        pd.DataFrame(table, columns=names).to_parquet(folder / "run.parquet")
+        return folder / "run.parquet"
+    header = "" if kind == "bare" else ",".join(names)
+    np.savetxt(folder / "run.csv", table, delimiter=",", header=header, comments="")
+    return folder / "run.csv"
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_a_guessed_description_is_accepted(kind: str, tmp_path: Path) -> None:
+    file = written(tmp_path, kind)
+    result = init_log(file, "ur5")
+    path = tmp_path / "run.toml"
+    assert result.file == str(path)
+    log = read_log(read_description(path), named_robot("ur5"))
+    source = recorded(named_robot("ur5"), period=2.0)
+    np.testing.assert_allclose(log.recording.tau, source.tau, atol=1e-6 * np.abs(source.tau).max())
+    np.testing.assert_allclose(log.recording.q, source.q, atol=1e-6)
+    assert [finding for finding in log.findings if finding.contradiction] == []
+    keys = tomllib.loads(path.read_text())
+    assert keys["q"]["unit"] == ("deg" if kind == "csv deg" else "rad")
+    with pytest.raises(UsageError, match=r"exists.*--force"):
+        init_log(file, "ur5")
+    init_log(file, "ur5", force=True)
+
+
+def test_doubts_are_written_and_printed(tmp_path: Path) -> None:
+    log = recorded(named_robot("ur5"), period=2.0)
+    names = [f"{s}{j}" for s in ("q", "current") for j in range(1, 7)]
+    frame = pd.DataFrame(np.hstack([log.q, log.tau]), columns=names)
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    command = ["init", "log", str(tmp_path / "run.csv"), "--model", "ur5"]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 0, result.output
+    assert "doubt: rate: nothing tells the rate" in result.output
+    assert "doubt: tau: currents need gains" in result.output
+    text = (tmp_path / "run.toml").read_text()
+    assert text.count("# DOUBT: ") == 2
+    assert tomllib.loads(text)["tau"]["gain"] == [1.0] * 6
+    CliRunner().invoke(main, [*command, "--force"])
+    read_log(read_description(tmp_path / "run.toml"), named_robot("ur5"))
+
+
+def test_a_recording_without_torques_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "run.npz", t=np.arange(50.0), q=np.zeros((50, 6)))
+    with pytest.raises(UsageError, match=r"no torques or currents.*t, q, q:1"):
+        init_log(tmp_path / "run.npz", "ur5")
+    assert not (tmp_path / "run.toml").exists()
+
+
+def robots() -> list[Path]:
+    """Model files of the package of example robots."""
+    file, _ = package_file("example-robot-data:ur_description/urdf/ur5_robot.urdf", "ur5")
+    return sorted(file.parents[2].rglob("*.urdf"))
+
+
+@pytest.mark.parametrize("part", [0, 1, pytest.param(None, marks=pytest.mark.long)])
+def test_every_example_robot_is_written_or_refused_with_advice(
+    part: int | None, tmp_path: Path
+) -> None:
+    chosen = robots() if part is None else robots()[part::30]
+    refusals = [text for i, file in enumerate(chosen) if (text := refusal(file, tmp_path / str(i)))]
+    known = ("no moving joint", "no <link>", "xacro")
+    assert [text for text in refusals if not any(words in text for words in known)] == []
+    assert len(refusals) < len(chosen)
+
+
+def refusal(file: Path, folder: Path) -> str:
+    """Why no robot was written; "" for one that was, and loads with its joints."""
+    try:
+        result = init_model(file, folder)
+    except SysidBenchError as error:
+        return str(error)
+    assert list(load_robot(find_manifest(str(folder))).torque_rows) == result.joints
+    return ""
+
+
+def test_limits_macros_and_meshes_are_met_with_advice(tmp_path: Path) -> None:
+    file = tmp_path / "two.urdf"
+    file.write_text(TWO)
+    result = init_model(file, tmp_path / "two")
+    assert any('effort="0" stands for an absent limit' in text for text in result.warnings)
+    with pytest.raises(UsageError, match="exists"):
+        init_model(file, tmp_path / "two")
+    heavy = TWO.replace('mass value="1"', 'mass value="1e6"').replace('upper="1"', 'upper="180"')
+    file.write_text(heavy)
+    doubts = " ".join(init_model(file, tmp_path / "two", force=True).warnings)
+    assert "masses in kg" in doubts
+    assert "in degrees" in doubts
+    macro = tmp_path / "two.urdf.xacro"
+    macro.write_text(TWO)
+    with pytest.raises(UsageError, match=r"write it out with ROS, xacro two\.urdf\.xacro"):
+        init_model(macro, tmp_path / "macro")
+    mjcf = tmp_path / "two.xml"
+    mjcf.write_text(
+        '<mujoco><asset><mesh name="m" file="absent.stl"/></asset><worldbody><body><joint/>'
+        '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(UsageError, match="put the mesh files beside the model"):
+        init_model(mjcf, tmp_path / "mesh")
+
+
+def test_a_suite_and_an_estimator_pass_their_checks(tmp_path: Path) -> None:
+    assert len(plan(init_suite("scara", tmp_path / "first.toml").file).cells) == 8
+    result = init_estimator("Mine", tmp_path / "mine.py")
+    answer = check_plugin(f"file:{result.file}:Mine", kind="estimator")
+    assert answer.broken == []
+    with pytest.raises(UsageError, match="cannot be its name"):
+        init_estimator("2 words", tmp_path / "x.py")
+    with pytest.raises(UsageError, match="exists"):
+        init_suite("scara", tmp_path / "first.toml")
+
+
+SETS = {
+    "ur10/ur10_exciting_trajectory.csv": "ur10",
+    "ur10_cb3/ur10_exciting_trajectory.db3": "ur10",
+    "fer/panda_exciting_trajectory.db3": "panda",
+    "tiago/tiago_position.csv tiago/tiago_velocity.csv tiago/tiago_effort.csv": (
+        "robots/pal_tiago__tiago.xml"
+    ),
+    "tx40/pos_read_data.csv tx40/curr_data.csv": "tx40",
+    "panda_gaz/exciting_traj_positions.txt panda_gaz/exciting_traj_velocity.txt "
+    "panda_gaz/exciting_traj_torques.txt panda_gaz/exciting_traj_time.txt": (
+        "robots/franka_emika_panda__panda_nohand.xml"
+    ),
+    "dvrk/psm_train.csv": "dvrk_psm",
+    "dvrk/mtm_train.csv": "dvrk_mtm",
+    "kr300/traj_A.parquet": "ur10",
+    "kr300/traj_A.mat": "ur10",
+    "ur10e/ur-20_02_10-30sec_12harm.csv": "robots/universal_robots_ur10e__ur10e.xml",
+}
+"""Recorded files of one robot, and a model with its joints."""
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("files", SETS)
+def test_recordings_of_real_robots_are_described(
+    files: str, data_folder: Path, tmp_path: Path
+) -> None:
+    model = SETS[files]
+    model = str(data_folder / model) if "/" in model else model
+    result = init_log([data_folder / file for file in files.split()], model, tmp_path / "a.toml")
+    log = read_log(read_description(tmp_path / "a.toml"), load_robot(find_manifest(model)))
+    contradictions = {finding.text for finding in log.findings if finding.contradiction}
+    assert contradictions <= set(result.doubts)
+    assert all(f"--accept {f.name}" in result.next for f in log.findings if f.contradiction)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("file", ["go2/run_0.npz", "formats_generated/lerobot_v3"])
+def test_recordings_without_torque_are_refused(
+    file: str, data_folder: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(UsageError, match="no torques or currents"):
+        init_log(data_folder / file, data_folder / "go2" / "go2.xml", tmp_path / "a.toml")
