@@ -38,12 +38,12 @@ class OwnRows:
 
     @cached_property
     def _links(self) -> Array:
-        return self.evidence.regressor(self.motion) * self.evidence.link_spreads
+        return np.asarray(self.evidence.regressor(self.motion) * self.evidence.link_spreads)
 
     @cached_property
     def folds(self) -> Array:
         """Part (N,) of the time of each sample."""
-        return np.arange(len(self.motion)) * FOLDS // len(self.motion)
+        return np.asarray(np.arange(len(self.motion)) * FOLDS // len(self.motion))
 
     def friction(self, j: int) -> Array:
         """Columns (N, 3) of viscous and Coulomb friction and offset."""

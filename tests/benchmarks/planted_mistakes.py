@@ -71,7 +71,8 @@ def _times(q: float = 1.0, v: float = 1.0, tau: float = 1.0, every: bool = False
 
     def planted(s: Signals, j: int, rng: np.random.Generator) -> Signals:
         part = slice(None) if every else slice(j, j + 1)
-        new = {"q": s.q.copy(), "tau": s.tau.copy(), "v": None if s.v is None else s.v.copy()}
+        new: dict[str, Any] = {name: getattr(s, name) for name in ("q", "v", "tau")}
+        new = {name: None if x is None else x.copy() for name, x in new.items()}
         for name, factor in (("q", q), ("v", v), ("tau", tau)):
             column = new[name]
             if column is not None:
@@ -88,15 +89,16 @@ def _exchange(*signals: str) -> Change:
         order = list(range(len(s.joints)))
         i = (j + 1) % len(order)
         order[i], order[j] = j, i
-        new = {name: getattr(s, name) for name in signals}
-        return replace(s, **{n: None if x is None else x[:, order] for n, x in new.items()})
+        new: dict[str, Any] = {name: getattr(s, name) for name in signals}
+        new = {name: None if x is None else x[:, order] for name, x in new.items()}
+        return replace(s, **new)
 
     return planted
 
 
 def _late(seconds: float) -> Change:
     def late(x: Array, j: int, s: Signals) -> Array:
-        return np.interp(_time(s) - seconds, _time(s), x)
+        return np.asarray(np.interp(_time(s) - seconds, _time(s), x))
 
     return _tau(late)
 
@@ -111,7 +113,7 @@ def _without_v(change: Change) -> Change:
 
 def _clip(x: Array, j: int, s: Signals) -> Array:
     middle, reach = 0.5 * (x.max() + x.min()), 0.4 * 0.5 * np.ptp(x)
-    return np.clip(x, middle - reach, middle + reach)
+    return np.asarray(np.clip(x, middle - reach, middle + reach))
 
 
 def _hold(x: Array, j: int, s: Signals) -> Array:
@@ -265,7 +267,7 @@ MISTAKES: Final = (
 
 def write(folder: Path, signals: Signals) -> Path:
     """The recording as a file with its description."""
-    arrays = {"t": signals.t, "q": signals.q, "tau": signals.tau}
+    arrays: dict[str, Any] = {"t": signals.t, "q": signals.q, "tau": signals.tau}
     k = len(signals.joints)
     names = {s: [f"{s}:{i + 1}" for i in range(k)] for s in ("q", "v", "tau")}
     text: dict[str, Any] = {"file": "run.npz", "joints": list(signals.joints)}
@@ -315,7 +317,7 @@ def _stacked(e: Evidence) -> tuple[Array, Array, Array]:
 
 
 def _unweighted(x: Array, rms: Array) -> Array:
-    return x.reshape(-1, len(rms)) * rms
+    return np.asarray(x.reshape(-1, len(rms)) * rms)
 
 
 @dataclass(frozen=True)
