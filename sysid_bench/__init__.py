@@ -6,6 +6,7 @@ each returns a frozen result that also reads as a mapping:
     verdict, = sysid_bench.crosscheck("ur5")
     sysid_bench.identify("ur5", "link", "box-2kg").bodies
     sysid_bench.identify("ur5", log="run.toml", test="other.toml").torque_error
+    print(sysid_bench.diagnose("run.toml", "ur5").summary())
     sysid_bench.excite(sysid_bench.ExciteRequest("ur5", objective="D", out="motion.csv"))
 
 Public import paths are `sysid_bench`, `sysid_bench.types` (arrays, problems, estimates), and the
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from sysid_bench.verbs.catalogue import ShowResult, list_, show
     from sysid_bench.verbs.check_plugin import CheckPluginResult, check_plugin
     from sysid_bench.verbs.crosscheck import CrosscheckResult, crosscheck
+    from sysid_bench.verbs.diagnose import DiagnoseRequest, DiagnoseResult, diagnose
     from sysid_bench.verbs.doctor import DoctorResult, doctor
     from sysid_bench.verbs.excite import ExciteRequest, ExciteResult, excite
     from sysid_bench.verbs.folders import open_run
@@ -51,6 +53,7 @@ _PUBLIC: Final = {
     "verbs.catalogue": ("ShowResult", "list_", "show"),
     "verbs.check_plugin": ("CheckPluginResult", "check_plugin"),
     "verbs.crosscheck": ("CrosscheckResult", "crosscheck"),
+    "verbs.diagnose": ("DiagnoseRequest", "DiagnoseResult", "diagnose"),
     "verbs.doctor": ("DoctorResult", "doctor"),
     "verbs.excite": ("ExciteRequest", "ExciteResult", "excite"),
     "verbs.folders": ("open_run",),
@@ -75,15 +78,15 @@ _PUBLIC: Final = {
 _MODULE: Final = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
-    "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult", "DoctorResult",
-    "ExciteRequest", "ExciteResult", "IdentifyResult", "InitFileResult",
-    "InitLogResult", "InitRobotResult", "MergeResult",
-    "PlanResult", "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult",
-    "SimulatedRequest", "SimulatedResult", "StatusResult",
-    "basis", "cell", "check_plugin", "crosscheck", "doctor", "excite", "identify",
-    "init_estimator", "init_log", "init_model", "init_robot", "init_suite",
-    "list_", "load_robot", "log_of", "merge", "open_run", "paper_table", "plan", "record", "report",
-    "run", "show", "status", "table", "view",
+    "BasisResult", "CellResult", "CheckPluginResult", "CrosscheckResult", "DiagnoseRequest",
+    "DiagnoseResult", "DoctorResult", "ExciteRequest", "ExciteResult", "IdentifyResult",
+    "InitFileResult", "InitLogResult", "InitRobotResult", "MergeResult", "PlanResult",
+    "RecordedRequest", "RecordedResult", "Result", "RunResult", "ShowResult", "SimulatedRequest",
+    "SimulatedResult", "StatusResult",
+    "basis", "cell", "check_plugin", "crosscheck", "diagnose", "doctor", "excite", "identify",
+    "init_estimator", "init_log", "init_model", "init_robot", "init_suite", "list_", "load_robot",
+    "log_of", "merge", "open_run", "paper_table", "plan", "record", "report", "run", "show",
+    "status", "table", "view",
 ]  # fmt: skip
 
 

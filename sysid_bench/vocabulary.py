@@ -11,10 +11,11 @@ MOTOR: Final = "motor"
 """Prefix of motor names (motor1, motor2, ... in the order of the columns of G) and of the terms of
 motors instead of joints."""
 FINDINGS: Final = (
-    "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits",
-    "joined",
+    "rate", "velocity", "units", "held", "lost", "non-finite", "time", "limits", "joined",
+    "zero", "copied", "sign", "columns", "direction", "gain", "gravity", "offset", "robot", "delay",
 )  # fmt: skip
-"""Findings in a recording that a user can accept."""
+"""Findings in a recording that a user can accept: those of the reader, then those of a diagnosis.
+"""
 STATUSES: Final = (
     "ok", "failed", "timeout", "crash", "memory", "lost", "unsupported", "skipped",
 )  # fmt: skip

@@ -50,6 +50,8 @@ MAP: dict[str, frozenset[str]] = {
     "simulation": frozenset({"models"}),
     "identification": frozenset({"identifiability"}),
     "evaluation": BELOW_EVALUATION,
+    # Recordings are judged without any estimator: what is tested on them must not vouch for them.
+    "diagnosis": frozenset({"models", "regressors", "signals"}),
     # Conformance of plug-ins is measured with the metrics of evaluation, never the reverse.
     "conformance": BELOW_EVALUATION | {"evaluation", "experiments"},
     "experiments": BELOW_EVALUATION | {"evaluation"},

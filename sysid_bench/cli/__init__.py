@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from sysid_bench.cli import catalogue_commands as catalogue
+from sysid_bench.cli import diagnose_commands as diagnosis
 from sysid_bench.cli import identify_commands as identification
 from sysid_bench.cli import init_commands as start
 from sysid_bench.cli import motion_commands as motions
@@ -54,7 +55,8 @@ def main(ctx: click.Context, debug: bool) -> None:
 
 
 for _command in (
-    robots.crosscheck, robots.basis, identification.identify, motions.excite, start.init,
+    robots.crosscheck, robots.basis, identification.identify, diagnosis.diagnose,
+    motions.excite, start.init,
     catalogue.list_, catalogue.show,
     suites.plan, suites.run, suites.merge,
     results.status, results.cell, results.table, results.report, results.record, results.view,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from sysid_bench.reporting.figures import new_figure, write_figure
+from sysid_bench.reporting.figures import new_figure, svg_of, write_figure
 from sysid_bench.types import Array
 
 if TYPE_CHECKING:
@@ -25,6 +25,13 @@ def torque_figure(
     """Draw t (N,), measured and predicted (N, rows) into a .pdf or .svg file, the same bytes every
     time; the error is dashed. Raises UsageError for another suffix."""
     return write_figure(lambda: _figure(t, rows, measured, predicted, units), path)
+
+
+def torque_svg(
+    t: Array, rows: Sequence[str], measured: Array, predicted: Array, units: Sequence[str]
+) -> str:
+    """Draw the same figure as an <svg> element to put into a page."""
+    return svg_of(lambda: _figure(t, rows, measured, predicted, units))
 
 
 def _figure(

@@ -35,6 +35,7 @@ class Log:
 
     `measured_rate` (Hz): the rate at which v and the differences of q agree, None where they do
     not. `coordinates`: all recorded coordinates, where a transmission mixes joints with others.
+    `raw`: samples of the file in SI, joint side, in the order of the description.
     """
 
     description: LogDescription
@@ -44,6 +45,7 @@ class Log:
     measured_rate: float | None
     samples: int  # of the file, before resampling
     coordinates: Recording | None = None
+    raw: Samples | None = None
 
 
 def read_log(description: LogDescription, robot: RobotModel) -> Log:
@@ -81,6 +83,7 @@ def read_log(description: LogDescription, robot: RobotModel) -> Log:
         measured_rate=measured_rate,
         samples=len(raw),
         coordinates=_coordinates(description, raw, grid),
+        raw=raw,
     )
 
 

@@ -12,19 +12,7 @@ import numpy as np
 
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.types import Array
-
-NAMES: Final = (
-    "rate",
-    "velocity",
-    "units",
-    "held",
-    "lost",
-    "non-finite",
-    "time",
-    "limits",
-    "joined",
-)
-"""Names of findings, for `--accept`."""
+from sysid_bench.vocabulary import FINDINGS
 
 _AGREES: Final = 0.98
 """Correlation of travelled and integrated distances above which a joint counts for the rate."""
@@ -57,7 +45,7 @@ FASTEST: Final = {"hinge": 50.0, "slide": 20.0}
 
 @dataclass(frozen=True)
 class Finding:
-    """Observation made `count` times in a recording; `name` is one of NAMES."""
+    """Observation made `count` times in a recording; `name` is one of FINDINGS."""
 
     name: str
     count: int
@@ -75,8 +63,8 @@ def check_findings(findings: Sequence[Finding], accepted: Sequence[str], where: 
 
 
 def _check_name(name: str) -> None:
-    if name not in NAMES:
-        raise unknown_name("finding", name, NAMES, "Give --accept the names to let pass.")
+    if name not in FINDINGS:
+        raise unknown_name("finding", name, FINDINGS, "Give --accept the names to let pass.")
 
 
 def _refusal(refused: Sequence[Finding], where: str) -> UsageError:

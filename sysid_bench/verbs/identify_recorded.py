@@ -29,6 +29,7 @@ from sysid_bench.signals.pipeline_choice import default_of_logs
 from sysid_bench.tasks.task import find_task
 from sysid_bench.types import Array, Estimate
 from sysid_bench.verbs.constraint_costs import constraint_costs
+from sysid_bench.verbs.diagnose import refuse_contradictions
 from sysid_bench.verbs.estimate_fields import estimate_fields, warnings_of
 from sysid_bench.verbs.identify_request import IdentifyRequest
 from sysid_bench.verbs.log_warnings import (
@@ -96,12 +97,14 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
     manifest = find_manifest(request.model, request.robots_dir)
     _check_targets(request, manifest)
     posed = prepare_recordings(manifest, training, tests, _options(request))
+    doubts = refuse_contradictions(posed.source.logs, request.accept)
     estimate = estimate_parameters(method, posed.problem, posed.experiment)
     if estimate.status != "ok" or estimate.beta is None:
         raise EstimationError(
             f"{_estimator(request)} on {manifest.name}: {estimate.reason}{_no_prior(posed)}"
         )
     result = _result(request, manifest, posed, estimate, estimate.beta)
+    result = replace(result, warnings=[*result.warnings, *doubts])
     if request.figure is not None:
         _draw(request.figure, posed, estimate.beta)
     if request.model_out is None:

@@ -236,7 +236,6 @@ def test_words_are_those_of_the_other_packages() -> None:
     from sysid_bench.metrics import METRICS, names_of
     from sysid_bench.models.manifest import TERMS
     from sysid_bench.reporting.statistic import INTERVALS, STATISTICS
-    from sysid_bench.signals.log_checks import NAMES
 
     assert set(words.TERMS) == set(TERMS)
     of_axes = {words.VERDICT, *names_of("joint")}
@@ -245,7 +244,6 @@ def test_words_are_those_of_the_other_packages() -> None:
     assert {*names_of("cell"), *names_of("repeats"), *of_axes} == set(METRICS)
     assert set(words.LEVEL_AXES) < {metric.level for metric in METRICS.values()}
     assert set(names_of("repeats")) == {"bias", *WITH_BOUND}
-    assert set(words.FINDINGS) == set(NAMES)
     assert set(words.STATISTICS) == set(STATISTICS)
     assert set(words.INTERVALS) == set(INTERVALS)
 

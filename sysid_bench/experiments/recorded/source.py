@@ -35,6 +35,11 @@ class RecordedSource:
     prior: ModelPrior = field(default_factory=ModelPrior)
 
     @property
+    def logs(self) -> tuple[ProcessedLog, ...]:
+        """Training logs, then tests."""
+        return (*self.training, *self.tests.values())
+
+    @property
     def warning(self) -> str:
         """Empty: recordings have no structure to compare their excitation with."""
         return ""

@@ -1,0 +1,111 @@
+"""Terms that the model of the fit lacks, and joints that no model explains."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.finding import NOTE, WARNING, Finding
+from sysid_bench.diagnosis.own_rows import OwnRows
+from sysid_bench.regressors.joint_features import Play
+from sysid_bench.types import Array
+
+WORTH: Final = 0.15
+"""Share of the mean squared error in left-out parts of time from which a term is named."""
+SMALL: Final = 0.05
+"""Relative error of a joint below which nothing is worth a term."""
+WIDTH: Final = 0.01
+"""of the joint's range, for play and hysteresis."""
+SMOOTH: Final = 0.05
+"""rad/s, m/s, of the transition of Coulomb friction."""
+
+
+def missing_terms(evidence: Evidence) -> list[Finding]:
+    """Return for each joint the term that would explain most of what is left, ranked and never
+    summed: terms overlap."""
+    own = OwnRows(evidence)
+    best = [_best_term(own, j) for j in range(evidence.count) if evidence.rms[j] > 0]
+    return sorted((one for one in best if one is not None), key=lambda one: -(one.explains or 0))
+
+
+def unexplained_joints(evidence: Evidence) -> list[Finding]:
+    """Return joints whose torque, in parts of time left out of the fit, friction and offset explain
+    as well as the whole model."""
+    own = OwnRows(evidence)
+    joints = [j for j in range(evidence.count) if evidence.rms[j] > 0]
+    gains = {j: _gain_of_links(own, j) for j in joints}
+    poor = [j for j in joints if gains[j] <= 0]
+    if not poor:
+        return []
+    names = tuple(evidence.joints[j] for j in poor)
+    return [
+        Finding(
+            name="unexplained",
+            severity=WARNING,
+            message=(
+                f"the links explain nothing of the torque of {', '.join(names)} beyond friction "
+                "and offset: its inertial parameters are not in this recording"
+            ),
+            joints=names,
+            edit="move these joints faster or with a payload; check their torque columns",
+            blind="motions that repeat, of which a left-out part is known",
+        )
+    ]
+
+
+def _gain_of_links(own: OwnRows, j: int) -> float:
+    """1 - MSE(model) / MSE(friction and offset) in left-out parts of time."""
+    alone = own.left_out_error(own.friction(j), j)
+    return 1.0 - own.left_out_error(own.columns(j), j) / alone if alone > 0 else 1.0
+
+
+def _best_term(own: OwnRows, j: int) -> Finding | None:
+    start = np.column_stack([own.links(j), own.friction(j)])
+    before = own.left_out_error(start, j)
+    if np.sqrt(before) < SMALL * own.evidence.rms[j]:
+        return None
+    errors = {
+        name: own.left_out_error(np.column_stack([start, column]), j)
+        for name, column in _candidates(own, j)
+    }
+    name = min(errors, key=lambda key: errors[key])
+    share = 1.0 - errors[name] / before
+    return _finding(own.evidence, j, name, share) if share >= WORTH else None
+
+
+def _candidates(own: OwnRows, j: int) -> Iterator[tuple[str, Array]]:
+    m = own.motion
+    q, v = m.q[:, j], m.v[:, j]
+    yield "armature", m.a[:, j]
+    yield "spring", q
+    model = np.linalg.lstsq(own.links(j), own.torque[:, j], rcond=None)[0]
+    yield "load-dependent friction", np.abs(own.links(j) @ model) * np.sign(v)
+    play = Play(WIDTH)
+    yield "play", play.values(q, v, (float(q.min()), float(q.max())))
+    yield "tanh", np.tanh(v / SMOOTH)
+
+
+EDITS: Final = {
+    "armature": "--terms viscous,coulomb,offset,armature",
+    "spring": "--terms viscous,coulomb,offset,spring",
+    "play": "--choose play",
+    "tanh": "--choose tanh",
+    "load-dependent friction": "a feature of your own (--choose FILE.py:Feature)",
+}
+
+
+def _finding(evidence: Evidence, j: int, term: str, share: float) -> Finding:
+    return Finding(
+        name="terms",
+        severity=NOTE,
+        message=(
+            f"{term} would explain {100 * share:.0f} % of the residual of {evidence.joints[j]} "
+            "(parts of time left out of the fit)"
+        ),
+        joints=(evidence.joints[j],),
+        explains=round(share, 3),
+        confidence=0.5,
+        blind="terms overlap: ranked, not summed",
+        edit=EDITS[term],
+    )

@@ -1,0 +1,262 @@
+"""Evidence of a diagnosis: one recording with its robot, prepared once for all checks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.diagnosis.near_model import FREE, NearModel, NearModelFit, near_model, spreads
+from sysid_bench.models.checks.placeholder_inertias import placeholder_reason
+from sysid_bench.models.robot import RobotModel
+from sysid_bench.regressors.coupled import AnyRegression, torque_regression
+from sysid_bench.signals.filters import Butterworth, derivative
+from sysid_bench.signals.log import Log
+from sysid_bench.signals.log_samples import Samples
+from sysid_bench.spatial.inertia import NAMES
+from sysid_bench.types import Array, Trajectory
+
+CUTOFF: Final = 10.0
+"""Hz; robots move below it, see the default filter of recordings."""
+BAND: Final = 0.18
+"""Highest cut-off as a share of the rate: second differences amplify what lies above."""
+OVERSAMPLING: Final = 5.0
+"""Rate after decimation in units of the cut-off."""
+ROWS: Final = 500
+"""Samples of the fits near the model: many fits are made, and neighbouring samples are alike."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """Motion of the recorded joints: q, v, a (N, n), and sign (N, n) of v, filtered like the
+    torque, so that its steps are rounded alike."""
+
+    q: Array
+    v: Array
+    a: Array
+    sign: Array
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def rows(self, rows: slice | Array) -> "JointMotion":
+        """Some of the samples."""
+        return JointMotion(self.q[rows], self.v[rows], self.a[rows], self.sign[rows])
+
+    def turned(self, factors: Array) -> "JointMotion":
+        """The motion with each joint (n,) times a factor, such as -1."""
+        return JointMotion(
+            self.q * factors, self.v * factors, self.a * factors, self.sign * np.sign(factors)
+        )
+
+    def exchanged(self, order: Sequence[int]) -> "JointMotion":
+        """The motion with columns in another order: joint j takes column order[j]."""
+        o = list(order)
+        return JointMotion(self.q[:, o], self.v[:, o], self.a[:, o], self.sign[:, o])
+
+    def moved(self, offset: Array) -> "JointMotion":
+        """The motion with an offset (n,) of the positions."""
+        return replace(self, q=self.q + offset)
+
+    def faster(self, factor: float) -> "JointMotion":
+        """The motion at another rate: v times a factor, a times its square."""
+        return replace(self, v=self.v * factor, a=self.a * factor**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """One recording and its robot. Joints are those of the log, in its order (n).
+
+    Rows of `torque` and `motion` are filtered and decimated alike; see `fit` for the fit near the
+    model file, and `own_residual` for one that needs no model parameters.
+    """
+
+    log: Log
+    robot: RobotModel
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the recorded joints (n,)."""
+        return self.log.joints
+
+    @property
+    def count(self) -> int:
+        """Number n of recorded joints."""
+        return len(self.joints)
+
+    @cached_property
+    def dofs(self) -> Array:
+        """Degrees of freedom (n,) of the recorded joints."""
+        return np.array([self.robot.rows.index(name) for name in self.joints], dtype=int)
+
+    @cached_property
+    def addresses(self) -> Array:
+        """Indices (n,) of the recorded joints in q."""
+        qadr = {joint.dofs[0]: joint.qadr for joint in self.robot.joints}
+        return np.array([qadr[name] for name in self.joints], dtype=int)
+
+    @cached_property
+    def torque_columns(self) -> Array:
+        """Indices (n,) of the recorded joints among the torque rows of the robot."""
+        return np.array([self.robot.torque_rows.index(name) for name in self.joints], dtype=int)
+
+    @property
+    def raw(self) -> Samples:
+        """Samples of the file; see `columns`."""
+        assert self.log.raw is not None
+        return self.log.raw
+
+    @cached_property
+    def columns(self) -> list[int]:
+        """Indices (n,) of the recorded joints among the coordinates of the description."""
+        return [self.log.description.joints.index(name) for name in self.joints]
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds (hinge, slide) of the recorded joints."""
+        kind_of = {joint.dofs[0]: joint.kind for joint in self.robot.joints}
+        return tuple(kind_of[name] for name in self.joints)
+
+    @property
+    def rate(self) -> float:
+        """Rate (Hz) of the recording."""
+        return self.log.recording.rate
+
+    @cached_property
+    def cutoff(self) -> float:
+        """Cut-off (Hz) of the low-pass."""
+        return float(min(CUTOFF, BAND * self.rate))
+
+    @cached_property
+    def step(self) -> int:
+        """Decimation."""
+        return max(1, int(self.rate / (OVERSAMPLING * self.cutoff)))
+
+    @cached_property
+    def _smooth_torque(self) -> Array:
+        """Filtered torque (N, n) at the rate of the recording."""
+        return Butterworth(3, self.cutoff).smooth(self.torque_samples, self.rate)
+
+    @cached_property
+    def _kept(self) -> slice:
+        """Samples of the recording that are kept: without the ends, decimated."""
+        count = len(self.log.recording)
+        edge = min(Butterworth(3, self.cutoff).edge(self.rate), count // 10)
+        return slice(edge, count - edge, self.step)
+
+    def shifted_torque(self, j: int, lags: Array, rows: slice) -> tuple[Array, Array]:
+        """Filtered torque (N', k) of a joint, `lags` (k,) samples later than each of some samples,
+        and which of these (N',) have all of them."""
+        index = np.arange(len(self.log.recording))[self._kept][rows]
+        inside = (index + lags.min() >= 0) & (index + lags.max() < len(self.log.recording))
+        return self._smooth_torque[:, j][index[inside][:, None] + lags], np.flatnonzero(inside)
+
+    @cached_property
+    def _filtered(self) -> tuple[JointMotion, Array]:
+        """Motion and torque (N, n), decimated."""
+        low_pass = Butterworth(3, self.cutoff)
+        recording, rate = self.log.recording, self.rate
+        q = low_pass.smooth(recording.q[:, self.addresses], rate)
+        v = derivative(low_pass, q, rate)
+        a = derivative(low_pass, v, rate)
+        sign = low_pass.smooth(np.sign(v), rate)
+        motion = JointMotion(q, v, a, sign)
+        return motion.rows(self._kept), self._smooth_torque[self._kept]
+
+    @cached_property
+    def torque_samples(self) -> Array:
+        """Recorded torque (N, n) on the uniform grid."""
+        return self.log.recording.tau[:, self.torque_columns]
+
+    @property
+    def motion(self) -> JointMotion:
+        """Filtered motion."""
+        return self._filtered[0]
+
+    @property
+    def torque(self) -> Array:
+        """Filtered torque (N, n)."""
+        return self._filtered[1]
+
+    @cached_property
+    def rms(self) -> Array:
+        """RMS (n,) of the filtered torque."""
+        return np.asarray(np.sqrt((self.torque**2).mean(axis=0)))
+
+    @cached_property
+    def sparse(self) -> tuple[JointMotion, Array]:
+        """Motion and torque at no more than ROWS samples."""
+        rows = slice(0, None, max(1, -(-len(self.motion) // ROWS)))
+        return self.motion.rows(rows), self.torque[rows]
+
+    @cached_property
+    def _links(self) -> tuple[tuple[str, ...], Array]:
+        """Columns of the moving links, each that of its first body, and their parameters
+        (k, 10)."""
+        tree, names = self.robot.tree, self.robot.body_names
+        theta = tree.link_parameters(self.robot.phi)
+        firsts = [
+            next(b for b in np.flatnonzero(tree.carrier == k) if np.allclose(tree.X[b], np.eye(10)))
+            for k in range(len(theta))
+        ]
+        return tuple(f"{names[b]}.{name}" for b in firsts for name in NAMES), theta
+
+    @property
+    def file_parameters(self) -> Array:
+        """Parameters (k, 10) of the links in the model file, welded bodies included."""
+        return self._links[1]
+
+    @cached_property
+    def placeholder(self) -> str:
+        """Reason why the file's inertias are not believed; empty where they are."""
+        return placeholder_reason(self.robot)
+
+    @cached_property
+    def link_spreads(self) -> Array:
+        """Standard deviations (p,) of the link parameters."""
+        return spreads(self.file_parameters) * (FREE if self.placeholder else 1.0)
+
+    def regressor(self, motion: JointMotion, robot: RobotModel | None = None) -> Array:
+        """Columns (N, n, p) of the links along a motion of the recorded joints."""
+        robot = robot or self.robot
+        regression: AnyRegression = torque_regression(robot, self._links[0])
+        return regression.dense(self.whole(motion)).Y[:, self.torque_columns]
+
+    def whole(self, motion: JointMotion) -> Trajectory:
+        """Motion of the whole robot, the other joints at rest."""
+        N = len(motion)
+        q = np.tile(self.robot.mj.qpos0, (N, 1))
+        v, a = np.zeros((2, N, self.robot.nv))
+        q[:, self.addresses] = motion.q
+        v[:, self.dofs], a[:, self.dofs] = motion.v, motion.a
+        t = np.arange(N) * self.step / self.rate
+        return self.robot.completed(Trajectory(t, q, v, a, "diagnosed"))
+
+    def normal(
+        self, motion: JointMotion, W: Array | None = None, more: Array | None = None
+    ) -> NearModel:
+        """Normal equations near the model along a motion of as many samples as `sparse`, with its
+        own link columns or with others W (N, n, p); `more` (N, n, k): columns that a mixing may add
+        to the torques."""
+        W = self.regressor(motion) if W is None else W
+        T = np.repeat(self.sparse[1][:, None], self.count, axis=1)
+        T = T if more is None else np.concatenate([T, more], axis=2)
+        return near_model(W, terms(motion), T, self.file_parameters.ravel(), self.link_spreads)
+
+    @cached_property
+    def as_recorded(self) -> NearModel:
+        """Normal equations of the recording as it is."""
+        return self.normal(self.sparse[0])
+
+    def predicted(self, fit: NearModelFit) -> Array:
+        """Torque (N, n) of a fit along `sparse`."""
+        motion = self.sparse[0]
+        return np.asarray(
+            self.regressor(motion) @ fit.links + (terms(motion) * fit.terms).sum(axis=2)
+        )
+
+
+def terms(motion: JointMotion) -> Array:
+    """Columns (N, n, 4) of viscous and Coulomb friction, armature and offset of each joint."""
+    return np.stack([motion.v, motion.sign, motion.a, np.ones_like(motion.v)], axis=2)

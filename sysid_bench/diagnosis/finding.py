@@ -1,0 +1,52 @@
+"""Findings of a diagnosis: what contradicts the model or physics, how sure it is, and its cure."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from sysid_bench.diagnosis.evidence import Evidence
+
+ERROR: Final = "error"
+"""A contradiction: identification gives wrong values unless the cause is removed or accepted."""
+WARNING: Final = "warning"
+"""A doubt, or a defect that costs accuracy."""
+NOTE: Final = "note"
+"""An observation that helps to choose terms, motions or methods."""
+SEVERITIES: Final = (ERROR, WARNING, NOTE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Finding about one recording.
+
+    `explains`: share of the mean squared residual of the joints that its cure removes, None where
+    nothing is fitted. `confidence`: 0 to 1. `blind`: when the test cannot see the mistake. `edit`:
+    the change of the log's description, or of the model, that cures it.
+    """
+
+    name: str
+    severity: str
+    message: str
+    joints: tuple[str, ...] = ()
+    explains: float | None = None
+    confidence: float = 1.0
+    blind: str = ""
+    edit: str = ""
+
+    @property
+    def is_contradiction(self) -> bool:
+        """True for errors, which a user has to cure or to accept."""
+        return self.severity == ERROR
+
+    def softened(self) -> "Finding":
+        """The finding, of a contradiction a warning."""
+        return replace(self, severity=WARNING) if self.is_contradiction else self
+
+    def to_json(self) -> dict[str, Any]:
+        """Fields as JSON values."""
+        return {**vars(self), "joints": list(self.joints)}
+
+
+Check = Callable[["Evidence"], Sequence[Finding]]
+"""A check: the findings of its kind in the evidence of one recording."""

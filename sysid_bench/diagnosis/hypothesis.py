@@ -1,0 +1,79 @@
+"""Hypotheses: recordings with a mistake undone, and how well a robot near the model fits them."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from sysid_bench.diagnosis.evidence import Evidence, JointMotion
+from sysid_bench.diagnosis.near_model import NearModel, NearModelFit
+from sysid_bench.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A recording after some changes: torques T @ mixing, mixing (n, n), along a motion."""
+
+    evidence: Evidence
+    motion: JointMotion
+    mixing: Array
+    given: NearModel | None = None
+
+    @cached_property
+    def model(self) -> NearModel:
+        """Normal equations along the motion."""
+        return self.given or self.evidence.normal(self.motion)
+
+    @cached_property
+    def fit(self) -> NearModelFit:
+        """Fit near the model."""
+        return self.model.fit(self.mixing)
+
+    @property
+    def torque(self) -> Array:
+        """Torque (N, n) after the changes."""
+        return np.asarray(self.evidence.sparse[1] @ self.mixing)
+
+    def mixed(self, mixing: Array) -> "Hypothesis":
+        """The hypothesis with torques mixed once more, on the same motion."""
+        return replace(self, mixing=self.mixing @ mixing, given=self.model)
+
+    def moving(self, motion: JointMotion, mixing: Array | None = None) -> "Hypothesis":
+        """The hypothesis with another motion, and torques mixed once more."""
+        mixing = self.mixing if mixing is None else self.mixing @ mixing
+        return replace(self, motion=motion, mixing=mixing, given=None)
+
+    def with_columns(self, W: Array, motion: JointMotion | None = None) -> "Hypothesis":
+        """The hypothesis with other link columns."""
+        changed = self if motion is None else replace(self, motion=motion)
+        return replace(changed, given=self.evidence.normal(changed.motion, W))
+
+
+def as_recorded(evidence: Evidence) -> Hypothesis:
+    """The recording as it is."""
+    return Hypothesis(evidence, evidence.sparse[0], np.eye(evidence.count), evidence.as_recorded)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cure:
+    """A mistake that a check suspects in some joints (indices), and the recording without it."""
+
+    name: str
+    joints: tuple[int, ...]
+    hypothesis: Hypothesis
+    message: str
+    edit: str
+    blind: str
+
+    def explains(self, before: Hypothesis) -> float:
+        """Share of the cost that the cure removes."""
+        return 1.0 - self.hypothesis.fit.cost / before.fit.cost
+
+    def removes(self, before: Hypothesis) -> float:
+        """Cost that the cure removes: of the size of one per joint that nothing explains."""
+        return before.fit.cost - self.hypothesis.fit.cost
+
+
+CureSearch = Callable[[Hypothesis], Iterator[Cure]]
+"""A check of signs, columns, gains or geometry: cures to be tried on a hypothesis."""

@@ -1,0 +1,170 @@
+"""Least squares near the model file: the torque that a robot much like the model could give.
+
+Free are offset, armature and friction of each joint, the last two not negative; the inertial
+parameters of the links stay within stated spreads of the file's. Sign, gain, order of columns and
+gravity, to which a free fit is blind, remain in the residual of this one.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.types import Array
+
+TERMS: Final = ("viscous", "coulomb", "armature", "offset")
+SIGNED: Final = 3
+"""The first terms cannot be negative: friction dissipates, and rotors have inertia."""
+
+PENALTY: Final = 0.05
+"""Residual, relative to a joint's RMS torque, that outweighs one standard deviation of the prior:
+of the size of what rigid bodies and simple friction leave on recorded arms."""
+
+MASS: Final = 0.4
+CENTRE: Final = 0.4
+INERTIA: Final = 0.8
+"""Spreads of mass, of the centre of mass (in units of its distance and of the radius of gyration)
+and of inertia of a link: model files differ from their robots by this much."""
+
+FREE: Final = 30.0
+"""Factor on the spreads where the file's inertias are placeholders."""
+
+ROUNDS: Final = 6
+
+
+def spreads(theta: Array) -> Array:
+    """Standard deviations (10 n,) of link parameters theta (n, 10)."""
+    sizes = [_spread(phi) for phi in theta]
+    floor = 1e-3 * np.max(sizes, axis=0, initial=0.0)
+    return np.asarray(np.maximum(sizes, np.maximum(floor, 1e-9))).ravel()
+
+
+def _spread(phi: Array) -> Array:
+    mass, com, inertia = mass_com_inertia(phi)
+    if mass <= 0:
+        return np.zeros(10)
+    distance = float(com @ com) + abs(float(np.trace(inertia))) / (2 * mass)
+    return np.concatenate(
+        [[MASS * mass], np.full(3, CENTRE * mass * np.sqrt(distance)),
+         np.full(6, INERTIA * mass * distance)]
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class NearModelFit:
+    """Fit near the model. `cost`: sum of the squared relative residuals of all joints and of the
+    penalty. `residual` (n,): RMS residual of each joint over its RMS torque; `links` (p,) and
+    `terms` (n, 4): estimates, relative torques in SI."""
+
+    cost: float
+    residual: Array
+    links: Array
+    terms: Array
+
+
+@dataclass(frozen=True, eq=False)
+class NearModel:
+    """Normal equations of a motion. Columns of joint j: r links in coordinates of the prior, 4
+    terms, the torque predicted by the file, and k torques that were recorded; `products` (n, c, c)
+    are their mean products, `basis` (p, r) the links' directions, `scale` (p,) their spreads."""
+
+    products: Array
+    basis: Array
+    scale: Array
+    known: Array  # (p,) of the file
+    information: Array  # (r,) mean squared relative torque of one spread along each direction
+
+    @property
+    def rank(self) -> int:
+        """Number r of directions of the links."""
+        return int(self.basis.shape[1])
+
+    def fit(self, mixing: Array) -> NearModelFit:
+        """Fit of the torques T @ mixing, T the recorded ones (N, k) and mixing (k, n)."""
+        r, n = self.rank, len(self.products)
+        known = r + len(TERMS)
+        select = np.zeros((n, self.products.shape[1], 1))
+        select[:, known + 1 :, 0] = mixing.T
+        size = (select.transpose(0, 2, 1) @ self.products @ select)[:, 0, 0]
+        used = size > 0
+        scale = np.where(used, 1.0 / np.where(used, size, 1.0), 0.0)
+        select[:, known, 0] = -1.0
+        rhs = (self.products @ select)[:, :, 0]  # products of all columns with tau - tau_file
+        left = (select.transpose(0, 2, 1) @ self.products @ select)[:, 0, 0]
+        H, b = self._system(scale, rhs)
+        x = _bounded(H, b, self._signed(used))
+        links, terms = x[:r], x[r:].reshape(n, -1)
+        full = np.concatenate([np.tile(links, (n, 1)), terms], axis=1)
+        P = self.products[:, :known, :known]
+        rss = left - 2 * (full * rhs[:, :known]).sum(axis=1)
+        rss += np.einsum("ni,nij,nj->n", full, P, full)
+        relative = np.sqrt(np.maximum(rss, 0.0) * scale)
+        cost = float((relative**2).sum() + PENALTY**2 * (links**2).sum())
+        return NearModelFit(cost, relative, self.known + self.scale * (self.basis @ links), terms)
+
+    def _system(self, scale: Array, rhs: Array) -> tuple[Array, Array]:
+        """Normal matrix and right side of [links, terms of all joints]."""
+        r, n, m = self.rank, len(self.products), len(TERMS)
+        H = np.zeros((r + n * m, r + n * m))
+        H[:r, :r] = np.tensordot(scale, self.products[:, :r, :r], axes=1)
+        H[:r, :r] += PENALTY**2 * np.eye(r)
+        b = np.zeros(r + n * m)
+        b[:r] = scale @ rhs[:, :r]
+        for j in range(n):
+            part = slice(r + j * m, r + (j + 1) * m)
+            H[:r, part] = scale[j] * self.products[j, :r, r : r + m]
+            H[part, :r] = H[:r, part].T
+            H[part, part] = scale[j] * self.products[j, r : r + m, r : r + m]
+            b[part] = scale[j] * rhs[j, r : r + m]
+        return H, b
+
+    def _signed(self, used: Array) -> Array:
+        """Indices of unknowns that cannot be negative."""
+        r, m = self.rank, len(TERMS)
+        return np.array(
+            [r + j * m + i for j in np.flatnonzero(used) for i in range(SIGNED)], dtype=int
+        )
+
+
+def _bounded(H: Array, b: Array, signed: Array) -> Array:
+    """Minimum of x' H x / 2 - b' x with x >= 0 for the indices `signed`, by an active set."""
+    D = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    Hs = H / np.outer(D, D)
+    Hs[np.diag_indices_from(Hs)] += 1e-9
+    free = np.diag(H) > 0
+    x = np.zeros(len(b))
+    for _ in range(ROUNDS):
+        index = np.flatnonzero(free)
+        x[:] = 0.0
+        x[index] = np.linalg.solve(Hs[np.ix_(index, index)], b[index] / D[index])
+        wrong = signed[x[signed] < 0]
+        if len(wrong) == 0:
+            break
+        free[wrong] = False
+    x[~free] = 0.0
+    x[signed] = np.maximum(x[signed], 0.0)
+    return np.asarray(x / D)
+
+
+def near_model(W: Array, F: Array, T: Array, known: Array, scale: Array) -> NearModel:
+    """Normal equations of the link columns W (N, n, p), the terms F (N, n, 4) and the torques
+    T (N, n, k), of which the first n are the recorded ones, with the file's parameters `known` (p,)
+    and their spreads `scale` (p,)."""
+    n = W.shape[1]
+    rms = np.sqrt((T[:, 0, :n] ** 2).mean(axis=0))
+    weight = np.where(rms > 0, 1.0 / np.where(rms > 0, rms, 1.0), 0.0)
+    Ws = W * scale
+    gram = np.einsum("j,jik->ik", weight**2, _grams(Ws))
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > 1e-9 * max(float(values[-1]), 1e-300)
+    basis = vectors[:, kept]
+    file = W @ known
+    columns = np.concatenate([Ws @ basis, F, file[:, :, None], T], axis=2)
+    return NearModel(_grams(columns), basis, scale, known, values[kept])
+
+
+def _grams(X: Array) -> Array:
+    """Mean products (n, c, c) of columns X (N, n, c), joint by joint."""
+    by_joint = np.ascontiguousarray(X.transpose(1, 0, 2))
+    return np.asarray(by_joint.transpose(0, 2, 1) @ by_joint / len(X))

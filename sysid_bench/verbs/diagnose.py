@@ -1,0 +1,213 @@
+"""Diagnosis of recordings: what contradicts the model or physics, and what cures it."""
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid_bench.diagnosis.diagnose import contradictions_left
+from sysid_bench.diagnosis.diagnose import diagnose as findings_of
+from sysid_bench.diagnosis.evidence import Evidence
+from sysid_bench.diagnosis.finding import ERROR, SEVERITIES, WARNING, Finding
+from sysid_bench.diagnosis.hypothesis import as_recorded
+from sysid_bench.errors import UsageError, unknown_name
+from sysid_bench.experiments.recorded.locked_joints import locked_manifest
+from sysid_bench.experiments.recorded.preprocess import ProcessedLog
+from sysid_bench.models.load import load_robot
+from sysid_bench.models.manifest import Manifest, find_manifest
+from sysid_bench.models.payload import PAYLOADS, parse_payload
+from sysid_bench.reporting.diagnosis_page import DiagnosedTorque, write_diagnosis_page
+from sysid_bench.signals.log import read_log
+from sysid_bench.signals.log_description import LogDescription, read_description
+from sysid_bench.verbs.result import OMIT_NONE, Result, file_text
+from sysid_bench.vocabulary import FINDINGS
+
+PathLike = str | Path
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseRequest:
+    """Diagnosis of recordings described by TOML files.
+
+    `model`: a robot's name, a URDF or an MJCF file. `accept`: names of contradictions behind which
+    the checks go on. `html`: a page with figures; `json_out`: the result as a file.
+    """
+
+    logs: tuple[Path, ...]
+    model: str
+    accept: tuple[str, ...] = ()
+    html: Path | None = None
+    json_out: Path | None = None
+    robots_dir: Path | None = None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnoseResult(Result):
+    """Findings in recordings, those of each log in the order of the checks.
+
+    `ok`: no contradiction but accepted ones. `logs`: samples, rate and the residual of each joint
+    after the fit near the model, relative to its RMS torque. `findings`: log, name, severity,
+    message, joints, explains, confidence, blind, edit.
+    """
+
+    model: str
+    file: str
+    ok: bool
+    accepted: list[str]
+    logs: list[dict[str, Any]]
+    findings: list[dict[str, Any]]
+    html: str | None = field(default=None, metadata=OMIT_NONE)
+
+    def __post_init__(self) -> None:
+        self._make_plain()
+
+    def summary(self) -> str:
+        """One line per finding, the gravest of each group first, with its cure."""
+        lines = [line for log in self.logs for line in self._lines_of(log)]
+        return "\n".join(lines + ([f"  page: {self.html}"] if self.html else []))
+
+    def _lines_of(self, log: Mapping[str, Any]) -> list[str]:
+        found = [finding for finding in self.findings if finding["log"] == log["log"]]
+        counts = [sum(f["severity"] == s for f in found) for s in SEVERITIES]
+        head = (
+            f"{log['log']}: {self.model}, {log['samples']} samples, {log['rate']:.4g} Hz: "
+            f"{_count(counts[0], 'error')}, {_count(counts[1], 'warning')}, "
+            f"{_count(counts[2], 'note')}"
+        )
+        return [head, *(line for finding in found for line in _finding_lines(finding))]
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def _finding_lines(finding: Mapping[str, Any]) -> list[str]:
+    share = finding["explains"]
+    explains = "" if share is None else f" [explains {100 * share:.0f} %]"
+    lines = [f"  {finding['severity']}: {finding['name']}: {finding['message']}{explains}"]
+    if finding["edit"]:
+        lines.append(f"      cure: {finding['edit']}")
+    if finding["blind"] and finding["severity"] == ERROR:
+        lines.append(f"      blind for: {finding['blind']}")
+    return lines
+
+
+def diagnose(
+    log: PathLike | Sequence[PathLike] | DiagnoseRequest,
+    model: str | Path = "",
+    *,
+    accept: Sequence[str] = (),
+    html: PathLike | None = None,
+    json_out: PathLike | None = None,
+    robots_dir: Path | None = None,
+) -> DiagnoseResult:
+    """Diagnose the recordings `log` of a robot; a request stands for all arguments.
+
+    Raises UsageError for descriptions, files or names that cannot be used.
+    """
+    request = log if isinstance(log, DiagnoseRequest) else DiagnoseRequest(
+        logs=(Path(log),) if isinstance(log, (str, Path)) else tuple(map(Path, log)),
+        model=str(model), accept=tuple(accept), html=None if html is None else Path(html),
+        json_out=None if json_out is None else Path(json_out), robots_dir=robots_dir,
+    )  # fmt: skip
+    result = _diagnosed(request)
+    if request.json_out is not None:
+        text = json.dumps(result.to_dict(), indent=2) + "\n"
+        request.json_out.write_text(text, encoding="utf-8")
+    return result
+
+
+def _diagnosed(request: DiagnoseRequest) -> DiagnoseResult:
+    _check(request)
+    manifest = find_manifest(request.model, request.robots_dir)
+    logs = [read_description(log) for log in request.logs]
+    evidence = [evidence_of(manifest, log) for log in logs]
+    found = [findings_of(one, request.accept) for one in evidence]
+    findings = [
+        {"log": name, **finding.to_json()}
+        for name, part in zip(map(str, request.logs), found, strict=True)
+        for finding in part
+    ]
+    result = DiagnoseResult(
+        model=manifest.name,
+        file=str(manifest.path),
+        ok=not any(contradictions_left(part, request.accept) for part in found),
+        accepted=list(request.accept),
+        logs=[_log_fields(str(n), e) for n, e in zip(request.logs, evidence, strict=True)],
+        findings=findings,
+        html=file_text(request.html),
+    )
+    if request.html is not None:
+        torques = [_torque(str(n), e) for n, e in zip(request.logs, evidence, strict=True)]
+        write_diagnosis_page(request.html, f"Diagnosis: {manifest.name}", findings, torques)
+    return result
+
+
+def _check(request: DiagnoseRequest) -> None:
+    """Raise UsageError for a request without a model or a log, or with unknown names."""
+    if not request.model or not request.logs:
+        raise UsageError(
+            "Which recording of which robot? Give both: sysid-bench diagnose run.toml --model ur5."
+        )
+    for name in request.accept:
+        if name not in FINDINGS:
+            raise unknown_name("finding", name, FINDINGS, "Give --accept the names to let pass.")
+
+
+def evidence_of(manifest: Manifest, log: LogDescription) -> Evidence:
+    """Read one recording of a robot, with those joints locked that it does not list."""
+    locked = locked_manifest(manifest, load_robot(manifest), [log])
+    payload = PAYLOADS["none"] if log.payload is None else parse_payload(_payload(log.payload))
+    robot = load_robot(locked, payload)
+    return Evidence(read_log(log, robot), robot)
+
+
+def _payload(written: Any) -> Any:
+    """The payload for parse_payload; { use = "box-2kg" } becomes its name."""
+    named = isinstance(written, Mapping) and set(written) == {"use"}
+    return written["use"] if named else written
+
+
+def refuse_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:
+    """Diagnose recordings that are about to be used; return their warnings as sentences.
+
+    Raises UsageError for contradictions that are not accepted.
+    """
+    warnings = []
+    for log in logs:
+        findings = findings_of(Evidence(log.log, log.robot), accept)
+        wrong = contradictions_left(findings, accept)
+        if wrong:
+            raise UsageError(_refusal(str(log.log.description.source), wrong))
+        name = log.log.description.source.name
+        warnings += [f"{name}: {one.message}" for one in findings if one.severity == WARNING]
+    return warnings
+
+
+def _refusal(source: str, wrong: Sequence[Finding]) -> str:
+    names = ",".join(dict.fromkeys(one.name for one in wrong))
+    texts = "; ".join(f"{one.message} (cure: {one.edit})" for one in wrong)
+    return f"{source}: {texts}. Fix the description, or go on with --accept {names}."
+
+
+def _log_fields(name: str, evidence: Evidence) -> dict[str, Any]:
+    residual = as_recorded(evidence).fit.residual
+    recording = evidence.log.recording
+    return {
+        "log": name,
+        "samples": evidence.log.samples,
+        "rate": recording.rate,
+        "seconds": float(np.ptp(recording.t)),
+        "residual": dict(zip(evidence.joints, residual.tolist(), strict=True)),
+    }
+
+
+def _torque(name: str, evidence: Evidence) -> DiagnosedTorque:
+    motion, measured = evidence.sparse
+    fitted = evidence.predicted(as_recorded(evidence).fit)
+    t = np.linspace(0.0, float(np.ptp(evidence.log.recording.t)), len(motion))
+    units = ["N m" if kind == "hinge" else "N" for kind in evidence.kinds]
+    return DiagnosedTorque(name, t, evidence.joints, measured, fitted, units)
