@@ -18,6 +18,7 @@ from sysid_bench.models.robot import RobotModel
 from sysid_bench.spatial.inertia import min_eigenvalues
 from sysid_bench.verbs.identify import identify
 from sysid_bench.verbs.recorded_result import RecordedResult
+from sysid_bench.vocabulary import FINDINGS
 from tests.robots import named_robot
 from tests.signals.logs import Recorded, recorded, write
 
@@ -25,6 +26,9 @@ TERMS = ("viscous", "coulomb", "offset")
 
 NOISE = 0.02
 """Noise of each torque over its RMS."""
+
+ACCEPTED: dict[str, Any] = {"accept": FINDINGS}
+"""Recordings that contradict the model on purpose."""
 
 BIAS = 0.01
 """Relative bias of a payload's mass by the filter."""
@@ -150,15 +154,15 @@ def test_a_negative_friction_binds_and_its_cost_is_reported(
         for one in (log, test)
     ]
     paths = [write(tmp_path, one, name=f"run{k}") for k, one in enumerate(pushed)]
-    result = identify("ur5", log=paths[0], test=paths[1], estimator="lmi")
+    result = identify("ur5", log=paths[0], test=paths[1], estimator="lmi", **ACCEPTED)
     first = result["constraints"][0]
     assert first["constraint"] == f"{log.joints[joint]}.fv"
     assert first["cost"] > 0.1
-    free = identify("ur5", log=paths[0], test=paths[1], estimator="lmi", feasible="bodies")
+    bodies: dict[str, Any] = {"estimator": "lmi", "feasible": "bodies", **ACCEPTED}
+    free = identify("ur5", log=paths[0], test=paths[1], **bodies)
     assert free["torque_error"] < result["torque_error"] - 0.1
     with pytest.raises((NotWrittenError, ModelError), match="negative"):
-        identify("ur5", log=paths[0], estimator="lmi", feasible="bodies",
-                 model_out=tmp_path / "x.urdf")  # fmt: skip
+        identify("ur5", log=paths[0], model_out=tmp_path / "x.urdf", **bodies)
 
 
 def test_features_take_the_place_of_joint_terms(folder: Path, tmp_path: Path) -> None:
@@ -191,7 +195,7 @@ def test_a_column_of_ones_own_comes_from_the_manifest(folder: Path, tmp_path: Pa
     log = noisy(robot, 0)
     sprung = replace(log, tau=log.tau + 7.0 * np.eye(4)[1] * np.sin(log.q))
     path = write(tmp_path, sprung)
-    result = identify(tmp_path / "robot.toml", log=path)
+    result = identify(tmp_path / "robot.toml", log=path, **ACCEPTED)
     found = result["joints"][joint]["spring"]
     assert found["value"] == pytest.approx(7.0, abs=5 * found["std"])
     assert found["std"] < 0.7

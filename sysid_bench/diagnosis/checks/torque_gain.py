@@ -31,6 +31,8 @@ def torque_gain(before: Hypothesis) -> Iterator[Cure]:
 
 def _cures(before: Hypothesis, joints: tuple[int, ...]) -> Iterator[Cure]:
     coarse = min(FACTORS, key=lambda k: _scaled(before, joints, k).fit.cost)
+    if coarse in (FACTORS[0], FACTORS[-1]):  # the best gain is none: the links explain nothing
+        return
     factor = min(coarse * REFINED, key=lambda k: _scaled(before, joints, k).fit.cost)
     if max(factor, 1 / factor) < SMALLEST:
         return

@@ -83,8 +83,7 @@ class GaussNewton:
                 # Small against rounding by a corrected Jacobian: the analytical one decides.
                 correction = None
                 continue
-            # A step within the noise may fail because the objective is flat: it is halved once at
-            # most.
+            # A step within the noise fails where the objective is flat: it is halved once at most.
             tries = 2 if has_converged(R, change, trial.beta, FLAT) else HALVINGS
             better, times = _better(model, trial, goal, tries)
             halvings += times
