@@ -303,7 +303,7 @@ class LinearEstimator(Protocol):
     def solve(self, problem: Problem) -> Estimate: ...
 
 
-class SimulationEstimator(Protocol):
+class SimulatingEstimator(Protocol):
     """Estimator that simulates or models the noise."""
 
     def fit(self, experiment: Experiment) -> Estimate: ...
@@ -359,7 +359,7 @@ class Metric:
         return tuple(self.unit.split("|")) if self.unit else ()
 
     @property
-    def label(self) -> str:
+    def heading(self) -> str:
         """Title and unit in plain text, "Held-out RMSE (N·m, N)"."""
         units = ", ".join(unit.replace(" ", "·") for unit in self.units)
         return f"{self.title} ({units})" if units else self.title

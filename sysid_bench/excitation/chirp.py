@@ -42,6 +42,6 @@ class Chirp:
             return sin, w * cos, dw * cos - w**2 * sin
 
         scale, offset = scale_to_limits(shape, dense_grid(self.duration, self.highest), brief, rng)
-        t = brief.time_grid(self.duration)
+        t = brief.times(self.duration)
         x, dx, ddx = shape(t)
         return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, "chirp")

@@ -79,7 +79,7 @@ class DesignProblem:
         """Return the same problem sampled at another rate (Hz)."""
         return replace(self, rate=rate)
 
-    def time_grid(self, duration: float) -> Array:
+    def times(self, duration: float) -> Array:
         """Return the time grid (N,) in s of a motion; raises UsageError below 10 samples."""
         count = round(duration * self.rate)
         if count < 10:

@@ -36,7 +36,7 @@ class Fourier:
         scale, offset = scale_to_limits(
             lambda t: series(t, self.period, a, b, *unit), grid, brief, rng
         )
-        t = brief.time_grid(self.cycles * self.period)
+        t = brief.times(self.cycles * self.period)
         x, dx, ddx = series(t, self.period, a, b, scale, offset)
         return brief.trajectory(t, x, dx, ddx, "fourier", self.period)
 

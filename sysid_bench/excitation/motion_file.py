@@ -49,7 +49,7 @@ class MotionFile:
         t, x = _read(Path(self.file), _names(brief, self.file))
         name = Path(self.file).stem
         if self.period is None:
-            grid = brief.time_grid(t[-1] - t[0])
+            grid = brief.times(t[-1] - t[0])
             motion = _spline(t - t[0], x, grid)
         else:
             if abs(len(t) * (t[1] - t[0]) - self.period) > 1e-6 * self.period:
@@ -57,7 +57,7 @@ class MotionFile:
                     f"{self.file}: {len(t)} rows every {t[1] - t[0]:.6g} s are not the period of "
                     f"{self.period} s; leave out the row that repeats the first."
                 )
-            grid = brief.time_grid(self.cycles * self.period)
+            grid = brief.times(self.cycles * self.period)
             motion = _series(x, self.period, grid)
         return brief.trajectory(grid, *motion, name, self.period)
 

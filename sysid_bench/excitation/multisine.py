@@ -44,6 +44,6 @@ class Multisine:
             return sin.sum(axis=1), (w * cos).sum(axis=1), (-w * w * sin).sum(axis=1)
 
         scale, offset = scale_to_limits(shape, dense_grid(self.duration, self.highest), brief, rng)
-        t = brief.time_grid(self.duration)
+        t = brief.times(self.duration)
         x, dx, ddx = shape(t)
         return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, "multisine")

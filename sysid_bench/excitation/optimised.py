@@ -92,7 +92,7 @@ class Optimised:
     def motion(self, C: Array, brief: DesignProblem) -> Trajectory:
         """Return the motion of coefficients C (m, k), sampled at the rate of the problem."""
         space = self.space(brief)
-        t = brief.time_grid(self.cycles * self.period)
+        t = brief.times(self.cycles * self.period)
         # Families at rest at both ends are not periodic functions: each cycle starts them anew.
         motion = space.motion(C, t % self.period if not space.curves.periodic else t)
         return replace(motion, t=t, name="optimised", period=self.period)

@@ -44,7 +44,7 @@ class PointToPoint:
         durations = _durations(steps, brief, self.share)
         starts = np.concatenate([[0.0], np.cumsum(durations + self.rest)])
         # Two samples more, so that the grid reaches the end of the last move even without a rest.
-        t = brief.time_grid(starts[-1] + 2.0 / brief.rate)
+        t = brief.times(starts[-1] + 2.0 / brief.rate)
         move = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, self.moves - 1)
         u = np.minimum((t - starts[move]) / durations[move], 1.0)[:, None]
         step, T = steps[move], durations[move][:, None]

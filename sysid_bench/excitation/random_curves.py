@@ -40,7 +40,7 @@ class FourierPolynomial:
             return x, dx, ddx
 
         scale, offset = scale_to_limits(shape, dense_grid(self.period, curves.fastest), brief, rng)
-        t = brief.time_grid(self.period)
+        t = brief.times(self.period)
         x, dx, ddx = shape(t)
         return brief.trajectory(t, offset + scale * x, scale * dx, scale * ddx, curves.kind)
 

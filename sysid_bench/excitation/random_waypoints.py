@@ -43,7 +43,7 @@ class RandomWaypoints:
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
         """Return the motion; raises UsageError for an unknown joint."""
-        t = brief.time_grid(self.duration)
+        t = brief.times(self.duration)
         x = np.tile(0.5 * (brief.low + brief.high), (len(t), 1))
         dx, ddx = np.zeros_like(x), np.zeros_like(x)
         for i in self._moving(brief):

@@ -45,7 +45,7 @@ def cells_to_json(
         "words": list(words),
         "dictionary": dictionary,
         "scores": [metric.name for metric in scores],
-        "titles": [metric.label for metric in scores],
+        "titles": [metric.heading for metric in scores],
         "rows": list(map(list, zip(*columns, strict=True))),
     }
 

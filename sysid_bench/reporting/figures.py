@@ -113,7 +113,7 @@ def _dots(table: Table) -> "Figure":
         _one_series(axes, table, column, lane, offset)
     axes.set_yticks(range(len(table.rows)), _labels(table.rows))
     axes.set_ylim(len(table.rows) - 0.5, -0.5)
-    axes.set_xlabel(plain(table.metric.label))
+    axes.set_xlabel(plain(table.metric.heading))
     axes.grid(axis="x", which="major", color="#dddddd", linewidth=0.4)
     axes.set_axisbelow(True)
     _separate(axes, table)
@@ -182,7 +182,7 @@ def _heat_map(table: Table) -> "Figure":
     axes.set_xticks(np.arange(len(table.columns)) + 0.5, _labels(table.columns))
     axes.set_yticks(np.arange(len(table.rows)) + 0.5, _labels(table.rows))
     axes.set_xlabel(plain(table.column_fields[0]))
-    axes.set_title(plain(table.metric.label), fontsize=8)
+    axes.set_title(plain(table.metric.heading), fontsize=8)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     return drawing

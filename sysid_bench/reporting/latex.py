@@ -223,7 +223,7 @@ def _between(low: str, high: str) -> str:
 def _caption(table: Table) -> str:
     if table.own_caption or table.has_metric_columns:
         return escape(table.caption)
-    rest = table.caption.removeprefix(table.metric.label)
+    rest = table.caption.removeprefix(table.metric.heading)
     return f"{escape(table.metric.title)}{_units(table.metric)}{escape(rest)}"
 
 

@@ -272,7 +272,7 @@ def _metrics(robots_dir: Path | None) -> list[Entry]:
 
 def _builtin_metric(name: str) -> Entry:
     metric = METRICS[name]
-    heading = f"{metric.label} {metric.arrow}".strip()
+    heading = f"{metric.heading} {metric.arrow}".strip()
     return {
         "name": metric.name,
         "title": ": ".join(filter(None, (heading, metric.formula))),

@@ -137,7 +137,7 @@ def _measured(manifest: Manifest, samples: int, free_base: bool | None) -> Cross
     robot = load_robot(manifest, free_base=free_base)
     verdict = compare_engines(robot, samples)
     # Counted on the tree itself: coupled joints have fewer torque rows, reported beside.
-    base = structural_base(robot.without_coupling, robot.inertia_columns)
+    base = structural_base(robot.without_coupling, robot.inertial_columns)
     return CrosscheckResult(
         robot=robot.name,
         file=str(manifest.path),
@@ -170,7 +170,7 @@ def _coupling(robot: RobotModel, verdict: Crosscheck) -> dict[str, Any] | None:
         "closure": check.closure,
         "jacobian": check.jacobian,
         "violation": check.violation,
-        "coupled_base_parameters": structural_base(robot, robot.inertia_columns).rank,
+        "coupled_base_parameters": structural_base(robot, robot.inertial_columns).rank,
     }
 
 

@@ -59,7 +59,9 @@ class IdentifyResult(Result):
     def _closing_lines(self) -> list[str]:
         """Warnings and files."""
         lines = [f"  warning: {warning}" for warning in self.warnings]
-        files = {"figure": self.get("figure"), "model": self.model_out}
+        # A model that was read again and judged has lines of its own.
+        model = None if self.get("written") else self.model_out
+        files = {"figure": self.get("figure"), "model": model}
         return lines + [f"  {name}: {file}" for name, file in files.items() if file]
 
 

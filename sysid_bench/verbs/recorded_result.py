@@ -67,6 +67,7 @@ class RecordedResult(IdentifyResult):
             f"{self.model}, task {self.task}, {self.estimator}: rank {self.rank} "
             f"of {self.parameters}, condition {value_text(self.condition)}",
             f"  {self._signals_line()}",
+            f"  {self._prior_line()}",
             *_selection_lines(self.selection),
             "  joint                  RMS     train" + ("          test" if test else ""),
             *(_joint_line(joint, train, test) for joint, train in self.training.items()),
@@ -79,6 +80,12 @@ class RecordedResult(IdentifyResult):
             *_written_lines(self.written),
         ]
         return "\n".join(lines + self._closing_lines())
+
+    def _prior_line(self) -> str:
+        """The prior that methods may use, or the reason why there is none."""
+        if self.prior["reason"]:
+            return f"no prior: {self.prior['reason']}"
+        return f"prior for methods that use one: the model file's links, {self.prior['spreads']}"
 
     def _signals_line(self) -> str:
         seconds = sum(log["seconds"] for log in self.logs if log["use"] == "train")

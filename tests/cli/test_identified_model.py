@@ -125,10 +125,12 @@ def test_placeholders_are_not_believed_unless_their_spreads_are_stated(
     logs: dict[str, Any] = {"log": folder / "ur5_train.toml", "test": folder / "ur5_test.toml"}
     result = identify(same, **logs)
     assert "placeholders" in result["prior"]["reason"]
+    assert "  no prior: the inertias of the model file are placeholders" in result.summary()
     with pytest.raises(EstimationError, match="placeholders"):
         identify(same, estimator="entropic", **logs)
     insisted = identify(same, estimator="entropic", prior={"mass": "50 %"}, **logs)
     assert insisted["prior"]["spreads"].startswith("mass 50 %")
+    assert "the model file's links, mass 50 %" in insisted.summary()
 
 
 def test_a_prior_serves_where_the_motion_does_not(folder: Path, tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ class Hops:
     duration: float = field(default=4.0, metadata={"unit": "s"})
 
     def design(self, problem: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        t = problem.time_grid(self.duration)
+        t = problem.times(self.duration)
         w = 2.0 + np.sqrt(np.arange(problem.nv)) + 0.1 * rng.uniform(size=problem.nv)
         half_range = 0.5 * (problem.high - problem.low)
         size = MARGIN * np.minimum.reduce([half_range, problem.v / w, problem.a / w**2])

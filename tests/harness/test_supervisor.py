@@ -308,7 +308,7 @@ def test_a_deaf_orphan_writes_no_row_without_the_help_of_linux(
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.long
 def test_an_interrupt_keeps_finished_rows_and_kills_the_workers(tmp_path: Path, how: int) -> None:
-    with parent(tmp_path, 0.5) as runner:
+    with parent(tmp_path, 2.0) as runner:
         assert runner.stdout is not None
         seen = []
         while "row" not in seen:

@@ -13,7 +13,7 @@ class OneJoint:
     """A sine on the last joint."""
 
     def design(self, brief: DesignProblem, rng: np.random.Generator) -> Trajectory:
-        t = brief.time_grid(4.0)
+        t = brief.times(4.0)
         x, dx, ddx = np.zeros((3, len(t), brief.nv))
         amplitude = 0.2 * min(1.0, float(brief.high[-1] - brief.low[-1]))
         x[:] = 0.5 * (brief.low + brief.high)
