@@ -127,7 +127,8 @@ class _Draws:
     def _numbers(self, entry: PlantEntry, make: Any) -> dict[str, list[float]]:
         """Angles that hold for all joints, and defaults of this kind, with their lengths on
         slides."""
-        default = {field.name: field.default for field in dataclasses.fields(make)}
+        settings = dataclasses.fields(make) if dataclasses.is_dataclass(make) else ()
+        default = {field.name: field.default for field in settings}
         numbers = {}
         for key, field in plugin_fields(make).items():
             written = entry.spec.get(key, default[key])
