@@ -62,7 +62,7 @@ def _environment(folder: Path) -> None:
     for words in (
         "list robots",
         "basis scara --task robot",
-        "identify scara --log log.toml --task robot",
+        "identify scara --log log.toml --task robot --accept delay",
         "doctor --json",
     ):
         command(words.split())
