@@ -161,12 +161,18 @@ def test_a_lost_cell_is_repeated_twice_and_then_left(tmp_path: Path, executed: A
 
 
 @pytest.mark.long
-def test_a_worker_killed_from_outside_is_repaired_by_a_plain_resume(tmp_path: Path) -> None:
+def test_a_worker_killed_from_outside_is_repaired_by_a_plain_resume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The sentence of the reason says who ended it; the second run has all rows."""
+    begun = tmp_path.parent / f"{tmp_path.name}.begun"
+    monkeypatch.setenv("SYSID_TEST_BEGUN", str(begun))
     suite = suite_of("", "seconds = 2", "")
 
     def kill(kind: str, data: Any) -> None:
         if kind == "row" and not killed:
+            while len(begun.read_text().splitlines()) < 2:  # between two cells nothing is lost
+                time.sleep(0.01)
             killed.extend(children_of(os.getpid()))
             for process in killed:
                 os.kill(process, signal.SIGKILL)
