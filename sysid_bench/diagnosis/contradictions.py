@@ -45,7 +45,7 @@ LARGE: Final = 0.03
 """Cost that an error has to remove."""
 
 EQUAL: Final = 0.02
-"""Difference of the shares of two cures that recordings do not tell apart."""
+"""Difference of the shares of two cures that recordings do not decide."""
 
 EXPLAINED: Final = 0.75
 FOREIGN: Final = 0.15

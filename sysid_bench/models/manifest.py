@@ -19,6 +19,10 @@ from sysid_bench.models.random.random_tree import random_robot
 TERMS: Final = ("viscous", "coulomb", "offset", "armature", "spring")
 """Joint terms that can be identified besides the inertial parameters."""
 
+DRIVE_TERMS: Final = ("viscous", "coulomb", "offset", "armature")
+"""Terms of real joints, where nobody names others. Without the inertia of the rotors links become
+too heavy: the upper arm of a UR10e by a factor of ten (measured)."""
+
 TERM_ADVICE: Final = "Terms of single joints are written 'j1.k' or 'j5.fv.j6'."
 
 

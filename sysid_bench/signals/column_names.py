@@ -48,7 +48,7 @@ def columns_of_signal(
     names: Mapping[str, tuple[int, ...]], signal: str, joints: Sequence[str]
 ) -> list[str]:
     """Return the columns of a signal: by the names of joints, numbered ones, or one array; [] where
-    the names tell none."""
+    the names hold none."""
     fitting = [name for name in names if holds(name, signal)]
     single = [name for name in fitting if len(names[name]) == 1]
     usual = signal_columns(names, signal, joints)

@@ -106,6 +106,6 @@ def _joints(table: LogTable) -> list[str]:
     if not found:
         raise UsageError(
             f"{table.path}: which joints? The columns {first_names(names, 6) or '(without names)'} "
-            "do not tell; give log_of(data, {'joints': [...]})."
+            "do not name them; give log_of(data, {'joints': [...]})."
         )
     return found

@@ -26,7 +26,7 @@ from sysid_bench.signals.log_table import LogTable, table_of_rows
 from sysid_bench.types import Array
 
 _TORQUES: Final = frozenset({"tau", "torque", "torques", "effort", "efforts", "trq", "nm"})
-"""Words that tell torques from currents."""
+"""Words of torques; currents have none of them."""
 
 
 @dataclass
@@ -192,7 +192,7 @@ def _check_found(found: dict[str, _Columns], tables: Sequence[tuple[str, LogTabl
             f"its columns are {first_names(names, 8)}" if names else "its columns have no names"
         )
         raise UsageError(
-            f"{', '.join(file for file, _ in tables)}: no {' and no '.join(absent)} can be told: "
+            f"{', '.join(file for file, _ in tables)}: no {' and no '.join(absent)} can be found: "
             f"{listed}. A log needs positions and torques (or motor currents); name all its "
             "files, or write the description by hand: joints, q = { columns = [...] }, tau."
         )
@@ -231,7 +231,8 @@ def _add_time(
         reason = "a doubt: no time stamps; v and the differences of q agree at this rate"
         guess.add("rate", f"{measured:.4g} Hz", reason)
     else:
-        guess.add("rate", "200 Hz", "a doubt: nothing tells the rate: write that of the recorder")
+        reason = "a doubt: neither stamps nor v give it: write the rate of the recorder"
+        guess.add("rate", "200 Hz", reason)
     return stated or measured or 200.0
 
 

@@ -19,7 +19,7 @@ TOO_MANY: Final = 0.2
 _SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 _WINDOW: Final = 41
-"""Samples around a stamp that tell where it should lie; up to half of them may be wrong."""
+"""Samples around a stamp that predict it; up to half of them may be wrong."""
 
 _FAR: Final = 20.0
 """Median steps, and median deviations, from that line beyond which a stamp is wild."""

@@ -45,6 +45,13 @@ def mass_com_inertia(phi: Array) -> tuple[float, Array, Array]:
     return mass, com, inertia_matrix(phi[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com))
 
 
+def gyration_radius(phi: Array) -> float:
+    """Return the radius of gyration (m) of phi (10,), sqrt(tr(I) / (2 m)) about the centre of mass;
+    0 without a mass."""
+    mass, _, inertia = mass_com_inertia(phi)
+    return float(np.sqrt(max(np.trace(inertia), 0.0) / (2 * mass))) if mass > 0 else 0.0
+
+
 def pseudo_inertia(phi: Array) -> Array:
     """Return J (..., 4, 4) of phi (..., 10)."""
     inertia = inertia_matrix(phi[..., 4:])

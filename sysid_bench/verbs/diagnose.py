@@ -1,6 +1,5 @@
 """Diagnosis of recordings: what contradicts the model or physics, and what cures it."""
 
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,10 +14,9 @@ from sysid_bench.diagnosis.finding import ERROR, SEVERITIES, WARNING, Finding
 from sysid_bench.diagnosis.hypothesis import as_recorded
 from sysid_bench.errors import UsageError, unknown_name
 from sysid_bench.experiments.recorded.locked_joints import locked_manifest
-from sysid_bench.experiments.recorded.preprocess import ProcessedLog
+from sysid_bench.experiments.recorded.preprocess import ProcessedLog, payload_of
 from sysid_bench.models.load import load_robot
 from sysid_bench.models.manifest import Manifest, find_manifest
-from sysid_bench.models.payload import PAYLOADS, parse_payload
 from sysid_bench.reporting.diagnosis_page import DiagnosedTorque, write_diagnosis_page
 from sysid_bench.signals.log import read_log
 from sysid_bench.signals.log_description import LogDescription, read_description
@@ -115,8 +113,7 @@ def diagnose(
     )  # fmt: skip
     result = _diagnosed(request)
     if request.json_out is not None:
-        text = json.dumps(result.to_dict(), indent=2) + "\n"
-        request.json_out.write_text(text, encoding="utf-8")
+        result.write_json(request.json_out)
     return result
 
 
@@ -160,15 +157,8 @@ def _check(request: DiagnoseRequest) -> None:
 def evidence_of(manifest: Manifest, log: LogDescription) -> Evidence:
     """Read one recording of a robot, with those joints locked that it does not list."""
     locked = locked_manifest(manifest, load_robot(manifest), [log])
-    payload = PAYLOADS["none"] if log.payload is None else parse_payload(_payload(log.payload))
-    robot = load_robot(locked, payload)
+    robot = load_robot(locked, payload_of(log))
     return Evidence(read_log(log, robot), robot)
-
-
-def _payload(written: Any) -> Any:
-    """The payload for parse_payload; { use = "box-2kg" } becomes its name."""
-    named = isinstance(written, Mapping) and set(written) == {"use"}
-    return written["use"] if named else written
 
 
 def refuse_contradictions(logs: Sequence[ProcessedLog], accept: Collection[str]) -> list[str]:

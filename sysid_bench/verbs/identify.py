@@ -1,6 +1,5 @@
 """Identification of one robot, from its own simulation or from recordings."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -63,7 +62,7 @@ def identify(
         "noise": noise, "payload": payload, "sensor": sensor, "contacts": contacts,
     }  # fmt: skip
     if logs:
-        _refuse(of_simulation, OF_SIMULATION)
+        _refuse({**of_simulation, "payload": payload != "none"}, OF_SIMULATION)
         recorded = RecordedRequest(logs=logs, tests=tests, **shared, **of_logs)
         return _stored(partial(identify_recorded, recorded), json_out)
     _refuse({"test": tests, **of_logs}, OF_LOGS)
@@ -83,7 +82,7 @@ def _check_source(simulate: bool | None, logs: tuple[Any, ...]) -> None:
 
 def _refuse(options: Mapping[str, Any], reason: str) -> None:
     """Raise UsageError for options of the other source of data."""
-    given = [f"--{name}" for name, value in options.items() if value and value != "none"]
+    given = [f"--{name}" for name, value in options.items() if value]
     if given:
         raise UsageError(f"{', '.join(given).replace('_', '-')}: {reason}")
 
@@ -93,17 +92,12 @@ def _stored(identified: Callable[[], IdentifyResult], file: PathLike | None) -> 
     try:
         result = identified()
     except NotWrittenError as error:
-        if isinstance(error.result, IdentifyResult):
-            _write_json(error.result, file)
+        if file is not None and isinstance(error.result, IdentifyResult):
+            error.result.write_json(file)
         raise
-    _write_json(result, file)
-    return result
-
-
-def _write_json(result: IdentifyResult, file: PathLike | None) -> None:
     if file is not None:
-        text = json.dumps(result.to_dict(), indent=2) + "\n"
-        Path(file).write_text(text, encoding="utf-8")
+        result.write_json(file)
+    return result
 
 
 def _logs(given: LogLike | Sequence[LogLike], name: str) -> tuple[Path | LogDescription, ...]:

@@ -117,9 +117,9 @@ def identify_recorded(request: RecordedRequest) -> RecordedResult:
 
 
 def _no_prior(posed: Prepared[RecordedSource]) -> str:
-    """The reason why there is no prior, for methods that need one."""
+    """Sentence with the reason for the absence of a prior, for methods that need one."""
     reason = posed.source.prior.reason
-    return f" There is no prior: {reason}." if reason else ""
+    return f" The prior is absent: {reason}." if reason else ""
 
 
 def _check_targets(request: RecordedRequest, manifest: Manifest) -> None:

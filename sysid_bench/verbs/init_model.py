@@ -1,6 +1,5 @@
 """New robot folder from a URDF or MJCF file, with what is doubtful in it: init robot."""
 
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -9,8 +8,9 @@ import numpy as np
 
 from sysid_bench.errors import ModelError, UsageError, first_names
 from sysid_bench.input_files import is_file, read_text
+from sysid_bench.models.checks.placeholder_inertias import placeholder_reason
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import find_manifest
+from sysid_bench.models.manifest import DRIVE_TERMS, find_manifest
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.verbs.init_log import toml_value
 from sysid_bench.verbs.init_robot import InitRobotResult
@@ -23,8 +23,6 @@ _LONGEST: Final = 30.0
 """m from joint to joint."""
 _WIDEST: Final = 40.0
 """rad between the limits of a hinge; some drives turn six times."""
-_ALIKE: Final = 3
-"""Bodies with equal mass and inertia from which these are placeholders."""
 
 
 def init_model(
@@ -74,7 +72,7 @@ def _loaded(source: str) -> RobotModel:
 
 
 def _advice(path: Path, error: str) -> str:
-    """What to do about a model that cannot be loaded, "" where the error says it."""
+    """Remedy for a model that cannot be loaded, "" where the error says it."""
     if path.suffix == ".xacro" or "<xacro:" in _text_of(path):
         return (
             "An xacro file is a macro, which is not yet a robot: write it out with ROS, xacro "
@@ -99,12 +97,9 @@ def _doubts(robot: RobotModel, path: Path) -> Iterator[str]:
     """Yield what the user should look at."""
     yield from _limit_doubts(robot, path)
     yield from _unit_doubts(robot)
-    alike = _alike(robot)
-    if alike:
-        yield (
-            f"{first_names(alike)} have the same mass and inertia: placeholders, on which no prior "
-            "should be built"
-        )
+    placeholders = placeholder_reason(robot)
+    if placeholders:
+        yield f"its inertias are placeholders, on which no prior is built: {placeholders}"
 
 
 def _limit_doubts(robot: RobotModel, path: Path) -> Iterator[str]:
@@ -133,15 +128,6 @@ def _unit_doubts(robot: RobotModel) -> Iterator[str]:
         yield f"the limits of {first_names(wide)} span more than six turns: are they in degrees?"
 
 
-def _alike(robot: RobotModel) -> list[str]:
-    """Bodies that share mass and inertia with two others."""
-    mj = robot.mj
-    sizes = np.round(np.column_stack([mj.body_mass, mj.body_inertia]), 12)[1:]
-    keys = [tuple(size.tolist()) for size in sizes]
-    counts = Counter(key for key in keys if key[0] > 0)
-    return [mj.body(i).name for i, key in enumerate(keys, start=1) if counts[key] >= _ALIKE]
-
-
 def _text(robot: RobotModel, name: str, file: str, doubts: list[str]) -> str:
     """Text of robot.toml; what may be changed stands as a comment."""
     v = robot.limits.v[np.isfinite(robot.limits.v) & (robot.limits.v > 0)]
@@ -152,8 +138,8 @@ def _text(robot: RobotModel, name: str, file: str, doubts: list[str]) -> str:
         f"file  = {toml_value(file)}",
         "# The last body of the longest chain carries payloads; name another body or frame here.",
         f"# tool = {toml_value(robot.body_names[robot.tool_body])}",
-        "# Joint terms identified besides inertia: guessed, as most drives have both.",
-        'terms = ["viscous", "coulomb"]',
+        "# Joint terms identified besides inertia: guessed, as drives with gears have them.",
+        f"terms = {toml_value(DRIVE_TERMS)}",
         "# Gravity in the base frame: a robot on a wall or under a ceiling has another one.",
         "# gravity = [0, 0, -9.81]",
         "# Limits of test motions; what is absent comes from the model.",

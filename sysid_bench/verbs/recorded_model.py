@@ -95,7 +95,9 @@ def _whole(
     if distance is None and _is_feasible(estimate.theta, problem):
         return estimate, None, False
     if prior.prior is None:
-        raise EstimationError(f"Not written: there is no prior, since {prior.reason}. {WAY_ON}")
+        raise EstimationError(
+            f"Not written: no prior to complete the bodies, since {prior.reason}. {WAY_ON}"
+        )
     feasible = feasible_set_of(problem)
     assert estimate.beta is not None
     distance = distance or ENTROPIC
@@ -166,12 +168,19 @@ def _with_reference(robot: RobotModel, joint: str, terms: JointTerms) -> JointTe
 
 def _in_file(robot: RobotModel, terms: Mapping[str, JointTerms]) -> dict[str, dict[str, float]]:
     """Terms in the words of the model file, those that its format has a place for."""
-    held = ("viscous", "coulomb") if robot.format == "urdf" else IN_MJCF
-    return {
-        # A negative stiffness, as of a counterbalance, stands in the manifest alone.
-        joint: {KEYS.get(term, term): max(float(getattr(values, term)), 0.0) for term in held}
-        for joint, values in terms.items()
-    }
+    if robot.format == "urdf":
+        return {joint: _words(values, ("viscous", "coulomb")) for joint, values in terms.items()}
+    return {joint: _words(values, IN_MJCF) | _rest(values) for joint, values in terms.items()}
+
+
+def _words(values: JointTerms, held: Sequence[str]) -> dict[str, float]:
+    # A negative stiffness, as of a counterbalance, stands in the manifest alone.
+    return {KEYS.get(term, term): max(float(getattr(values, term)), 0.0) for term in held}
+
+
+def _rest(values: JointTerms) -> dict[str, float]:
+    """The rest position of a spring (rad, m) in MuJoCo's word."""
+    return {} if values.spring_reference is None else {"springref": values.spring_reference}
 
 
 def _original(robot: RobotModel) -> Manifest:

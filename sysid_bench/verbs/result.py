@@ -1,5 +1,6 @@
 """Base of the results that commands return: frozen records that also read as mappings."""
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
@@ -32,6 +33,10 @@ class Result(Mapping[str, Any]):
     def to_dict(self) -> dict[str, Any]:
         """JSON values: arrays are lists, NaN and infinities None."""
         return dict(plain(self._fields()))
+
+    def write_json(self, file: str | Path) -> None:
+        """Write `to_dict` into a file."""
+        Path(file).write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
 
     def _fields(self) -> dict[str, Any]:
         """Keys and values of the mapping, in the order of the JSON."""

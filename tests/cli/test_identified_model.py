@@ -92,7 +92,7 @@ def test_terms_that_were_not_identified_are_zero_in_the_files(folder: Path, tmp_
 def test_a_refused_model_loses_neither_table_nor_json(folder: Path, tmp_path: Path) -> None:
     robot = find_manifest("ur5")
     answer, target = tmp_path / "answer.json", tmp_path / "found.urdf"
-    with pytest.raises(NotWrittenError, match="no prior") as refused:
+    with pytest.raises(NotWrittenError, match="no prior to complete") as refused:
         asked(folder, "ur5", model_out=target, json_out=answer, prior="none")
     assert not target.exists()
     result = refused.value.result
@@ -227,3 +227,9 @@ def test_a_wrong_gain_is_found_by_a_known_load(tmp_path: Path, joint: int) -> No
     # The filter takes some of the load's torque: the interval does not know of that bias.
     assert low <= 2.0 * (1 + BIAS)
     assert high >= 2.0 * (1 - BIAS)
+
+
+@pytest.mark.parametrize("option", [{"prior": "none"}, {"prior": "model"}, {"feasible": "bodies"}])
+def test_options_of_recordings_are_refused_for_simulations(option: dict[str, str]) -> None:
+    with pytest.raises(UsageError, match=f"--{next(iter(option))}: for recordings only"):
+        identify("scara", simulate=True, **option)  # type: ignore[arg-type]

@@ -75,7 +75,7 @@ def test_doubts_are_written_and_printed(tmp_path: Path) -> None:
     command = ["init", "log", str(tmp_path / "run.csv"), "--model", "ur5"]
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 0, result.output
-    assert "doubt: rate: nothing tells the rate" in result.output
+    assert "doubt: rate: neither stamps nor v give it" in result.output
     assert "doubt: tau: currents need gains" in result.output
     text = (tmp_path / "run.toml").read_text()
     assert text.count("# DOUBT: ") == 2

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sysid_bench.diagnosis.checks.missing_terms import missing_terms
 from sysid_bench.diagnosis.diagnose import contradictions_left, diagnose
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import NOTE, Finding
@@ -144,3 +145,26 @@ def test_an_accepted_contradiction_lets_the_checks_go_on(tmp_path: Path) -> None
     assert contradictions_left(stopped, ())
     assert not contradictions_left(further, ["sign"])
     assert len(further) > len(stopped)
+
+
+@pytest.mark.parametrize("joint", [2, 3, 5])
+def test_rotors_are_advised_only_where_the_terms_of_the_robot_lack_them(
+    tmp_path: Path, joint: int
+) -> None:
+    """ur5 names viscous and Coulomb friction; a manifest without terms has rotors by default. The
+    rotor of the first joint is one parameter with the inertia of its link."""
+    named, log = named_robot("ur5"), log_of("ur5")
+    a = np.gradient(log.v[:, joint], log.t)
+    rotor = np.abs(log.tau[:, joint]).max() / np.abs(a).max() * np.eye(6)[joint]
+    heavy = replace(log, tau=log.tau + np.outer(a, rotor))
+    unnamed = replace(named, manifest=replace(named.manifest, terms=()))
+    advised = [
+        {
+            finding.joints[0]
+            for finding in missing_terms(evidence(tmp_path, heavy, robot))
+            if finding.message.startswith("armature")
+        }
+        for robot in (named, unnamed)
+    ]
+    assert log.joints[joint] in advised[0]
+    assert advised[1] == set()

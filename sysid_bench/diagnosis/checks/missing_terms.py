@@ -8,6 +8,7 @@ import numpy as np
 from sysid_bench.diagnosis.evidence import Evidence
 from sysid_bench.diagnosis.finding import NOTE, WARNING, Finding
 from sysid_bench.diagnosis.own_rows import OwnRows
+from sysid_bench.models.manifest import DRIVE_TERMS
 from sysid_bench.regressors.joint_features import Play
 from sysid_bench.types import Array
 
@@ -62,6 +63,8 @@ def _gain_of_links(own: OwnRows, j: int) -> float:
 
 def _best_term(own: OwnRows, j: int) -> Finding | None:
     start = np.column_stack([own.links(j), own.friction(j)])
+    if _has_armature(own.evidence):
+        start = own.columns(j)
     before = own.left_out_error(start, j)
     if np.sqrt(before) < SMALL * own.evidence.rms[j]:
         return None
@@ -74,10 +77,16 @@ def _best_term(own: OwnRows, j: int) -> Finding | None:
     return _finding(own.evidence, j, name, share) if share >= WORTH else None
 
 
+def _has_armature(evidence: Evidence) -> bool:
+    """True if the terms of the manifest, or the default ones, hold the inertia of the rotors."""
+    return "armature" in (evidence.robot.manifest.terms or DRIVE_TERMS)
+
+
 def _candidates(own: OwnRows, j: int) -> Iterator[tuple[str, Array]]:
     m = own.motion
     q, v = m.q[:, j], m.v[:, j]
-    yield "armature", m.a[:, j]
+    if not _has_armature(own.evidence):
+        yield "armature", m.a[:, j]
     yield "spring", q
     model = np.linalg.lstsq(own.links(j), own.torque[:, j], rcond=None)[0]
     yield "load-dependent friction", np.abs(own.links(j) @ model) * np.sign(v)
@@ -91,7 +100,7 @@ EDITS: Final = {
     "spring": "--terms viscous,coulomb,offset,spring",
     "play": "--choose play",
     "tanh": "--choose tanh",
-    "load-dependent friction": "a feature of your own (--choose FILE.py:Feature)",
+    "load-dependent friction": "a feature of your own (--choose file:mine.py:Feature)",
 }
 
 

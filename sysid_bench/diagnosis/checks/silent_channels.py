@@ -1,5 +1,7 @@
 """Torque or position channels that never change."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from sysid_bench.diagnosis.evidence import Evidence
@@ -8,34 +10,33 @@ from sysid_bench.diagnosis.finding import ERROR, WARNING, Finding
 
 def silent_channels(evidence: Evidence) -> list[Finding]:
     """Return joints whose torque is zero or constant, and those that never move."""
+    return list(_findings(evidence))
+
+
+def _findings(evidence: Evidence) -> Iterator[Finding]:
     q = evidence.log.recording.q[:, evidence.addresses]
-    still = [j for j in range(evidence.count) if np.ptp(q[:, j]) == 0]
-    dead = [
-        j
-        for j in range(evidence.count)
-        if np.ptp(evidence.torque_samples[:, j]) == 0 and j not in still
-    ]
-    found = []
-    if dead:
-        names = tuple(evidence.joints[j] for j in dead)
-        found.append(
-            Finding(
-                name="zero",
-                severity=ERROR,
-                message=f"the torque of {', '.join(names)} never changes: another column?",
-                joints=names,
-                edit="tau = { columns = [...] }: the columns of measured torques",
-            )
+    still = np.ptp(q, axis=0) == 0
+    dead = (np.ptp(evidence.torque_samples, axis=0) == 0) & ~still
+    if dead.any():
+        names = _names(evidence, dead)
+        yield Finding(
+            name="zero",
+            severity=ERROR,
+            message=f"the torque of {', '.join(names)} never changes: another column?",
+            joints=names,
+            edit="tau = { columns = [...] }: the columns of measured torques",
         )
-    if still:
-        names = tuple(evidence.joints[j] for j in still)
-        found.append(
-            Finding(
-                name="standstill",
-                severity=WARNING,
-                message=f"{', '.join(names)} never moves: its own parameters cannot be found",
-                joints=names,
-                edit="leave the joint out of joints and state it in locked",
-            )
+    if still.any():
+        names = _names(evidence, still)
+        yield Finding(
+            name="standstill",
+            severity=WARNING,
+            message=f"{', '.join(names)} never moves: its own parameters cannot be found",
+            joints=names,
+            edit="leave the joint out of joints and state it in locked",
         )
-    return found
+
+
+def _names(evidence: Evidence, mask: np.ndarray) -> tuple[str, ...]:
+    """Joints of a mask (n,)."""
+    return tuple(evidence.joints[j] for j in np.flatnonzero(mask))

@@ -57,7 +57,7 @@ def _scaled(before: Hypothesis, joints: tuple[int, ...], factor: float) -> Hypot
 
 
 def _text(factor: float) -> str:
-    """What a factor on the torques means."""
+    """Meaning of a factor on the torques."""
     size = max(factor, 1 / factor)
     kind = "small" if factor > 1 else "large"
     near = [text for known, text in KNOWN.items() if abs(np.log(size / known)) < 0.2]

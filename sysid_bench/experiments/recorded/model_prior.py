@@ -1,7 +1,7 @@
 """Prior of recorded experiments: the inertial parameters of the model file, where they may be true.
 
 A simulated experiment draws its prior around the truth (tasks/prior.py). A real robot has no known
-truth: its model file is all that a method can be told.
+truth: its model file is all prior knowledge that there is.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.experiments.spec import normal_prior
 from sysid_bench.models.checks.placeholder_inertias import placeholder_reason
-from sysid_bench.spatial.inertia import mass_com_inertia, phi_of
+from sysid_bench.spatial.inertia import gyration_radius, phi_of
 from sysid_bench.tasks.prior import PriorSpread, declared_std, floored_std
 from sysid_bench.types import Array, Prior, Problem
 
@@ -66,8 +66,10 @@ def model_prior(
     reason = "" if believed else placeholder_reason(unknowns.robot)
     if reason:
         return ModelPrior(reason=f"the inertias of the model file are placeholders: {reason}")
-    theta, std = _links(unknowns, problem, stated)
-    _joint_terms(unknowns, problem, training, stated.get("terms"), theta, std)
+    theta, std = np.add(
+        _links(unknowns, problem, stated),
+        _joint_terms(unknowns, problem, training, stated.get("terms")),
+    )
     prior = Prior(theta, floored_std(std, problem.parameters))
     return ModelPrior(prior, text=_text(stated))
 
@@ -118,15 +120,9 @@ def _links(
         known = body.columns[0] not in unknowns.payload_parameters
         phi = values[body.name] if known else _payload_sphere(unknowns.robot.phi)
         theta[at] = phi
-        com = stated.get("com", GYRATION_SHARE * _gyration(phi))
+        com = stated.get("com", GYRATION_SHARE * gyration_radius(phi))
         std[at] = declared_std(phi, replace(spread, com=com)) if known else _payload_std(phi)
     return theta, std
-
-
-def _gyration(phi: Array) -> float:
-    """Radius of gyration (m), sqrt(tr(I) / (2 m)) about the centre of mass; 0 without a mass."""
-    mass, _, inertia = mass_com_inertia(phi)
-    return float(np.sqrt(max(np.trace(inertia), 0.0) / (2 * mass))) if mass > 0 else 0.0
 
 
 def _payload_sphere(links: Array) -> Array:
@@ -145,11 +141,10 @@ def _joint_terms(
     problem: Problem,
     training: Sequence[ProcessedLog],
     share: float | None,
-    theta: Array,
-    std: Array,
-) -> None:
-    """Fill in mean and deviations of the joint terms and further columns: RMS torque of the row
-    over the RMS of the column."""
+) -> tuple[Array, Array]:
+    """Mean and deviations (p,) of the joint terms and further columns, zero for the bodies; RMS
+    torque of the row over the RMS of the column where no `share` of the mean is stated."""
+    theta, std = np.zeros(len(problem.parameters)), np.zeros(len(problem.parameters))
     inertial = {column for body in problem.bodies for column in body.columns}
     columns = _column_sizes(problem)
     in_file = dict(zip(unknowns.terms, unknowns.robot.term_values(unknowns.terms), strict=True))
@@ -159,6 +154,7 @@ def _joint_terms(
         theta[i] = in_file.get(name, 0.0)
         weak = columns.get(name) or _term_size(unknowns, problem, training, name)
         std[i] = share * abs(theta[i]) if share is not None and theta[i] else weak
+    return theta, std
 
 
 def _column_sizes(problem: Problem) -> dict[str, float]:

@@ -21,7 +21,7 @@ from sysid_bench.experiments.recorded.term_selection import select_terms
 from sysid_bench.experiments.recorded.unknowns import unknowns_of
 from sysid_bench.experiments.spec import ExperimentSpec
 from sysid_bench.models.load import load_robot
-from sysid_bench.models.manifest import Manifest
+from sysid_bench.models.manifest import DRIVE_TERMS, Manifest
 from sysid_bench.naming import resolve_files
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.log_checks import check_findings
@@ -41,10 +41,6 @@ SLOW: Final = 30.0
 
 TERMS_TOO, BODIES_ALONE = "terms", "bodies"
 """Constraints of feasible fits: friction and rotor inertia as well, or bodies alone."""
-
-TERMS: Final = ("viscous", "coulomb", "offset", "armature")
-"""Terms of real joints, where the robot's manifest names none. Without the inertia of the rotors
-links become too heavy: the upper arm of a UR10e by a factor of ten (measured)."""
 
 
 @dataclass(frozen=True)
@@ -234,12 +230,13 @@ def _default_derivatives(logs: Sequence[LogDescription]) -> str:
 
 
 def _terms(log: ProcessedLog, options: LogOptions) -> tuple[str, ...]:
-    """The terms of the options, else the manifest's without those of locked joints, else TERMS."""
+    """The terms of the options, else the manifest's without those of locked joints; where it names
+    none, DRIVE_TERMS."""
     if options.terms is not None:
         return options.terms
     of_joints = tuple(f"{row}." for row in log.robot.rows)
     terms = log.robot.manifest.terms
-    return tuple(t for t in terms if "." not in t or t.startswith(of_joints)) or TERMS
+    return tuple(t for t in terms if "." not in t or t.startswith(of_joints)) or DRIVE_TERMS
 
 
 def _test_descriptions(written: Any, folder: Path) -> dict[str, LogDescription]:

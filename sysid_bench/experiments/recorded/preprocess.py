@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -66,8 +65,7 @@ def process_log(
 
     Raises UsageError for a file or a filter that cannot be used.
     """
-    payload = PAYLOADS["none"] if log.payload is None else parse_payload(_payload_of(log))
-    robot = load_robot(manifest, payload)
+    robot = load_robot(manifest, payload_of(log))
     read = read_log(log, robot)
     try:
         processed = preprocessing.signals(read.recording, robot.joints, training)
@@ -99,9 +97,12 @@ def _motors(log: Log, preprocessing: LogProcessing, training: bool) -> Trajector
     return replace(motion, q=q, v=v, a=a)
 
 
-def _payload_of(log: LogDescription) -> Any:
-    """The payload for parse_payload; { use = "box-2kg" } becomes its name."""
+def payload_of(log: LogDescription) -> Payload:
+    """The payload that a log states, a name, { use = name } or a table; none where it states
+    none."""
     written = log.payload
+    if written is None:
+        return PAYLOADS["none"]
     if isinstance(written, Mapping) and set(written) == {"use"}:
-        return written["use"]
-    return written
+        return parse_payload(written["use"])
+    return parse_payload(written)

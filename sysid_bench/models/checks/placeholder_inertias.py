@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from sysid_bench.spatial.inertia import mass_com_inertia
+from sysid_bench.spatial.inertia import gyration_radius, mass_com_inertia
 from sysid_bench.types import Array
 
 if TYPE_CHECKING:
@@ -43,7 +43,8 @@ def placeholder_reason(robot: "RobotModel") -> str:
             f"{same.sum()} of {len(phi)} moving links have the same mass and moments of inertia, "
             "though their lengths differ"
         )
-    wide = int((_gyration(phi) > _reach(robot)).sum())
+    reach = _reach(robot)
+    wide = sum(gyration_radius(one) > reach for one in phi)
     if wide:
         return f"{wide} of {len(phi)} moving links have inertia for a size beyond the whole robot"
     return ""
@@ -87,12 +88,6 @@ def _numbers(phi: Array) -> Array:
     """Mass and principal moments of inertia about the centre of mass (4,)."""
     mass, _, inertia = mass_com_inertia(phi)
     return np.append(np.linalg.eigvalsh(inertia), mass)
-
-
-def _gyration(phi: Array) -> Array:
-    """Radii of gyration (k,) in m, sqrt(tr(I) / (2 m)) about the centre of mass."""
-    parts = [mass_com_inertia(one) for one in phi]
-    return np.sqrt([max(np.trace(inertia), 0.0) / (2 * mass) for mass, _, inertia in parts])
 
 
 def _reach(robot: "RobotModel") -> float:
