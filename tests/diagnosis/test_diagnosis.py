@@ -151,8 +151,8 @@ def test_an_accepted_contradiction_lets_the_checks_go_on(tmp_path: Path) -> None
 def test_rotors_are_advised_only_where_the_terms_of_the_robot_lack_them(
     tmp_path: Path, joint: int
 ) -> None:
-    """ur5 names viscous and Coulomb friction; a manifest without terms has rotors by default. Rotors
-    of the first joints are nearly one parameter with the inertia of what they carry."""
+    """ur5 names viscous and Coulomb friction; a manifest without terms has rotors by default.
+    Rotors of the first joints are nearly one parameter with the inertia of what they carry."""
     named, log = named_robot("ur5"), log_of("ur5")
     a = np.gradient(log.v[:, joint], log.t)
     rotor = np.abs(log.tau[:, joint]).max() / np.abs(a).max() * np.eye(6)[joint]
