@@ -1,4 +1,4 @@
-"""From raw signals to a motion: derivatives of order two and four, edges cut, complaints in words."""
+"""From raw signals to a motion: derivatives of their order, edges cut, complaints in words."""
 
 from dataclasses import replace
 from typing import Any

@@ -13,7 +13,11 @@ from sysid_bench.models.random.random_tree import RandomRobot, random_robot
 from sysid_bench.models.robot import RobotModel
 from sysid_bench.simulation import compiled_steps
 from sysid_bench.simulation.compiled_steps import compiled_torque, steps_library
-from sysid_bench.simulation.effects.elastic_joints import ElasticJoints
+from sysid_bench.simulation.effects.elastic_joints import (
+    LEAST_LOAD,
+    ElasticJoints,
+    least_loads,
+)
 from sysid_bench.simulation.effects.lugre import LuGre
 from sysid_bench.simulation.effects.stribeck import Stribeck
 from sysid_bench.simulation.inverse import Inverse
@@ -146,6 +150,31 @@ ROTOR = """
   </worldbody>
 </mujoco>
 """
+
+
+@pytest.mark.parametrize("name", ["ur5", "scara", "tx40"])
+def test_an_elastic_motion_starts_without_a_transient(name: str) -> None:
+    """The motion before the first sample winds the springs and bristles up."""
+    robot = named_robot(name)
+    oracle = run(robot, [ElasticJoints(), LuGre(peak=0.3)], 1.0)
+    a = oracle.motion.a[:, robot.torque_dofs]
+    start, later = (np.abs(np.diff(x, axis=0)).max(axis=0) for x in (a[:20], a[20:]))
+    assert (start <= 2.0 * later).all()
+
+
+def test_slides_and_hinges_have_loads_of_their_own() -> None:
+    """Newtons of a slide are no newton metres: a heavier quill leaves the hinges' springs alone."""
+    robot = named_robot("scara")
+    slide = [joint.vadr for joint in robot.joints if joint.kind == "slide"]
+    found = []
+    for mass in (1.0, 100.0):
+        loads = np.ones(robot.nv)
+        loads[slide] = mass
+        found.append(least_loads(robot, loads))
+    hinges = np.delete(np.arange(robot.nv), slide)
+    np.testing.assert_array_equal(found[0][hinges], found[1][hinges])
+    weak = least_loads(robot, np.where(np.arange(robot.nv) == hinges[-1], 0.0, 5.0))
+    assert weak[hinges[-1]] == 5.0 * LEAST_LOAD
 
 
 def test_an_elastic_joint_resonates_where_the_formula_puts_it() -> None:
