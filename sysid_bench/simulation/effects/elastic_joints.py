@@ -26,8 +26,8 @@ class ElasticJoints:
     typical load is the RMS gravity torque over random postures, and the torque of half the
     acceleration limit. `damping` is D over K (s). `gap` is half the backlash; published values of
     the whole are 0.1 to 1 mrad (assumed), those of industrial gears below 0.3 mrad (1 arcmin, as
-    data sheets state). The rotors have the armature of the robot; a motor without any has no gap, which
-    it would cross in no time, again and again. `encoders` are on the "motor" or the "link".
+    data sheets state). The rotors have the armature of the robot; a motor without any has no gap,
+    which it would cross in no time, again and again. `encoders` are on the "motor" or the "link".
     """
 
     stiffness: Size | None = None
