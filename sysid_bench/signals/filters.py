@@ -80,7 +80,7 @@ class MovingAverage:
 
 
 @dataclass(frozen=True)
-class FourierSeries:
+class FourierFilter:
     """Fourier series of a recording of whole periods, truncated at `cutoff` (Hz).
 
     Motions of slower harmonics pass unchanged, and their derivatives are exact (Swevers, Ganseman,
@@ -108,7 +108,7 @@ class FourierSeries:
         return 0
 
 
-Filter = NoFilter | Butterworth | MovingAverage | FourierSeries
+Filter = NoFilter | Butterworth | MovingAverage | FourierFilter
 
 
 def derivative(filter: Filter, x: Array, rate: float, accuracy: int = 2) -> Array:
@@ -118,7 +118,7 @@ def derivative(filter: Filter, x: Array, rate: float, accuracy: int = 2) -> Arra
     the gain sin(wT) / (wT) = 1 - (wT)^2 / 6 + ..., 4 (five points) 1 - (wT)^4 / 30 + ... Beside the
     ends, where points are missing, it is 2, and 1 at the ends.
     """
-    if isinstance(filter, FourierSeries):
+    if isinstance(filter, FourierFilter):
         return filter.derivative(x, rate)
     slope = np.asarray(np.gradient(x, 1.0 / rate, axis=0))
     if accuracy == 4 and len(x) > 4:
@@ -138,7 +138,7 @@ def filter_of(text: str) -> Filter:
         case ["butter", order, number, *unit] if order.isdecimal() and int(order) > 0:
             return Butterworth(int(order), _cutoff([number, *unit], text))
         case ["fourier", number, *unit]:
-            return FourierSeries(_cutoff([number, *unit], text))
+            return FourierFilter(_cutoff([number, *unit], text))
         case ["average", window] if window.isdecimal() and int(window) % 2 == 1:
             return MovingAverage(int(window))
     raise UsageError(
