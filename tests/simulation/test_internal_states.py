@@ -59,7 +59,7 @@ def test_compiled_states_equal_those_in_python(
         (compiled.motion.q, python.motion.q),
         ((compiled.encoders or compiled.motion).a, (python.encoders or python.motion).a),
     ):
-        assert np.abs(ours - theirs).max() <= 1e-12 * max(np.abs(theirs).max(), 1.0) * 1e3
+        assert np.abs(ours - theirs).max() <= 1e-12 * max(np.abs(theirs).max(), 1.0)
 
 
 @pytest.mark.parametrize("effect", [LuGre(presliding=0.0), ElasticJoints(windup=0.0)])
@@ -113,6 +113,26 @@ def test_presliding_is_a_spring_at_first_and_coulomb_friction_in_the_end() -> No
     coulomb = named_robot("ur5").joint_terms.coulomb
     np.testing.assert_allclose(tau[-1], coulomb * 1e-5 / LuGre().presliding, rtol=0.02)
     np.testing.assert_allclose(_presliding_torque(0.1 * t, t, 4)[-1], coulomb, rtol=1e-3)
+
+
+@pytest.mark.parametrize("presliding", [2e-4, 2e-3])
+def test_a_hysteresis_loop_has_the_stated_width(presliding: float) -> None:
+    """After a reversal in sliding, dz/dq = 1 + z / zs from z = zs on: friction crosses zero after
+    zs ln 2, and is that of sliding but for 1 % after zs ln 200."""
+    robot, t = named_robot("ur5"), np.linspace(0.0, 2.0, 20001)
+    speed = 20 * presliding  # the dampers of the bristles hardly matter
+    q = speed * (1 - np.abs(t - 1.0))
+    law = LuGre(presliding=presliding).prepare(robot)
+    assert law is not None
+    v = np.where(t < 1.0, speed, -speed)
+    v[0] = 0.0  # from rest
+    every, rate = (np.repeat(x[:, None], robot.nv, axis=1) for x in (q, v))
+    tau = compiled_torque([law], t, every, rate, 0 * every, 1)[t >= 1.0]
+    tau = tau / np.abs(tau[-1])
+    back = speed * (t[t >= 1.0] - 1.0)
+    crossed, slides = (back[np.argmax(tau < limit, axis=0)] for limit in (0.0, -0.99))
+    np.testing.assert_allclose(crossed, presliding * np.log(2), rtol=0.05)
+    np.testing.assert_allclose(slides, presliding * np.log(200), rtol=0.05)
 
 
 def test_a_joint_with_presliding_comes_to_rest() -> None:
