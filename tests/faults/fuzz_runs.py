@@ -1,5 +1,8 @@
 """Kinds of the files of a run folder, read by every verb that takes a run."""
 
+import os
+import re
+import shlex
 import zlib
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +17,7 @@ from sysid_bench.verbs.report import table
 from sysid_bench.verbs.status import cell, status
 from tests.faults import fuzz_seeds as seeds
 from tests.faults.fuzz_kind import Kind, every
+from tests.faults.fuzz_options import command, word
 
 _DRAWN: Final = 8
 """One input in as many is drawn: of the time that a report takes, drawing is the most."""
@@ -26,6 +30,7 @@ def _make_run(folder: Path) -> None:
     note = path / "artifacts" / open_run(path).plan.cells[0].id / "no_recording.txt"
     note.parent.mkdir(parents=True)
     note.write_text("The cell cannot be recorded.")
+    (folder / "text").write_text(seeds.RUN_COMMANDS)
 
 
 def _run_folder(folder: Path) -> None:
@@ -58,6 +63,21 @@ def _merged(folder: Path) -> None:
     status(folder / "merged").summary()
 
 
+def _commands(folder: Path) -> None:
+    """One of the commands, that which the damage chose, as a shell splits its words."""
+    os.chdir(folder)
+    text = word(folder)
+    lines = re.sub("\0", "", text).split("\n")
+    command(_words(lines[zlib.crc32(text.encode(errors="surrogateescape")) % len(lines)]))
+
+
+def _words(line: str) -> list[str]:
+    try:
+        return shlex.split(line)
+    except ValueError:  # an open quote, which a shell waits to be closed
+        return line.split()
+
+
 def _run_kind(name: str, *damaged: str) -> Kind:
     return Kind(name, _make_run, damaged, _run_folder, warm=True)
 
@@ -71,6 +91,7 @@ RUN_KINDS: Final = (
     _run_kind("consolidated.json", "run/consolidated.json"),
     _run_kind("run-notes", "run/artifacts/*/*.txt", "run/logs/*", "run/tables/*"),
     Kind("merge", _make_run, ("run/*.json*", "run/run.toml", "run/cells/*"), _merged, warm=True),
+    Kind("options-of-runs", _make_run, ("text",), _commands, places=False),
     Kind("resume", _make_run, ("run/.lock", "run/*.json", "run/*.parquet", "run/logs/*"),
          lambda folder: run(folder / "run"), warm=True),
 )  # fmt: skip
