@@ -94,7 +94,7 @@ def report(folder: str | Path) -> Path:
 
 def _stale_note(run_folder: "RunFolder") -> str:
     """Sentence on the rows that are from other code than now; empty for none."""
-    return stale_note(other_code(run_folder, run_folder.first_fields().rows))
+    return stale_note(other_code(run_folder, run_folder.row_counts()))
 
 
 def table(folder: str | Path, name: str, form: str = "md") -> str:
