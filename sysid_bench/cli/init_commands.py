@@ -15,7 +15,7 @@ from sysid_bench.cli.options import (
     robots_option,
 )
 from sysid_bench.cli.progress import read_progress
-from sysid_bench.cli.supervise import supervised
+from sysid_bench.cli.worker_execute import supervise
 from sysid_bench.cli.values import parse_names
 from sysid_bench.errors import UsageError
 
@@ -55,7 +55,7 @@ def log(
     """Write the description of a recording: its columns, units and time are guessed."""
     from sysid_bench.experiments.third_party import readers_by_suffix
 
-    code = supervised([plugin for file in files for plugin in readers_by_suffix(file)])
+    code = supervise([plugin for file in files for plugin in readers_by_suffix(file)])
     if code is not None:
         return code
     with read_progress():

@@ -48,7 +48,7 @@ def current_fingerprint(suite: Suite, robots_dir: Path | None) -> Callable[[Cell
 
 def other_code(folder: RunFolder, counts: RowCounts) -> int:
     """Return the number of rows of a run that are from other code, models or libraries than now."""
-    fingerprint = current_fingerprint(folder.suite, folder.suite.robots_dir)
+    fingerprint = current_fingerprint(folder.suite, folder.suite.robots_folder)
     cells = folder.cells_at({kind.cell for kind in counts.rows})
     now = {place: fingerprint(cell) for place, cell in cells.items()}
     return sum(count for kind, count in counts.rows.items() if _is_other(kind, now[kind.cell]))

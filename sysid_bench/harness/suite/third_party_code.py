@@ -43,7 +43,7 @@ def _log_plugins(suite: Suite, log: LogEntry) -> Iterator[tuple[str, str]]:
     yield from ((entry.kind, entry.use) for entry in log.pipeline or ())
     words = (word for sweep in (log.terms, log.choose) for words in sweep for word in words or ())
     yield from term_names(words)
-    yield from manifest_terms(log.robot, suite.robots_dir, suite.folder)
+    yield from manifest_terms(log.robot, suite.robots_folder, suite.folder)
     for written in (*log.train, *log.test):
         try:
             yield from log_reader_names(log_description(written, suite.folder))
