@@ -15,8 +15,8 @@ from sysid_bench.cli.options import (
     robots_option,
 )
 from sysid_bench.cli.progress import read_progress
-from sysid_bench.cli.worker_execute import supervise
 from sysid_bench.cli.values import parse_names
+from sysid_bench.cli.worker_execute import supervise
 from sysid_bench.errors import UsageError
 
 
