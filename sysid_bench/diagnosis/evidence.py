@@ -219,9 +219,15 @@ class Evidence:
 
     def regressor(self, motion: JointMotion, robot: RobotModel | None = None) -> Array:
         """Columns (N, n, p) of the links along a motion of the recorded joints."""
-        robot = robot or self.robot
-        regression: AnyRegression = torque_regression(robot, self._links[0])
+        regression = self._regression if robot is None else self._of_links(robot)
         return regression.dense(self.trajectory(motion)).Y[:, self.torque_columns]
+
+    @cached_property
+    def _regression(self) -> AnyRegression:
+        return self._of_links(self.robot)
+
+    def _of_links(self, robot: RobotModel) -> AnyRegression:
+        return torque_regression(robot, self._links[0])
 
     def trajectory(self, motion: JointMotion) -> Trajectory:
         """Motion of the whole robot, the other joints at rest."""

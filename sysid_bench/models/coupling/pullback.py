@@ -88,18 +88,19 @@ def _curvature(coupling: Coupling, group: Group, motion: Trajectory) -> _Curvatu
     if group.linear or len(moving) == 0:
         return _Curvature(following, moving, np.repeat(F, len(x), axis=0))
     v, a = motion.v[:, group.dofs], motion.a[:, moving]
-    parts = [_central_difference(group, j, x, v, a) for j in range(len(moving))]
-    F_x, v_x, a_x = (np.stack(part, axis=-1) for part in zip(*parts, strict=True))
-    return _Curvature(following, moving, F, F_x, v_x, a_x)
+    return _Curvature(following, moving, F, *_central_differences(group, x, v, a))
 
 
-def _central_difference(group: Group, j: int, x: Array, v: Array, a: Array) -> list[Array]:
-    """Derivatives of F, v_dep and a_dep by the position of the independent joint of index j."""
-    step = STEP * group.units[group.independent[j]]
-    move = np.zeros((len(x), len(group.independent)))
-    move[:, j] = step
-    up, down = (_state(group, group.step_closure(x, s * move), v, a) for s in (1.0, -1.0))
-    return [(u - d) / (2 * step) for u, d in zip(up, down, strict=True)]
+def _central_differences(group: Group, x: Array, v: Array, a: Array) -> list[Array]:
+    """Derivatives of F (N, r, c), v_dep and a_dep (N, r) by the positions of the independent
+    joints, which make the last axis (c). All postures are solved at once."""
+    steps = STEP * group.units[group.independent]
+    c, N = len(steps), len(x)
+    moves = np.concatenate([np.diag(steps), -np.diag(steps)])
+    x, v, a = (np.tile(values, (2 * c, 1)) for values in (x, v, a))
+    states = _state(group, group.step_closure(x, np.repeat(moves, N, axis=0)), v, a)
+    parts = [state.reshape(2, c, N, *state.shape[1:]) for state in states]
+    return [np.moveaxis(up - down, 0, -1) / (2 * steps) for up, down in parts]
 
 
 def _state(group: Group, x: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:

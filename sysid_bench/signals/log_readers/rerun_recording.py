@@ -82,10 +82,10 @@ def _series(batches: list[tuple[str, Any]], timeline: str) -> _Series:
 
 def _times(column: Any) -> Array:
     """Return times in s, or the numbers of a sequence; a date counts from 1970."""
-    from pyarrow import int64, types
+    import pyarrow
 
-    scale = 1.0 if types.is_integer(column.type) else 1e-9
-    return np.asarray(column.cast(int64()).to_numpy(zero_copy_only=False) * scale)
+    scale = 1.0 if pyarrow.types.is_integer(column.type) else 1e-9
+    return np.asarray(column.cast(pyarrow.int64()).to_numpy(zero_copy_only=False) * scale)
 
 
 def _scalars(batch: Any) -> Array:
