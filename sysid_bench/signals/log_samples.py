@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,8 @@ class Samples:
 
     def apply(self, change: Callable[[Array], Array]) -> "Samples":
         """Return the samples with each signal changed alike."""
-        return replace(self, **{name: change(x) for name, x in self.signals.items()})
+        changed: dict[str, Any] = {name: change(x) for name, x in self.signals.items()}
+        return replace(self, **changed)
 
     def select(self, rows: slice) -> "Samples":
         """Return some of the samples."""
@@ -108,8 +110,8 @@ def _with_offsets(log: LogDescription, samples: Samples) -> Samples:
 def _read_signals(log: LogDescription, kinds: Sequence[str]) -> Samples:
     """Return q, v, tau as scaled by the description, each of the length of its own file."""
     read = {name: _columns(log, name, part, kinds) for name, part in log.signals.items()}
-    values = {name: x for name, (x, _) in read.items()}
-    return Samples(**{"v": None, **values}, truncated=max(count for _, count in read.values()))
+    values: dict[str, Any] = {"v": None, **{name: x for name, (x, _) in read.items()}}
+    return Samples(**values, truncated=max(count for _, count in read.values()))
 
 
 def _cut_to_shortest(log: LogDescription, samples: Samples) -> Samples:

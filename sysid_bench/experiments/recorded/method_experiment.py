@@ -1,6 +1,7 @@
 """What methods that simulate or model the noise are given of a recording."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,6 +14,7 @@ from sysid_bench.experiments.recorded.unknowns import Unknowns
 from sysid_bench.experiments.simulated.method_model import SimulatedModel
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.regressors.coupled import torque_regression
+from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.kinematics import kinematics_of
 from sysid_bench.simulation.parametrised_plant import KnownModel
@@ -32,6 +34,7 @@ def recorded_experiment(
         simulate=_closed_loop(builder.unknowns, first),
         known=partial(_known_torque, builder, first),
         filter_rows=builder.rows_along(first).processed,
+        moving=builder.rows_along(replace(first, rows=MOVING)).weights > 0.0,
     )
 
 
