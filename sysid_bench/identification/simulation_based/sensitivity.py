@@ -1,8 +1,8 @@
 """Steps of a model with their derivatives by the state and by beta: sensitivity equations.
 
 With tau(q, v, a, beta) = M a + bias, the acceleration has the derivatives -M^-1 d tau / d q,
--M^-1 d tau / d v and -M^-1 Y; a step carries them along by the chain rule (Dickinson, Gelinas 1976).
-A finite difference by each of r parameters would take r runs instead.
+-M^-1 d tau / d v and -M^-1 Y; a step carries them along by the chain rule
+(Dickinson, Gelinas 1976). A finite difference by each of r parameters would take r runs instead.
 """
 
 from dataclasses import dataclass
@@ -83,8 +83,7 @@ class SensitiveModel:
 
     def _acceleration(self, x: StateSlopes, at: Array, share: float) -> tuple[Array, Array]:
         """Acceleration (S, n) between the samples `at` and the next, and its derivative."""
-        S, n = x.q.shape
-        betas = np.broadcast_to(self.beta, (S, len(self.beta)))
+        betas = np.broadcast_to(self.beta, (len(x.q), len(self.beta)))
         before = self.measured.driving_torque(at, betas)
         tau = before + share * (self.measured.driving_torque(at + 1, betas) - before)
         given = self.measured.given(at)
