@@ -23,9 +23,12 @@ class EKF:
 
     beta is constant, measured torques are inputs, measured positions are outputs. Noise levels come
     from high-order differences of the signals; starts from the prior and its standard deviations,
-    else from least squares. Biased: torques between samples are interpolated linearly (`substeps`
-    steps of Heun's rule per sample), and errors of the linearisation are not part of the
-    covariance. One pass, no stop rule. Assumes white noise on q and tau.
+    else from least squares. On recordings it starts from feasible least squares with a tenth of the
+    torque as its error, torque noise is as strong as the residual of least squares at low
+    frequencies, and friction follows the measured rate (measured_motion.py). Biased: torques
+    between samples are interpolated linearly (`substeps` steps of Heun's rule per sample), and
+    errors of the linearisation are not part of the covariance. One pass, no stop rule. Assumes
+    white noise on q and tau.
     """
 
     bias: ClassVar[str] = "torques between samples are interpolated linearly"

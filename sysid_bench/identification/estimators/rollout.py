@@ -39,7 +39,9 @@ class Rollout:
     initial states are eliminated segment by segment. Gauss-Newton from the prior, else from least
     squares; stops at a step below 0.1 standard deviations. Biased: torques between samples are
     interpolated linearly (`substeps` steps of Heun's rule per sample). Segments of 0.2 s keep the
-    open-loop error of unstable dynamics small. Assumes white noise on q.
+    open-loop error of unstable dynamics small. On recordings it starts from feasible least squares,
+    at 500 Hz at most; friction follows the measured rate, and joints at standstill their measured
+    acceleration (measured_motion.py). Assumes white noise on q.
     """
 
     bias: ClassVar[str] = "torques between samples are interpolated linearly"
