@@ -11,13 +11,13 @@ from sysid_bench.errors import UnsupportedError, first_names
 from sysid_bench.experiments.recorded.preprocess import ProcessedLog
 from sysid_bench.experiments.recorded.problem import LogProblemBuilder, regressor_blocks
 from sysid_bench.experiments.recorded.unknowns import Unknowns
-from sysid_bench.experiments.simulated.method_model import SimulatedModel
+from sysid_bench.experiments.simulated.estimator_model import SimulatedModel
 from sysid_bench.models.robot import SUFFIX
 from sysid_bench.regressors.coupled import torque_regression
 from sysid_bench.signals.row_processing import MOVING
 from sysid_bench.simulation.candidate import Candidate
 from sysid_bench.simulation.kinematics import kinematics_of
-from sysid_bench.simulation.parametrised_plant import KnownModel
+from sysid_bench.simulation.plant_of_model import KnownModel
 from sysid_bench.types import Array, Experiment, Problem, Recording, Trajectory
 
 

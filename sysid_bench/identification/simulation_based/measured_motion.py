@@ -13,6 +13,7 @@ import numpy as np
 from sysid_bench.identification.feasibility.feasible_set import feasible_set_of
 from sysid_bench.identification.feasibility.lmi_fit import Limits, fit
 from sysid_bench.identification.feasibility.required_prior import start_of
+from sysid_bench.identification.feasibility.simulatable import simulatable_set
 from sysid_bench.identification.simulation_based.gauss_newton import regressor_of
 from sysid_bench.types import Array, Experiment, Problem, Trajectory
 
@@ -22,6 +23,10 @@ RATE: Final = 500.0
 
 IN_MODEL: Final = (".fv", ".Ia", ".k")
 """Suffixes of joint terms that follow the state of the model: not stiff at such rates."""
+
+
+SHARE: Final = 0.01
+"""Share of the centre of the feasible set in the start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +118,10 @@ def following_columns(experiment: Experiment) -> Array:
 
 
 def feasible_theta(problem: Problem) -> Array:
-    """Return theta (p,) of weighted least squares within the feasible set, the start on recordings:
-    its mass matrix is positive definite."""
+    """Return theta (p,) of weighted least squares within the feasible set, with a small share of
+    the set's centre: the start on recordings, whose mass matrix is positive definite."""
     feasible = feasible_set_of(problem)
-    limits = Limits(margin=1e-5)
-    return np.asarray(
-        feasible.scale * fit(feasible, problem, limits, start_of(feasible, problem.prior)).x
-    )
+    start = start_of(feasible, problem.prior)
+    found = feasible.scale * fit(feasible, problem, Limits(), start).x
+    # At the border a body may have no mass at all.
+    return np.asarray((1 - SHARE) * found + SHARE * simulatable_set(problem).centre)
